@@ -1,0 +1,160 @@
+//! Weighted norms, the first step, and the step-size controller.
+
+use crate::options::AbsoluteTolerance;
+
+/// Weights `w_i = atol_i + rtol * max(|x_i|, |x_new_i|)` of the root-mean-square norm.
+#[derive(Debug, Default)]
+pub(crate) struct Weights {
+    rtol: f64,
+    atol: Vec<f64>,
+}
+
+impl Weights {
+    /// Sets tolerances for `nominals.len()` states; corrects nominals that are zero, negative or not finite.
+    /// The caller has checked that a list of tolerances has this length.
+    pub(crate) fn set(&mut self, rtol: f64, atol: &AbsoluteTolerance, nominals: &[f64]) {
+        self.rtol = rtol;
+        self.atol.clear();
+        match atol {
+            AbsoluteTolerance::FromNominals => self.atol.extend(nominals.iter().map(|nominal| {
+                let n = nominal.abs();
+                0.01 * rtol * if n > 0.0 && n.is_finite() { n } else { 1.0 }
+            })),
+            AbsoluteTolerance::Scalar(v) => self.atol.resize(nominals.len(), *v),
+            AbsoluteTolerance::PerState(list) => self.atol.extend_from_slice(list),
+        }
+    }
+
+    fn weight(&self, i: usize, a: f64, b: f64) -> f64 {
+        self.atol[i] + self.rtol * a.abs().max(b.abs())
+    }
+
+    /// Norm of the error of a step from `x` to `x_new`; NaN if anything in it is.
+    pub(crate) fn error_norm(&self, x: &[f64], x_new: &[f64], error: &[f64]) -> f64 {
+        let sum: f64 = (0..x.len()).map(|i| (error[i] / self.weight(i, x[i], x_new[i])).powi(2)).sum();
+        (sum / x.len().max(1) as f64).sqrt()
+    }
+
+    /// Norm of `v` at the state `x`.
+    pub(crate) fn norm(&self, x: &[f64], v: &[f64]) -> f64 {
+        self.error_norm(x, x, v)
+    }
+
+    /// Norm of `a - b` at the state `x`.
+    pub(crate) fn distance(&self, x: &[f64], a: &[f64], b: &[f64]) -> f64 {
+        let sum: f64 = (0..x.len()).map(|i| ((a[i] - b[i]) / self.weight(i, x[i], x[i])).powi(2)).sum();
+        (sum / x.len().max(1) as f64).sqrt()
+    }
+
+    /// The state that contributes most to the error norm.
+    pub(crate) fn worst(&self, x: &[f64], x_new: &[f64], error: &[f64]) -> Option<usize> {
+        let share = |i: usize| (error[i] / self.weight(i, x[i], x_new[i])).abs();
+        (0..x.len()).max_by(|&i, &j| share(i).total_cmp(&share(j)))
+    }
+}
+
+/// The PI controller of DOPRI5 (Hairer, Norsett, Wanner I, II.4 and IV.2 of volume II): `beta = 0.04`, safety 0.9,
+/// growth at most 10, reduction at most to a fifth.
+#[derive(Debug)]
+pub(crate) struct Controller {
+    exponent: f64,
+    previous_error: f64,
+    just_rejected: bool,
+}
+
+impl Controller {
+    const BETA: f64 = 0.04;
+    const SAFETY: f64 = 0.9;
+
+    pub(crate) fn new(order: u32) -> Self {
+        Self {
+            exponent: 1.0 / f64::from(order) - 0.75 * Self::BETA,
+            previous_error: 1e-4,
+            just_rejected: false,
+        }
+    }
+
+    pub(crate) fn restart(&mut self) {
+        self.previous_error = 1e-4;
+        self.just_rejected = false;
+    }
+
+    /// Factor for the step size after a step accepted with this error norm.
+    pub(crate) fn accepted(&mut self, error: f64) -> f64 {
+        let factor = error.powf(self.exponent) / self.previous_error.powf(Self::BETA) / Self::SAFETY;
+        let growth = if self.just_rejected { 1.0 } else { 10.0 };
+        self.previous_error = error.max(1e-4);
+        self.just_rejected = false;
+        (1.0 / factor).clamp(0.2, growth)
+    }
+
+    /// Factor for the step size after a step rejected with this error norm.
+    pub(crate) fn rejected(&mut self, error: f64) -> f64 {
+        self.just_rejected = true;
+        (Self::SAFETY / error.powf(self.exponent)).clamp(0.2, 0.9)
+    }
+
+    /// Factor for the step size after a point that the model refused.
+    pub(crate) fn discarded(&mut self) -> f64 {
+        self.just_rejected = true;
+        0.25
+    }
+}
+
+/// First guess of a step size: HNW I, II.4, steps a) and b): an explicit Euler step of this length changes the
+/// solution by a hundredth of its norm.
+pub(crate) fn probe_step(weights: &Weights, x: &[f64], dx: &[f64], span: f64) -> f64 {
+    let (d0, d1) = (weights.norm(x, x), weights.norm(x, dx));
+    if d0 < 1e-5 || d1 < 1e-5 { 1e-6 * span } else { 0.01 * d0 / d1 }
+}
+
+/// The step size from two right-hand sides `probe` apart: HNW I, II.4, steps d) to f).
+pub(crate) fn initial_step(
+    weights: &Weights,
+    order: u32,
+    x: &[f64],
+    dx: &[f64],
+    dx_probe: &[f64],
+    probe: f64,
+) -> f64 {
+    let d1 = weights.norm(x, dx);
+    let d2 = weights.distance(x, dx_probe, dx) / probe;
+    let largest = d1.max(d2);
+    if largest <= 1e-15 {
+        return 100.0 * probe;
+    }
+    (0.01 / largest).powf(1.0 / f64::from(order + 1)).min(100.0 * probe)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bad_nominals_are_corrected() {
+        let mut w = Weights::default();
+        w.set(1e-6, &AbsoluteTolerance::FromNominals, &[2.0, 0.0, -3.0, f64::NAN, f64::INFINITY]);
+        let expected = [2e-8, 1e-8, 3e-8, 1e-8, 1e-8];
+        for (a, e) in w.atol.iter().zip(expected) {
+            assert!((a - e).abs() < 1e-20);
+        }
+    }
+
+    #[test]
+    fn the_norm_is_the_root_mean_square_of_the_weighted_error() {
+        let mut w = Weights::default();
+        w.set(0.1, &AbsoluteTolerance::Scalar(1.0), &[1.0, 1.0]);
+        // weights 1 + 0.1 * 10 = 2 and 1 + 0.1 * 20 = 3
+        let n = w.error_norm(&[10.0, 0.0], &[-5.0, 20.0], &[2.0, 6.0]);
+        assert!((n - (5.0_f64 / 2.0).sqrt()).abs() < 1e-15);
+        assert_eq!(w.worst(&[10.0, 0.0], &[-5.0, 20.0], &[2.0, 6.0]), Some(1));
+    }
+
+    #[test]
+    fn no_growth_right_after_a_rejection() {
+        let mut c = Controller::new(5);
+        assert!(c.rejected(100.0) < 0.5);
+        assert!(c.accepted(1e-8) <= 1.0);
+        assert!(c.accepted(1e-8) > 5.0);
+    }
+}

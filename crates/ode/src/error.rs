@@ -1,0 +1,168 @@
+//! How a run ends: normally ([`Termination`]) or with a [`SimulationError`].
+
+use crate::stats::Stats;
+use std::fmt;
+use std::time::Duration;
+
+/// A normal end of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Termination {
+    /// The final time was reached.
+    Finished,
+    /// The model asked to end the simulation.
+    StoppedByModel,
+    /// The observer said stop.
+    StoppedByObserver,
+}
+
+/// What a run reports when it ends normally.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Report {
+    /// How it ended.
+    pub termination: Termination,
+    /// Time at which it ended.
+    pub time: f64,
+    /// What it cost.
+    pub stats: Stats,
+}
+
+/// Why a run failed.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum ErrorKind {
+    /// The span is not one: a bound that is not finite, or an end before the start.
+    Span {
+        /// Start time.
+        start: f64,
+        /// Final time.
+        end: f64,
+    },
+    /// The requested sample times are not finite, not ascending, or outside of the span.
+    SampleTimes {
+        /// Position in the list.
+        index: usize,
+        /// The time found there.
+        time: f64,
+    },
+    /// A tolerance per state was given, but not as many as there are states.
+    ToleranceCount {
+        /// Tolerances given.
+        given: usize,
+        /// States of the model.
+        states: usize,
+    },
+    /// The error test or a discarded point wanted a step below what the numbers can resolve.
+    StepTooSmall {
+        /// The model refused the last point that was tried (discard, NaN or infinity).
+        discarded: bool,
+    },
+    /// The model refused its own starting point (or the point right after an event).
+    DiscardedAtRestart,
+    /// More steps than allowed.
+    TooManySteps(u64),
+    /// More events than allowed.
+    TooManyEvents(u64),
+    /// More right-hand sides than allowed.
+    TooManyRightHandSides(u64),
+    /// The wall clock ran out.
+    TimedOut(Duration),
+    /// Somebody set the cancel flag.
+    Cancelled,
+    /// State events follow each other without time advancing.
+    Chattering {
+        /// How many in a row.
+        events: u64,
+        /// The span of time in which they happened.
+        within: f64,
+        /// The indicator that crossed last.
+        indicator: usize,
+    },
+    /// The model announced a time event that lies in the past.
+    EventInThePast(f64),
+    /// A call into the model failed.
+    Model(Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// A run that failed: why, where, and with which numbers.
+#[derive(Debug)]
+pub struct SimulationError {
+    /// Why.
+    pub kind: ErrorKind,
+    /// Time reached.
+    pub time: f64,
+    /// Step size that was being tried.
+    pub step: f64,
+    /// State with the largest weighted error in the last rejected step.
+    pub worst_state: Option<usize>,
+    /// Time of the last event.
+    pub last_event: Option<f64>,
+    /// What it had cost.
+    pub stats: Stats,
+}
+
+impl fmt::Display for SimulationError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let t = self.time;
+        match &self.kind {
+            ErrorKind::Span { start, end } => {
+                return write!(
+                    f,
+                    "cannot simulate from {start} to {end}: both must be finite, the end not before the start"
+                );
+            }
+            ErrorKind::SampleTimes { index, time } => {
+                return write!(
+                    f,
+                    "requested time {time} at position {index} is not finite, not in ascending order, or outside of the span"
+                );
+            }
+            ErrorKind::ToleranceCount { given, states } => {
+                return write!(f, "{given} absolute tolerances given for {states} states");
+            }
+            ErrorKind::StepTooSmall { discarded: false } => {
+                write!(f, "the error test wants steps below {:e} at t = {t}", self.step)?;
+            }
+            ErrorKind::StepTooSmall { discarded: true } => {
+                write!(f, "the model cannot be evaluated beyond t = {t}, down to steps of {:e}", self.step)?;
+            }
+            ErrorKind::DiscardedAtRestart => {
+                write!(f, "the model cannot be evaluated at its own state at t = {t}")?
+            }
+            ErrorKind::TooManySteps(n) => write!(f, "the limit of {n} steps was reached at t = {t}")?,
+            ErrorKind::TooManyEvents(n) => write!(f, "the limit of {n} events was reached at t = {t}")?,
+            ErrorKind::TooManyRightHandSides(n) => {
+                write!(f, "the limit of {n} right-hand sides was reached at t = {t}")?;
+            }
+            ErrorKind::TimedOut(d) => {
+                write!(f, "the time limit of {} s was reached at t = {t}", d.as_secs_f64())?
+            }
+            ErrorKind::Cancelled => write!(f, "cancelled at t = {t}")?,
+            ErrorKind::Chattering { events, within, indicator } => {
+                write!(
+                    f,
+                    "chattering at t = {t}: {events} state events within {within:e} (last: event indicator {indicator})"
+                )?;
+            }
+            ErrorKind::EventInThePast(next) => {
+                write!(f, "the model announced its next time event for {next}, which lies before t = {t}")?;
+            }
+            ErrorKind::Model(e) => write!(f, "at t = {t}: {e}")?,
+        }
+        if let Some(i) = self.worst_state {
+            write!(f, "; largest error in state {i}")?;
+        }
+        if let Some(e) = self.last_event {
+            write!(f, "; last event at {e}")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for SimulationError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match &self.kind {
+            ErrorKind::Model(e) => Some(e.as_ref()),
+            _ => None,
+        }
+    }
+}

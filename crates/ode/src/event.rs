@@ -1,0 +1,301 @@
+//! State events: the domain memory of the indicators, root location, and the guard against chattering.
+//!
+//! An indicator is in the domain `z > 0` or `z <= 0` (the rule of FMI 2.0, 3.2.1). A state event happens when one
+//! changes its domain. Signs are never multiplied: products underflow.
+
+use crate::system::CallResult;
+
+/// Which indicators are positive, and the values they were read from.
+#[derive(Debug, Default)]
+pub(crate) struct Domains {
+    /// Indicators at the start of the step (after all events there).
+    pub(crate) base: Vec<f64>,
+    /// Indicators at the end of the step that is being looked at.
+    pub(crate) end: Vec<f64>,
+    mid: Vec<f64>,
+    lo: Vec<f64>,
+    discarded: Vec<f64>,
+    /// +1, -1 or 0 per indicator, once [`crossings`](Self::mark) has been called.
+    pub(crate) crossings: Vec<i8>,
+}
+
+/// Where the first change of domain in a step was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Located {
+    /// First known point of the new domain (the right end of the final bracket).
+    pub(crate) time: f64,
+    /// Evaluations of the indicators it took.
+    pub(crate) evaluations: u64,
+}
+
+fn flipped(from: f64, to: f64) -> bool {
+    (from > 0.0) != (to > 0.0)
+}
+
+impl Domains {
+    pub(crate) fn resize(&mut self, n: usize) {
+        for v in [&mut self.base, &mut self.end, &mut self.mid, &mut self.lo, &mut self.discarded] {
+            v.clear();
+            v.resize(n, 0.0);
+        }
+        self.crossings.clear();
+        self.crossings.resize(n, 0);
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.base.len()
+    }
+
+    /// Whether any indicator has left the domain it was in at the start of the step.
+    pub(crate) fn changed(&self) -> bool {
+        self.base.iter().zip(&self.end).any(|(b, e)| flipped(*b, *e))
+    }
+
+    /// Writes down the direction of every crossing between start and end; returns the first that crossed.
+    pub(crate) fn mark(&mut self) -> Option<usize> {
+        let mut first = None;
+        for (i, c) in self.crossings.iter_mut().enumerate() {
+            *c = match (self.base[i] > 0.0, self.end[i] > 0.0) {
+                (false, true) => 1,
+                (true, false) => -1,
+                _ => 0,
+            };
+            if *c != 0 && first.is_none() {
+                first = Some(i);
+            }
+        }
+        first
+    }
+
+    /// Nothing crossed.
+    pub(crate) fn clear_marks(&mut self) {
+        self.crossings.fill(0);
+    }
+
+    /// The step is over without an event: its end is the next start.
+    pub(crate) fn advance(&mut self) {
+        std::mem::swap(&mut self.base, &mut self.end);
+    }
+
+    /// Finds the first change of domain in `(t_lo, t_hi]`, where `base` and `end` hold the indicators at both ends and
+    /// at least one has changed. `evaluate(t, z)` fills in the indicators at a time between.
+    ///
+    /// T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function,
+    /// Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators; each iteration works
+    /// on the changed indicator whose secant crosses first. Ends when the bracket is at most `tolerance` wide, whatever
+    /// the values are, and returns its right end: there the change has really happened. `end` then holds the indicators
+    /// at that point.
+    pub(crate) fn locate(
+        &mut self,
+        t_lo: f64,
+        t_hi: f64,
+        tolerance: f64,
+        mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
+    ) -> CallResult<Located> {
+        self.lo.copy_from_slice(&self.base);
+        let (mut lo, mut hi) = (t_lo, t_hi);
+        // The end of an earlier bracket, for the inverse quadratic step, and whether it lay to the right.
+        let mut third: Option<f64> = None;
+        let mut newest_is_hi = true;
+        let mut active = usize::MAX;
+        let mut evaluations = 0;
+        let cap = 2 * (((hi - lo) / tolerance).log2().max(0.0) as u64) + 4;
+        while hi - lo > tolerance {
+            let chosen = self.first_by_secant(lo, hi);
+            if chosen != active {
+                active = chosen;
+                third = None;
+            }
+            let width = hi - lo;
+            let from_lo = match third {
+                Some(t3) if evaluations < cap => {
+                    self.chandrupatla_fraction(active, lo, hi, t3, newest_is_hi, tolerance / width)
+                }
+                _ => 0.5,
+            };
+            let mut mid = lo + from_lo * width;
+            if mid <= lo || mid >= hi {
+                mid = lo + 0.5 * width;
+                if mid <= lo || mid >= hi {
+                    break; // neighbours in floating point
+                }
+            }
+            evaluate(mid, &mut self.mid)?;
+            evaluations += 1;
+            let crossed = self.base.iter().zip(&self.mid).any(|(b, m)| flipped(*b, *m));
+            // The point that leaves the bracket, or the older one on the same side, becomes the third.
+            if crossed {
+                std::mem::swap(&mut self.discarded, &mut self.end);
+                std::mem::swap(&mut self.end, &mut self.mid);
+                third = Some(hi);
+                hi = mid;
+            } else {
+                std::mem::swap(&mut self.discarded, &mut self.lo);
+                std::mem::swap(&mut self.lo, &mut self.mid);
+                third = Some(lo);
+                lo = mid;
+            }
+            newest_is_hi = crossed;
+        }
+        Ok(Located { time: hi, evaluations })
+    }
+
+    /// Among the indicators that change inside the bracket, the one whose secant predicts the earliest crossing.
+    fn first_by_secant(&self, lo: f64, hi: f64) -> usize {
+        let mut best = (f64::INFINITY, 0);
+        for i in 0..self.base.len() {
+            if flipped(self.base[i], self.end[i]) {
+                let (a, b) = (self.lo[i], self.end[i]);
+                let t = lo + (hi - lo) * (a / (a - b)).clamp(0.0, 1.0);
+                let t = if t.is_nan() { lo } else { t };
+                if t < best.0 {
+                    best = (t, i);
+                }
+            }
+        }
+        best.1
+    }
+
+    /// Fraction of the bracket, counted from `lo`, at which to look next.
+    fn chandrupatla_fraction(
+        &self,
+        i: usize,
+        lo: f64,
+        hi: f64,
+        t3: f64,
+        newest_is_hi: bool,
+        least: f64,
+    ) -> f64 {
+        let (f_lo, f_hi, f3) = (self.lo[i], self.end[i], self.discarded[i]);
+        let (x1, f1, x2, f2) = if newest_is_hi { (hi, f_hi, lo, f_lo) } else { (lo, f_lo, hi, f_hi) };
+        let xi = (x1 - x2) / (t3 - x2);
+        let phi = (f1 - f2) / (f3 - f2);
+        let inverse_quadratic = phi * phi < xi && (1.0 - phi) * (1.0 - phi) < 1.0 - xi;
+        let fraction = if inverse_quadratic {
+            f1 / (f2 - f1) * f3 / (f2 - f3) + (t3 - x1) / (x2 - x1) * f1 / (f3 - f1) * f2 / (f3 - f2)
+        } else {
+            0.5
+        };
+        let least = (0.5 * least).min(0.5);
+        let fraction = if fraction.is_finite() { fraction.clamp(least, 1.0 - least) } else { 0.5 };
+        if newest_is_hi { 1.0 - fraction } else { fraction }
+    }
+}
+
+/// Notices state events that follow each other while time hardly advances (chattering, Zeno). The test is on the time
+/// that passes, not on the number of events: many events far apart are a legal model.
+#[derive(Debug)]
+pub(crate) struct ChatteringGuard {
+    times: [f64; Self::EVENTS],
+    next: usize,
+    least: f64,
+}
+
+impl ChatteringGuard {
+    /// So many events in a row must advance time.
+    pub(crate) const EVENTS: usize = 100;
+    /// By this share of the span.
+    pub(crate) const SHARE_OF_SPAN: f64 = 1e-6;
+
+    pub(crate) fn new(span: f64) -> Self {
+        Self { times: [f64::NEG_INFINITY; Self::EVENTS], next: 0, least: Self::SHARE_OF_SPAN * span }
+    }
+
+    /// Records an event at `t`; returns the time in which the last [`EVENTS`](Self::EVENTS) happened if that is too short.
+    pub(crate) fn record(&mut self, t: f64) -> Option<f64> {
+        let within = t - self.times[self.next];
+        self.times[self.next] = t;
+        self.next = (self.next + 1) % Self::EVENTS;
+        (within < self.least).then_some(within)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn locate(z: impl Fn(f64) -> Vec<f64>, lo: f64, hi: f64, tolerance: f64) -> (f64, u64, Domains) {
+        let mut d = Domains::default();
+        d.resize(z(lo).len());
+        d.base.copy_from_slice(&z(lo));
+        d.end.copy_from_slice(&z(hi));
+        assert!(d.changed());
+        let found = d
+            .locate(lo, hi, tolerance, |t, out| {
+                out.copy_from_slice(&z(t));
+                Ok(())
+            })
+            .unwrap();
+        (found.time, found.evaluations, d)
+    }
+
+    #[test]
+    fn returns_the_right_end_of_a_tight_bracket() {
+        for root in [0.1, 0.437, 0.9999] {
+            let (t, n, d) = locate(|t| vec![(t - root) * 3.0], 0.0, 1.0, 1e-13);
+            assert!(t > root && t - root <= 1e-13, "{t} for {root}");
+            assert!(d.end[0] > 0.0);
+            assert!(n <= 6, "{n} evaluations for a straight line");
+        }
+    }
+
+    #[test]
+    fn smooth_curves_take_few_evaluations() {
+        let (t, n, _) = locate(|t| vec![(8.0 * t).exp() - 20.0], 0.0, 1.0, 1e-13);
+        assert!((t - 20f64.ln() / 8.0).abs() < 1e-13);
+        assert!(n <= 14, "{n}");
+        let (t, n, _) = locate(|t| vec![0.3 - t * t], 0.0, 1.0, 1e-13);
+        assert!((t - 0.3f64.sqrt()).abs() < 2e-13);
+        assert!(n <= 12, "{n}");
+    }
+
+    #[test]
+    fn indicators_that_only_jump_are_bisected() {
+        let (t, n, _) = locate(|t| vec![if t < 0.7 { -1.0 } else { 1.0 }], 0.0, 1.0, 1e-13);
+        assert!((0.7..0.7 + 1e-13).contains(&t));
+        assert!(n <= 60, "{n}");
+        let (t, n, _) = locate(|t| vec![if t < 0.7 { -1.0 } else { 1e-300 }], 0.0, 1.0, 1e-13);
+        assert!((0.7..0.7 + 1e-13).contains(&t));
+        assert!(n <= 140, "{n}");
+    }
+
+    #[test]
+    fn the_first_of_several_crossings_is_found() {
+        let (t, _, mut d) = locate(|t| vec![0.8 - t, t - 0.3, (t - 0.55).powi(3)], 0.0, 1.0, 1e-12);
+        assert!((t - 0.3).abs() <= 1e-12);
+        assert_eq!(d.mark(), Some(1));
+        assert_eq!(d.crossings, vec![0, 1, 0]);
+    }
+
+    #[test]
+    fn simultaneous_crossings_are_one_event() {
+        let (t, _, mut d) = locate(|t| vec![0.5 - t, t - 0.5, 1.0], 0.0, 1.0, 1e-12);
+        assert!((t - 0.5).abs() <= 1e-12);
+        d.mark();
+        // 0.5 - t leaves the positive domain at 0.5 itself, t - 0.5 enters it just after: both within the bracket.
+        assert_eq!(d.crossings[0], -1);
+    }
+
+    #[test]
+    fn zero_belongs_to_the_lower_domain() {
+        let mut d = Domains::default();
+        d.resize(1);
+        d.base[0] = 0.0;
+        d.end[0] = -1.0;
+        assert!(!d.changed());
+        d.end[0] = 1e-300;
+        assert!(d.changed());
+        d.base[0] = 1e-300;
+        d.end[0] = 0.0;
+        assert!(d.changed());
+    }
+
+    #[test]
+    fn the_guard_looks_at_time_not_at_the_count() {
+        let mut guard = ChatteringGuard::new(1.0);
+        assert!((0..10_000).all(|i| guard.record(f64::from(i) * 1e-4).is_none()));
+        let mut guard = ChatteringGuard::new(1.0);
+        let caught = (0..200).position(|i| guard.record(f64::from(i) * 1e-10).is_some());
+        assert_eq!(caught, Some(100));
+    }
+}

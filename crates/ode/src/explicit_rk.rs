@@ -1,0 +1,127 @@
+//! Explicit Runge-Kutta methods: one implementation for every tableau, with or without an error estimate.
+
+use crate::control::Weights;
+use crate::stats::Stats;
+use crate::stepper::{Stepper, Trial};
+use crate::system::{CallResult, HybridSystem};
+use crate::tableau::Tableau;
+
+/// An explicit method and its stages `k_i = f(t + c_i h, ...)`.
+#[derive(Debug)]
+pub(crate) struct ExplicitRk<const S: usize> {
+    tableau: &'static Tableau<S>,
+    k: [Vec<f64>; S],
+    stage: Vec<f64>,
+    error: Vec<f64>,
+}
+
+impl<const S: usize> ExplicitRk<S> {
+    pub(crate) fn new(tableau: &'static Tableau<S>) -> Self {
+        Self { tableau, k: std::array::from_fn(|_| Vec::new()), stage: Vec::new(), error: Vec::new() }
+    }
+}
+
+/// `out = x + h * sum_j weights[j] k[j]` over the first `weights.len()` stages.
+fn combine(out: &mut [f64], x: &[f64], h: f64, weights: &[f64], k: &[Vec<f64>]) {
+    for (i, (o, x)) in out.iter_mut().zip(x).enumerate() {
+        let mut sum = 0.0;
+        for (w, k) in weights.iter().zip(k) {
+            sum += w * k[i];
+        }
+        *o = x + h * sum;
+    }
+}
+
+/// `out = sum_j weights[j] k[j]`.
+fn weighted_sum(out: &mut [f64], factor: f64, weights: &[f64], k: &[Vec<f64>]) {
+    for (i, o) in out.iter_mut().enumerate() {
+        let mut sum = 0.0;
+        for (w, k) in weights.iter().zip(k) {
+            sum += w * k[i];
+        }
+        *o = factor * sum;
+    }
+}
+
+impl<const S: usize> Stepper for ExplicitRk<S> {
+    fn order(&self) -> u32 {
+        self.tableau.order
+    }
+
+    fn has_error_estimate(&self) -> bool {
+        self.tableau.error.is_some()
+    }
+
+    fn resize(&mut self, n: usize) {
+        for k in &mut self.k {
+            k.resize(n, 0.0);
+        }
+        self.stage.resize(n, 0.0);
+        self.error.clear();
+        self.error.resize(n, 0.0);
+    }
+
+    fn restart<M: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut M,
+        t: f64,
+        x: &[f64],
+        stats: &mut Stats,
+    ) -> CallResult<()> {
+        stats.right_hand_sides += 1;
+        system.derivatives(t, x, &mut self.k[0])
+    }
+
+    fn derivative(&self) -> &[f64] {
+        &self.k[0]
+    }
+
+    fn try_step<M: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut M,
+        trial: Trial<'_>,
+        weights: &Weights,
+        x_new: &mut [f64],
+        stats: &mut Stats,
+    ) -> CallResult<f64> {
+        let Trial { t, end, h, x } = trial;
+        if x.is_empty() {
+            return Ok(0.0);
+        }
+        for s in 1..S {
+            let (known, rest) = self.k.split_at_mut(s);
+            let last = s + 1 == S;
+            let point = if last { &mut *x_new } else { &mut self.stage[..] };
+            combine(point, x, h, &self.tableau.a[s][..s], known);
+            stats.right_hand_sides += 1;
+            // The end of the step is met exactly: an input that jumps there must be asked at that very time.
+            let c = self.tableau.c[s];
+            let time = if c == 1.0 { end } else { t + c * h };
+            system.derivatives(time, point, &mut rest[0])?;
+        }
+        match &self.tableau.error {
+            Some(weights_of_error) => {
+                weighted_sum(&mut self.error, h, weights_of_error, &self.k);
+                Ok(weights.error_norm(x, x_new, &self.error))
+            }
+            // A sum is finite unless something in it is not; no need to look at each number.
+            None => Ok(if x_new.iter().sum::<f64>().is_finite() { 0.0 } else { f64::NAN }),
+        }
+    }
+
+    fn error(&self) -> &[f64] {
+        &self.error
+    }
+
+    fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
+        combine(x, trial.x, trial.h, &self.tableau.dense_weights(theta), &self.k);
+    }
+
+    fn interpolate_slope(&self, theta: f64, dx: &mut [f64]) {
+        weighted_sum(dx, 1.0, &self.tableau.dense_derivative_weights(theta), &self.k);
+    }
+
+    fn accept(&mut self) {
+        self.k.swap(0, S - 1);
+    }
+}

@@ -1,0 +1,24 @@
+//! An event-aware stepper for hybrid ordinary differential equations (state, time, step and input events).
+#![forbid(unsafe_code)]
+
+mod control;
+mod driver;
+mod error;
+mod event;
+mod explicit_rk;
+mod observer;
+mod options;
+mod sampling;
+mod stats;
+mod stepper;
+mod system;
+mod tableau;
+
+pub use driver::Driver;
+pub use error::{ErrorKind, Report, SimulationError, Termination};
+pub use observer::{EventRecord, Ignore, Observer, Sample, Side};
+pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
+pub use stats::Stats;
+pub use system::{
+    CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction,
+};

@@ -1,0 +1,137 @@
+//! Which requested times are due, and their delivery to the observer.
+
+use crate::observer::{Observer, Sample, Side};
+use crate::system::{CallResult, HybridSystem};
+use std::ops::ControlFlow;
+
+/// Position in the list of requested times, and the row of outputs.
+#[derive(Debug, Default)]
+pub(crate) struct Sampler {
+    cursor: usize,
+    outputs: Vec<f64>,
+    delivered: u64,
+}
+
+/// Where the system stands: the point at which outputs are evaluated.
+pub(crate) struct Here<'a> {
+    pub(crate) t: f64,
+    pub(crate) x: &'a [f64],
+    /// Requested times this close are this instant.
+    pub(crate) same: f64,
+    /// Also deliver a row if nobody asked for this time.
+    pub(crate) record: bool,
+}
+
+impl Sampler {
+    /// The first time that is not finite, below its predecessor, the third of its kind, or outside of `[lo, hi]`.
+    pub(crate) fn first_bad_time(times: &[f64], lo: f64, hi: f64) -> Option<usize> {
+        (0..times.len()).find(|&i| {
+            let t = times[i];
+            let inside = t >= lo && t <= hi;
+            !inside || (i > 0 && t < times[i - 1]) || (i > 1 && t == times[i - 2])
+        })
+    }
+
+    pub(crate) fn begin(&mut self, n_outputs: usize) {
+        self.cursor = 0;
+        self.delivered = 0;
+        self.outputs.clear();
+        self.outputs.resize(n_outputs, 0.0);
+    }
+
+    /// Samples delivered since [`begin`](Self::begin).
+    pub(crate) fn delivered(&self) -> u64 {
+        self.delivered
+    }
+
+    /// The next requested time if it lies before `limit`.
+    pub(crate) fn due_before(&self, times: &[f64], limit: f64) -> Option<f64> {
+        times.get(self.cursor).copied().filter(|t| *t < limit)
+    }
+
+    /// Whether the next requested time is listed once more after it.
+    fn twice(&self, times: &[f64]) -> bool {
+        self.cursor + 1 < times.len() && times[self.cursor + 1] == times[self.cursor]
+    }
+
+    fn emit<S, O>(
+        &mut self,
+        system: &mut S,
+        here: &Here<'_>,
+        row: (f64, Option<usize>, Side),
+        observer: &mut O,
+    ) -> CallResult<ControlFlow<()>>
+    where
+        S: HybridSystem + ?Sized,
+        O: Observer + ?Sized,
+    {
+        let (time, index, side) = row;
+        system.outputs(here.t, here.x, &mut self.outputs)?;
+        self.delivered += 1;
+        Ok(observer.sample(&Sample { time, index, side, states: here.x, outputs: &self.outputs }))
+    }
+
+    /// Delivers the next requested time; the caller stands there.
+    pub(crate) fn deliver<S, O>(
+        &mut self,
+        system: &mut S,
+        times: &[f64],
+        here: &Here<'_>,
+        observer: &mut O,
+    ) -> CallResult<ControlFlow<()>>
+    where
+        S: HybridSystem + ?Sized,
+        O: Observer + ?Sized,
+    {
+        let index = self.cursor;
+        let side = if self.twice(times) { Side::Left } else { Side::Right };
+        self.cursor += 1;
+        self.emit(system, here, (times[index], Some(index), side), observer)
+    }
+
+    /// The left limit right before an event, if its time is listed twice or events are recorded.
+    pub(crate) fn deliver_left<S, O>(
+        &mut self,
+        system: &mut S,
+        times: &[f64],
+        here: &Here<'_>,
+        observer: &mut O,
+    ) -> CallResult<ControlFlow<()>>
+    where
+        S: HybridSystem + ?Sized,
+        O: Observer + ?Sized,
+    {
+        if self.due_before(times, here.t + here.same).is_some() && self.twice(times) {
+            self.deliver(system, times, here, observer)
+        } else if here.record {
+            self.emit(system, here, (here.t, None, Side::Left), observer)
+        } else {
+            Ok(ControlFlow::Continue(()))
+        }
+    }
+
+    /// Every requested time that is this instant, after all that happens here; one row at least if `here.record`.
+    pub(crate) fn deliver_here<S, O>(
+        &mut self,
+        system: &mut S,
+        times: &[f64],
+        here: &Here<'_>,
+        observer: &mut O,
+    ) -> CallResult<ControlFlow<()>>
+    where
+        S: HybridSystem + ?Sized,
+        O: Observer + ?Sized,
+    {
+        let mut any = false;
+        while times.get(self.cursor).is_some_and(|t| *t <= here.t + here.same) {
+            any = true;
+            if self.deliver(system, times, here, observer)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        if here.record && !any {
+            return self.emit(system, here, (here.t, None, Side::Right), observer);
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+}

@@ -1,0 +1,181 @@
+//! What the stepper needs to know of a model: a hybrid ODE as a trait.
+
+/// Why a call into the model did not deliver.
+#[derive(Debug, thiserror::Error)]
+pub enum CallError {
+    /// The model cannot be evaluated at this point (FMI's *discard*, a NaN or an infinite value).
+    /// The driver answers with a smaller step; nothing is lost and nothing is allocated.
+    #[error("the model cannot be evaluated at this point")]
+    Discard,
+    /// The model is broken; the run ends with this error.
+    #[error(transparent)]
+    Failed(Box<dyn std::error::Error + Send + Sync>),
+}
+
+impl CallError {
+    /// Wraps an error of the model.
+    pub fn failed(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        Self::Failed(error.into())
+    }
+}
+
+/// Result of a call into the model.
+pub type CallResult<T> = Result<T, CallError>;
+
+/// What made an event; several causes at one instant are one visit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct EventCause {
+    /// An event indicator changed its domain.
+    pub state: bool,
+    /// The instant the model announced as its next time event.
+    pub time: bool,
+    /// The model asked for it when a step was completed.
+    pub step: bool,
+    /// An input jumps.
+    pub input: bool,
+}
+
+/// One visit of the model's event mode.
+#[derive(Debug, Clone, Copy)]
+pub struct EventVisit<'a> {
+    /// Time of the event.
+    pub time: f64,
+    /// What made it.
+    pub cause: EventCause,
+    /// Per event indicator: +1 it became positive, -1 it left the positive domain, 0 it stayed.
+    pub crossings: &'a [i8],
+}
+
+/// What a visit of event mode (or the start) changed.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct EventOutcome {
+    /// The continuous states were changed; the driver takes the new ones.
+    pub states_changed: bool,
+    /// The nominal values were changed; the driver reads them again.
+    pub nominals_changed: bool,
+    /// The next time event the model knows of, if any.
+    pub next_time: Option<f64>,
+    /// The model wishes to end the simulation here: a normal end.
+    pub terminate: bool,
+}
+
+/// The model's answer to a completed step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct StepAction {
+    /// A step event: the model wants to enter event mode now.
+    pub event: bool,
+    /// The model wishes to end the simulation here: a normal end.
+    pub terminate: bool,
+}
+
+/// An instant at which an input is not smooth; a step ends there.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InputStop {
+    /// The instant.
+    pub time: f64,
+    /// `true`: the input jumps, an event with [`EventCause::input`] is made; `false`: only its slope changes
+    /// (no event, no restart).
+    pub jump: bool,
+}
+
+/// A hybrid ordinary differential equation: `x' = f(t, x)` between events, event indicators `z(t, x)` whose
+/// change of domain (`z > 0` against `z <= 0`, the rule of FMI) makes a state event, time events, step events.
+///
+/// The driver promises the order that FMI wants: [`start`](Self::start) once; then steps, each ended by one
+/// [`step_completed`](Self::step_completed) at its final point, never going back behind one that was completed;
+/// [`handle_event`](Self::handle_event) after it, at the same time and state. The other calls may come at any
+/// time and state of the step that is being tried.
+///
+/// Slices have the lengths `n_states`, `n_event_indicators` and `n_outputs`; the driver guarantees it.
+pub trait HybridSystem {
+    /// Number of continuous states; may be zero.
+    fn n_states(&self) -> usize;
+
+    /// Number of event indicators.
+    fn n_event_indicators(&self) -> usize {
+        0
+    }
+
+    /// Number of outputs that a sample holds.
+    fn n_outputs(&self) -> usize {
+        0
+    }
+
+    /// Fills in the nominal values of the states. Values that are zero, negative or not finite are taken as 1, |v|, 1.
+    fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
+        nominals.fill(1.0);
+        Ok(())
+    }
+
+    /// Starts the run: brings the model to `t0`, lets its initial events happen, and fills in the states.
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome>;
+
+    /// The right-hand side: fills in `dx = f(t, x)`.
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()>;
+
+    /// Fills in the event indicators.
+    fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        let _ = (t, x, z);
+        Ok(())
+    }
+
+    /// Fills in the outputs.
+    fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
+        let _ = (t, x, y);
+        Ok(())
+    }
+
+    /// Told after every accepted step, with its final point.
+    fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
+        let _ = (t, x);
+        Ok(StepAction::default())
+    }
+
+    /// Lets the events at `visit.time` happen; `x` holds the states before and receives those after.
+    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        let _ = (visit, x);
+        Ok(EventOutcome::default())
+    }
+
+    /// The first instant strictly after `t` at which an input jumps or changes its slope.
+    fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
+        let _ = t;
+        None
+    }
+}
+
+impl<S: HybridSystem + ?Sized> HybridSystem for &mut S {
+    fn n_states(&self) -> usize {
+        (**self).n_states()
+    }
+    fn n_event_indicators(&self) -> usize {
+        (**self).n_event_indicators()
+    }
+    fn n_outputs(&self) -> usize {
+        (**self).n_outputs()
+    }
+    fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
+        (**self).nominals(nominals)
+    }
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        (**self).start(t0, x)
+    }
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        (**self).derivatives(t, x, dx)
+    }
+    fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        (**self).event_indicators(t, x, z)
+    }
+    fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
+        (**self).outputs(t, x, y)
+    }
+    fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
+        (**self).step_completed(t, x)
+    }
+    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        (**self).handle_event(visit, x)
+    }
+    fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
+        (**self).next_input_stop(t)
+    }
+}

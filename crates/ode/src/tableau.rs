@@ -1,0 +1,169 @@
+//! Butcher tableaux as data: coefficients, order, error weights and continuous extension, each with its source.
+
+/// An explicit Runge-Kutta method with `S` stages whose last stage is the right-hand side at the end of the step
+/// (first same as last), so that the next step gets its first stage for nothing.
+///
+/// The continuous extension is `x(t + theta h) = x + h * sum_i (sum_k dense[i][k] theta^(k+1)) k_i`.
+#[derive(Debug)]
+pub(crate) struct Tableau<const S: usize> {
+    /// Order of the solution that is propagated.
+    pub(crate) order: u32,
+    /// Abscissae.
+    pub(crate) c: [f64; S],
+    /// Stage weights; row `i` uses the first `i` entries. The last row is the solution itself.
+    pub(crate) a: [[f64; S]; S],
+    /// Solution minus embedded solution; `None` for a method without an error estimate.
+    pub(crate) error: Option<[f64; S]>,
+    /// Coefficients of `theta, theta^2, theta^3, theta^4` of the continuous extension, per stage.
+    pub(crate) dense: [[f64; 4]; S],
+}
+
+/// Tsitouras 5(4): Ch. Tsitouras, Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying
+/// assumption, Computers and Mathematics with Applications 62 (2011) 770-775, with its free interpolant of order 4.
+#[rustfmt::skip]
+pub(crate) static TSIT5: Tableau<7> = Tableau {
+    order: 5,
+    c: [0.0, 0.161, 0.327, 0.9, 0.980_025_540_904_509_7, 1.0, 1.0],
+    a: [
+        [0.0; 7],
+        [0.161, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [-0.008_480_655_492_356_989, 0.335_480_655_492_357, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [2.897_153_057_105_493_5, -6.359_448_489_975_075, 4.362_295_432_869_581_5, 0.0, 0.0, 0.0, 0.0],
+        [5.325_864_828_439_257, -11.748_883_564_062_828, 7.495_539_342_889_836_5, -0.092_495_066_361_755_25, 0.0, 0.0, 0.0],
+        [5.861_455_442_946_42, -12.920_969_317_847_11, 8.159_367_898_576_159, -0.071_584_973_281_401, -0.028_269_050_394_068_383, 0.0, 0.0],
+        [0.096_460_766_818_065_23, 0.01, 0.479_889_650_414_499_6, 1.379_008_574_103_742, -3.290_069_515_436_081, 2.324_710_524_099_774, 0.0],
+    ],
+    error: Some([
+        -0.001_780_011_052_225_777, -0.000_816_434_459_656_746_9, 0.007_880_878_010_261_995, -0.144_711_007_173_262_9,
+        0.582_357_165_452_555_2, -0.458_082_105_929_186_97, 1.0 / 66.0,
+    ]),
+    dense: [
+        [1.0, -2.763_706_197_274_826, 2.913_255_461_821_912_6, -1.053_088_497_729_021_6],
+        [0.0, 0.131_7, -0.223_4, 0.101_7],
+        [0.0, 3.930_296_236_894_751_6, -5.941_033_872_131_505, 2.490_627_285_651_253],
+        [0.0, -12.411_077_166_933_676, 30.338_188_630_282_32, -16.548_102_889_244_902],
+        [0.0, 37.509_313_416_511_04, -88.178_904_894_766_4, 47.379_521_962_819_28],
+        [0.0, -27.896_526_289_197_286, 65.091_894_674_793_66, -34.870_657_861_496_61],
+        [0.0, 1.5, -4.0, 2.5],
+    ],
+};
+
+/// The classical method of order 4 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table II.1.2)
+/// with the cubic Hermite polynomial through both ends, written as weights of the stages.
+#[rustfmt::skip]
+pub(crate) static RK4: Tableau<5> = Tableau {
+    order: 4,
+    c: [0.0, 0.5, 0.5, 1.0, 1.0],
+    a: [
+        [0.0; 5],
+        [0.5, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.5, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0],
+        [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0, 0.0],
+    ],
+    error: None,
+    dense: [
+        [1.0, -1.5, 2.0 / 3.0, 0.0],
+        [0.0, 1.0, -2.0 / 3.0, 0.0],
+        [0.0, 1.0, -2.0 / 3.0, 0.0],
+        [0.0, 0.5, -1.0 / 3.0, 0.0],
+        [0.0, -1.0, 1.0, 0.0],
+    ],
+};
+
+/// The explicit Euler method; between steps a straight line.
+pub(crate) static EULER: Tableau<2> = Tableau {
+    order: 1,
+    c: [0.0, 1.0],
+    a: [[0.0, 0.0], [1.0, 0.0]],
+    error: None,
+    dense: [[1.0, 0.0, 0.0, 0.0], [0.0; 4]],
+};
+
+impl<const S: usize> Tableau<S> {
+    /// Weights of the continuous extension at `theta`.
+    pub(crate) fn dense_weights(&self, theta: f64) -> [f64; S] {
+        self.dense.map(|p| theta * (p[0] + theta * (p[1] + theta * (p[2] + theta * p[3]))))
+    }
+
+    /// Weights of the derivative of the continuous extension with respect to time at `theta`.
+    pub(crate) fn dense_derivative_weights(&self, theta: f64) -> [f64; S] {
+        self.dense.map(|p| p[0] + theta * (2.0 * p[1] + theta * (3.0 * p[2] + theta * 4.0 * p[3])))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Order conditions (Hairer, Norsett, Wanner I, table II.2.1): for every rooted tree up to order 5 the
+    /// elementary weight of `b` must be `theta^order / gamma(tree)`.
+    fn defects<const S: usize>(t: &Tableau<S>, b: [f64; S], theta: f64, order: u32) -> f64 {
+        let dot = |u: &[f64; S], v: &[f64; S]| (0..S).map(|i| u[i] * v[i]).sum::<f64>();
+        let mul = |u: &[f64; S], v: &[f64; S]| std::array::from_fn::<f64, S, _>(|i| u[i] * v[i]);
+        let app = |v: &[f64; S]| std::array::from_fn::<f64, S, _>(|i| dot(&t.a[i], v));
+        let one = [1.0; S];
+        let c = t.c;
+        let (c2, ac) = (mul(&c, &c), app(&c));
+        let (c3, ac2, aac) = (mul(&c2, &c), app(&c2), app(&ac));
+        let trees: Vec<(u32, f64, [f64; S])> = vec![
+            (1, 1.0, one),
+            (2, 2.0, c),
+            (3, 3.0, c2),
+            (3, 6.0, ac),
+            (4, 4.0, c3),
+            (4, 8.0, mul(&c, &ac)),
+            (4, 12.0, ac2),
+            (4, 24.0, aac),
+            (5, 5.0, mul(&c3, &c)),
+            (5, 10.0, mul(&c2, &ac)),
+            (5, 20.0, mul(&ac, &ac)),
+            (5, 15.0, mul(&c, &ac2)),
+            (5, 30.0, mul(&c, &aac)),
+            (5, 20.0, app(&c3)),
+            (5, 40.0, app(&mul(&c, &ac))),
+            (5, 60.0, app(&ac2)),
+            (5, 120.0, app(&aac)),
+        ];
+        trees
+            .iter()
+            .filter(|(o, ..)| *o <= order)
+            .map(|(o, gamma, phi)| (dot(&b, phi) - theta.powi(*o as i32) / gamma).abs())
+            .fold(0.0, f64::max)
+    }
+
+    fn check<const S: usize>(t: &Tableau<S>, dense_order: u32) {
+        for i in 0..S {
+            let row: f64 = t.a[i].iter().sum();
+            assert!((row - t.c[i]).abs() < 1e-14, "row {i} sums to {row}, c = {}", t.c[i]);
+        }
+        assert!(defects(t, t.a[S - 1], 1.0, t.order) < 2e-15 * 100.0);
+        for theta in [0.1, 0.35, 0.5, 0.77, 1.0] {
+            let d = defects(t, t.dense_weights(theta), theta, dense_order);
+            assert!(d < 1e-13, "dense output at {theta}: {d:e}");
+        }
+        let at_end = t.dense_weights(1.0);
+        for (i, w) in at_end.iter().enumerate() {
+            assert!((w - t.a[S - 1][i]).abs() < 1e-13, "dense output ends elsewhere at stage {i}: {w}");
+        }
+        let (lo, hi) = (t.dense_weights(0.4 - 1e-6), t.dense_weights(0.4 + 1e-6));
+        for (i, d) in t.dense_derivative_weights(0.4).iter().enumerate() {
+            assert!(((hi[i] - lo[i]) / 2e-6 - d).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn order_conditions_hold() {
+        check(&TSIT5, 4);
+        check(&RK4, 3);
+        check(&EULER, 1);
+    }
+
+    #[test]
+    fn the_embedded_method_has_order_four_and_not_five() {
+        let e = TSIT5.error.unwrap();
+        let hat: [f64; 7] = std::array::from_fn(|i| TSIT5.a[6][i] - e[i]);
+        assert!(defects(&TSIT5, hat, 1.0, 4) < 1e-13);
+        assert!(defects(&TSIT5, hat, 1.0, 5) > 1e-5);
+    }
+}

@@ -1,0 +1,9 @@
+//! Fit the parameters of Functional Mock-up Units (FMUs) to measurements, without derivatives.
+//!
+//! This crate only re-exports the rooms of the house; each of them can be used alone.
+#![forbid(unsafe_code)]
+
+pub use calibration;
+pub use dfo;
+pub use fmi;
+pub use ode;
