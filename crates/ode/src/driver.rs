@@ -319,7 +319,10 @@ where
         }
     }
 
-    fn check_limits(&self) -> Step<()> {
+    fn check_limits(&mut self) -> Step<()> {
+        if self.observer.poll().is_break() {
+            return finish(Termination::StoppedByObserver);
+        }
         let limits = &self.options.limits;
         let over = |limit: Option<u64>, count: u64| limit.filter(|l| count >= *l);
         if let Some(cancel) = &self.options.cancel

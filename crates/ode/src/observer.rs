@@ -45,6 +45,11 @@ pub trait Observer {
     fn event(&mut self, event: &EventRecord) {
         let _ = event;
     }
+
+    /// Asked before every trial step; `Break` ends the run as for a sample. For limits that do not wait for one.
+    fn poll(&mut self) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
 }
 
 /// Ignores everything: for runs whose final state alone matters.
@@ -63,5 +68,8 @@ impl<O: Observer + ?Sized> Observer for &mut O {
     }
     fn event(&mut self, event: &EventRecord) {
         (**self).event(event);
+    }
+    fn poll(&mut self) -> ControlFlow<()> {
+        (**self).poll()
     }
 }
