@@ -1,2 +1,24 @@
-//! (room being built)
+//! Fit the parameters of a Functional Mock-up Unit to measurements: a model, data and parameters become an objective.
+//!
+//! [`Data`] holds what was recorded, an [`Experiment`] says which column measures which output of the model, a
+//! [`Parameter`] what may vary. A [`Calibration`] puts them together: [`Calibration::cost`],
+//! [`Calibration::residuals`] and [`Calibration::fit`].
 #![forbid(unsafe_code)]
+
+mod calibration;
+mod data;
+mod error;
+mod experiment;
+mod fit;
+mod parameter;
+mod residual;
+
+pub use calibration::{Calibration, CalibrationBuilder};
+pub use data::Data;
+pub use dfo;
+pub use error::CalibrationError;
+pub use experiment::{Experiment, SimulationSettings};
+pub use fit::{Fit, FitObserver, FitOptions};
+pub use fmi;
+pub use parameter::{Parameter, Scale};
+pub use residual::quad_err;

@@ -83,6 +83,28 @@ pub enum ErrorKind {
     Model(Box<dyn std::error::Error + Send + Sync>),
 }
 
+impl ErrorKind {
+    /// The reason without the numbers that differ from run to run, so that failures of one sort can be counted.
+    pub fn summary(&self) -> String {
+        match self {
+            Self::Span { .. } => "the span is not one".to_owned(),
+            Self::SampleTimes { .. } => "the requested times cannot be used".to_owned(),
+            Self::ToleranceCount { .. } => "the tolerances do not fit the states".to_owned(),
+            Self::StepTooSmall { discarded: false } => "the error test wants steps that are too small".to_owned(),
+            Self::StepTooSmall { discarded: true } => "the model cannot be evaluated any further".to_owned(),
+            Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
+            Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
+            Self::TooManyEvents(n) => format!("the limit of {n} events was reached"),
+            Self::TooManyRightHandSides(n) => format!("the limit of {n} right-hand sides was reached"),
+            Self::TimedOut(limit) => format!("the time limit of {} s was reached", limit.as_secs_f64()),
+            Self::Cancelled => "cancelled".to_owned(),
+            Self::Chattering { indicator, .. } => format!("chattering (event indicator {indicator})"),
+            Self::EventInThePast(_) => "a time event in the past".to_owned(),
+            Self::Model(e) => e.to_string(),
+        }
+    }
+}
+
 /// A run that failed: why, where, and with which numbers.
 #[derive(Debug)]
 pub struct SimulationError {

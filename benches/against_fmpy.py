@@ -1,0 +1,243 @@
+"""How much faster than FMPy? Both sides in one run, warm, with the same outputs, times and error.
+
+    python benches/against_fmpy.py [--models furuta,...] [--rtol 1e-6] [--repeats 30] [--rows N] [--require 50]
+    python benches/against_fmpy.py --peer-only --fmus FOLDER        FMPy's half alone, on FOLDER/<model>.fmu
+
+Warm means: the FMU is unpacked, its library loaded and its instance reused on both sides (FMPy: `fmu_instance`,
+`validate=False`, reset before each run). Both set the same parameters and return the same columns at the same times.
+The error is the largest difference to a reference over all columns and times: a closed form (bouncing ball), SciPy's
+DOP853 at 1e-13 (Van der Pol) or FMPy itself at 1e-13 (Furuta). FMPy runs twice: at our relative tolerance, and at
+the tolerance, in half decades, whose error is the smallest that still is at least ours ("equal error"); where no
+tolerance is that loose, at ours. Runs alternate; times are medians. `cost()` is the native path of a calibration: one
+simulation and its sum of squares, without a trajectory.
+"""
+
+import argparse
+import importlib.metadata
+import math
+import platform
+import shutil
+import statistics
+import sys
+import tempfile
+import time
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Callable
+
+import fmpy
+import numpy as np
+
+LADDER = [10 ** (-k / 2) for k in range(6, 25)]  # 1e-3 ... 1e-12
+
+
+@dataclass
+class Case:
+    """One model: what is run, what comes out and what is true. `parameters` maps names to values."""
+
+    model: str
+    stop: float
+    rows: int
+    outputs: list[str]
+    parameters: dict[str, float]
+    truth: Callable[["Case", np.ndarray], np.ndarray] | None  # rows of outputs at the times; None: FMPy at 1e-13
+
+    def times(self) -> np.ndarray:
+        return np.arange(self.rows) * (self.stop / (self.rows - 1))
+
+
+def bouncing_ball(case: Case, times: np.ndarray) -> np.ndarray:
+    """Height of the ball, from parabola to parabola."""
+    a, e, v_min = 9.81, case.parameters["e"], 0.1
+    begin, v, h = 0.0, 0.0, np.zeros_like(times)
+    duration, start = math.sqrt(2 / a), 1.0
+    while True:
+        inside = (times >= begin) & (times < begin + duration)
+        s = times[inside] - begin
+        h[inside] = start + v * s - a / 2 * s * s
+        v = e * (a * duration - v)
+        begin, start = begin + duration, 0.0
+        if v < v_min:
+            return h[np.newaxis]
+        duration = 2 * v / a
+
+
+def van_der_pol(case: Case, times: np.ndarray) -> np.ndarray:
+    from scipy.integrate import solve_ivp
+
+    mu = case.parameters["mu"]
+    result = solve_ivp(
+        lambda t, x: [x[1], mu * (1 - x[0] ** 2) * x[1] - x[0]],
+        (0, times[-1]), [2, 0], "DOP853", times, rtol=1e-13, atol=1e-14,
+    )  # fmt: skip
+    return result.y
+
+
+CASES = [
+    Case("furuta", 40.0, 801, ["armJoint.phi", "pendulumJoint.phi"],
+         {"armFriction": 0.012, "pendulumFriction": 0.002}, None),
+    Case("van_der_pol", 20.0, 401, ["x0", "x1"], {"mu": 1.0}, van_der_pol),
+    Case("bouncing_ball", 3.0, 301, ["h"], {"e": 0.7}, bouncing_ball),
+]  # fmt: skip
+
+
+class Peer:
+    """FMPy with everything kept that it lets one keep."""
+
+    def __init__(self, case: Case, path: Path, scratch: Path):
+        self.case, self.folder = case, str(scratch / f"{case.model}-unpacked")
+        fmpy.extract(path, self.folder)
+        self.description = fmpy.read_model_description(self.folder)
+        self.instance = fmpy.instantiate_fmu(self.folder, self.description, "ModelExchange")
+
+    def run(self, rtol: float) -> np.ndarray:
+        self.instance.reset()
+        result = fmpy.simulate_fmu(
+            self.folder, validate=False, start_time=0.0, stop_time=self.case.stop, solver="CVode",
+            relative_tolerance=rtol, output_interval=self.case.stop / (self.case.rows - 1), record_events=False,
+            fmi_type="ModelExchange", start_values=self.case.parameters, output=self.case.outputs,
+            model_description=self.description, fmu_instance=self.instance,
+        )  # fmt: skip
+        return np.stack([result[name] for name in self.case.outputs])
+
+    def close(self):
+        self.instance.freeInstance()
+
+
+class Ours:
+    """pydfo: a model that is simulated again and again, and the cost of a calibration."""
+
+    def __init__(self, case: Case, path: Path, truth: np.ndarray, rtol: float):
+        import pydfo
+
+        self.case, self.times = case, case.times()
+        self.model = pydfo.FMUModel(path)
+        columns = {f"y{i}": values for i, values in enumerate(truth)}
+        self.calibration = pydfo.Calibration(
+            path,
+            data={"time": self.times, **columns},
+            outputs=dict(zip(case.outputs, columns)),
+            parameters=[pydfo.Parameter(name, value, 0, 2 * value) for name, value in case.parameters.items()],
+            relative_tolerance=rtol,
+        )
+        self.x = np.array(list(case.parameters.values()))
+        self.calls = 0
+
+    def run(self, rtol: float) -> np.ndarray:
+        for name, value in self.case.parameters.items():
+            self.model.set(name, value)
+        result = self.model.simulate(
+            final_time=self.case.stop, times=self.times, output=self.case.outputs, relative_tolerance=rtol
+        )
+        return np.stack([result[name] for name in self.case.outputs])
+
+    def cost(self) -> float:
+        self.calls += 1  # never the same point twice, so that nothing can be remembered
+        return self.calibration.cost(self.x * (1 - 1e-13 * self.calls))
+
+
+def with_binary(path: Path, scratch: Path) -> Path:
+    """The FMU itself if it brings binaries, else one built from its sources: FMPy does not compile."""
+    with zipfile.ZipFile(path) as archive:
+        if any(name.startswith("binaries/") for name in archive.namelist()):
+            return path
+        archive.extractall(scratch / path.stem)
+    import pydfo
+
+    out = scratch / path.name
+    pydfo.build_fmu(scratch / path.stem, out)
+    return out
+
+
+def distance(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.abs(a - b).max())
+
+
+def equal_error(peer: Peer, truth: np.ndarray, error: float, rtol: float) -> float:
+    """FMPy's tolerance whose error is the smallest that is at least `error`."""
+    errors = [(distance(peer.run(candidate), truth), candidate) for candidate in LADDER]
+    return min((found for found in errors if found[0] >= error), default=(0.0, rtol))[1]
+
+
+def alternate(contestants: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Median time of each, in seconds, taken in turn; the first three rounds do not count."""
+    taken: dict[str, list[float]] = {name: [] for name in contestants}
+    for _ in range(repeats + 3):
+        for name, run in contestants.items():
+            begin = time.perf_counter()
+            run()
+            taken[name].append(time.perf_counter() - begin)
+    return {name: statistics.median(values[3:]) for name, values in taken.items()}
+
+
+def bench(case: Case, path: Path, arguments: argparse.Namespace, scratch: Path) -> float:
+    """Prints one model's lines; the ratio at equal error (infinite where only the peer ran)."""
+    peer = Peer(case, with_binary(path, scratch), scratch)
+    truth = peer.run(1e-13) if case.truth is None else case.truth(case, case.times())
+    rtol, ours = arguments.rtol, None
+    contestants: dict[str, Callable[[], object]] = {}
+    errors, tolerances = {"FMPy, our tolerance": distance(peer.run(rtol), truth)}, {"FMPy, our tolerance": rtol}
+    contestants["FMPy, our tolerance"] = lambda: peer.run(rtol)
+    if not arguments.peer_only:
+        ours = Ours(case, path, truth, rtol)
+        errors["pydfo simulate"], tolerances["pydfo simulate"] = distance(ours.run(rtol), truth), rtol
+        matched = equal_error(peer, truth, errors["pydfo simulate"], rtol)
+        errors["FMPy, equal error"], tolerances["FMPy, equal error"] = distance(peer.run(matched), truth), matched
+        contestants["FMPy, equal error"] = lambda: peer.run(matched)
+        contestants["pydfo simulate"] = lambda: ours.run(rtol)
+        contestants["pydfo cost()"] = ours.cost
+    taken = alternate(contestants, arguments.repeats)
+    base = taken.get("pydfo simulate", math.nan)
+    print(f"\n{case.model}: 0 to {case.stop:g} s, {case.rows} times, {', '.join(case.outputs)}")
+    if case.truth is None and ours is not None:
+        print(f"  (pydfo at 1e-11 is within {distance(ours.run(1e-11), truth):.1e} of the reference)")
+    print(f"  {'':<22}{'rtol':>9}{'error':>10}{'median':>12}{'times pydfo simulate':>22}")
+    for name, seconds in taken.items():
+        rtol_text = f"{tolerances[name]:.1e}" if name in tolerances else ""
+        error_text = f"{errors[name]:.1e}" if name in errors else ""
+        print(f"  {name:<22}{rtol_text:>9}{error_text:>10}{seconds * 1e3:>9.3f} ms{seconds / base:>22.2f}")
+    peer.close()
+    return math.inf if ours is None else taken["FMPy, equal error"] / base
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--models", default=",".join(case.model for case in CASES))
+    parser.add_argument("--rtol", type=float, default=1e-6, help="our relative tolerance")
+    parser.add_argument("--repeats", type=int, default=30)
+    parser.add_argument("--rows", type=int, help="number of output times, first and last included")
+    parser.add_argument("--require", type=float, default=0.0, help="fail if a ratio at equal error is smaller")
+    parser.add_argument("--peer-only", action="store_true")
+    parser.add_argument("--fmus", type=Path, help="folder with <model>.fmu; default: the bundled examples")
+    arguments = parser.parse_args()
+
+    versions = [f"Python {platform.python_version()}", f"FMPy {importlib.metadata.version('fmpy')}"]
+    if not arguments.peer_only:
+        versions.append(f"pydfo {importlib.metadata.version('fmufit-pydfo')}")
+    print(", ".join(versions), "on", platform.platform(), platform.machine())
+
+    ratios = {}
+    scratch = Path(tempfile.mkdtemp(prefix="against-fmpy-"))
+    try:
+        for case in CASES:
+            if case.model not in arguments.models.split(","):
+                continue
+            case.rows = arguments.rows or case.rows
+            if arguments.fmus is not None:
+                path = arguments.fmus / f"{case.model}.fmu"
+            else:
+                import pydfo
+
+                path = Path(pydfo.example_fmu(case.model))
+            ratios[case.model] = bench(case, path, arguments, scratch)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    slow = {model: ratio for model, ratio in ratios.items() if ratio < arguments.require}
+    for model, ratio in slow.items():
+        print(f"{model}: {ratio:.1f} times, required are {arguments.require:g}", file=sys.stderr)
+    return 1 if slow else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

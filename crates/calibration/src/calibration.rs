@@ -1,0 +1,381 @@
+//! Experiments and parameters become an objective: cost, residuals, cutoff.
+
+use crate::data::Data;
+use crate::error::CalibrationError;
+use crate::experiment::{Experiment, SimulationSettings};
+use crate::parameter::Parameter;
+use crate::residual::{Accumulator, Comparison, Stop};
+use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
+use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Trajectory};
+use ode::ErrorKind;
+use std::sync::Arc;
+
+/// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
+///
+/// The cost is the sum of the squared (weighted) residuals, simulated minus measured, over all experiments, outputs and
+/// measured times: no 1/N, no 1/2. It is added up in one fixed order while the simulation runs, so the same parameters
+/// give the same bits on every worker.
+#[derive(Debug)]
+pub struct Calibration {
+    fmu: Fmu,
+    parameters: Vec<Parameter>,
+    experiments: Vec<Prepared>,
+    n_residuals: usize,
+}
+
+/// An experiment with everything looked up.
+#[derive(Debug)]
+struct Prepared {
+    pool: Pool,
+    comparison: Comparison,
+    options: SimulateOptions,
+    data: Data,
+    outputs: Vec<(String, String)>,
+}
+
+/// Collects what a [`Calibration`] is made of.
+///
+/// ```
+/// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
+/// // x' = -k x, recorded at four instants of a decay with k = 2
+/// let t = vec![0.0, 0.5, 1.0, 1.5];
+/// let x = t.iter().map(|t: &f64| (-2.0 * t).exp()).collect();
+/// let fmu = fmi::Fmu::open(fmi::example_fmu("dahlquist")?)?;
+/// let calibration = Calibration::builder(fmu)
+///     .experiment(Experiment::new(Data::from_columns(t, [("x".to_owned(), x)])?).output("x", "x"))
+///     .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+///     .build()?;
+/// let fit = calibration.fit(FitOptions::default())?;
+/// assert!((fit.x[0] - 2.0).abs() < 1e-3);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct CalibrationBuilder {
+    fmu: Fmu,
+    experiments: Vec<Experiment>,
+    parameters: Vec<Parameter>,
+    settings: SimulationSettings,
+}
+
+/// Why there is no cost at a point.
+enum NoCost {
+    /// The partial sum is strictly above the cutoff.
+    Above,
+    /// The run is being ended.
+    Cancelled,
+    /// The simulation failed: its kind, a reason that is the same for all failures of that sort, and the error in full.
+    Failed { kind: FailureKind, reason: String, source: Option<Box<FmiError>> },
+}
+
+impl CalibrationBuilder {
+    /// Adds a recording. The cost is the sum over all of them, in the order of these calls.
+    #[must_use]
+    pub fn experiment(mut self, experiment: Experiment) -> Self {
+        self.experiments.push(experiment);
+        self
+    }
+
+    /// Adds a parameter. Vectors of parameter values follow the order of these calls.
+    #[must_use]
+    pub fn parameter(mut self, parameter: Parameter) -> Self {
+        self.parameters.push(parameter);
+        self
+    }
+
+    /// How simulations are made.
+    #[must_use]
+    pub fn settings(mut self, settings: SimulationSettings) -> Self {
+        self.settings = settings;
+        self
+    }
+
+    /// Looks everything up and checks it; loads the model, but simulates nothing yet.
+    ///
+    /// # Errors
+    /// Anything that does not fit: unknown names (the nearest are offered), parameters that cannot be set, bounds, data.
+    pub fn build(self) -> Result<Calibration, CalibrationError> {
+        let Self { fmu, experiments, parameters, settings } = self;
+        if parameters.is_empty() {
+            return Err(CalibrationError::Setup("there is no parameter to fit".to_owned()));
+        }
+        if experiments.is_empty() {
+            return Err(CalibrationError::Setup("there is no experiment to fit to".to_owned()));
+        }
+        for (i, parameter) in parameters.iter().enumerate() {
+            parameter.check()?;
+            if parameters[..i].iter().any(|p| p.name() == parameter.name()) {
+                let name = parameter.name().to_owned();
+                return Err(CalibrationError::Parameter { name, message: "stands there twice".to_owned() });
+            }
+        }
+        let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
+        let experiments = experiments
+            .into_iter()
+            .map(|e| Prepared::new(&fmu, e, &names, &settings))
+            .collect::<Result<Vec<_>, _>>()?;
+        let n_residuals = experiments.iter().map(|e| e.comparison.n_residuals()).sum();
+        Ok(Calibration { fmu, parameters, experiments, n_residuals })
+    }
+}
+
+impl Prepared {
+    fn new(
+        fmu: &Fmu,
+        experiment: Experiment,
+        parameters: &[String],
+        settings: &SimulationSettings,
+    ) -> Result<Self, CalibrationError> {
+        let (times, columns) = experiment.measurements()?;
+        let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+        let weights: Vec<f64> = experiment.outputs.iter().map(|o| o.weight).collect();
+        let (times, comparison) = Comparison::new(&times, &columns, &weights);
+        let start_time =
+            experiment.start_time.or(fmu.description().default_experiment.start_time).unwrap_or(0.0);
+        if times[0] < start_time {
+            return Err(CalibrationError::Setup(format!(
+                "the first measurement of {} is at {}, before the simulation starts at {start_time}; \
+                 set a start time or a window",
+                experiment.data.source(),
+                times[0]
+            )));
+        }
+        let options = SimulateOptions {
+            start_time: Some(start_time),
+            final_time: times.last().copied(),
+            times: Some(times),
+            start_values: experiment.start_values.clone(),
+            parameters: parameters.to_vec(),
+            outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
+            inputs: inputs(&experiment)?,
+            relative_tolerance: settings.relative_tolerance,
+            method: settings.method,
+            step_size: settings.step_size,
+            max_step: settings.max_step,
+            timeout: settings.timeout,
+            ..SimulateOptions::default()
+        };
+        let pool = Pool::new(Arc::new(SimulationPlan::new(fmu, &options)?));
+        let outputs = experiment.outputs.into_iter().map(|o| (o.variable, o.column)).collect();
+        Ok(Self { pool, comparison, options, data: experiment.data, outputs })
+    }
+}
+
+/// The input table of an experiment: each input keeps the rows where it has a value.
+fn inputs(experiment: &Experiment) -> Result<Option<Inputs>, CalibrationError> {
+    if experiment.inputs.is_empty() {
+        return Ok(None);
+    }
+    let mut inputs = Inputs::new();
+    for (variable, column) in &experiment.inputs {
+        let values = experiment.data.column(column)?;
+        let rows = || experiment.data.time().iter().zip(values).filter(|(_, v)| !v.is_nan());
+        if rows().next().is_none() {
+            return Err(CalibrationError::Setup(format!(
+                "all values of input column '{column}' are missing"
+            )));
+        }
+        let (times, values): (Vec<f64>, Vec<f64>) = rows().unzip();
+        inputs = inputs.series(variable, times, values);
+    }
+    Ok(Some(inputs))
+}
+
+impl Calibration {
+    /// Starts to describe a calibration of this model.
+    pub fn builder(fmu: Fmu) -> CalibrationBuilder {
+        CalibrationBuilder {
+            fmu,
+            experiments: Vec::new(),
+            parameters: Vec::new(),
+            settings: SimulationSettings::default(),
+        }
+    }
+
+    /// The model.
+    pub fn fmu(&self) -> &Fmu {
+        &self.fmu
+    }
+
+    /// The parameters, in the order of every vector of values.
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+
+    /// Length of the residual vector.
+    pub fn n_residuals(&self) -> usize {
+        self.n_residuals
+    }
+
+    /// Per experiment: the recording, and which output was compared with which of its columns.
+    pub fn comparisons(&self) -> impl Iterator<Item = (&Data, &[(String, String)])> {
+        self.experiments.iter().map(|e| (&e.data, e.outputs.as_slice()))
+    }
+
+    /// Start values of all parameters.
+    pub fn start(&self) -> Vec<f64> {
+        self.parameters.iter().map(Parameter::start).collect()
+    }
+
+    /// The cost at `x` (one value per parameter, user's units).
+    ///
+    /// # Errors
+    /// The wrong number of values, or a simulation that failed: then the error says where and why.
+    pub fn cost(&self, x: &[f64]) -> Result<f64, CalibrationError> {
+        self.evaluate_fully(x, None)
+    }
+
+    /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by output, in the
+    /// order of time, without the missing ones. The length is the same for every `x`.
+    ///
+    /// # Errors
+    /// As [`cost`](Self::cost).
+    pub fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, CalibrationError> {
+        let mut out = vec![0.0; self.n_residuals];
+        self.evaluate_fully(x, Some(&mut out))?;
+        Ok(out)
+    }
+
+    /// Simulates every experiment at `x` and keeps the trajectories of the compared outputs, at the measured times or,
+    /// if `times` are given, at those.
+    ///
+    /// # Errors
+    /// As [`cost`](Self::cost).
+    pub fn simulate(&self, x: &[f64], times: Option<&[f64]>) -> Result<Vec<Trajectory>, CalibrationError> {
+        self.check_length(x)?;
+        let at = |e: &Prepared| {
+            let mut options = e.options.clone();
+            options.parameters.clear();
+            let values = self.parameters.iter().zip(x).map(|(p, v)| (p.name().to_owned(), (*v).into()));
+            options.start_values.extend(values);
+            if let Some(times) = times {
+                options.times = Some(times.to_vec());
+                options.final_time = None;
+            }
+            self.fmu.simulate(&options)
+        };
+        Ok(self.experiments.iter().map(at).collect::<Result<Vec<_>, _>>()?)
+    }
+
+    fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
+        if x.len() == self.parameters.len() {
+            return Ok(());
+        }
+        let names = self.parameters.iter().map(Parameter::name).collect::<Vec<_>>().join(", ");
+        Err(CalibrationError::Length { got: x.len(), expected: self.parameters.len(), names })
+    }
+
+    fn evaluate_fully(&self, x: &[f64], out: Option<&mut [f64]>) -> Result<f64, CalibrationError> {
+        self.check_length(x)?;
+        let evaluation = Evaluation::new(0, 0, f64::INFINITY);
+        self.evaluate_into(x, &evaluation, out).map_err(|no_cost| {
+            let at = self.describe(x);
+            match no_cost {
+                NoCost::Failed { reason, source, .. } => {
+                    let message = source.as_ref().map_or(reason, |e| e.to_string());
+                    CalibrationError::Simulation { at, message, source }
+                }
+                NoCost::Above => {
+                    CalibrationError::Simulation { at, message: "infinite cost".to_owned(), source: None }
+                }
+                NoCost::Cancelled => {
+                    CalibrationError::Simulation { at, message: "cancelled".to_owned(), source: None }
+                }
+            }
+        })
+    }
+
+    fn describe(&self, x: &[f64]) -> String {
+        let pairs: Vec<String> =
+            self.parameters.iter().zip(x).map(|(p, v)| format!("{} = {v}", p.name())).collect();
+        pairs.join(", ")
+    }
+
+    fn evaluate_into(
+        &self,
+        x: &[f64],
+        evaluation: &Evaluation<'_>,
+        mut out: Option<&mut [f64]>,
+    ) -> Result<f64, NoCost> {
+        let mut sum = 0.0;
+        let mut place = 0;
+        for experiment in &self.experiments {
+            let comparison = &experiment.comparison;
+            let end = place + comparison.n_residuals();
+            let part = out.as_deref_mut().map(|out| &mut out[place..end]);
+            place = end;
+            let mut accumulator = Accumulator::new(comparison, evaluation, sum, part);
+            let ran = experiment.pool.lend().and_then(|mut simulator| simulator.run(x, &mut accumulator));
+            match accumulator.stop {
+                Some(Stop::AboveCutoff) => return Err(NoCost::Above),
+                Some(Stop::Cancelled) => return Err(NoCost::Cancelled),
+                Some(Stop::NotFinite(output)) => {
+                    let name = &experiment.outputs[output].0;
+                    let reason = format!("the residual of '{name}' is not finite");
+                    return Err(NoCost::Failed { kind: FailureKind::NotFinite, reason, source: None });
+                }
+                None => {}
+            }
+            let report = ran.map_err(no_cost)?;
+            if !accumulator.complete() {
+                let reason = format!(
+                    "the model ended the simulation before the last measurement, at t = {}",
+                    report.time
+                );
+                return Err(NoCost::Failed { kind: FailureKind::Error, reason, source: None });
+            }
+            sum = accumulator.sum;
+        }
+        Ok(sum)
+    }
+}
+
+impl Objective for Calibration {
+    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
+        outcome(self.evaluate_into(x, evaluation, None), evaluation)
+    }
+
+    fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
+        out.clear();
+        out.resize(self.n_residuals, 0.0);
+        Some(outcome(self.evaluate_into(x, evaluation, Some(out)), evaluation))
+    }
+}
+
+fn outcome(cost: Result<f64, NoCost>, evaluation: &Evaluation<'_>) -> Outcome {
+    match cost {
+        Ok(cost) => Outcome::Value(cost),
+        Err(NoCost::Above) => Outcome::Above(evaluation.cutoff),
+        Err(NoCost::Cancelled) => Outcome::cancelled(),
+        Err(NoCost::Failed { kind, reason, .. }) => Outcome::Failed(Failure { kind, message: reason }),
+    }
+}
+
+/// Sorts a failed simulation: its kind, and a reason that is the same for all failures of that sort.
+fn no_cost(error: FmiError) -> NoCost {
+    let mut kind = FailureKind::Error;
+    let reason = match &error {
+        FmiError::Simulation(e) => match &e.kind {
+            ErrorKind::Cancelled => return NoCost::Cancelled,
+            ErrorKind::Model(inner) => inner.downcast_ref().map_or_else(|| inner.to_string(), call_reason),
+            other => {
+                if matches!(other, ErrorKind::TimedOut(_)) {
+                    kind = FailureKind::TimedOut;
+                }
+                other.summary()
+            }
+        },
+        other => call_reason(other),
+    };
+    NoCost::Failed { kind, reason, source: Some(Box::new(error)) }
+}
+
+/// A failed call without the time at which it happened, with the first line the FMU logged about it.
+fn call_reason(error: &FmiError) -> String {
+    match error {
+        FmiError::Call(failure) => {
+            let line = failure.log.first().map(|line| format!(": {line}")).unwrap_or_default();
+            format!("{} returned {}{line}", failure.call, failure.status)
+        }
+        other => other.to_string(),
+    }
+}

@@ -1,0 +1,279 @@
+//! Measured series: CSV files and in-memory columns, irregular times, missing values.
+
+use crate::error::CalibrationError;
+use std::io::Read;
+use std::path::Path;
+
+/// A table of recorded series over one time column.
+///
+/// Times ascend; a time may stand twice (an input jumps there), never three times. A missing value is NaN.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Data {
+    source: String,
+    time_name: String,
+    time: Vec<f64>,
+    columns: Vec<Column>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Column {
+    name: String,
+    values: Vec<f64>,
+    /// The first cell that is no number: row counted from 1 as the file shows it, and its text.
+    text: Option<(usize, String)>,
+}
+
+/// Spellings of a missing value in a CSV file; compared without regard to case.
+const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
+
+impl Data {
+    /// Reads a CSV file with one header line. The delimiter is the one of comma, semicolon and tab that stands most
+    /// often in the header. The time column is the one named `time` (in any case), else the first. Empty cells, `NaN`
+    /// and `NA` are missing values. Columns of text are kept aside: only using one is an error.
+    ///
+    /// # Errors
+    /// The file cannot be read, has no rows, rows of different length, or times that are missing or not ascending; each
+    /// error names the line.
+    pub fn from_csv(path: impl AsRef<Path>) -> Result<Self, CalibrationError> {
+        let path = path.as_ref();
+        let mut text = Vec::new();
+        std::fs::File::open(path)
+            .and_then(|mut file| file.read_to_end(&mut text))
+            .map_err(|source| CalibrationError::DataFile { path: path.to_owned(), source })?;
+        Self::from_csv_text(&text, &path.display().to_string())
+    }
+
+    /// As [`from_csv`](Self::from_csv), from the text itself; `source` names it in errors.
+    ///
+    /// # Errors
+    /// As [`from_csv`](Self::from_csv).
+    pub fn from_csv_text(text: &[u8], source: &str) -> Result<Self, CalibrationError> {
+        let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
+        let bad = |message: String| CalibrationError::Data { source_name: source.to_owned(), message };
+        let header_end = text.iter().position(|b| *b == b'\n').unwrap_or(text.len());
+        let count = |d: u8| text[..header_end].iter().filter(|b| **b == d).count();
+        let delimiter = [b',', b';', b'\t'].into_iter().rev().max_by_key(|d| count(*d)).unwrap_or(b',');
+        let mut reader = csv::ReaderBuilder::new()
+            .delimiter(delimiter)
+            .trim(csv::Trim::All)
+            .comment(Some(b'#'))
+            .from_reader(text);
+        let header = reader.byte_headers().map_err(|e| bad(e.to_string()))?.clone();
+        let names: Vec<String> = header.iter().map(|n| String::from_utf8_lossy(n).into_owned()).collect();
+        let mut columns: Vec<Column> =
+            names.iter().map(|n| Column { name: n.clone(), values: Vec::new(), text: None }).collect();
+        let mut lines = Vec::new();
+        for record in reader.byte_records() {
+            let record = record.map_err(|e| bad(e.to_string()))?;
+            let line = record.position().map_or(0, |p| p.line() as usize);
+            lines.push(line);
+            for (column, cell) in columns.iter_mut().zip(&record) {
+                let cell = String::from_utf8_lossy(cell);
+                column.push(&cell, line, delimiter);
+            }
+        }
+        let time_index = names.iter().position(|n| n.eq_ignore_ascii_case("time")).unwrap_or(0);
+        if columns.is_empty() || lines.is_empty() {
+            return Err(bad("there are no rows".to_owned()));
+        }
+        let time = columns.remove(time_index);
+        if let Some((line, text)) = &time.text {
+            return Err(bad(format!("time '{text}' in line {line} is not a number")));
+        }
+        Self::new(source.to_owned(), time.name, time.values, columns, |row| format!("line {}", lines[row]))
+    }
+
+    /// A table from columns in memory; all as long as `time`.
+    ///
+    /// # Errors
+    /// Columns of another length, two of one name, times that are not finite or not ascending.
+    pub fn from_columns(
+        time: Vec<f64>,
+        columns: impl IntoIterator<Item = (String, Vec<f64>)>,
+    ) -> Result<Self, CalibrationError> {
+        let columns = columns.into_iter().map(|(name, values)| Column { name, values, text: None }).collect();
+        Self::new("data".to_owned(), "time".to_owned(), time, columns, |row| format!("row {row}"))
+    }
+
+    fn new(
+        source: String,
+        time_name: String,
+        time: Vec<f64>,
+        columns: Vec<Column>,
+        place: impl Fn(usize) -> String,
+    ) -> Result<Self, CalibrationError> {
+        let bad = |message: String| Err(CalibrationError::Data { source_name: source.clone(), message });
+        if time.is_empty() {
+            return bad("there are no rows".to_owned());
+        }
+        for (i, column) in columns.iter().enumerate() {
+            if column.values.len() != time.len() {
+                return bad(format!(
+                    "column '{}' has {} values, '{time_name}' has {}",
+                    column.name,
+                    column.values.len(),
+                    time.len()
+                ));
+            }
+            if columns[..i].iter().any(|c| c.name == column.name) {
+                return bad(format!("two columns are named '{}'", column.name));
+            }
+        }
+        for (i, t) in time.iter().enumerate() {
+            if !t.is_finite() {
+                return bad(format!("time {t} at {} is not finite", place(i)));
+            }
+            if i > 0 && *t < time[i - 1] {
+                return bad(format!(
+                    "time {t} at {} comes after {}: times must ascend",
+                    place(i),
+                    time[i - 1]
+                ));
+            }
+            if i > 1 && *t == time[i - 2] {
+                return bad(format!("time {t} at {} stands there for the third time", place(i)));
+            }
+        }
+        Ok(Self { source, time_name, time, columns })
+    }
+
+    /// Where the table comes from, as errors name it.
+    pub fn source(&self) -> &str {
+        &self.source
+    }
+
+    /// The times.
+    pub fn time(&self) -> &[f64] {
+        &self.time
+    }
+
+    /// Names of the columns beside the time, in their order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.columns.iter().map(|c| c.name.as_str())
+    }
+
+    /// A column by name, with NaN for missing values.
+    ///
+    /// # Errors
+    /// No such column (the message lists those there are), a cell that is no number, an infinite value.
+    pub fn column(&self, name: &str) -> Result<&[f64], CalibrationError> {
+        if name == self.time_name {
+            return Ok(&self.time);
+        }
+        let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
+        let column = self.columns.iter().find(|c| c.name == name).ok_or_else(|| {
+            let there = self.names().map(|n| format!("'{n}'")).collect::<Vec<_>>().join(", ");
+            bad(format!("there is no column '{name}'; there are: {there}"))
+        })?;
+        if let Some((line, text)) = &column.text {
+            return Err(bad(format!("'{text}' in column '{name}', line {line}, is not a number")));
+        }
+        if let Some(row) = column.values.iter().position(|v| v.is_infinite()) {
+            return Err(bad(format!("column '{name}' is infinite at time {}", self.time[row])));
+        }
+        Ok(&column.values)
+    }
+
+    /// A column that was measured: at least one value, and no time with two of them.
+    ///
+    /// # Errors
+    /// As [`column`](Self::column), all values missing, two values at one time.
+    pub fn measured(&self, name: &str) -> Result<&[f64], CalibrationError> {
+        let values = self.column(name)?;
+        let bad = |message: String| Err(CalibrationError::Data { source_name: self.source.clone(), message });
+        if values.iter().all(|v| v.is_nan()) {
+            return bad(format!("all {} values of column '{name}' are missing", values.len()));
+        }
+        let twice = (1..values.len())
+            .find(|&i| self.time[i] == self.time[i - 1] && !values[i].is_nan() && !values[i - 1].is_nan());
+        if let Some(i) = twice {
+            return bad(format!(
+                "column '{name}' has two measurements at time {}: {} and {}",
+                self.time[i],
+                values[i - 1],
+                values[i]
+            ));
+        }
+        Ok(values)
+    }
+}
+
+impl Column {
+    fn push(&mut self, cell: &str, line: usize, delimiter: u8) {
+        let number = if MISSING.iter().any(|m| cell.eq_ignore_ascii_case(m)) {
+            Some(f64::NAN)
+        } else {
+            cell.parse().ok().or_else(|| {
+                // A decimal comma is safe to read where the comma does not separate.
+                (delimiter != b',').then(|| cell.replacen(',', ".", 1).parse().ok()).flatten()
+            })
+        };
+        if number.is_none() && self.text.is_none() {
+            self.text = Some((line, cell.to_owned()));
+        }
+        self.values.push(number.unwrap_or(f64::NAN));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn csv(text: &str) -> Result<Data, CalibrationError> {
+        Data::from_csv_text(text.as_bytes(), "test.csv")
+    }
+
+    #[test]
+    fn reads_irregular_times_missing_values_and_text_aside() {
+        let d = csv("time, a ,\"b,c\",note\n0,1,2,ok\n0.5,,4,bad\n0.7,NaN,1e-3,\n").unwrap();
+        assert_eq!(d.time(), [0.0, 0.5, 0.7]);
+        assert_eq!(d.names().collect::<Vec<_>>(), ["a", "b,c", "note"]);
+        assert!(d.column("a").unwrap()[1].is_nan() && d.column("a").unwrap()[2].is_nan());
+        assert_eq!(d.column("b,c").unwrap(), [2.0, 4.0, 1e-3]);
+        let e = d.column("note").unwrap_err().to_string();
+        assert!(e.contains("test.csv") && e.contains("'ok'") && e.contains("line 2"), "{e}");
+        let e = d.column("d").unwrap_err().to_string();
+        assert!(e.contains("'d'") && e.contains("'a', 'b,c', 'note'"), "{e}");
+    }
+
+    #[test]
+    fn time_may_stand_anywhere_and_semicolons_allow_decimal_commas() {
+        let d = csv("y;Time\n1,5;0\n2;0,25\n").unwrap();
+        assert_eq!(d.time(), [0.0, 0.25]);
+        assert_eq!(d.column("y").unwrap(), [1.5, 2.0]);
+        let d = csv("\u{feff}t\ty\n# a comment\n0\t1\n1\t2\n").unwrap();
+        assert_eq!(d.time(), [0.0, 1.0]);
+    }
+
+    #[test]
+    fn bad_tables_say_where() {
+        for (text, expected) in [
+            ("", "no rows"),
+            ("time,y\n", "no rows"),
+            ("time,y\n0,1\n2,1\n1,1\n", "time 1 at line 4 comes after 2"),
+            ("time,y\n0,1\n0,1\n0,1\n", "third time"),
+            ("time,y\nzero,1\n", "'zero' in line 2"),
+            ("time,y\n,1\n", "not finite"),
+            ("time,y\ninf,1\n", "not finite"),
+            ("time,y\n0,1\n1\n", "line: 3"),
+            ("time,y,y\n0,1,2\n", "two columns are named 'y'"),
+        ] {
+            let e = csv(text).unwrap_err().to_string();
+            assert!(e.contains(expected) && e.contains("test.csv"), "{text:?}: {e}");
+        }
+        let e = Data::from_columns(vec![0.0, 1.0], [("y".to_owned(), vec![1.0])]).unwrap_err().to_string();
+        assert!(e.contains("'y' has 1 values, 'time' has 2"), "{e}");
+    }
+
+    #[test]
+    fn a_time_may_stand_twice_for_inputs_but_not_for_measurements() {
+        let d = csv("time,u,y\n0,1,5\n1,1,6\n1,2,\n2,2,7\n").unwrap();
+        assert!(d.measured("y").is_ok());
+        let e = d.measured("u").unwrap_err().to_string();
+        assert!(e.contains("two measurements at time 1: 1 and 2"), "{e}");
+        let d = csv("time,y\n0,\n1,nan\n").unwrap();
+        assert!(d.measured("y").unwrap_err().to_string().contains("all 2 values"));
+        let d = csv("time,y\n0,inf\n1,2\n").unwrap();
+        assert!(d.measured("y").unwrap_err().to_string().contains("infinite at time 0"));
+    }
+}

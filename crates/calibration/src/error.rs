@@ -1,0 +1,64 @@
+//! What can be wrong with data, parameters or a fit: one typed error with names and numbers.
+
+use std::io;
+use std::path::PathBuf;
+
+/// Why a calibration could not be set up, evaluated or fitted.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CalibrationError {
+    /// A data file cannot be read.
+    #[error("cannot read {}: {source}", path.display())]
+    DataFile {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// A table of measurements that cannot be used.
+    #[error("{source_name}: {message}")]
+    Data {
+        /// File, or where the table comes from.
+        source_name: String,
+        /// What is wrong, and where.
+        message: String,
+    },
+    /// A parameter whose numbers do not fit together.
+    #[error("parameter '{name}': {message}")]
+    Parameter {
+        /// Name of the parameter.
+        name: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// Experiments, outputs or parameters are missing or contradict each other.
+    #[error("{0}")]
+    Setup(String),
+    /// The model refused something.
+    #[error(transparent)]
+    Model(#[from] fmi::FmiError),
+    /// The wrong number of parameter values.
+    #[error("{got} values given for {expected} parameters ({names})")]
+    Length {
+        /// Values given.
+        got: usize,
+        /// Parameters there are.
+        expected: usize,
+        /// Their names.
+        names: String,
+    },
+    /// A simulation that was asked for failed.
+    #[error("the simulation at {at} failed: {message}")]
+    Simulation {
+        /// Parameter values by name.
+        at: String,
+        /// Why, in full.
+        message: String,
+        /// The error of the model, where there was one.
+        #[source]
+        source: Option<Box<fmi::FmiError>>,
+    },
+    /// The optimiser could not start, or found nothing.
+    #[error(transparent)]
+    Optimiser(#[from] dfo::Error),
+}

@@ -1,0 +1,135 @@
+//! One recording: which column measures which output, which drives which input, and which part of it counts.
+
+use crate::data::Data;
+use crate::error::CalibrationError;
+use fmi::Value;
+use std::time::Duration;
+
+/// A recording of the machine and how the model is to reproduce it.
+///
+/// ```
+/// use calibration::{Data, Experiment};
+/// let data = Data::from_columns(vec![0.0, 0.5, 1.0], [("phi".to_owned(), vec![0.0, 0.1, 0.3])])?;
+/// let experiment = Experiment::new(data).output("armJoint.phi", "phi").window(0.0, 0.5);
+/// # Ok::<(), calibration::CalibrationError>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Experiment {
+    pub(crate) data: Data,
+    pub(crate) outputs: Vec<Measured>,
+    pub(crate) inputs: Vec<(String, String)>,
+    pub(crate) start_values: Vec<(String, Value)>,
+    pub(crate) window: Option<(f64, f64)>,
+    pub(crate) start_time: Option<f64>,
+}
+
+/// An output of the model and the column that measured it.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Measured {
+    pub(crate) variable: String,
+    pub(crate) column: String,
+    pub(crate) weight: f64,
+}
+
+impl Experiment {
+    /// A recording; outputs are still to be named.
+    pub fn new(data: Data) -> Self {
+        Self { data, outputs: vec![], inputs: vec![], start_values: vec![], window: None, start_time: None }
+    }
+
+    /// `column` of the data measured the model's `variable`. Residuals follow the order of these calls.
+    #[must_use]
+    pub fn output(self, variable: impl Into<String>, column: impl Into<String>) -> Self {
+        self.weighted_output(variable, column, 1.0)
+    }
+
+    /// As [`output`](Self::output); `weight` multiplies the residual (so its square multiplies the squared error).
+    #[must_use]
+    pub fn weighted_output(
+        mut self,
+        variable: impl Into<String>,
+        column: impl Into<String>,
+        weight: f64,
+    ) -> Self {
+        self.outputs.push(Measured { variable: variable.into(), column: column.into(), weight });
+        self
+    }
+
+    /// `column` of the data drives the model's input `variable`: linear between the rows for a continuous input, held
+    /// for a discrete one; a time that stands twice is a jump. Rows where the value is missing are left out.
+    #[must_use]
+    pub fn input(mut self, variable: impl Into<String>, column: impl Into<String>) -> Self {
+        self.inputs.push((variable.into(), column.into()));
+        self
+    }
+
+    /// A value set before the simulation starts, the same for all trial parameters.
+    #[must_use]
+    pub fn start_value(mut self, variable: impl Into<String>, value: impl Into<Value>) -> Self {
+        self.start_values.push((variable.into(), value.into()));
+        self
+    }
+
+    /// Only measurements in `[from, to]` count; the simulation still starts at its start time.
+    #[must_use]
+    pub fn window(mut self, from: f64, to: f64) -> Self {
+        self.window = Some((from, to));
+        self
+    }
+
+    /// Where the simulation starts; default: the model's default experiment, else 0.
+    #[must_use]
+    pub fn start_time(mut self, start_time: f64) -> Self {
+        self.start_time = Some(start_time);
+        self
+    }
+
+    /// Times and, per output, measurements that count.
+    pub(crate) fn measurements(&self) -> Result<(Vec<f64>, Vec<Vec<f64>>), CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        if self.outputs.is_empty() {
+            return setup(format!("{}: no output is compared with a column", self.data.source()));
+        }
+        let (from, to) = self.window.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
+        if from.is_nan() || to.is_nan() || from > to {
+            return setup(format!("window from {from} to {to}: the end must not lie before the start"));
+        }
+        let time = self.data.time();
+        let rows = time.partition_point(|t| *t < from)..time.partition_point(|t| *t <= to);
+        if rows.is_empty() {
+            return setup(format!(
+                "no time of {} lies in the window from {from} to {to}; the times run from {} to {}",
+                self.data.source(),
+                time[0],
+                time[time.len() - 1]
+            ));
+        }
+        let mut columns = Vec::with_capacity(self.outputs.len());
+        for Measured { variable, column, weight } in &self.outputs {
+            if !(weight.is_finite() && *weight > 0.0) {
+                return setup(format!("weight {weight} of output '{variable}' must be positive and finite"));
+            }
+            let values = &self.data.measured(column)?[rows.clone()];
+            if values.iter().all(|v| v.is_nan()) {
+                return setup(format!("column '{column}' has no value in the window from {from} to {to}"));
+            }
+            columns.push(values.to_vec());
+        }
+        Ok((time[rows].to_vec(), columns))
+    }
+}
+
+/// How the simulations of a fit are made.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SimulationSettings {
+    /// Integration method; default [`ode::Method::Auto`].
+    pub method: ode::Method,
+    /// Relative tolerance; default: the model's default experiment, else 1e-6.
+    pub relative_tolerance: Option<f64>,
+    /// Step of a fixed-step method.
+    pub step_size: Option<f64>,
+    /// Largest step of an adaptive method.
+    pub max_step: Option<f64>,
+    /// Wall-clock limit of one simulation; one that reaches it counts as failed.
+    pub timeout: Option<Duration>,
+}

@@ -1,0 +1,165 @@
+//! The fit: the objective meets an optimiser; parameters with names come out.
+
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::parameter::{Parameter, Scale};
+use dfo::{ByRef, Limits, Measure, NelderMead, Progress, Report, Stop, Tolerances, Transform, WorkerPool};
+use std::fmt;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::thread::available_parallelism;
+
+/// Called after each iteration; `Break` ends the fit.
+pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
+
+/// How a fit is made.
+pub struct FitOptions<'a> {
+    /// The method with its options; default Nelder-Mead.
+    pub method: NelderMead,
+    /// Simulations at once; default: all cores. The result does not depend on it.
+    pub workers: Option<usize>,
+    /// Where to start; default: the parameters' start values.
+    pub start: Option<Vec<f64>>,
+    /// Tolerances, `x_tol` in units of the parameters' sizes and `f_tol` as a fraction of the cost; both must hold.
+    /// Default 1e-4 each: a cost made of simulations is seldom smooth below that.
+    pub tolerances: Tolerances,
+    /// Limits; default: those of [`dfo::minimize`].
+    pub limits: Limits,
+    /// Told after each iteration, on the calling thread.
+    pub observer: Option<Box<FitObserver<'a>>>,
+    /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
+    pub poll: Option<Box<dyn FnMut() -> bool + 'a>>,
+}
+
+impl Default for FitOptions<'_> {
+    fn default() -> Self {
+        Self {
+            method: NelderMead::default(),
+            workers: None,
+            start: None,
+            tolerances: Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All },
+            limits: Limits::default(),
+            observer: None,
+            poll: None,
+        }
+    }
+}
+
+impl fmt::Debug for FitOptions<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FitOptions")
+            .field("method", &self.method)
+            .field("workers", &self.workers)
+            .field("start", &self.start)
+            .field("tolerances", &self.tolerances)
+            .field("limits", &self.limits)
+            .finish_non_exhaustive()
+    }
+}
+
+/// The result of a fit. `Display` prints a summary.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Fit {
+    /// Fitted values, one per parameter, user's order and units; fixed ones included.
+    pub x: Vec<f64>,
+    /// Names of the parameters, in the same order.
+    pub names: Vec<String>,
+    /// Cost there: the sum of the squared weighted residuals.
+    pub cost: f64,
+    /// Root of the mean squared weighted residual there.
+    pub rms: f64,
+    /// Cost at the start, if the simulation did not fail there.
+    pub start_cost: Option<f64>,
+    /// How the optimiser got there: counts, reason to end, trace.
+    pub report: Report,
+}
+
+impl fmt::Display for Fit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (name, value) in self.names.iter().zip(&self.x) {
+            writeln!(f, "{name} = {value}")?;
+        }
+        writeln!(f, "cost {}, RMS {}", self.cost, self.rms)?;
+        self.report.fmt(f)
+    }
+}
+
+impl Calibration {
+    /// Fits the parameters.
+    ///
+    /// Simulations run on threads of their own; the calling thread only observes and polls. Evaluations that can no
+    /// longer matter are given up early (see [`dfo::Outcome::Above`]); this changes no decision.
+    ///
+    /// # Errors
+    /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
+    /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
+    pub fn fit(&self, options: FitOptions<'_>) -> Result<Fit, CalibrationError> {
+        let FitOptions { method, workers, start, tolerances, limits, observer, poll } = options;
+        let workers = workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let start = start.unwrap_or_else(|| self.start());
+        let bound = |side: fn(&Parameter) -> f64| self.parameters().iter().map(side).collect::<Vec<_>>();
+        let transforms: Vec<Transform> = self
+            .parameters()
+            .iter()
+            .map(|p| match p.scale_kind() {
+                Scale::Linear => Transform::Linear,
+                Scale::Log => Transform::Log,
+            })
+            .collect();
+        let sizes: Vec<f64> =
+            self.parameters().iter().zip(&start).map(|(p, x)| self.size_of(p, *x)).collect();
+        let mut run = dfo::minimize(ByRef(self))
+            .start(&start)
+            .bounds(&bound(Parameter::lower), &bound(Parameter::upper))?
+            .transforms(&transforms)
+            .scales(&sizes)
+            .tolerances(tolerances)
+            .pool(Arc::new(WorkerPool::new(workers)?))
+            .method(method);
+        if let Some(n) = limits.max_evaluations {
+            run = run.max_evaluations(n);
+        }
+        if let Some(n) = limits.max_iterations {
+            run = run.max_iterations(n);
+        }
+        if let Some(time) = limits.max_time {
+            run = run.max_time(time);
+        }
+        if let Some(target) = limits.target {
+            run = run.target(target);
+        }
+        if let Some(observer) = observer {
+            run = run.observer(observer);
+        }
+        if let Some(poll) = poll {
+            run = run.poll(poll);
+        }
+        let report = run.run()?;
+        let start_cost =
+            report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
+        let rms = (report.fun / self.n_residuals() as f64).sqrt();
+        let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
+        Ok(Fit { x: report.x.clone(), names, cost: report.fun, rms, start_cost, report })
+    }
+
+    /// Typical size of a parameter: what the user said, else the model's nominal value, else the width of its box,
+    /// else its start value, else 1. On a log scale: of its logarithm.
+    fn size_of(&self, parameter: &Parameter, start: f64) -> f64 {
+        let (lower, upper) = (parameter.lower(), parameter.upper());
+        let usable = |size: f64| (size.is_finite() && size > 0.0).then_some(size);
+        match parameter.scale_kind() {
+            Scale::Log => usable((upper / lower).ln()).unwrap_or(1.0),
+            Scale::Linear => {
+                let nominal = self.fmu().description().variable(parameter.name()).and_then(|v| v.nominal);
+                parameter
+                    .nominal_size()
+                    .or(nominal)
+                    .and_then(|n| usable(n.abs()))
+                    .or_else(|| usable(upper - lower))
+                    .or_else(|| usable(start.abs()))
+                    .unwrap_or(1.0)
+            }
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! What is fitted: a parameter of the model with start, bounds and scale.
+
+use crate::error::CalibrationError;
+
+/// How a parameter is measured inside the optimiser; outside it is always in the user's units.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Scale {
+    /// As it is.
+    #[default]
+    Linear,
+    /// By its logarithm: for positive parameters known only to an order of magnitude.
+    Log,
+}
+
+/// A parameter to be fitted.
+///
+/// ```
+/// use calibration::Parameter;
+/// let friction = Parameter::new("armFriction", 0.012).bounds(0.0, 0.022);
+/// assert_eq!(friction.upper(), 0.022);
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameter {
+    name: String,
+    start: f64,
+    lower: f64,
+    upper: f64,
+    scale: Scale,
+    nominal: Option<f64>,
+    fixed: bool,
+}
+
+impl Parameter {
+    /// A parameter named as in the model, without bounds, on a linear scale.
+    pub fn new(name: impl Into<String>, start: f64) -> Self {
+        Self {
+            name: name.into(),
+            start,
+            lower: f64::NEG_INFINITY,
+            upper: f64::INFINITY,
+            scale: Scale::Linear,
+            nominal: None,
+            fixed: false,
+        }
+    }
+
+    /// Smallest and largest value; infinities leave a side open.
+    #[must_use]
+    pub fn bounds(mut self, lower: f64, upper: f64) -> Self {
+        (self.lower, self.upper) = (lower, upper);
+        self
+    }
+
+    /// The scale the optimiser works on.
+    #[must_use]
+    pub fn scale(mut self, scale: Scale) -> Self {
+        self.scale = scale;
+        self
+    }
+
+    /// A typical size, from which step lengths and tolerances are taken.
+    #[must_use]
+    pub fn nominal(mut self, nominal: f64) -> Self {
+        self.nominal = Some(nominal);
+        self
+    }
+
+    /// Holds the parameter at its start value.
+    #[must_use]
+    pub fn fixed(mut self, fixed: bool) -> Self {
+        self.fixed = fixed;
+        self
+    }
+
+    /// Name in the model.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Where the fit starts.
+    pub fn start(&self) -> f64 {
+        self.start
+    }
+
+    /// Smallest value; the start value of a fixed parameter.
+    pub fn lower(&self) -> f64 {
+        if self.fixed { self.start } else { self.lower }
+    }
+
+    /// Largest value; the start value of a fixed parameter.
+    pub fn upper(&self) -> f64 {
+        if self.fixed { self.start } else { self.upper }
+    }
+
+    /// The scale the optimiser works on.
+    pub fn scale_kind(&self) -> Scale {
+        self.scale
+    }
+
+    /// The typical size, if one was given.
+    pub fn nominal_size(&self) -> Option<f64> {
+        self.nominal
+    }
+
+    /// Whether it is held.
+    pub fn is_fixed(&self) -> bool {
+        self.fixed
+    }
+
+    /// Checks the numbers.
+    ///
+    /// # Errors
+    /// Names the parameter and the numbers that do not fit together.
+    pub fn check(&self) -> Result<(), CalibrationError> {
+        let Self { name, start, lower, upper, .. } = self;
+        let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
+        if !start.is_finite() {
+            return bad(format!("start {start} is not finite"));
+        }
+        if lower.is_nan() || upper.is_nan() {
+            return bad(format!("bounds {lower} and {upper}: neither may be NaN"));
+        }
+        if lower > upper {
+            return bad(format!("lower bound {lower} is above upper bound {upper}"));
+        }
+        if !self.fixed && !(*lower..=*upper).contains(start) {
+            return bad(format!("start {start} is outside of the bounds {lower} and {upper}"));
+        }
+        if self.scale == Scale::Log && !self.fixed && (*start <= 0.0 || (lower.is_finite() && *lower < 0.0)) {
+            return bad(format!("a log scale wants positive values; start {start}, lower bound {lower}"));
+        }
+        if let Some(nominal) = self.nominal
+            && !(nominal.is_finite() && nominal != 0.0)
+        {
+            return bad(format!("nominal {nominal} must be finite and not zero"));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bad_numbers_are_named() {
+        let p = |start: f64, lower: f64, upper: f64| Parameter::new("k", start).bounds(lower, upper);
+        for (parameter, expected) in [
+            (p(f64::NAN, 0.0, 1.0), "start NaN"),
+            (p(0.5, 2.0, 1.0), "lower bound 2 is above upper bound 1"),
+            (p(3.0, 0.0, 1.0), "start 3 is outside of the bounds 0 and 1"),
+            (p(0.5, f64::NAN, 1.0), "NaN"),
+            (p(0.0, 0.0, 1.0).scale(Scale::Log), "positive"),
+            (p(0.5, 0.0, 1.0).nominal(0.0), "nominal 0"),
+        ] {
+            let e = parameter.check().unwrap_err().to_string();
+            assert!(e.contains("'k'") && e.contains(expected), "{e}");
+        }
+        assert!(p(0.5, 0.0, f64::INFINITY).check().is_ok());
+        let held = p(0.5, 0.0, 1.0).fixed(true);
+        assert_eq!((held.lower(), held.upper()), (0.5, 0.5));
+    }
+}

@@ -1,0 +1,208 @@
+//! What can be wrong before or instead of a result: one typed error, with indices and values.
+
+use crate::termination::Termination;
+use crate::trace::Trace;
+use std::fmt;
+
+/// Why a minimisation could not start, or ended with nothing in hand.
+///
+/// Stopping early is not an error: whenever at least one used point has a finite cost, a run ends with a
+/// [`Report`](crate::Report) whose [`Termination`] says why.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// No start point was given.
+    #[error("no start point given: call start(&x0)")]
+    NoStart,
+    /// The start point has no parameters.
+    #[error("the start point is empty: there is nothing to minimise over")]
+    Empty,
+    /// A list does not have one entry per parameter.
+    #[error("{what}: {got} values given for {expected} parameters")]
+    Length {
+        /// Which list.
+        what: &'static str,
+        /// Entries needed.
+        expected: usize,
+        /// Entries given.
+        got: usize,
+    },
+    /// A bound is NaN, a lower bound is +inf or an upper bound is -inf.
+    #[error("the {side} bound of parameter {index} is {value}")]
+    BadBound {
+        /// `"lower"` or `"upper"`.
+        side: &'static str,
+        /// Parameter, counted from 0.
+        index: usize,
+        /// The bound.
+        value: f64,
+    },
+    /// A lower bound lies above the upper bound.
+    #[error("parameter {index}: the lower bound {lower} is above the upper bound {upper}")]
+    BoundsCrossed {
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Lower bound.
+        lower: f64,
+        /// Upper bound.
+        upper: f64,
+    },
+    /// A coordinate of the start point is NaN or infinite.
+    #[error("start value {value} of parameter {index} is not finite")]
+    StartNotFinite {
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Its start value.
+        value: f64,
+    },
+    /// The start point lies outside of the box.
+    #[error("start value {value} of parameter {index} lies outside of its bounds [{lower}, {upper}]")]
+    StartOutside {
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Its start value.
+        value: f64,
+        /// Lower bound.
+        lower: f64,
+        /// Upper bound.
+        upper: f64,
+    },
+    /// A parameter on a logarithmic scale has a start value or bound that has no logarithm.
+    #[error("parameter {index} is on a logarithmic scale, but its {what} is {value}")]
+    LogScale {
+        /// Parameter, counted from 0.
+        index: usize,
+        /// `"start value"`, `"lower bound"` or `"upper bound"`.
+        what: &'static str,
+        /// The value.
+        value: f64,
+    },
+    /// An entry of a per-parameter option is out of range.
+    #[error("{name} of parameter {index} = {value} must be {range}")]
+    ParameterOption {
+        /// Name of the option.
+        name: &'static str,
+        /// Parameter, counted from 0.
+        index: usize,
+        /// The value given.
+        value: f64,
+        /// What it must be.
+        range: &'static str,
+    },
+    /// A number outside its range.
+    #[error("{name} = {value} must be {range}")]
+    Option {
+        /// Name of the option.
+        name: &'static str,
+        /// The value given.
+        value: f64,
+        /// What it must be.
+        range: &'static str,
+    },
+    /// An initial simplex does not have one vertex more than there are free parameters.
+    #[error("the initial simplex has {got} vertices; {expected} are needed (free parameters + 1)")]
+    SimplexSize {
+        /// Vertices needed.
+        expected: usize,
+        /// Vertices given.
+        got: usize,
+    },
+    /// A vertex of an initial simplex has a coordinate outside of the box, or not finite.
+    #[error(
+        "initial simplex: coordinate {value} of vertex {vertex}, parameter {index}, must lie in [{lower}, {upper}]"
+    )]
+    SimplexOutside {
+        /// Vertex, counted from 0.
+        vertex: usize,
+        /// Parameter, counted from 0.
+        index: usize,
+        /// The coordinate.
+        value: f64,
+        /// Lower bound.
+        lower: f64,
+        /// Upper bound.
+        upper: f64,
+    },
+    /// The vertices of an initial simplex lie in a plane of lower dimension.
+    #[error("the initial simplex is flat: its vertices span only {rank} of {n} dimensions")]
+    DegenerateSimplex {
+        /// Dimensions spanned.
+        rank: usize,
+        /// Free parameters.
+        n: usize,
+    },
+    /// `tell` was called although no batch was asked for.
+    #[error("tell called, but no batch is waiting for an answer: ask first")]
+    TellWithoutAsk,
+    /// `tell` was given more outcomes than points were asked for.
+    #[error("{told} outcomes told for a batch of {asked} points")]
+    TooManyOutcomes {
+        /// Points in the batch.
+        asked: usize,
+        /// Outcomes given.
+        told: usize,
+    },
+    /// The worker threads could not be started.
+    #[error("cannot start {workers} worker threads: {message}")]
+    Pool {
+        /// Threads wanted.
+        workers: usize,
+        /// What the system said.
+        message: String,
+    },
+    /// The objective failed at every starting point.
+    #[error("the objective failed at every starting point: {0}")]
+    AllStartsFailed(Box<NothingFound>),
+    /// The run was ended before any point had a finite cost.
+    #[error("the run ended ({termination}) before any point had a finite cost: {found}")]
+    EndedWithoutPoint {
+        /// Why the run ended.
+        termination: Termination,
+        /// What was seen until then.
+        found: Box<NothingFound>,
+    },
+}
+
+impl Error {
+    /// The evaluations made before the error, where there were any.
+    pub fn trace(&self) -> Option<&Trace> {
+        match self {
+            Self::AllStartsFailed(found) | Self::EndedWithoutPoint { found, .. } => Some(&found.trace),
+            _ => None,
+        }
+    }
+}
+
+/// What a run that found no finite cost had seen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NothingFound {
+    /// Evaluations made.
+    pub n_evaluations: usize,
+    /// Reasons of the failures with their counts, most frequent first.
+    pub failures: Vec<(String, usize)>,
+    /// The first point that failed, if any.
+    pub x: Option<Vec<f64>>,
+    /// Every evaluation.
+    pub trace: Trace,
+}
+
+impl fmt::Display for NothingFound {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.failures.is_empty() {
+            return write!(f, "{} evaluations, none failed", self.n_evaluations);
+        }
+        const SHOWN: usize = 5;
+        let failed: usize = self.failures.iter().map(|(_, count)| count).sum();
+        write!(f, "{} evaluations, {failed} failed: ", self.n_evaluations)?;
+        for (k, (reason, count)) in self.failures.iter().take(SHOWN).enumerate() {
+            write!(f, "{}{count} x {reason}", if k > 0 { ", " } else { "" })?;
+        }
+        if self.failures.len() > SHOWN {
+            write!(f, ", and {} more reasons", self.failures.len() - SHOWN)?;
+        }
+        match &self.x {
+            Some(x) => write!(f, "; first at x = {x:?}"),
+            None => Ok(()),
+        }
+    }
+}

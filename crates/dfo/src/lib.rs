@@ -1,0 +1,57 @@
+//! Derivative-free optimisation with parallel evaluation, for objectives that are slow, noisy, or sometimes fail.
+//!
+//! ```
+//! let report = dfo::minimize(|x: &[f64]| (x[0] - 1.0).powi(2) + (x[1] + 0.5).powi(2))
+//!     .start(&[0.0, 0.0])
+//!     .bounds(&[-1.0, -1.0], &[2.0, 2.0])?
+//!     .workers(2)
+//!     .run()?;
+//! assert!((report.x[0] - 1.0).abs() < 1e-4);
+//! # Ok::<(), dfo::Error>(())
+//! ```
+//!
+//! What holds for every method:
+//!
+//! - **The same bits for any number of workers.** Outcomes are taken in request order. What is asked ahead of need
+//!   is an option of the method ([`BatchPlan`]) and changes no decision.
+//! - **A failure is a state, not a number.** NaN, infinities, errors and panics rank behind every finite cost, are
+//!   counted with their reasons, and enter no mean.
+//! - **Budgets are exact**, also inside of a batch, and the best point seen is in the [`Report`] however a run ends.
+//! - **Cutoffs** tell an objective above which cost its value no longer matters; using them or not changes no
+//!   decision.
+//! - **A method never calls the objective**: it is a state machine that is asked and told ([`Method`]), so that a run
+//!   can be driven by hand.
+//! - Points are in the user's units everywhere outside; bounds may be one-sided, equal bounds fix a parameter, and
+//!   positive parameters can be searched by their logarithm ([`Transform`]).
+#![forbid(unsafe_code)]
+
+mod bounds;
+mod drive;
+mod error;
+mod evaluate;
+mod executor;
+mod method;
+mod minimize;
+mod nelder_mead;
+mod objective;
+mod observe;
+mod report;
+mod scaling;
+mod termination;
+mod trace;
+
+pub use bounds::Bounds;
+pub use error::{Error, NothingFound};
+pub use executor::{BatchView, WorkerPool};
+pub use method::{Batch, Method, MethodOptions, Operation, Setup, Simplex, SimplexView, Status};
+pub use minimize::{Minimize, minimize, minimize_batches};
+pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
+pub use objective::{
+    ByRef, Evaluation, Failure, FailureKind, Fallible, Objective, Outcome, ResidualFunction, Residuals,
+    WithEvaluation, fallible, residuals, with_evaluation,
+};
+pub use observe::Progress;
+pub use report::Report;
+pub use scaling::{BoundsHandling, Space, Transform};
+pub use termination::{Limits, Measure, Stop, Termination, Tests, Tolerances};
+pub use trace::{Trace, TraceEntry};

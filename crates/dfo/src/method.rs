@@ -1,0 +1,263 @@
+//! Ask / tell: a method proposes a batch of points, is told their outcomes in request order, and never calls the
+//! objective.
+
+use crate::error::Error;
+use crate::objective::{Evaluation, Outcome};
+use crate::scaling::Space;
+use crate::termination::{Termination, Tests, Tolerances};
+use std::fmt;
+
+/// The points that a method wants evaluated next, with their ids and cutoffs. Reuse one over a whole run: after the
+/// first rounds asking allocates nothing.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Batch {
+    n: usize,
+    index: u64,
+    first_id: u64,
+    points: Vec<f64>,
+    cutoffs: Vec<f64>,
+}
+
+impl Batch {
+    /// An empty batch.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// For methods: empties the batch and gives it its numbers. `n` is the length of the points.
+    pub fn start(&mut self, n: usize, index: u64, first_id: u64) {
+        self.n = n;
+        self.index = index;
+        self.first_id = first_id;
+        self.points.clear();
+        self.cutoffs.clear();
+    }
+
+    /// For methods: adds a point (user's units) with its cutoff (`f64::INFINITY` for none).
+    pub fn push(&mut self, x: &[f64], cutoff: f64) {
+        debug_assert_eq!(x.len(), self.n, "a batch holds points of one length");
+        self.points.extend_from_slice(x);
+        self.cutoffs.push(cutoff);
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.cutoffs.len()
+    }
+
+    /// Whether there is nothing to evaluate: the method has ended.
+    pub fn is_empty(&self) -> bool {
+        self.cutoffs.is_empty()
+    }
+
+    /// Length of each point.
+    pub fn n(&self) -> usize {
+        self.n
+    }
+
+    /// Running number of the batch.
+    pub fn index(&self) -> u64 {
+        self.index
+    }
+
+    /// Running number of point `k`.
+    pub fn id(&self, k: usize) -> u64 {
+        self.first_id + k as u64
+    }
+
+    /// Point `k` in the user's units.
+    pub fn point(&self, k: usize) -> &[f64] {
+        &self.points[k * self.n..(k + 1) * self.n]
+    }
+
+    /// Cutoff of point `k`; infinite if there is none.
+    pub fn cutoff(&self, k: usize) -> f64 {
+        self.cutoffs[k]
+    }
+
+    /// All points, one after the other.
+    pub fn as_flat(&self) -> &[f64] {
+        &self.points
+    }
+
+    /// The points in request order.
+    pub fn points(&self) -> impl ExactSizeIterator<Item = &[f64]> {
+        (0..self.len()).map(|k| self.point(k))
+    }
+
+    /// What to tell the objective with point `k`.
+    pub fn evaluation(&self, k: usize) -> Evaluation<'static> {
+        Evaluation::new(self.id(k), self.index, self.cutoffs[k])
+    }
+}
+
+/// What one iteration of a method did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Operation {
+    /// The starting points were evaluated.
+    Initial,
+    /// The reflected point was accepted.
+    Reflection,
+    /// The expanded point was accepted.
+    Expansion,
+    /// The outside contraction was accepted.
+    OutsideContraction,
+    /// The inside contraction was accepted.
+    InsideContraction,
+    /// The simplex was shrunk towards its best vertex.
+    Shrink,
+}
+
+impl fmt::Display for Operation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Initial => "initial",
+            Self::Reflection => "reflection",
+            Self::Expansion => "expansion",
+            Self::OutsideContraction => "outside contraction",
+            Self::InsideContraction => "inside contraction",
+            Self::Shrink => "shrink",
+        })
+    }
+}
+
+/// Where a method stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Status {
+    /// It has more to ask.
+    Running,
+    /// It came to its own end.
+    Ended(Termination),
+    /// Every starting point failed: there is nothing to go on from.
+    NoStart,
+}
+
+/// What a method is given to start from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Setup {
+    /// Start point, box, scales.
+    pub space: Space,
+    /// When to stop.
+    pub tolerances: Tolerances,
+    /// How many evaluations can run at once. May decide between plans with the same path, never change the path.
+    pub workers: usize,
+}
+
+impl Setup {
+    /// Default tolerances, one worker.
+    pub fn new(space: Space) -> Self {
+        Self { space, tolerances: Tolerances::default(), workers: 1 }
+    }
+}
+
+/// The options of a method: what makes the [`Method`] once the problem is known.
+pub trait MethodOptions {
+    /// The method that these options describe.
+    type Method: Method;
+
+    /// Checks the options against the problem and starts.
+    ///
+    /// # Errors
+    /// Options that do not fit, with index and value.
+    fn begin(&self, setup: &Setup) -> Result<Self::Method, Error>;
+}
+
+/// A method of optimisation as a state machine without input or output.
+///
+/// [`ask`](Self::ask) and [`tell`](Self::tell) alternate until `ask` leaves the batch empty.
+pub trait Method {
+    /// Name, as users write it.
+    fn name(&self) -> &'static str;
+
+    /// Fills `batch` with the points to evaluate next; leaves it empty when the method has ended. Asking twice
+    /// without telling gives the same batch.
+    fn ask(&mut self, batch: &mut Batch);
+
+    /// Takes the outcomes of the batch last asked, in request order. Points that were not evaluated
+    /// ([`Outcome::Skipped`], or a slice that is too short) and outcomes that say nothing
+    /// (see [`Outcome::is_known`]) are asked again where they are needed.
+    ///
+    /// # Errors
+    /// Nothing was asked, or there are more outcomes than points.
+    fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error>;
+
+    /// For each point of the batch last told: whether the path of the method went through it. False for
+    /// speculative points that were not needed.
+    fn used(&self) -> &[bool];
+
+    /// Where the method stands.
+    fn status(&self) -> Status;
+
+    /// Number of complete iterations.
+    fn n_iterations(&self) -> usize;
+
+    /// What the last complete iteration did; `None` before the starting points are known.
+    fn operation(&self) -> Option<Operation>;
+
+    /// The batch plan in use.
+    fn plan(&self) -> &'static str;
+
+    /// The tolerance tests after the last complete iteration.
+    fn tests(&self) -> Option<Tests> {
+        None
+    }
+
+    /// The best point and its cost, as the method sees it.
+    fn best(&self) -> Option<(&[f64], f64)>;
+
+    /// The simplex, for methods that have one.
+    fn simplex(&self) -> Option<SimplexView<'_>> {
+        None
+    }
+}
+
+/// A simplex as it stands, best vertex first.
+#[derive(Debug, Clone, Copy)]
+pub struct SimplexView<'a> {
+    pub(crate) n: usize,
+    pub(crate) x: &'a [f64],
+    pub(crate) costs: &'a [Option<f64>],
+    pub(crate) order: &'a [usize],
+}
+
+impl<'a> SimplexView<'a> {
+    /// Number of vertices.
+    pub fn len(&self) -> usize {
+        self.order.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.order.is_empty()
+    }
+
+    /// The vertex of a rank (0 is the best), in the user's units.
+    pub fn vertex(&self, rank: usize) -> &'a [f64] {
+        let slot = self.order[rank];
+        &self.x[slot * self.n..(slot + 1) * self.n]
+    }
+
+    /// Its cost; `None` if it failed or is not known yet.
+    pub fn cost(&self, rank: usize) -> Option<f64> {
+        self.costs[self.order[rank]]
+    }
+
+    /// A copy that stays.
+    pub fn to_owned(&self) -> Simplex {
+        Simplex {
+            vertices: (0..self.len()).map(|k| self.vertex(k).to_vec()).collect(),
+            costs: (0..self.len()).map(|k| self.cost(k)).collect(),
+        }
+    }
+}
+
+/// A simplex, best vertex first.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Simplex {
+    /// The vertices in the user's units.
+    pub vertices: Vec<Vec<f64>>,
+    /// Their costs; `None` where the objective failed.
+    pub costs: Vec<Option<f64>>,
+}

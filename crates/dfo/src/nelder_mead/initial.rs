@@ -1,0 +1,243 @@
+//! The starting simplex: never flat, never outside of the box, wherever in the box the start point lies.
+
+use super::options::InitialSimplex;
+use super::simplex::SimplexData;
+use crate::error::Error;
+use crate::scaling::{Space, Transform};
+
+/// Side of the simplex as a fraction of the width of the box.
+const BOX_FRACTION: f64 = 0.1;
+/// Side of the simplex without a box, in units of the size of the parameter.
+const FREE_FRACTION: f64 = 0.3;
+/// Smallest pivot, relative to the largest entry of its edge, that still counts as a direction of its own.
+const FLAT: f64 = 1e-10;
+
+pub(super) fn simplex(space: &Space, initial: &InitialSimplex) -> Result<SimplexData, Error> {
+    match initial {
+        InitialSimplex::Auto => Ok(from_steps(space, &default_steps(space))),
+        InitialSimplex::Steps(steps) => {
+            if steps.len() != space.n() {
+                return Err(Error::Length { what: "initial steps", expected: space.n(), got: steps.len() });
+            }
+            let mut free = Vec::with_capacity(space.n_free());
+            for &index in space.free() {
+                let value = steps[index];
+                if value == 0.0 || !value.is_finite() {
+                    let range = "finite and not zero";
+                    return Err(Error::ParameterOption { name: "initial step", index, value, range });
+                }
+                free.push(value);
+            }
+            Ok(from_steps(space, &free))
+        }
+        InitialSimplex::Vertices(vertices) => from_vertices(space, vertices),
+    }
+}
+
+fn default_steps(space: &Space) -> Vec<f64> {
+    let by_norm = |k: usize| {
+        space.width(k).is_none() && !space.size_given(k) && space.transform(k) == Transform::Linear
+    };
+    let norm = (0..space.n_free())
+        .filter(|&k| by_norm(k))
+        .map(|k| space.x0()[space.free()[k]])
+        .fold(0.0, f64::hypot);
+    let step = |k: usize| match space.width(k) {
+        Some(width) => BOX_FRACTION * width,
+        None if by_norm(k) => FREE_FRACTION * norm.clamp(1.0, f64::MAX),
+        None if space.size_given(k) => FREE_FRACTION * space.size(k),
+        None => FREE_FRACTION,
+    };
+    (0..space.n_free()).map(step).collect()
+}
+
+/// The start point and one step along each axis, away from a bound that is too near.
+fn from_steps(space: &Space, steps: &[f64]) -> SimplexData {
+    let n = space.n_free();
+    let mut simplex = SimplexData::new(n, space.n());
+    let mut start = vec![0.0; n];
+    space.to_working(space.x0(), &mut start);
+    let mut u = start.clone();
+    // The start point itself is evaluated exactly as given, whatever exp(ln x) makes of it.
+    simplex.set(0, &start, space.x0());
+    let mut x = vec![0.0; space.n()];
+    for (k, step) in steps.iter().enumerate() {
+        u[k] = stepped(start[k], *step, space.working_bounds(k));
+        space.to_user(&u, &mut x);
+        simplex.set(k + 1, &u, &x);
+        u[k] = start[k];
+    }
+    simplex
+}
+
+/// `u + step` if that is in the bounds, else `u - step`, else the bound that is farther away.
+fn stepped(u: f64, step: f64, (lower, upper): (f64, f64)) -> f64 {
+    for candidate in [u + step, u - step] {
+        if lower <= candidate && candidate <= upper && candidate.is_finite() && candidate != u {
+            return candidate;
+        }
+    }
+    // The step is wider than the room, or too small to be seen next to u.
+    match (lower.is_finite(), upper.is_finite()) {
+        (true, true) if u - lower > upper - u => lower,
+        (true, true) => upper,
+        (false, true) if u >= upper => u.next_down() - (1e-8 * u).abs(),
+        _ => u.next_up() + (1e-8 * u).abs(),
+    }
+}
+
+fn from_vertices(space: &Space, vertices: &[Vec<f64>]) -> Result<SimplexData, Error> {
+    let n = space.n_free();
+    if vertices.len() != n + 1 {
+        return Err(Error::SimplexSize { expected: n + 1, got: vertices.len() });
+    }
+    let mut simplex = SimplexData::new(n, space.n());
+    let mut u = vec![0.0; n];
+    for (vertex, x) in vertices.iter().enumerate() {
+        if x.len() != space.n() {
+            return Err(Error::Length {
+                what: "vertex of the initial simplex",
+                expected: space.n(),
+                got: x.len(),
+            });
+        }
+        for (index, &value) in x.iter().enumerate() {
+            let (lower, upper) = (space.bounds().lower()[index], space.bounds().upper()[index]);
+            let inside = value.is_finite() && lower <= value && value <= upper;
+            if !inside {
+                return Err(Error::SimplexOutside { vertex, index, value, lower, upper });
+            }
+        }
+        for (k, &index) in space.free().iter().enumerate() {
+            if space.transform(k) == Transform::Log && x[index] <= 0.0 {
+                return Err(Error::LogScale { index, what: "vertex coordinate", value: x[index] });
+            }
+        }
+        space.to_working(x, &mut u);
+        simplex.set(vertex, &u, x);
+    }
+    let rank = rank(space, &simplex);
+    if rank < n {
+        return Err(Error::DegenerateSimplex { rank, n });
+    }
+    Ok(simplex)
+}
+
+/// Number of dimensions spanned by the edges from vertex 0, each measured in the sizes of the parameters: Gaussian
+/// elimination with complete pivoting.
+fn rank(space: &Space, simplex: &SimplexData) -> usize {
+    let n = space.n_free();
+    let mut edges: Vec<Vec<f64>> = (1..=n)
+        .map(|v| (0..n).map(|k| (simplex.u(v)[k] - simplex.u(0)[k]) / space.size(k)).collect())
+        .collect();
+    for edge in &mut edges {
+        let largest = edge.iter().fold(0.0f64, |m, e| m.max(e.abs()));
+        if largest > 0.0 {
+            edge.iter_mut().for_each(|e| *e /= largest);
+        }
+    }
+    for step in 0..n {
+        let mut pivot = (step, step);
+        for row in step..n {
+            for column in step..n {
+                if edges[row][column].abs() > edges[pivot.0][pivot.1].abs() {
+                    pivot = (row, column);
+                }
+            }
+        }
+        // Written this way round so that NaN counts as flat.
+        let large_enough = edges[pivot.0][pivot.1].abs() > FLAT;
+        if !large_enough {
+            return step;
+        }
+        edges.swap(step, pivot.0);
+        edges.iter_mut().for_each(|e| e.swap(step, pivot.1));
+        let (done, rest) = edges.split_at_mut(step + 1);
+        let top = &done[step];
+        for row in rest {
+            let factor = row[step] / top[step];
+            for column in step..n {
+                row[column] -= factor * top[column];
+            }
+        }
+    }
+    n
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bounds::Bounds;
+
+    fn vertices(space: &Space) -> Vec<Vec<f64>> {
+        let simplex = simplex(space, &InitialSimplex::Auto).unwrap();
+        (0..=space.n_free()).map(|v| simplex.x(v).to_vec()).collect()
+    }
+
+    #[test]
+    fn every_corner_of_a_box_is_a_good_start() {
+        let (lower, upper) = ([0.0, -3.0, 1e-9], [1.0, 5.0, 1e-6]);
+        let bounds = Bounds::new(&lower, &upper).unwrap();
+        for corner in 0..8 {
+            let x0: Vec<f64> =
+                (0..3).map(|i| if corner >> i & 1 == 1 { upper[i] } else { lower[i] }).collect();
+            let space = Space::new(&x0, bounds.clone(), &[], &[]).unwrap();
+            let vertices = vertices(&space);
+            assert_eq!(vertices[0], x0);
+            for (k, vertex) in vertices[1..].iter().enumerate() {
+                assert!(bounds.contains(vertex), "{vertex:?}");
+                let side = (vertex[k] - x0[k]).abs();
+                assert!((side / (upper[k] - lower[k]) - 0.1).abs() < 1e-6, "corner {corner}: {side}");
+            }
+        }
+    }
+
+    #[test]
+    fn without_a_box_the_side_follows_the_norm() {
+        let space = Space::new(&[3.0, 4.0], Bounds::unbounded(2), &[], &[]).unwrap();
+        assert_eq!(vertices(&space), [vec![3.0, 4.0], vec![4.5, 4.0], vec![3.0, 5.5]]);
+        let space = Space::new(&[0.1, 0.0], Bounds::unbounded(2), &[], &[]).unwrap();
+        assert_eq!(vertices(&space), [vec![0.1, 0.0], vec![0.4, 0.0], vec![0.1, 0.3]]);
+        let space = Space::new(&[3.0, 4.0], Bounds::unbounded(2), &[], &[10.0, 1.0]).unwrap();
+        assert_eq!(vertices(&space), [vec![3.0, 4.0], vec![6.0, 4.0], vec![3.0, 4.3]]);
+    }
+
+    #[test]
+    fn one_sided_bounds_turn_the_step_inward() {
+        let bounds = Bounds::new(&[f64::NEG_INFINITY], &[2.0]).unwrap();
+        let space = Space::new(&[2.0], bounds, &[], &[]).unwrap();
+        assert_eq!(vertices(&space), [vec![2.0], vec![1.4]]);
+    }
+
+    #[test]
+    fn steps_too_wide_or_too_small_still_make_a_simplex() {
+        assert_eq!(stepped(0.4, 5.0, (0.0, 1.0)), 1.0);
+        assert_eq!(stepped(0.6, 5.0, (0.0, 1.0)), 0.0);
+        assert!(stepped(1e20, 1.0, (f64::NEG_INFINITY, f64::INFINITY)) > 1e20);
+        assert!(stepped(1e20, 1.0, (f64::NEG_INFINITY, 1e20)) < 1e20);
+        assert!(stepped(0.0, f64::MIN_POSITIVE / 1e300, (0.0, f64::INFINITY)) > 0.0);
+    }
+
+    #[test]
+    fn given_vertices_are_checked() {
+        let bounds = Bounds::new(&[0.0, 0.0], &[1.0, 1.0]).unwrap();
+        let space = Space::new(&[0.5, 0.5], bounds, &[], &[]).unwrap();
+        let build = |v: &[[f64; 2]]| {
+            simplex(&space, &InitialSimplex::Vertices(v.iter().map(|x| x.to_vec()).collect())).map(|_| ())
+        };
+        assert_eq!(build(&[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), Ok(()));
+        assert_eq!(build(&[[0.0, 0.0], [1.0, 0.0]]), Err(Error::SimplexSize { expected: 3, got: 2 }));
+        assert_eq!(
+            build(&[[0.0, 0.0], [0.5, 0.5], [1.0, 1.0]]),
+            Err(Error::DegenerateSimplex { rank: 1, n: 2 })
+        );
+        assert!(matches!(
+            build(&[[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]]),
+            Err(Error::SimplexOutside { vertex: 2, index: 1, .. })
+        ));
+        assert!(matches!(
+            build(&[[0.0, f64::NAN], [1.0, 0.0], [0.0, 1.0]]),
+            Err(Error::SimplexOutside { .. })
+        ));
+    }
+}

@@ -1,0 +1,212 @@
+//! What the user may choose about Nelder-Mead.
+
+use super::initial;
+use super::state::NelderMeadState;
+use crate::error::Error;
+use crate::method::{MethodOptions, Setup};
+use crate::scaling::BoundsHandling;
+
+/// Which points an iteration asks for ahead of need. All plans give the same simplices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
+pub enum BatchPlan {
+    /// By the number of workers: four or more: [`Four`](Self::Four); two or three: [`Two`](Self::Two); else
+    /// [`Serial`](Self::Serial).
+    #[default]
+    Auto,
+    /// One point at a time: never an evaluation too many.
+    Serial,
+    /// Reflection and inside contraction.
+    Two,
+    /// Reflection, expansion, outside and inside contraction.
+    Four,
+}
+
+impl BatchPlan {
+    /// The plan that [`Auto`](Self::Auto) stands for with so many workers; any other plan is itself.
+    pub fn resolve(self, workers: usize) -> Self {
+        match (self, workers) {
+            (Self::Auto, 0..=1) => Self::Serial,
+            (Self::Auto, 2..=3) => Self::Two,
+            (Self::Auto, _) => Self::Four,
+            (plan, _) => plan,
+        }
+    }
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Serial => "serial",
+            Self::Two => "two",
+            Self::Four => "four",
+        }
+    }
+}
+
+/// The coefficients of the simplex operations.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
+pub enum Coefficients {
+    /// [`Standard`](Self::Standard) below five free parameters, [`Adaptive`](Self::Adaptive) from there on.
+    #[default]
+    Auto,
+    /// 1, 2, 1/2, 1/2.
+    Standard,
+    /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n.
+    Adaptive,
+    /// The user's.
+    Custom {
+        /// Positive.
+        reflection: f64,
+        /// Above 1 and above `reflection`.
+        expansion: f64,
+        /// Between 0 and 1.
+        contraction: f64,
+        /// Between 0 and 1.
+        shrink: f64,
+    },
+}
+
+/// Coefficients as numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Numbers {
+    pub(super) reflection: f64,
+    pub(super) expansion: f64,
+    pub(super) contraction: f64,
+    pub(super) shrink: f64,
+}
+
+impl Coefficients {
+    pub(super) fn resolve(self, n: usize) -> Result<Numbers, Error> {
+        let standard = Numbers { reflection: 1.0, expansion: 2.0, contraction: 0.5, shrink: 0.5 };
+        let d = n as f64;
+        match self {
+            Self::Standard => Ok(standard),
+            Self::Auto if n < 5 => Ok(standard),
+            // With one parameter the formulas would shrink to a point and expand threefold.
+            Self::Adaptive if n < 2 => Ok(standard),
+            Self::Auto | Self::Adaptive => Ok(Numbers {
+                reflection: 1.0,
+                expansion: 1.0 + 2.0 / d,
+                contraction: 0.75 - 1.0 / (2.0 * d),
+                shrink: 1.0 - 1.0 / d,
+            }),
+            Self::Custom { reflection, expansion, contraction, shrink } => {
+                let fraction = |v: f64| v > 0.0 && v < 1.0;
+                for (name, value, good, range) in [
+                    (
+                        "reflection",
+                        reflection,
+                        reflection > 0.0 && reflection.is_finite(),
+                        "positive and finite",
+                    ),
+                    (
+                        "expansion",
+                        expansion,
+                        expansion > 1.0 && expansion > reflection && expansion.is_finite(),
+                        "above 1 and above the reflection coefficient",
+                    ),
+                    ("contraction", contraction, fraction(contraction), "between 0 and 1"),
+                    ("shrink", shrink, fraction(shrink), "between 0 and 1"),
+                ] {
+                    if !good {
+                        return Err(Error::Option { name, value, range });
+                    }
+                }
+                Ok(Numbers { reflection, expansion, contraction, shrink })
+            }
+        }
+    }
+}
+
+/// The starting simplex. Its first vertex is always the start point, unless all vertices are given.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub enum InitialSimplex {
+    /// One step along each free parameter. Its length: a tenth of the width of the box where that is finite, else
+    /// `0.3 * size` where the user gave a size, else 0.3 on a logarithmic scale, else `0.3 * max(1, |x0|)` with the
+    /// Euclidean norm over the parameters to which this last rule applies.
+    #[default]
+    Auto,
+    /// These steps, one per parameter in the user's order; a step of a logarithmic parameter is one of `ln x`, one of
+    /// a fixed parameter is ignored.
+    Steps(Vec<f64>),
+    /// These vertices, one more than there are free parameters, each a whole point in the user's units. The start
+    /// point is then not evaluated unless it is among them.
+    Vertices(Vec<Vec<f64>>),
+}
+
+/// Options of the Nelder-Mead method.
+///
+/// ```
+/// use dfo::{BatchPlan, NelderMead};
+/// let method = NelderMead::default().batch(BatchPlan::Four).initial_steps(&[0.1, 0.02]);
+/// # assert_eq!(method.batch, BatchPlan::Four);
+/// ```
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub struct NelderMead {
+    /// Which points are asked for ahead of need; default by the number of workers.
+    pub batch: BatchPlan,
+    /// Coefficients; default standard below five parameters, adaptive from there on.
+    pub coefficients: Coefficients,
+    /// How points outside of the box are brought back; default mirrored.
+    pub bounds: BoundsHandling,
+    /// The starting simplex.
+    pub initial: InitialSimplex,
+}
+
+impl NelderMead {
+    /// Sets the batch plan.
+    #[must_use]
+    pub fn batch(mut self, plan: BatchPlan) -> Self {
+        self.batch = plan;
+        self
+    }
+
+    /// Sets the coefficients.
+    #[must_use]
+    pub fn coefficients(mut self, coefficients: Coefficients) -> Self {
+        self.coefficients = coefficients;
+        self
+    }
+
+    /// Sets how points outside of the box are brought back.
+    #[must_use]
+    pub fn bounds_handling(mut self, handling: BoundsHandling) -> Self {
+        self.bounds = handling;
+        self
+    }
+
+    /// Starts with these steps from the start point, see [`InitialSimplex::Steps`].
+    #[must_use]
+    pub fn initial_steps(mut self, steps: &[f64]) -> Self {
+        self.initial = InitialSimplex::Steps(steps.to_vec());
+        self
+    }
+
+    /// Starts with these vertices, see [`InitialSimplex::Vertices`].
+    #[must_use]
+    pub fn initial_simplex(mut self, vertices: Vec<Vec<f64>>) -> Self {
+        self.initial = InitialSimplex::Vertices(vertices);
+        self
+    }
+}
+
+impl MethodOptions for NelderMead {
+    type Method = NelderMeadState;
+
+    fn begin(&self, setup: &Setup) -> Result<NelderMeadState, Error> {
+        setup.tolerances.check()?;
+        let numbers = self.coefficients.resolve(setup.space.n_free())?;
+        let simplex = initial::simplex(&setup.space, &self.initial)?;
+        Ok(NelderMeadState::new(
+            setup.clone(),
+            self.batch.resolve(setup.workers),
+            numbers,
+            self.bounds,
+            simplex,
+        ))
+    }
+}

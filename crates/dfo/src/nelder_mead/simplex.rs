@@ -1,0 +1,263 @@
+//! The simplex itself: vertices, ranks, centroid, size. Knows nothing of batches.
+
+use crate::method::SimplexView;
+use crate::scaling::{Space, Transform};
+use crate::termination::Measure;
+
+/// What is known about a vertex. The order of the variants is the order of rank.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Cost {
+    /// A finite cost.
+    Value(f64),
+    /// The objective failed there.
+    Failed,
+    /// Not evaluated yet.
+    Pending,
+}
+
+impl Cost {
+    /// The rule of rank, a total order because values are finite: is `self` strictly better?
+    pub(super) fn better_than(self, other: Self) -> bool {
+        match (self, other) {
+            (Self::Value(a), Self::Value(b)) => a < b,
+            (Self::Value(_), _) => true,
+            (Self::Failed, Self::Pending) => true,
+            (Self::Failed | Self::Pending, _) => false,
+        }
+    }
+
+    pub(super) fn value(self) -> Option<f64> {
+        match self {
+            Self::Value(v) => Some(v),
+            Self::Failed | Self::Pending => None,
+        }
+    }
+}
+
+/// Vertices in slots, and the slots by rank.
+#[derive(Debug, Clone)]
+pub(super) struct SimplexData {
+    n: usize,
+    n_user: usize,
+    u: Vec<f64>,
+    x: Vec<f64>,
+    costs: Vec<Cost>,
+    /// The same for people: kept beside so that a view can lend it.
+    values: Vec<Option<f64>>,
+    /// Slots, best first.
+    order: Vec<usize>,
+}
+
+impl SimplexData {
+    pub(super) fn new(n: usize, n_user: usize) -> Self {
+        Self {
+            n,
+            n_user,
+            u: vec![0.0; (n + 1) * n],
+            x: vec![0.0; (n + 1) * n_user],
+            costs: vec![Cost::Pending; n + 1],
+            values: vec![None; n + 1],
+            order: (0..=n).collect(),
+        }
+    }
+
+    /// Working coordinates of a slot.
+    pub(super) fn u(&self, slot: usize) -> &[f64] {
+        &self.u[slot * self.n..(slot + 1) * self.n]
+    }
+
+    /// The vertex of a slot in the user's units.
+    pub(super) fn x(&self, slot: usize) -> &[f64] {
+        &self.x[slot * self.n_user..(slot + 1) * self.n_user]
+    }
+
+    pub(super) fn set(&mut self, slot: usize, u: &[f64], x: &[f64]) {
+        self.u[slot * self.n..(slot + 1) * self.n].copy_from_slice(u);
+        self.x[slot * self.n_user..(slot + 1) * self.n_user].copy_from_slice(x);
+        self.set_cost(slot, Cost::Pending);
+    }
+
+    pub(super) fn set_cost(&mut self, slot: usize, cost: Cost) {
+        self.costs[slot] = cost;
+        self.values[slot] = cost.value();
+    }
+
+    /// Slots, best first.
+    pub(super) fn order(&self) -> &[usize] {
+        &self.order
+    }
+
+    pub(super) fn cost(&self, slot: usize) -> Cost {
+        self.costs[slot]
+    }
+
+    /// Slot of rank 0.
+    pub(super) fn best(&self) -> usize {
+        self.order[0]
+    }
+
+    /// Slot of the last rank.
+    pub(super) fn worst(&self) -> usize {
+        self.order[self.n]
+    }
+
+    /// Slot of the last rank but one (the best, in one dimension).
+    pub(super) fn second_worst(&self) -> usize {
+        self.order[self.n.saturating_sub(1)]
+    }
+
+    pub(super) fn is_pending(&self) -> bool {
+        self.costs.contains(&Cost::Pending)
+    }
+
+    /// Ranks all vertices anew; equal costs keep their order (insertion sort: stable, and it allocates nothing).
+    pub(super) fn sort(&mut self) {
+        for i in 1..self.order.len() {
+            let mut k = i;
+            while k > 0 && self.costs[self.order[k]].better_than(self.costs[self.order[k - 1]]) {
+                self.order.swap(k, k - 1);
+                k -= 1;
+            }
+        }
+    }
+
+    /// Puts a new vertex in place of the worst, behind all older ones of the same cost.
+    pub(super) fn replace_worst(&mut self, u: &[f64], x: &[f64], value: f64) {
+        let slot = self.worst();
+        self.set(slot, u, x);
+        self.set_cost(slot, Cost::Value(value));
+        let mut k = self.n;
+        while k > 0 && self.costs[slot].better_than(self.costs[self.order[k - 1]]) {
+            self.order.swap(k, k - 1);
+            k -= 1;
+        }
+    }
+
+    /// Centroid of all vertices but the worst, failed ones left out; summed from the best on.
+    pub(super) fn centroid(&self, out: &mut [f64]) {
+        out.fill(0.0);
+        let mut count = 0.0;
+        for &slot in &self.order[..self.n] {
+            if self.costs[slot].value().is_some() {
+                count += 1.0;
+                for (c, u) in out.iter_mut().zip(self.u(slot)) {
+                    *c += u;
+                }
+            }
+        }
+        out.iter_mut().for_each(|c| *c /= count);
+    }
+
+    /// Whether a vertex other than the worst lies exactly here.
+    pub(super) fn has_vertex(&self, u: &[f64]) -> bool {
+        self.order[..self.n].iter().any(|&slot| self.u(slot) == u)
+    }
+
+    /// Draws all vertices but the best towards it; their costs are unknown then.
+    pub(super) fn shrink(&mut self, factor: f64, space: &Space) {
+        let best = self.best();
+        for rank in 1..=self.n {
+            let slot = self.order[rank];
+            for k in 0..self.n {
+                let b = self.u[best * self.n + k];
+                let (lower, upper) = space.working_bounds(k);
+                let u = &mut self.u[slot * self.n + k];
+                *u = (b + factor * (*u - b)).clamp(lower, upper);
+            }
+            let (u, x) =
+                (&self.u[slot * self.n..][..self.n], &mut self.x[slot * self.n_user..][..self.n_user]);
+            space.to_user(u, x);
+            self.set_cost(slot, Cost::Pending);
+        }
+    }
+
+    /// Largest distance of a vertex from the best along any coordinate.
+    pub(super) fn x_size(&self, space: &Space, measure: Measure) -> f64 {
+        let mut size = 0.0f64;
+        for &slot in &self.order[1..] {
+            for (k, &i) in space.free().iter().enumerate() {
+                size = size.max(match measure {
+                    Measure::Absolute => (self.x(slot)[i] - self.x(self.best())[i]).abs(),
+                    Measure::Relative => (self.u(slot)[k] - self.u(self.best())[k]).abs() / space.size(k),
+                });
+            }
+        }
+        size
+    }
+
+    /// Worst minus best cost; `None` while a vertex has none.
+    pub(super) fn f_spread(&self) -> Option<f64> {
+        match (self.cost(self.worst()), self.cost(self.best())) {
+            (Cost::Value(worst), Cost::Value(best)) => Some(worst - best),
+            _ => None,
+        }
+    }
+
+    /// Whether all vertices are the best one up to rounding: nothing can come of it any more.
+    pub(super) fn is_collapsed(&self, space: &Space) -> bool {
+        let best = self.u(self.best());
+        self.order[1..].iter().all(|&slot| {
+            self.u(slot).iter().zip(best).enumerate().all(|(k, (u, b))| {
+                // Rounding of ln x is absolute, that of x relative; zero is what is tiny against the size.
+                let magnitude = match space.transform(k) {
+                    Transform::Linear => b.abs().max(f64::EPSILON * space.size(k)),
+                    Transform::Log => b.abs().max(1.0),
+                };
+                (u - b).abs() <= 2.0 * f64::EPSILON * magnitude
+            })
+        })
+    }
+
+    /// The upper median of the absolute costs: how large costs are at the start.
+    pub(super) fn typical_cost(&self) -> f64 {
+        let mut costs: Vec<f64> = self.values.iter().flatten().map(|v| v.abs()).collect();
+        costs.sort_by(f64::total_cmp);
+        costs.get(costs.len() / 2).copied().unwrap_or(0.0)
+    }
+
+    pub(super) fn view(&self) -> SimplexView<'_> {
+        SimplexView { n: self.n_user, x: &self.x, costs: &self.values, order: &self.order }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn simplex(costs: [Cost; 3]) -> SimplexData {
+        let mut s = SimplexData::new(2, 2);
+        for (slot, (p, cost)) in [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].into_iter().zip(costs).enumerate() {
+            s.set(slot, &p, &p);
+            s.set_cost(slot, cost);
+        }
+        s.sort();
+        s
+    }
+
+    #[test]
+    fn ranks_are_total_and_stable() {
+        use Cost::{Failed, Pending, Value};
+        assert_eq!(simplex([Value(2.0), Value(1.0), Value(1.0)]).order(), [1, 2, 0]);
+        assert_eq!(simplex([Failed, Value(1e300), Failed]).order(), [1, 0, 2]);
+        assert_eq!(simplex([Pending, Failed, Value(0.0)]).order(), [2, 1, 0]);
+        let mut s = simplex([Value(1.0), Value(2.0), Failed]);
+        s.replace_worst(&[5.0, 5.0], &[5.0, 5.0], 1.0);
+        assert_eq!((s.order(), s.worst()), (&[0, 2, 1][..], 1));
+    }
+
+    #[test]
+    fn failed_vertices_stay_out_of_the_centroid() {
+        use Cost::{Failed, Value};
+        let mut c = [0.0; 2];
+        simplex([Value(1.0), Value(2.0), Value(3.0)]).centroid(&mut c);
+        assert_eq!(c, [0.5, 0.0]);
+        simplex([Failed, Value(2.0), Failed]).centroid(&mut c);
+        assert_eq!(c, [1.0, 0.0]);
+    }
+
+    #[test]
+    fn one_huge_cost_does_not_set_the_magnitude() {
+        use Cost::Value;
+        assert_eq!(simplex([Value(1e300), Value(-2.0), Value(0.0)]).typical_cost(), 2.0);
+    }
+}

@@ -1,0 +1,255 @@
+//! Why a run ends: reasons, limits, and the tolerance tests shared by all methods.
+
+use std::fmt;
+use std::time::Duration;
+
+use crate::error::Error;
+
+/// Why a run ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Termination {
+    /// The tolerance tests passed.
+    Converged,
+    /// The target value was reached.
+    Target,
+    /// The search has no extent left that floating-point numbers could resolve; no tolerance would be met later.
+    Collapsed,
+    /// All parameters are fixed: the one point there is was evaluated.
+    AllFixed,
+    /// The evaluations are used up.
+    MaxEvaluations,
+    /// The iterations are used up.
+    MaxIterations,
+    /// The time is used up.
+    MaxTime,
+    /// An observer said stop.
+    StoppedByObserver,
+    /// The poll function or the cancel flag said stop (Ctrl-C, for example).
+    Interrupted,
+    /// The objective asked to end the run, with this message.
+    Aborted(String),
+}
+
+impl Termination {
+    /// Whether the method came to its own end (or to the target), rather than being stopped.
+    pub fn is_success(&self) -> bool {
+        matches!(self, Self::Converged | Self::Target | Self::Collapsed | Self::AllFixed)
+    }
+
+    /// A short name, fit for tables and files.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Converged => "converged",
+            Self::Target => "target",
+            Self::Collapsed => "collapsed",
+            Self::AllFixed => "all-fixed",
+            Self::MaxEvaluations => "max-evaluations",
+            Self::MaxIterations => "max-iterations",
+            Self::MaxTime => "max-time",
+            Self::StoppedByObserver => "stopped-by-observer",
+            Self::Interrupted => "interrupted",
+            Self::Aborted(_) => "aborted",
+        }
+    }
+}
+
+impl fmt::Display for Termination {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Aborted(message) => write!(f, "aborted: {message}"),
+            other => f.write_str(other.name()),
+        }
+    }
+}
+
+/// What ends a run from outside of the method; `None` means no limit.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Limits {
+    /// Calls of the objective; every one counts.
+    pub max_evaluations: Option<usize>,
+    /// Iterations of the method.
+    pub max_iterations: Option<usize>,
+    /// Wall-clock time: no evaluation starts after it.
+    pub max_time: Option<Duration>,
+    /// The run ends with the first batch that has a used point with a cost at or below this.
+    pub target: Option<f64>,
+}
+
+impl Limits {
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        if self.max_evaluations == Some(0) {
+            return Err(Error::Option { name: "max_evaluations", value: 0.0, range: "at least 1" });
+        }
+        match self.target {
+            Some(value) if value.is_nan() => Err(Error::Option { name: "target", value, range: "a number" }),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// How tolerances are measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Measure {
+    /// `x_tol` in units of the parameter's size, `f_tol` as a fraction of |f_best|.
+    #[default]
+    Relative,
+    /// Both as they are, in the user's units.
+    Absolute,
+}
+
+/// How many of the two tests must pass.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Stop {
+    /// Either one ends the run.
+    Any,
+    /// Both must hold at once.
+    #[default]
+    All,
+}
+
+/// Tolerances of the two tests that end a run.
+///
+/// - x test: `max |x_i - x_best,i| <= x_tol * size_i` over all vertices and parameters (a logarithmic parameter is
+///   compared by its logarithm); with [`Measure::Absolute`]: `<= x_tol` in the user's units.
+/// - f test: `f_worst - f_best <= f_tol * |f_best|`; with [`Measure::Absolute`]: `<= f_tol`. It never passes while a
+///   vertex has failed.
+///
+/// A cost that goes to zero would never pass a relative f test, because the spread goes to zero with it. So |f_best|
+/// counts at least as `2.2e-16 * f_0`, `f_0` being the (upper) median of |f| over the initial vertices: what is
+/// smaller is zero for a cost of that magnitude. Both tests are asked for only after an iteration is complete: an
+/// initial simplex never passes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tolerances {
+    /// Tolerance of the x test; default 1e-6.
+    pub x_tol: f64,
+    /// Tolerance of the f test; default 1e-6.
+    pub f_tol: f64,
+    /// Default [`Measure::Relative`].
+    pub measure: Measure,
+    /// Default [`Stop::All`].
+    pub stop: Stop,
+}
+
+impl Default for Tolerances {
+    fn default() -> Self {
+        Self { x_tol: 1e-6, f_tol: 1e-6, measure: Measure::Relative, stop: Stop::All }
+    }
+}
+
+impl Tolerances {
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        for (name, value) in [("x_tol", self.x_tol), ("f_tol", self.f_tol)] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(Error::Option { name, value, range: "finite and not negative" });
+            }
+        }
+        Ok(())
+    }
+
+    /// Applies both tests. `f_spread` is `None` while a vertex has failed; `f_0` is described at [`Tolerances`].
+    pub(crate) fn judge(&self, x_size: f64, f_spread: Option<f64>, f_best: f64, f_0: f64) -> Tests {
+        let f_limit = match self.measure {
+            Measure::Absolute => self.f_tol,
+            Measure::Relative => self.f_tol * f_best.abs().max(f64::EPSILON * f_0),
+        };
+        let x_passed = x_size <= self.x_tol;
+        let f_passed = f_spread.is_some_and(|s| s <= f_limit);
+        let passed = match self.stop {
+            Stop::Any => x_passed || f_passed,
+            Stop::All => x_passed && f_passed,
+        };
+        Tests { x_size, f_spread, f_limit, f_best, x_passed, f_passed, passed, tolerances: *self }
+    }
+}
+
+/// The last values of the tolerance tests.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tests {
+    /// Size of the simplex as the x test measures it.
+    pub x_size: f64,
+    /// Largest minus smallest cost; `None` while a vertex has failed.
+    pub f_spread: Option<f64>,
+    /// What the spread is compared with.
+    pub f_limit: f64,
+    /// Best cost.
+    pub f_best: f64,
+    /// Whether the x test passes.
+    pub x_passed: bool,
+    /// Whether the f test passes.
+    pub f_passed: bool,
+    /// Whether the run is over: either one or both, as [`Tolerances::stop`] says.
+    pub passed: bool,
+    /// The tolerances used.
+    pub tolerances: Tolerances,
+}
+
+impl fmt::Display for Tests {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Tolerances { x_tol, f_tol, measure, .. } = self.tolerances;
+        let relation = |passed| if passed { "<=" } else { ">" };
+        let verb = |passed| if passed { "passed" } else { "not passed" };
+        let unit = match measure {
+            Measure::Relative => " (in units of the parameters' sizes)",
+            Measure::Absolute => "",
+        };
+        let x = relation(self.x_passed);
+        write!(
+            f,
+            "x test {}: simplex size {:.3e} {x} x_tol {x_tol:e}{unit}",
+            verb(self.x_passed),
+            self.x_size
+        )?;
+        match self.f_spread {
+            None => write!(f, "; f test not passed: a vertex has failed"),
+            Some(spread) => {
+                let r = relation(self.f_passed);
+                write!(f, "; f test {}: spread {spread:.3e} {r} {:.3e}", verb(self.f_passed), self.f_limit)?;
+                match measure {
+                    Measure::Relative if self.f_limit > f_tol * self.f_best.abs() => {
+                        write!(f, " (f_tol {f_tol:e} of what is zero next to the first costs)")
+                    }
+                    Measure::Relative => write!(f, " (f_tol {f_tol:e} of f_best {:.6e})", self.f_best),
+                    Measure::Absolute => write!(f, " (f_tol)"),
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tests_are_nan_proof() {
+        let tolerances = Tolerances { stop: Stop::Any, ..Tolerances::default() };
+        for (x, spread) in [(f64::NAN, Some(f64::NAN)), (f64::INFINITY, Some(f64::INFINITY)), (1.0, None)] {
+            assert!(!tolerances.judge(x, spread, 1.0, 1.0).passed);
+        }
+    }
+
+    #[test]
+    fn a_cost_of_zero_can_stop() {
+        let tolerances = Tolerances::default();
+        assert!(tolerances.judge(0.0, Some(1e-23), 0.0, 1.0).passed);
+        assert!(!tolerances.judge(0.0, Some(1e-21), 0.0, 1.0).passed);
+    }
+
+    #[test]
+    fn either_or_both() {
+        let any = Tolerances { stop: Stop::Any, measure: Measure::Absolute, ..Tolerances::default() };
+        let all = Tolerances { stop: Stop::All, ..any };
+        for (x, f, either, both) in
+            [(1e-7, 1.0, true, false), (1.0, 1e-7, true, false), (1e-7, 1e-7, true, true)]
+        {
+            assert_eq!(any.judge(x, Some(f), 5.0, 5.0).passed, either);
+            assert_eq!(all.judge(x, Some(f), 5.0, 5.0).passed, both);
+        }
+        assert!(
+            any.judge(1e-7, Some(1.0), 0.0, 1.0)
+                .to_string()
+                .starts_with("x test passed: simplex size 1.000e-7")
+        );
+    }
+}

@@ -1,0 +1,126 @@
+//! The trace: every evaluation of a run, in request order, stored in columns.
+
+use crate::objective::Outcome;
+
+/// Every evaluation of a run, in request order.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Trace {
+    n: usize,
+    points: Vec<f64>,
+    records: Vec<Record>,
+}
+
+/// An evaluation without its point.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Record {
+    pub(crate) outcome: Outcome,
+    pub(crate) id: u64,
+    pub(crate) batch: u64,
+    pub(crate) cutoff: f64,
+    pub(crate) used: bool,
+    pub(crate) seconds: f64,
+}
+
+/// One evaluation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TraceEntry<'a> {
+    /// The point, in the user's units.
+    pub x: &'a [f64],
+    /// What came out.
+    pub outcome: &'a Outcome,
+    /// Number of the point in the run.
+    pub id: u64,
+    /// Number of the batch.
+    pub batch: u64,
+    /// The cutoff that the objective was told; infinite if none.
+    pub cutoff: f64,
+    /// Whether the method's path went through this point. False for speculative points that turned out to be
+    /// unnecessary: they are never returned as best.
+    pub used: bool,
+    /// Wall-clock seconds of the evaluation.
+    pub seconds: f64,
+}
+
+impl Trace {
+    pub(crate) fn new(n: usize) -> Self {
+        Self { n, points: Vec::new(), records: Vec::new() }
+    }
+
+    pub(crate) fn push(&mut self, x: &[f64], record: Record) {
+        self.points.extend_from_slice(x);
+        self.records.push(record);
+    }
+
+    pub(crate) fn set_used(&mut self, position: usize) {
+        self.records[position].used = true;
+    }
+
+    /// Number of evaluations.
+    pub fn len(&self) -> usize {
+        self.records.len()
+    }
+
+    /// Whether nothing was evaluated.
+    pub fn is_empty(&self) -> bool {
+        self.records.is_empty()
+    }
+
+    /// Number of parameters of each point.
+    pub fn n(&self) -> usize {
+        self.n
+    }
+
+    /// All points, one after the other: row `k` starts at `k * n`.
+    pub fn points(&self) -> &[f64] {
+        &self.points
+    }
+
+    /// Evaluation `k`, if there is one.
+    pub fn get(&self, k: usize) -> Option<TraceEntry<'_>> {
+        let r = self.records.get(k)?;
+        let x = &self.points[k * self.n..(k + 1) * self.n];
+        let Record { outcome, id, batch, cutoff, used, seconds } = r;
+        Some(TraceEntry {
+            x,
+            outcome,
+            id: *id,
+            batch: *batch,
+            cutoff: *cutoff,
+            used: *used,
+            seconds: *seconds,
+        })
+    }
+
+    /// The evaluations in request order.
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = TraceEntry<'_>> + ExactSizeIterator {
+        self.iter_from(0)
+    }
+
+    /// The evaluations from number `first` on.
+    pub fn iter_from(
+        &self,
+        first: usize,
+    ) -> impl DoubleEndedIterator<Item = TraceEntry<'_>> + ExactSizeIterator {
+        let first = first.min(self.len());
+        self.records[first..].iter().enumerate().map(move |(k, r)| TraceEntry {
+            x: &self.points[(first + k) * self.n..(first + k + 1) * self.n],
+            outcome: &r.outcome,
+            id: r.id,
+            batch: r.batch,
+            cutoff: r.cutoff,
+            used: r.used,
+            seconds: r.seconds,
+        })
+    }
+
+    /// The first of the used points with the smallest cost.
+    pub fn best(&self) -> Option<(&[f64], f64)> {
+        let mut best: Option<(&[f64], f64)> = None;
+        for entry in self.iter().filter(|e| e.used) {
+            if let Some(v) = entry.outcome.value().filter(|v| best.is_none_or(|(_, b)| *v < b)) {
+                best = Some((entry.x, v));
+            }
+        }
+        best
+    }
+}

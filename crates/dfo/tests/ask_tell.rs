@@ -1,0 +1,222 @@
+//! Driven by hand: the same trace as the driven run, whatever order or pieces the answers come in.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::{PLANS, Problem, plan, probe, problems, rosenbrock};
+use dfo::{
+    Batch, BatchPlan, Bounds, Error, Method, MethodOptions, NelderMeadState, Outcome, Setup, Space, Status,
+    minimize,
+};
+
+fn search(problem: &Problem, p: BatchPlan) -> NelderMeadState {
+    let bounds = match &problem.bounds {
+        Some((lower, upper)) => Bounds::new(lower, upper).unwrap(),
+        None => Bounds::unbounded(problem.x0.len()),
+    };
+    plan(p).begin(&Setup::new(Space::new(&problem.x0, bounds, &[], &[]).unwrap())).unwrap()
+}
+
+#[test]
+fn by_hand_and_driven_are_the_same() {
+    for problem in problems() {
+        for p in PLANS {
+            let mut by_hand = Vec::new();
+            let mut s = search(&problem, p);
+            let mut batch = Batch::new();
+            loop {
+                s.ask(&mut batch);
+                let mut again = Batch::new();
+                s.ask(&mut again);
+                assert_eq!(batch, again);
+                if batch.is_empty() {
+                    break;
+                }
+                let outcomes: Vec<_> = batch.points().map(|x| Outcome::Value((problem.f)(x))).collect();
+                s.tell(&outcomes).unwrap();
+                for k in 0..batch.len() {
+                    by_hand.push((
+                        batch.point(k).to_vec(),
+                        batch.id(k),
+                        batch.index(),
+                        batch.cutoff(k),
+                        s.used()[k],
+                    ));
+                }
+            }
+            let report = problem.minimize().method(plan(p)).run().unwrap();
+            let driven: Vec<_> =
+                report.trace.iter().map(|e| (e.x.to_vec(), e.id, e.batch, e.cutoff, e.used)).collect();
+            assert_eq!(by_hand, driven, "{} {p:?}", problem.name);
+            assert_eq!(s.best(), Some((&report.x[..], report.fun)));
+            assert_eq!(s.status(), Status::Ended(report.termination));
+            assert_eq!((s.n_iterations(), s.tests()), (report.n_iterations, report.tests));
+        }
+    }
+}
+
+#[test]
+fn answers_may_come_in_pieces() {
+    // Answers are left out by a fixed pattern; what is needed is asked again, and the path stays the same.
+    for problem in problems() {
+        for p in PLANS {
+            let mut s = search(&problem, p);
+            let mut batch = Batch::new();
+            let mut counter = 0u32;
+            let mut best_used = f64::INFINITY;
+            loop {
+                s.ask(&mut batch);
+                if batch.is_empty() {
+                    break;
+                }
+                let outcomes: Vec<_> = batch
+                    .points()
+                    .map(|x| {
+                        counter = counter.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                        match counter >> 29 {
+                            0 => Outcome::Skipped,
+                            1 => Outcome::cancelled(),
+                            2 => Outcome::Abort(String::new()),
+                            _ => Outcome::Value((problem.f)(x)),
+                        }
+                    })
+                    .collect();
+                let told = batch.len() - (counter >> 10) as usize % batch.len();
+                s.tell(&outcomes[..told]).unwrap();
+                for (k, outcome) in outcomes[..told].iter().enumerate() {
+                    assert!(!s.used()[k] || outcome.is_known());
+                    if let (true, Some(v)) = (s.used()[k], outcome.value()) {
+                        best_used = best_used.min(v);
+                    }
+                }
+                assert!(s.used()[told..].iter().all(|u| !u));
+                assert_eq!(s.best().map_or(f64::INFINITY, |b| b.1), best_used, "{}", problem.name);
+            }
+            let report = problem.minimize().run().unwrap();
+            assert_eq!(
+                (s.best(), s.n_iterations()),
+                (Some((&report.x[..], report.fun)), report.n_iterations)
+            );
+            assert_eq!(s.simplex().unwrap().to_owned(), report.final_simplex.unwrap());
+        }
+    }
+}
+
+#[test]
+fn a_copy_continues_like_the_original() {
+    let problem = &problems()[6];
+    let mut s = search(problem, BatchPlan::Two);
+    let mut batch = Batch::new();
+    for _ in 0..25 {
+        s.ask(&mut batch);
+        let outcomes: Vec<_> = batch.points().map(|x| Outcome::Value(probe(x))).collect();
+        s.tell(&outcomes).unwrap();
+    }
+    let mut copy = s.clone();
+    let mut copied = Batch::new();
+    loop {
+        s.ask(&mut batch);
+        copy.ask(&mut copied);
+        assert_eq!(batch, copied);
+        if batch.is_empty() {
+            break;
+        }
+        let outcomes: Vec<_> = batch.points().map(|x| Outcome::Value(probe(x))).collect();
+        s.tell(&outcomes).unwrap();
+        copy.tell(&outcomes).unwrap();
+    }
+}
+
+#[test]
+fn misuse_is_a_typed_error() {
+    let mut s = search(&problems()[0], BatchPlan::Serial);
+    assert_eq!(s.tell(&[]), Err(Error::TellWithoutAsk));
+    let mut batch = Batch::new();
+    s.ask(&mut batch);
+    assert_eq!(s.tell(&vec![Outcome::Value(1.0); 4]), Err(Error::TooManyOutcomes { asked: 3, told: 4 }));
+    s.tell(&[Outcome::Value(f64::NAN), Outcome::failed("x"), Outcome::Above(0.0)]).unwrap();
+    assert_eq!((s.status(), s.best()), (Status::NoStart, None));
+    s.ask(&mut batch);
+    assert!(batch.is_empty());
+    assert_eq!(s.tell(&[]), Err(Error::TellWithoutAsk));
+}
+
+#[test]
+fn asking_and_telling_allocate_nothing_once_warm() {
+    for (n, p) in [(2, BatchPlan::Serial), (10, BatchPlan::Two), (10, BatchPlan::Four)] {
+        let problem = Problem { name: "", f: rosenbrock, x0: vec![-1.2; n], bounds: None };
+        let mut s = search(&problem, p);
+        let mut batch = Batch::new();
+        let mut outcomes = Vec::with_capacity(n + 1);
+        let mut round = |s: &mut NelderMeadState| {
+            s.ask(&mut batch);
+            outcomes.clear();
+            // Now and then everything fails but the vertices themselves: that forces shrinks.
+            let bad = batch.index() % 37 == 5;
+            outcomes
+                .extend(batch.points().map(|x| Outcome::Value(if bad { f64::NAN } else { rosenbrock(x) })));
+            s.tell(&outcomes).unwrap();
+        };
+        for _ in 0..5 {
+            round(&mut s);
+        }
+        let counted = allocation_counter::measure(|| {
+            for _ in 0..60 {
+                round(&mut s);
+            }
+        });
+        assert_eq!(counted.count_total, 0, "{n} {p:?}: {counted:?}");
+        assert!(s.n_iterations() > 20 && s.status() == Status::Running);
+    }
+}
+
+#[test]
+fn own_methods_can_be_driven() {
+    /// Tries the integers from 0 on and ends at 20.
+    struct Count(u64, Option<f64>, [bool; 1], [f64; 1]);
+    struct CountOptions;
+    impl MethodOptions for CountOptions {
+        type Method = Count;
+        fn begin(&self, _: &Setup) -> Result<Count, Error> {
+            Ok(Count(0, None, [true], [0.0]))
+        }
+    }
+    impl Method for Count {
+        fn name(&self) -> &'static str {
+            "count"
+        }
+        fn ask(&mut self, batch: &mut Batch) {
+            batch.start(1, self.0, self.0);
+            if self.0 < 20 {
+                batch.push(&[self.0 as f64], f64::INFINITY);
+            }
+        }
+        fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
+            if let Some(v) = outcomes[0].value().filter(|v| self.1.is_none_or(|b| *v < b)) {
+                (self.1, self.3) = (Some(v), [self.0 as f64]);
+            }
+            self.0 += 1;
+            Ok(())
+        }
+        fn used(&self) -> &[bool] {
+            &self.2
+        }
+        fn status(&self) -> Status {
+            if self.0 < 20 { Status::Running } else { Status::Ended(dfo::Termination::Converged) }
+        }
+        fn n_iterations(&self) -> usize {
+            self.0 as usize
+        }
+        fn operation(&self) -> Option<dfo::Operation> {
+            None
+        }
+        fn plan(&self) -> &'static str {
+            "serial"
+        }
+        fn best(&self) -> Option<(&[f64], f64)> {
+            self.1.map(|v| (&self.3[..], v))
+        }
+    }
+    let report = minimize(|x: &[f64]| (x[0] - 7.0).abs()).start(&[0.0]).method(CountOptions).run().unwrap();
+    assert_eq!((report.x, report.fun, report.n_evaluations, report.method), (vec![7.0], 0.0, 20, "count"));
+}

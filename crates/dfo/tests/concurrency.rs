@@ -1,0 +1,242 @@
+//! Evaluations really run at once, the calling thread stays in charge, and interrupts get through.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::{plan, rosenbrock};
+use dfo::{
+    BatchPlan, Error, Evaluation, Outcome, Report, Termination, WorkerPool, minimize, with_evaluation,
+};
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Barrier};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Runs something that would hang if evaluations did not overlap.
+fn within_ten_seconds<T: Send + 'static>(f: impl FnOnce() -> T + Send + 'static) -> T {
+    let (sender, receiver) = channel();
+    thread::spawn(move || sender.send(f()));
+    receiver.recv_timeout(Duration::from_secs(10)).expect("evaluations do not overlap")
+}
+
+#[test]
+fn all_starting_vertices_are_evaluated_at_once() {
+    for n in [1, 3, 6] {
+        let report = within_ten_seconds(move || {
+            let barrier = Barrier::new(n + 1);
+            let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+                if e.batch == 0 {
+                    barrier.wait();
+                }
+                Outcome::Value(x.iter().map(|v| v * v).sum())
+            });
+            minimize(cost).start(&vec![1.0; n]).workers(n + 1).max_iterations(5).run().unwrap()
+        });
+        assert_eq!(report.n_iterations, 5);
+    }
+}
+
+#[test]
+fn the_four_points_of_an_iteration_are_evaluated_at_once() {
+    let report = within_ten_seconds(|| {
+        let barrier = Barrier::new(4);
+        let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+            if e.batch == 1 || e.batch == 2 {
+                barrier.wait();
+            }
+            Outcome::Value(rosenbrock(x))
+        });
+        minimize(cost)
+            .start(&[-1.2, 1.0])
+            .method(plan(BatchPlan::Four))
+            .workers(4)
+            .max_iterations(5)
+            .run()
+            .unwrap()
+    });
+    assert_eq!(report.n_iterations, 5);
+}
+
+#[test]
+fn a_shrink_is_evaluated_at_once() {
+    // Four parameters; everything but the starting vertices and the shrunken ones is bad, so iteration 1 shrinks.
+    let report = within_ten_seconds(|| {
+        let barrier = Barrier::new(4);
+        let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+            if e.batch == 2 {
+                barrier.wait();
+            }
+            let sum: f64 = x.iter().map(|v| v * v).sum();
+            Outcome::Value(if e.batch == 1 { 1e6 } else { sum })
+        });
+        minimize(cost)
+            .start(&[1.0; 4])
+            .method(plan(BatchPlan::Four))
+            .workers(4)
+            .max_iterations(1)
+            .run()
+            .unwrap()
+    });
+    assert_eq!((report.n_iterations, report.n_batches), (1, 3));
+}
+
+#[test]
+fn callbacks_run_on_the_calling_thread_and_poll_keeps_coming() {
+    let caller = thread::current().id();
+    let (mut last, mut longest, mut polls) = (Instant::now(), Duration::ZERO, 0);
+    let report = minimize(|x: &[f64]| {
+        assert_ne!(thread::current().id(), caller);
+        thread::sleep(Duration::from_millis(400));
+        rosenbrock(x)
+    })
+    .start(&[-1.2, 1.0])
+    .workers(3)
+    .max_iterations(1)
+    .observer(|_| {
+        assert_eq!(thread::current().id(), caller);
+        ControlFlow::Continue(())
+    })
+    .poll(|| {
+        assert_eq!(thread::current().id(), caller);
+        longest = longest.max(last.elapsed());
+        last = Instant::now();
+        polls += 1;
+        false
+    })
+    .run()
+    .unwrap();
+    assert_eq!(report.n_failed, 0);
+    // 50 ms is promised; the margin is for a machine that is busy with other tests.
+    assert!(polls >= 10 && longest < Duration::from_millis(300), "{polls} polls, longest pause {longest:?}");
+}
+
+fn interrupted(pool: usize, ready_after: u64) -> (Result<Report, Error>, Duration, usize) {
+    let started = AtomicUsize::new(0);
+    let hanging = AtomicBool::new(false);
+    let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+        started.fetch_add(1, Ordering::Relaxed);
+        if e.id < ready_after {
+            return Outcome::Value(rosenbrock(x));
+        }
+        hanging.store(true, Ordering::Release);
+        while !e.cancelled() {
+            thread::sleep(Duration::from_millis(1));
+        }
+        Outcome::cancelled()
+    });
+    let begin = Instant::now();
+    let result = minimize(cost)
+        .start(&[-1.2, 1.0])
+        .pool(Arc::new(WorkerPool::new(pool).unwrap()))
+        .poll(|| hanging.load(Ordering::Acquire))
+        .run();
+    (result, begin.elapsed(), started.load(Ordering::Relaxed))
+}
+
+#[test]
+fn an_interrupt_ends_running_evaluations_and_keeps_the_best() {
+    for pool in [1, 2, 4] {
+        for ready_after in [2, 3, 20] {
+            let (result, time, started) = interrupted(pool, ready_after);
+            let report = result.unwrap();
+            assert_eq!(report.termination, Termination::Interrupted);
+            assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
+            assert_eq!((report.n_evaluations, report.trace.len()), (started, started));
+            assert!(started <= ready_after as usize + pool && time < Duration::from_secs(5), "{time:?}");
+        }
+        let (result, ..) = interrupted(pool, 0);
+        let Err(Error::EndedWithoutPoint { termination, found }) = result else { panic!("{result:?}") };
+        assert_eq!(termination, Termination::Interrupted);
+        assert!(found.trace.len() <= pool);
+    }
+}
+
+#[test]
+fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
+    let flag = Arc::new(AtomicBool::new(false));
+    let report = minimize(|x: &[f64]| rosenbrock(x))
+        .start(&[-1.2, 1.0])
+        .cancel(flag.clone())
+        .observer(|p| {
+            flag.store(p.n_iterations >= 4, Ordering::Relaxed);
+            ControlFlow::Continue(())
+        })
+        .run()
+        .unwrap();
+    assert_eq!((report.termination, report.n_iterations), (Termination::Interrupted, 4));
+    assert!(flag.load(Ordering::Relaxed));
+
+    // A flag that the run itself raised is lowered again.
+    let shared = Arc::new(AtomicBool::new(false));
+    let seen = shared.clone();
+    let hanging = AtomicBool::new(false);
+    let error = minimize(with_evaluation(|_: &[f64], _: &Evaluation<'_>| {
+        hanging.store(true, Ordering::Release);
+        while !seen.load(Ordering::Relaxed) {
+            thread::sleep(Duration::from_millis(1));
+        }
+        Outcome::cancelled()
+    }))
+    .start(&[-1.2, 1.0])
+    .workers(2)
+    .cancel(shared.clone())
+    .poll(|| hanging.load(Ordering::Acquire))
+    .run()
+    .unwrap_err();
+    assert!(
+        matches!(error, Error::EndedWithoutPoint { termination: Termination::Interrupted, .. }),
+        "{error}"
+    );
+    assert!(!shared.load(Ordering::Relaxed));
+}
+
+#[test]
+fn an_abort_starts_nothing_more_and_loses_nothing_before_it() {
+    let (started, aborted) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+        started.fetch_add(1, Ordering::Relaxed);
+        if e.id == 2 {
+            aborted.store(true, Ordering::Release);
+            return Outcome::Abort("third".to_owned());
+        }
+        if e.id > 2 {
+            while !aborted.load(Ordering::Acquire) {
+                thread::yield_now();
+            }
+            thread::sleep(Duration::from_millis(100));
+        }
+        Outcome::Value(x.iter().sum())
+    });
+    let report = minimize(cost).start(&[1.0; 7]).workers(2).run().unwrap();
+    assert_eq!(report.termination, Termination::Aborted("third".to_owned()));
+    assert!(started.load(Ordering::Relaxed) <= 4 && report.n_evaluations == started.load(Ordering::Relaxed));
+    assert_eq!(report.trace.iter().take(3).map(|e| e.id).collect::<Vec<_>>(), [0, 1, 2]);
+    assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
+}
+
+#[test]
+fn workers_have_deep_stacks() {
+    fn deep(level: u32) -> f64 {
+        let room = std::hint::black_box([f64::from(level); 1024]);
+        if level == 0 { 0.0 } else { room[7] * 0.0 + deep(level - 1) }
+    }
+    // 1000 levels of 8 KiB: more than the 2 MiB that threads usually get.
+    let report = minimize(|x: &[f64]| x[0] * x[0] + deep(1000)).start(&[1.0]).workers(2).run().unwrap();
+    assert!(report.fun < 1e-8);
+}
+
+#[test]
+fn a_pool_can_be_shared_by_runs_at_once() {
+    let pool = Arc::new(WorkerPool::new(3).unwrap());
+    let alone = minimize(rosenbrock).start(&[-1.2, 1.0]).workers(3).run().unwrap();
+    thread::scope(|s| {
+        let runs: Vec<_> = (0..4)
+            .map(|_| s.spawn(|| minimize(rosenbrock).start(&[-1.2, 1.0]).pool(pool.clone()).run().unwrap()))
+            .collect();
+        for run in runs {
+            assert_eq!(common::timeless(&run.join().unwrap().trace), common::timeless(&alone.trace));
+        }
+    });
+}

@@ -1,0 +1,125 @@
+//! The same path for every plan, any number of workers, with and without cutoffs.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::{PLANS, cutting, plan, problems, run_with_path, timeless};
+use dfo::{BatchPlan, Outcome, minimize, minimize_batches};
+
+#[test]
+fn all_plans_walk_the_same_simplices() {
+    for problem in problems() {
+        let (serial, path) = run_with_path(problem.minimize().method(plan(BatchPlan::Serial))).unwrap();
+        assert_eq!(serial.n_speculative, 0);
+        for p in [BatchPlan::Two, BatchPlan::Four] {
+            let (report, other) = run_with_path(problem.minimize().method(plan(p))).unwrap();
+            assert_eq!(path, other, "{} {p:?}", problem.name);
+            assert_eq!(
+                (&serial.x, serial.fun, serial.n_iterations, &serial.termination, &serial.message),
+                (&report.x, report.fun, report.n_iterations, &report.termination, &report.message),
+                "{} {p:?}",
+                problem.name
+            );
+            let used: Vec<_> = report.trace.iter().filter(|e| e.used).map(|e| (e.x, e.outcome)).collect();
+            let all: Vec<_> = serial.trace.iter().map(|e| (e.x, e.outcome)).collect();
+            assert_eq!(used.len(), all.len(), "{}", problem.name);
+            assert_eq!(report.n_evaluations - report.n_speculative, serial.n_evaluations);
+            assert!(report.n_batches < serial.n_batches);
+        }
+    }
+}
+
+#[test]
+fn a_four_point_iteration_is_one_round() {
+    for problem in problems() {
+        let (report, path) = run_with_path(problem.minimize().method(plan(BatchPlan::Four))).unwrap();
+        assert_eq!(path.len(), report.n_iterations + 1);
+        let shrinks = report.n_batches - 1 - report.n_iterations;
+        assert_eq!(
+            report.n_evaluations,
+            path[0].costs.len() * (1 + shrinks) - shrinks + 4 * report.n_iterations
+        );
+    }
+}
+
+#[test]
+fn cutoffs_change_no_decision() {
+    let mut saved = 0;
+    for problem in problems() {
+        let (plain, path) = run_with_path(problem.minimize().method(plan(BatchPlan::Serial))).unwrap();
+        for p in PLANS {
+            let cut = problem.set_up(minimize(cutting(problem.f))).method(plan(p));
+            let (report, other) = run_with_path(cut).unwrap();
+            assert_eq!(path, other, "{} {p:?}", problem.name);
+            assert_eq!((&plain.x, plain.fun, &plain.message), (&report.x, report.fun, &report.message));
+            for e in report.trace.iter() {
+                if let Outcome::Above(c) = e.outcome {
+                    assert_eq!(*c, e.cutoff);
+                    saved += 1;
+                }
+            }
+        }
+    }
+    assert!(saved > 1000, "{saved}");
+}
+
+#[test]
+fn any_number_of_workers_gives_the_same_trace() {
+    for problem in problems() {
+        for p in PLANS {
+            let serial = problem.set_up(minimize(cutting(problem.f))).method(plan(p)).run().unwrap();
+            for workers in [2, 7] {
+                let report = problem
+                    .set_up(minimize(cutting(problem.f)))
+                    .method(plan(p))
+                    .workers(workers)
+                    .run()
+                    .unwrap();
+                assert_eq!(timeless(&serial.trace), timeless(&report.trace), "{} {p:?}", problem.name);
+                assert_eq!(
+                    (&serial.x, serial.fun, &serial.final_simplex),
+                    (&report.x, report.fun, &report.final_simplex)
+                );
+                assert_eq!((serial.n_speculative, &serial.message), (report.n_speculative, &report.message));
+            }
+            let f = problem.f;
+            let batches = problem
+                .set_up(minimize_batches(move |b| {
+                    (0..b.len()).map(|k| Outcome::Value(f(b.point(k)))).collect()
+                }))
+                .method(plan(p))
+                .run()
+                .unwrap();
+            assert_eq!((&serial.x, serial.fun, &serial.message), (&batches.x, batches.fun, &batches.message));
+        }
+    }
+}
+
+#[test]
+fn the_automatic_plan_follows_the_workers_and_is_reported() {
+    let problem = &problems()[0];
+    for (workers, name) in [(1, "serial"), (2, "two"), (3, "two"), (4, "four"), (9, "four")] {
+        let report = problem.minimize().workers(workers).run().unwrap();
+        assert_eq!((report.batch, report.workers), (name, workers));
+    }
+}
+
+#[test]
+fn unused_points_are_never_best() {
+    // One of the unused points, each in turn, is by far the best point ever seen.
+    let trap = |at: Option<Vec<f64>>| {
+        move |x: &[f64]| if at.as_deref() == Some(x) { -1e9 } else { common::rosenbrock(x) }
+    };
+    let run = |at| {
+        minimize(trap(at)).start(&[-1.2, 1.0]).method(plan(BatchPlan::Four)).max_iterations(30).run().unwrap()
+    };
+    let plain = run(None);
+    let mut tried = 0;
+    for e in plain.trace.iter().filter(|e| !e.used) {
+        let report = run(Some(e.x.to_vec()));
+        assert_eq!((&report.x, report.fun), (&plain.x, plain.fun));
+        assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
+        tried += 1;
+    }
+    assert!(tried > 30 && tried == plain.n_speculative);
+}

@@ -1,0 +1,141 @@
+//! Content hashes: SHA-256 of an archive, or of the sorted names and contents of a folder.
+
+use super::ArchiveLimits;
+use crate::error::FmiError;
+use sha2::{Digest, Sha256};
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+/// Hash of a file from its beginning.
+pub(super) fn of_file(path: &Path, file: &mut File) -> Result<String, FmiError> {
+    let mut hasher = Sha256::new();
+    io::Seek::rewind(file).map_err(FmiError::io("read", path))?;
+    feed(&mut hasher, file).map_err(FmiError::io("read", path))?;
+    Ok(hex(hasher))
+}
+
+/// Hash of all files below a folder: for each, in the order of the paths, path and content, each after its length.
+pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String, FmiError> {
+    let mut hasher = Sha256::new();
+    for (name, path) in files_below(root, limits.entries)? {
+        let mut file = File::open(&path).map_err(FmiError::io("open", &path))?;
+        let size = file.metadata().map_err(FmiError::io("read", &path))?.len();
+        hasher.update((name.len() as u64).to_le_bytes());
+        hasher.update(name.as_bytes());
+        hasher.update(size.to_le_bytes());
+        feed(&mut hasher, &mut file).map_err(FmiError::io("read", &path))?;
+    }
+    Ok(hex(hasher))
+}
+
+/// Hash of a few texts, each after its length.
+pub(crate) fn of_texts<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
+    let mut hasher = Sha256::new();
+    for text in texts {
+        hasher.update((text.len() as u64).to_le_bytes());
+        hasher.update(text.as_bytes());
+    }
+    hex(hasher)
+}
+
+/// Files below a folder as (path with slashes relative to it, path), sorted by the former.
+/// Links to files count as files; links to folders are not followed, so there are no cycles.
+pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBuf)>, FmiError> {
+    let mut files = Vec::new();
+    let mut folders = vec![(String::new(), root.to_owned())];
+    let mut seen = 0;
+    while let Some((prefix, folder)) = folders.pop() {
+        for entry in fs::read_dir(&folder).map_err(FmiError::io("list", &folder))? {
+            let entry = entry.map_err(FmiError::io("list", &folder))?;
+            let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
+            let kind = entry.file_type().map_err(FmiError::io("inspect", entry.path()))?;
+            seen += 1;
+            if seen > limit {
+                return Err(FmiError::ArchiveLimit { path: root.to_owned(), what: "files", found: seen, limit });
+            }
+            if kind.is_dir() {
+                folders.push((name + "/", entry.path()));
+            } else if kind.is_file() || entry.path().is_file() {
+                files.push((name, entry.path()));
+            }
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+fn feed(hasher: &mut Sha256, source: &mut impl Read) -> io::Result<()> {
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match source.read(&mut buffer) {
+            Ok(0) => return Ok(()),
+            Ok(n) => hasher.update(&buffer[..n]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+fn hex(hasher: Sha256) -> String {
+    use std::fmt::Write;
+    hasher.finalize().iter().fold(String::with_capacity(64), |mut text, byte| {
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
+        let root = tempfile::tempdir().unwrap();
+        for (name, content) in files {
+            let path = root.path().join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, content).unwrap();
+        }
+        root
+    }
+
+    fn hash(files: &[(&str, &str)]) -> String {
+        of_folder(folder(files).path(), &ArchiveLimits::default()).unwrap()
+    }
+
+    #[test]
+    fn a_file_has_the_hash_of_the_standard() {
+        let root = folder(&[("a", "abc")]);
+        let path = root.path().join("a");
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"; // FIPS 180-4, "abc"
+        assert_eq!(of_file(&path, &mut File::open(&path).unwrap()).unwrap(), expected);
+    }
+
+    #[test]
+    fn the_hash_of_a_folder_depends_on_names_and_contents_only() {
+        let one = [("a", "1"), ("b/c", "2")];
+        assert_eq!(hash(&one), hash(&[("b/c", "2"), ("a", "1")]));
+        for other in [[("a", "2"), ("b/c", "2")], [("a", "1"), ("b/d", "2")], [("a", "12"), ("b/c", "")]] {
+            assert_ne!(hash(&one), hash(&other), "{other:?}");
+        }
+    }
+
+    #[test]
+    fn folders_with_too_many_files_are_refused() {
+        let root = folder(&[("a", ""), ("b", ""), ("c", "")]);
+        let limits = ArchiveLimits { entries: 2, ..ArchiveLimits::default() };
+        assert!(matches!(
+            of_folder(root.path(), &limits),
+            Err(FmiError::ArchiveLimit { found: 3, limit: 2, .. })
+        ));
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn links_that_form_a_cycle_are_not_followed() {
+        let root = folder(&[("a/b", "1")]);
+        std::os::unix::fs::symlink(root.path(), root.path().join("a/up")).unwrap();
+        let files = files_below(root.path(), 100).unwrap();
+        assert_eq!(files.len(), 1);
+    }
+}

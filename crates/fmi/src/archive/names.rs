@@ -1,0 +1,168 @@
+//! Names of archive entries: which are safe to unpack on every system, and which collide.
+
+use crate::error::EntryProblem;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+
+/// Bytes of a whole name, and of one component (what file systems take).
+const LONGEST_NAME: usize = 1024;
+const LONGEST_COMPONENT: usize = 255;
+/// Components of a name. Bounds the work per entry.
+const DEEPEST: usize = 64;
+
+/// Refuses names that lead elsewhere than into the folder unpacked to, here or on another system.
+/// A single slash at the end marks a folder and is not part of the name.
+pub(super) fn check(name: &str) -> Result<(), EntryProblem> {
+    if name.len() > LONGEST_NAME {
+        return Err(EntryProblem::NameTooLong { found: name.len(), limit: LONGEST_NAME });
+    }
+    if let Some(c) = name.chars().find(|&c| c == '\\' || c.is_control()) {
+        return Err(EntryProblem::ForbiddenCharacter(c));
+    }
+    if name.starts_with('/') || has_drive(name) {
+        return Err(EntryProblem::Absolute);
+    }
+    let path = name.strip_suffix('/').unwrap_or(name);
+    if path.split('/').count() > DEEPEST {
+        return Err(EntryProblem::TooDeep { limit: DEEPEST });
+    }
+    path.split('/').try_for_each(check_component)
+}
+
+fn check_component(component: &str) -> Result<(), EntryProblem> {
+    match component {
+        "" => Err(EntryProblem::EmptyName),
+        "." | ".." => Err(EntryProblem::Traversal),
+        long if long.len() > LONGEST_COMPONENT => {
+            Err(EntryProblem::NameTooLong { found: long.len(), limit: LONGEST_COMPONENT })
+        }
+        other if !crate::platform::is_file_name(other) => Err(EntryProblem::ReservedName),
+        _ => Ok(()),
+    }
+}
+
+fn has_drive(name: &str) -> bool {
+    matches!(name.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic())
+}
+
+/// Names seen so far, as a file system that ignores case would see them.
+#[derive(Default)]
+pub(super) struct Names {
+    seen: HashMap<String, Seen>,
+}
+
+struct Seen {
+    name: String,
+    kind: Kind,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    File,
+    /// With an entry of its own, or only as part of other names.
+    Folder,
+}
+
+impl Names {
+    /// Adds a checked name, or says with what it collides. Folders may be listed more than once.
+    pub(super) fn add(&mut self, name: &str, is_folder: bool) -> Result<(), EntryProblem> {
+        let path = name.strip_suffix('/').unwrap_or(name);
+        for (end, _) in path.match_indices('/') {
+            self.add_one(&path[..end], Kind::Folder)?;
+        }
+        self.add_one(path, if is_folder { Kind::Folder } else { Kind::File })
+    }
+
+    /// Adds a name or a leading part of one.
+    fn add_one(&mut self, part: &str, kind: Kind) -> Result<(), EntryProblem> {
+        let seen = match self.seen.entry(fold(part)) {
+            Entry::Vacant(vacant) => {
+                vacant.insert(Seen { name: part.to_owned(), kind });
+                return Ok(());
+            }
+            Entry::Occupied(occupied) => occupied.into_mut(),
+        };
+        if seen.name != part {
+            return Err(EntryProblem::CaseDuplicate(seen.name.clone()));
+        }
+        match (seen.kind, kind) {
+            (Kind::Folder, Kind::Folder) => Ok(()),
+            (Kind::File, Kind::File) => Err(EntryProblem::Duplicate),
+            _ => Err(EntryProblem::FileAndFolder(part.to_owned())),
+        }
+    }
+}
+
+/// What file systems that ignore case compare, nearly: upper case, then lower case, so that letters with two
+/// lower-case forms fall together.
+fn fold(name: &str) -> String {
+    if name.is_ascii() { name.to_ascii_lowercase() } else { name.to_uppercase().to_lowercase() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ordinary_names_pass() {
+        for name in ["modelDescription.xml", "binaries/", "a/b c/\u{e4}.txt", "...", "a..b", "10:30.txt", "sources/a.c"] {
+            assert_eq!(check(name), Ok(()), "{name}");
+        }
+    }
+
+    #[test]
+    fn names_that_lead_elsewhere_are_refused() {
+        for (name, problem) in [
+            ("", EntryProblem::EmptyName),
+            ("a//b", EntryProblem::EmptyName),
+            ("a//", EntryProblem::EmptyName),
+            ("../a", EntryProblem::Traversal),
+            ("a/../b", EntryProblem::Traversal),
+            ("a/..", EntryProblem::Traversal),
+            ("./a", EntryProblem::Traversal),
+            ("/a", EntryProblem::Absolute),
+            ("/", EntryProblem::Absolute),
+            ("C:/a", EntryProblem::Absolute),
+            ("c:a", EntryProblem::Absolute),
+            ("a\\b", EntryProblem::ForbiddenCharacter('\\')),
+            ("a\0b", EntryProblem::ForbiddenCharacter('\0')),
+            ("a\nb", EntryProblem::ForbiddenCharacter('\n')),
+        ] {
+            assert_eq!(check(name), Err(problem), "{name:?}");
+        }
+    }
+
+    #[test]
+    fn names_no_file_system_takes_are_refused() {
+        let long = "x".repeat(256);
+        assert_eq!(check(&long), Err(EntryProblem::NameTooLong { found: 256, limit: 255 }));
+        assert_eq!(check(&"x/".repeat(513)), Err(EntryProblem::NameTooLong { found: 1026, limit: 1024 }));
+        assert_eq!(check(&"x/".repeat(65)), Err(EntryProblem::TooDeep { limit: 64 }));
+    }
+
+    fn add_all(names: &[&str]) -> Result<(), EntryProblem> {
+        let mut all = Names::default();
+        names.iter().try_for_each(|name| all.add(name, name.ends_with('/')))
+    }
+
+    #[test]
+    fn collisions_are_found_whatever_the_order() {
+        for (names, problem) in [
+            (&["a", "a"][..], EntryProblem::Duplicate),
+            (&["a", "A"], EntryProblem::CaseDuplicate("a".into())),
+            (&["x/a", "X/b"], EntryProblem::CaseDuplicate("x".into())),
+            (&["\u{e4}", "\u{c4}"], EntryProblem::CaseDuplicate("\u{e4}".into())),
+            (&["\u{3c3}", "\u{3c2}"], EntryProblem::CaseDuplicate("\u{3c3}".into())),
+            (&["a", "a/b"], EntryProblem::FileAndFolder("a".into())),
+            (&["a/b", "a"], EntryProblem::FileAndFolder("a".into())),
+            (&["a/", "a"], EntryProblem::FileAndFolder("a".into())),
+        ] {
+            assert_eq!(add_all(names), Err(problem), "{names:?}");
+        }
+    }
+
+    #[test]
+    fn folders_may_be_listed_again() {
+        assert_eq!(add_all(&["a/", "a/b", "a/", "a/c/d", "a/c/"]), Ok(()));
+    }
+}

@@ -1,0 +1,301 @@
+//! What can only be judged with the whole file in view: references between its parts, and the quirk report.
+//!
+//! Everything that can be worked with is tolerated and reported (FMUs in the wild leave the standard in many small
+//! ways); only what would make a run wrong or unsafe is an error.
+
+use super::model::{ModelDescription, Quirk, QuirkKind, Unknown};
+use super::names::NameIndex;
+use super::parse::Draft;
+use super::quirks::Quirks;
+use super::unit::Unit;
+use super::variable::{Causality, Initial, TypeDefinition, Value, Variability, Variable, VariableKind};
+use crate::archive::MODEL_DESCRIPTION;
+use crate::error::FmiError;
+use std::collections::{HashMap, HashSet};
+
+/// Resolves the references of a draft and turns it into a description.
+pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription, FmiError> {
+    inherit_types(&mut draft);
+    resolve_derivatives(&mut draft);
+    resolve_structure(&mut draft)?;
+    let Draft { mut model, mut quirks, .. } = draft;
+    check_header(&model, &mut quirks);
+    check_units(&model, &mut quirks);
+    check_structure(&model, &mut quirks);
+    for variable in &model.variables {
+        check_range(variable, &mut quirks);
+        if model.fmi_version.major == 2 {
+            check_roles(variable, &mut quirks);
+            check_start(variable, &mut quirks);
+        }
+    }
+    model.names = index_names(&model.variables, &mut quirks);
+    model.quirks = quirks.into_list();
+    Ok(model)
+}
+
+/// Refuses a description that has quirks other than those of the importer itself.
+pub(super) fn require_conforming(quirks: &[Quirk]) -> Result<(), FmiError> {
+    let mut departures = quirks.iter().filter(|quirk| quirk.kind != QuirkKind::Unsupported);
+    match departures.next() {
+        None => Ok(()),
+        Some(first) => Err(FmiError::NotConforming {
+            count: 1 + departures.count(),
+            line: first.line,
+            first: first.message.clone(),
+        }),
+    }
+}
+
+/// Fills in what variables leave to their types.
+fn inherit_types(draft: &mut Draft) {
+    let model = &mut draft.model;
+    let types: HashMap<&str, &TypeDefinition> =
+        model.type_definitions.iter().map(|definition| (definition.name.as_str(), definition)).collect();
+    let mut unknown: HashSet<String> = HashSet::new();
+    for (variable, flags) in model.variables.iter_mut().zip(&draft.flags) {
+        let Some(name) = &variable.declared_type else { continue };
+        let (line, kind) = (variable.line, variable.kind);
+        match types.get(name.as_str()) {
+            Some(definition) if definition.kind == kind => {
+                inherit(variable, definition);
+                variable.relative_quantity |= definition.relative_quantity && !flags.relative_quantity;
+                variable.unbounded |= definition.unbounded && !flags.unbounded;
+            }
+            Some(definition) => draft.quirks.add(QuirkKind::Undefined, line, || {
+                format!("{kind} \"{}\" has the type \"{name}\", which is {}", variable.name, definition.kind)
+            }),
+            None if !unknown.contains(name) => {
+                unknown.insert(name.clone());
+                draft.quirks.add(QuirkKind::Undefined, line, || format!("type \"{name}\" is not defined"));
+            }
+            None => {}
+        }
+    }
+}
+
+fn inherit(variable: &mut Variable, definition: &TypeDefinition) {
+    fn fill<T: Clone>(own: &mut Option<T>, inherited: &Option<T>) {
+        if own.is_none() {
+            own.clone_from(inherited);
+        }
+    }
+    fill(&mut variable.quantity, &definition.quantity);
+    fill(&mut variable.unit, &definition.unit);
+    fill(&mut variable.display_unit, &definition.display_unit);
+    fill(&mut variable.min, &definition.min);
+    fill(&mut variable.max, &definition.max);
+    fill(&mut variable.nominal, &definition.nominal);
+}
+
+/// Removes `derivative` attributes that name no variable.
+fn resolve_derivatives(draft: &mut Draft) {
+    let n_variables = draft.model.variables.len();
+    for variable in &mut draft.model.variables {
+        if variable.derivative.is_some_and(|state| state >= n_variables) {
+            variable.derivative = None;
+            draft.quirks.add(QuirkKind::Structure, variable.line, || {
+                format!("\"{}\" is the derivative of a variable that does not exist", variable.name)
+            });
+        }
+    }
+}
+
+/// Brings all indices of the model structure into range. An unknown derivative cannot be left out, because the
+/// number of states would not be the model's.
+fn resolve_structure(draft: &mut Draft) -> Result<(), FmiError> {
+    let n_variables = draft.model.variables.len();
+    let quirks = &mut draft.quirks;
+    let structure = &mut draft.model.structure;
+    let [output_lines, derivative_lines, initial_lines] = &draft.structure_lines;
+    for (unknown, &line) in structure.derivatives.iter().zip(derivative_lines) {
+        if unknown.index >= n_variables {
+            let message = format!("a derivative that is none of the {n_variables} variables");
+            return Err(FmiError::Description { file: MODEL_DESCRIPTION, line, message });
+        }
+    }
+    keep_known("output", &mut structure.outputs, output_lines, n_variables, quirks);
+    keep_known("initial unknown", &mut structure.initial_unknowns, initial_lines, n_variables, quirks);
+    let lists = [&mut structure.outputs, &mut structure.derivatives, &mut structure.initial_unknowns];
+    for unknown in lists.into_iter().flatten() {
+        resolve_dependencies(unknown, n_variables, quirks);
+    }
+    Ok(())
+}
+
+fn keep_known(what: &str, list: &mut Vec<Unknown>, lines: &[u32], n_variables: usize, quirks: &mut Quirks) {
+    let mut lines = lines.iter();
+    list.retain(|unknown| {
+        let line = lines.next().copied().unwrap_or(0);
+        let known = unknown.index < n_variables;
+        if !known {
+            quirks.add(QuirkKind::Structure, line, || {
+                format!("an {what} that is none of the {n_variables} variables; left out")
+            });
+        }
+        known
+    });
+}
+
+/// Dependencies that make no sense become "depends on all", which is always right.
+fn resolve_dependencies(unknown: &mut Unknown, n_variables: usize, quirks: &mut Quirks) {
+    let Unknown { index, dependencies, kinds } = unknown;
+    let in_range = dependencies.iter().flatten().all(|&known| known < n_variables);
+    if !in_range {
+        *dependencies = None;
+        quirks.add(QuirkKind::Structure, 0, || {
+            format!("variable number {} depends on variables that do not exist; taken as dependent on all", *index + 1)
+        });
+    }
+    if !kinds.is_empty() && dependencies.as_ref().map(Vec::len) != Some(kinds.len()) {
+        if in_range {
+            quirks.add(QuirkKind::Structure, 0, || {
+                format!("variable number {} has {} kinds of dependencies, not one for each", *index + 1, kinds.len())
+            });
+        }
+        kinds.clear();
+    }
+}
+
+fn check_header(model: &ModelDescription, quirks: &mut Quirks) {
+    if model.model_exchange.is_none() && model.co_simulation.is_none() {
+        quirks.add(QuirkKind::Missing, 0, || "neither model exchange nor co-simulation is offered".to_owned());
+    }
+    let experiment = &model.default_experiment;
+    if let (Some(start), Some(stop)) = (experiment.start_time, experiment.stop_time)
+        && stop < start
+    {
+        quirks.add(QuirkKind::Range, 0, || format!("the default experiment ends at {stop}, before its start {start}"));
+    }
+}
+
+/// Units that variables use but nobody defines; each name is reported once.
+fn check_units(model: &ModelDescription, quirks: &mut Quirks) {
+    let units: HashMap<&str, &Unit> = model.units.iter().map(|unit| (unit.name.as_str(), unit)).collect();
+    if units.len() < model.units.len() {
+        quirks.add(QuirkKind::Duplicate, 0, || {
+            format!("{} units for {} names", model.units.len(), units.len())
+        });
+    }
+    let mut reported = HashSet::new();
+    for variable in &model.variables {
+        let Some(name) = variable.unit.as_deref() else { continue };
+        let Some(unit) = units.get(name) else {
+            if reported.insert((name, "")) {
+                quirks.add(QuirkKind::Undefined, variable.line, || format!("unit \"{name}\" is not defined"));
+            }
+            continue;
+        };
+        let Some(shown) = variable.display_unit.as_deref().filter(|shown| *shown != name) else { continue };
+        if !unit.display_units.iter().any(|known| known.name == shown) && reported.insert((name, shown)) {
+            quirks.add(QuirkKind::Undefined, variable.line, || {
+                format!("display unit \"{shown}\" of \"{name}\" is not defined")
+            });
+        }
+    }
+}
+
+/// Whether the derivatives say whose they are, and the outputs are the outputs.
+fn check_structure(model: &ModelDescription, quirks: &mut Quirks) {
+    let mut listed = HashSet::new();
+    let mut states = HashSet::new();
+    for unknown in &model.structure.derivatives {
+        let variable = &model.variables[unknown.index];
+        let mut complain = |what: &str| {
+            quirks.add(QuirkKind::Structure, variable.line, || format!("derivative \"{}\" {what}", variable.name));
+        };
+        if !listed.insert(unknown.index) {
+            complain("is listed twice in the model structure");
+        }
+        if variable.kind != VariableKind::Real {
+            complain("is not a Real variable");
+        }
+        match variable.derivative {
+            None => complain("does not say of which state it is the derivative"),
+            Some(state) if !states.insert(state) => complain("claims a state that another derivative has"),
+            Some(_) => {}
+        }
+    }
+    if model.fmi_version.major < 2 {
+        return;
+    }
+    let outputs: HashSet<usize> = model.structure.outputs.iter().map(|unknown| unknown.index).collect();
+    for (position, variable) in model.variables.iter().enumerate() {
+        let is_output = variable.causality == Causality::Output;
+        if is_output != outputs.contains(&position) {
+            quirks.add(QuirkKind::Structure, variable.line, || {
+                let not = if is_output { "not " } else { "" };
+                format!("{} \"{}\" is {not}listed as output in the model structure", variable.causality, variable.name)
+            });
+        }
+    }
+}
+
+fn check_range(variable: &Variable, quirks: &mut Quirks) {
+    let mut complain = |what: String| {
+        quirks.add(QuirkKind::Range, variable.line, || format!("\"{}\" has {what}", variable.name));
+    };
+    if let Some(nominal) = variable.nominal
+        && !(nominal > 0.0 && nominal.is_finite())
+    {
+        complain(format!("the nominal value {nominal}"));
+    }
+    let (min, max) = (variable.min.unwrap_or(f64::NEG_INFINITY), variable.max.unwrap_or(f64::INFINITY));
+    if min > max {
+        complain(format!("the minimum {min} above its maximum {max}"));
+        return;
+    }
+    let start = match variable.start {
+        Some(Value::Real(start)) => start,
+        Some(Value::Integer(start)) => f64::from(start),
+        _ => return,
+    };
+    if start < min || start > max || start.is_nan() {
+        complain(format!("the start value {start} outside of {min} to {max}"));
+    }
+}
+
+/// Combinations of causality, variability and initial that the tables of FMI 2.0 (2.2.7) allow.
+fn check_roles(variable: &Variable, quirks: &mut Quirks) {
+    use {Causality as C, Initial as I, Variability as V};
+    let pair_fits = match variable.causality {
+        C::Parameter | C::CalculatedParameter => matches!(variable.variability, V::Fixed | V::Tunable),
+        C::Input => matches!(variable.variability, V::Discrete | V::Continuous),
+        C::Output => !matches!(variable.variability, V::Fixed | V::Tunable),
+        C::Local => true,
+        C::Independent => variable.variability == V::Continuous,
+    };
+    let initial_fits = match (variable.causality, variable.variability) {
+        (C::Input | C::Independent, _) => variable.initial.is_none(),
+        (C::Parameter, _) | (_, V::Constant) => variable.initial == Some(I::Exact),
+        (C::CalculatedParameter, _) | (_, V::Fixed | V::Tunable) => variable.initial != Some(I::Exact),
+        _ => true,
+    };
+    if !pair_fits || (!initial_fits && variable.initial.is_some()) {
+        quirks.add(QuirkKind::Combination, variable.line, || {
+            let initial = variable.initial.map(|initial| format!(", initial {initial}")).unwrap_or_default();
+            format!("\"{}\" is {}, {}{initial}", variable.name, variable.causality, variable.variability)
+        });
+    }
+}
+
+/// Start values that must be there and are not, or the other way round.
+fn check_start(variable: &Variable, quirks: &mut Quirks) {
+    let needed = variable.causality == Causality::Input
+        || matches!(variable.initial, Some(Initial::Exact | Initial::Approx));
+    if needed != variable.start.is_some() {
+        quirks.add(QuirkKind::Start, variable.line, || {
+            let what = if needed { "has no start value" } else { "has a start value without use" };
+            format!("\"{}\" {what}", variable.name)
+        });
+    }
+}
+
+fn index_names(variables: &[Variable], quirks: &mut Quirks) -> NameIndex {
+    NameIndex::build(variables, |duplicate, first| {
+        let (duplicate, first) = (&variables[duplicate], &variables[first]);
+        quirks.add(QuirkKind::Duplicate, duplicate.line, || {
+            format!("the name \"{}\" is that of the variable in line {} too", duplicate.name, first.line)
+        });
+    })
+}

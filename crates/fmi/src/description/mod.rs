@@ -1,0 +1,18 @@
+//! The model description: what `modelDescription.xml` says, in house types that do not depend on the FMI version.
+
+mod checks;
+mod model;
+mod names;
+mod parse;
+mod quirks;
+mod unit;
+mod variable;
+
+pub use model::{
+    Capabilities, DefaultExperiment, DependencyKind, FmiVersion, Interface, LogCategory, ModelDescription,
+    ModelStructure, Quirk, QuirkKind, Unknown,
+};
+pub use unit::{BaseUnit, DisplayUnit, Unit};
+pub use variable::{Causality, EnumerationItem, Initial, TypeDefinition, Value, Variability, Variable, VariableKind};
+
+pub(crate) use parse::{BUILD_DESCRIPTION, BuildSet, build_sets};

@@ -1,0 +1,333 @@
+//! The model description as a whole: header, interfaces, structure, quirks, lookup by name.
+
+use super::names::NameIndex;
+use super::{checks, names, parse};
+use crate::error::FmiError;
+use super::unit::Unit;
+use super::variable::{TypeDefinition, Variable};
+use crate::archive::MODEL_DESCRIPTION;
+use std::fmt;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// What `modelDescription.xml` says about a model.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ModelDescription {
+    /// Version of the FMI standard.
+    pub fmi_version: FmiVersion,
+    /// Name of the model.
+    pub model_name: String,
+    /// Key shared by the description and the binary, exactly as in the file
+    /// (`guid` in FMI 1.0 and 2.0, `instantiationToken` in 3.0).
+    pub guid: String,
+    /// What the model is.
+    pub description: Option<String>,
+    /// Who made it.
+    pub author: Option<String>,
+    /// Version of the model.
+    pub version: Option<String>,
+    /// Copyright notice.
+    pub copyright: Option<String>,
+    /// Licence.
+    pub license: Option<String>,
+    /// Tool that made the file.
+    pub generation_tool: Option<String>,
+    /// When it was made.
+    pub generation_date_and_time: Option<String>,
+    /// `flat` or `structured`.
+    pub variable_naming_convention: Option<String>,
+    /// Model exchange, if offered.
+    pub model_exchange: Option<Interface>,
+    /// Co-simulation, if offered.
+    pub co_simulation: Option<Interface>,
+    /// Units.
+    pub units: Vec<Unit>,
+    /// Types.
+    pub type_definitions: Vec<TypeDefinition>,
+    /// Categories of log messages.
+    pub log_categories: Vec<LogCategory>,
+    /// Suggested span, tolerance and step.
+    pub default_experiment: DefaultExperiment,
+    /// Variables in the order of the file. After a change call [`ModelDescription::rebuild_index`].
+    pub variables: Vec<Variable>,
+    /// Outputs, derivatives, initial unknowns.
+    pub structure: ModelStructure,
+    /// Number of event indicators.
+    pub n_event_indicators: usize,
+    /// Number of continuous states where the file gives a number and no list of derivatives (FMI 1.0).
+    pub declared_states: Option<usize>,
+    /// Where the file departs from the standard.
+    pub quirks: Vec<Quirk>,
+    pub(super) names: NameIndex,
+}
+
+impl ModelDescription {
+    /// A description with nothing in it.
+    pub(super) fn empty(fmi_version: FmiVersion) -> Self {
+        ModelDescription {
+            fmi_version,
+            model_name: String::new(),
+            guid: String::new(),
+            description: None,
+            author: None,
+            version: None,
+            copyright: None,
+            license: None,
+            generation_tool: None,
+            generation_date_and_time: None,
+            variable_naming_convention: None,
+            model_exchange: None,
+            co_simulation: None,
+            units: Vec::new(),
+            type_definitions: Vec::new(),
+            log_categories: Vec::new(),
+            default_experiment: DefaultExperiment::default(),
+            variables: Vec::new(),
+            structure: ModelStructure::default(),
+            n_event_indicators: 0,
+            declared_states: None,
+            quirks: Vec::new(),
+            names: NameIndex::default(),
+        }
+    }
+
+    /// Parses the bytes of a `modelDescription.xml` of any version.
+    ///
+    /// Lenient: what the standard does not know is ignored, and where a file departs from it in a way that can be
+    /// worked with, the departure is listed in [`quirks`](Self::quirks).
+    ///
+    /// Errors: [`FmiError::Description`] with a line for what is no model description, is dangerous (document type
+    /// definitions, bottomless nesting, model identifiers with path separators) or cannot be worked with;
+    /// [`FmiError::UnknownVersion`] for versions other than 1, 2 and 3.
+    pub fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
+        parse::parse(bytes)
+    }
+
+    /// Reads and parses `modelDescription.xml` in the folder `root` (also an [`Archive`](crate::Archive)).
+    pub fn read(root: impl AsRef<Path>) -> Result<ModelDescription, FmiError> {
+        let path = root.as_ref().join(MODEL_DESCRIPTION);
+        let file = File::open(&path).map_err(FmiError::io("open", &path))?;
+        let mut bytes = Vec::new();
+        file.take(parse::LARGEST_DOCUMENT + 1).read_to_end(&mut bytes).map_err(FmiError::io("read", &path))?;
+        ModelDescription::parse(&bytes)
+    }
+
+    /// Refuses a description that departs from the standard anywhere ([`FmiError::NotConforming`]).
+    pub fn require_conforming(&self) -> Result<(), FmiError> {
+        checks::require_conforming(&self.quirks)
+    }
+
+    /// Number of continuous states: the length of the list of derivatives in the model structure, where there is one.
+    pub fn n_states(&self) -> usize {
+        self.declared_states.unwrap_or(self.structure.derivatives.len())
+    }
+
+    /// The variable of this name; constant time.
+    pub fn variable(&self, name: &str) -> Option<&Variable> {
+        self.variable_index(name).map(|index| &self.variables[index])
+    }
+
+    /// Position in [`variables`](Self::variables) of the variable of this name; constant time.
+    pub fn variable_index(&self, name: &str) -> Option<usize> {
+        self.names.find(name, &self.variables)
+    }
+
+    /// At most `n` names of variables that `name` may have been meant for, the most similar first.
+    pub fn nearest_names(&self, name: &str, n: usize) -> Vec<&str> {
+        names::nearest(name, self.variables.iter().map(|variable| variable.name.as_str()), n)
+    }
+
+    /// Makes lookups by name see changes of [`variables`](Self::variables).
+    pub fn rebuild_index(&mut self) {
+        self.names = NameIndex::build(&self.variables, |_, _| {});
+    }
+}
+
+/// Version of the FMI standard a file follows.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FmiVersion {
+    /// 1, 2 or 3.
+    pub major: u32,
+    /// 0 so far.
+    pub minor: u32,
+    /// As written in the file: "2.0", "3.0.1".
+    pub text: String,
+}
+
+impl fmt::Display for FmiVersion {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+/// One way of running the model: model exchange or co-simulation.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Interface {
+    /// Base name of the binary (and prefix of FMI 1.0's functions); never holds a path separator.
+    pub model_identifier: String,
+    /// What it can do.
+    pub capabilities: Capabilities,
+    /// Files in `sources/` to compile, relative to it. For FMI 3.0, see `sources/buildDescription.xml` instead.
+    pub source_files: Vec<String>,
+}
+
+/// What an interface can do; false and 0 unless the file says more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct Capabilities {
+    /// Runs only with the tool that made it installed.
+    pub needs_execution_tool: bool,
+    /// Completed steps need not be announced (model exchange).
+    pub completed_integrator_step_not_needed: bool,
+    /// One instance per process only.
+    pub can_be_instantiated_only_once_per_process: bool,
+    /// Does not use the memory callbacks.
+    pub can_not_use_memory_management_functions: bool,
+    /// State can be saved and restored.
+    pub can_get_and_set_state: bool,
+    /// Saved state can be turned into bytes.
+    pub can_serialize_state: bool,
+    /// Directional derivatives.
+    pub provides_directional_derivative: bool,
+    /// Adjoint derivatives (FMI 3.0).
+    pub provides_adjoint_derivative: bool,
+    /// Communication steps may vary (co-simulation).
+    pub can_handle_variable_communication_step_size: bool,
+    /// Inputs are extrapolated from their derivatives (co-simulation).
+    pub can_interpolate_inputs: bool,
+    /// Steps may return before they are done (co-simulation).
+    pub can_run_asynchronuously: bool,
+    /// Highest derivative of outputs (co-simulation).
+    pub max_output_derivative_order: u32,
+    /// The model has an event mode in co-simulation (FMI 3.0).
+    pub has_event_mode: bool,
+}
+
+/// A category of log messages.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogCategory {
+    /// Name.
+    pub name: String,
+    /// What it is about.
+    pub description: Option<String>,
+}
+
+/// Suggested settings of a simulation; the unit of time is the second.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct DefaultExperiment {
+    /// Start time.
+    pub start_time: Option<f64>,
+    /// Final time.
+    pub stop_time: Option<f64>,
+    /// Relative tolerance.
+    pub tolerance: Option<f64>,
+    /// Step size.
+    pub step_size: Option<f64>,
+}
+
+/// Which variables are outputs, derivatives and initial unknowns, and what they depend on.
+/// All indices are in range of the variables.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ModelStructure {
+    /// Outputs.
+    pub outputs: Vec<Unknown>,
+    /// Derivatives of the continuous states; their order is the order of the state vector.
+    pub derivatives: Vec<Unknown>,
+    /// Unknowns of the initialization.
+    pub initial_unknowns: Vec<Unknown>,
+}
+
+/// A variable computed by the model.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unknown {
+    /// Index of the variable, counted from 0.
+    pub index: usize,
+    /// Indices of the variables it depends on; `None`: on all (nothing known), empty: on none.
+    pub dependencies: Option<Vec<usize>>,
+    /// How it depends on each of them; empty where the file does not say.
+    pub kinds: Vec<DependencyKind>,
+}
+
+/// How an unknown depends on a known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum DependencyKind {
+    /// No particular structure.
+    Dependent,
+    /// Linear with a constant factor.
+    Constant,
+    /// Linear, with a factor fixed after initialization.
+    Fixed,
+    /// Linear, with a factor that changes with tunable parameters.
+    Tunable,
+    /// Linear, with a factor that changes at events.
+    Discrete,
+}
+
+/// A departure from the standard that was tolerated.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Quirk {
+    /// Its class.
+    pub kind: QuirkKind,
+    /// What was found and what was made of it.
+    pub message: String,
+    /// Line in the file, counted from 1 (0: the file as a whole).
+    pub line: u32,
+}
+
+/// Classes of departures from the standard.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum QuirkKind {
+    /// The text is not in the encoding it declares.
+    Encoding,
+    /// A value of an attribute that is not understood; the default was taken.
+    Attribute,
+    /// A mandatory attribute or element is missing.
+    Missing,
+    /// An element that is not allowed where it stands, or more often than allowed.
+    Element,
+    /// A name or value that must be unique is not.
+    Duplicate,
+    /// A unit, type or variable that is referred to is not defined.
+    Undefined,
+    /// Causality, variability and initial do not go together.
+    Combination,
+    /// A start value is missing, superfluous or out of range.
+    Start,
+    /// A nominal that is zero, negative or not finite; min above max.
+    Range,
+    /// The model structure is not consistent.
+    Structure,
+    /// Something this version of the importer does not represent was left out.
+    Unsupported,
+}
+
+impl fmt::Display for QuirkKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            QuirkKind::Encoding => "encoding",
+            QuirkKind::Attribute => "attribute",
+            QuirkKind::Missing => "missing",
+            QuirkKind::Element => "element",
+            QuirkKind::Duplicate => "duplicate",
+            QuirkKind::Undefined => "undefined",
+            QuirkKind::Combination => "combination",
+            QuirkKind::Start => "start",
+            QuirkKind::Range => "range",
+            QuirkKind::Structure => "structure",
+            QuirkKind::Unsupported => "unsupported",
+        })
+    }
+}
+
+impl fmt::Display for Quirk {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.line {
+            0 => f.write_str(&self.message),
+            line => write!(f, "line {line}: {}", self.message),
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! Lookup of variables by name: a hashed index, and suggestions for names that do not exist.
+
+use super::variable::Variable;
+use std::hash::{BuildHasher, RandomState};
+
+/// Open-addressing table of positions in the list of variables; the names stay in the variables.
+/// Hashes are keyed at random, so that a file cannot be made to collide.
+#[derive(Clone, Default)]
+pub(super) struct NameIndex {
+    /// Position + 1, 0 = empty; a power of two long, at most half full.
+    slots: Vec<u32>,
+    hasher: RandomState,
+}
+
+impl NameIndex {
+    /// Indexes the variables; of several with one name the first is found, and `duplicate` hears of the others
+    /// (position of the duplicate, position of the first).
+    pub(super) fn build(variables: &[Variable], mut duplicate: impl FnMut(usize, usize)) -> Self {
+        let n_slots = (2 * variables.len() + 1).next_power_of_two();
+        let mut index = NameIndex { slots: vec![0; n_slots], hasher: RandomState::new() };
+        for (position, variable) in variables.iter().enumerate() {
+            match index.probe(&variable.name, variables) {
+                (_, Some(first)) => duplicate(position, first),
+                (slot, None) => index.slots[slot] = position as u32 + 1,
+            }
+        }
+        index
+    }
+
+    /// Position of the variable of this name.
+    pub(super) fn find(&self, name: &str, variables: &[Variable]) -> Option<usize> {
+        if self.slots.is_empty() { None } else { self.probe(name, variables).1 }
+    }
+
+    /// The slot where the search for `name` ends, and the position it holds if that is the name.
+    fn probe(&self, name: &str, variables: &[Variable]) -> (usize, Option<usize>) {
+        let mask = self.slots.len() - 1;
+        let mut slot = self.hasher.hash_one(name) as usize & mask;
+        loop {
+            let entry = self.slots[slot];
+            if entry == 0 {
+                return (slot, None);
+            }
+            let position = entry as usize - 1;
+            if variables.get(position).is_some_and(|variable| variable.name == name) {
+                return (slot, Some(position));
+            }
+            slot = (slot + 1) & mask;
+        }
+    }
+}
+
+/// The index is made of the variables, so it takes no part in comparisons.
+impl PartialEq for NameIndex {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl std::fmt::Debug for NameIndex {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "NameIndex({} slots)", self.slots.len())
+    }
+}
+
+/// Longest name for which similar ones are looked for.
+const LONGEST_WANTED: usize = 100;
+
+/// At most `n` of the names that resemble `wanted`, the most similar first, in the order of the file where they
+/// are equally similar.
+pub(super) fn nearest<'a>(wanted: &str, names: impl Iterator<Item = &'a str>, n: usize) -> Vec<&'a str> {
+    let mut search = Search::new(wanted);
+    let mut best: Vec<(usize, &str)> = Vec::with_capacity(n + 1);
+    for name in names {
+        let Some(distance) = search.distance(name) else { continue };
+        let place = best.partition_point(|(other, _)| *other <= distance);
+        if place < n {
+            best.insert(place, (distance, name));
+            best.truncate(n);
+        }
+    }
+    best.into_iter().map(|(_, name)| name).collect()
+}
+
+/// Bounded search for names near one name, ignoring case; memory is reused from name to name.
+struct Search {
+    wanted: Vec<char>,
+    /// Largest distance that counts as similar: a third of the length.
+    limit: usize,
+    name: Vec<char>,
+    rows: [Vec<usize>; 3],
+}
+
+impl Search {
+    fn new(wanted: &str) -> Self {
+        let wanted: Vec<char> = wanted.chars().take(LONGEST_WANTED).flat_map(char::to_lowercase).collect();
+        let limit = 1 + wanted.len() / 3;
+        Search { wanted, limit, name: Vec::new(), rows: Default::default() }
+    }
+
+    /// How far a name is away, if not too far. The last part of a name, `phi` of `joint.phi`, may stand for it.
+    fn distance(&mut self, name: &str) -> Option<usize> {
+        if name.len() > 16 * LONGEST_WANTED {
+            return None;
+        }
+        self.name.clear();
+        self.name.extend(name.chars().flat_map(char::to_lowercase));
+        let longer = self.name.len().checked_sub(self.wanted.len() + 1);
+        if !self.wanted.is_empty()
+            && longer.is_some_and(|at| self.name[at] == '.' && self.name[at + 1..] == self.wanted[..])
+        {
+            return Some(1);
+        }
+        if self.name.len().abs_diff(self.wanted.len()) > self.limit {
+            return None;
+        }
+        self.edits()
+    }
+
+    /// Insertions, deletions, replacements and swaps of neighbours between the two names (optimal string alignment),
+    /// if at most `limit`.
+    fn edits(&mut self) -> Option<usize> {
+        let (a, b) = (&self.wanted, &self.name);
+        let [before, last, row] = &mut self.rows;
+        last.clear();
+        last.extend(0..=b.len());
+        before.clone_from(last);
+        row.clone_from(last);
+        for i in 1..=a.len() {
+            row[0] = i;
+            let mut smallest = i;
+            for j in 1..=b.len() {
+                let mut edits = (last[j] + 1).min(row[j - 1] + 1).min(last[j - 1] + usize::from(a[i - 1] != b[j - 1]));
+                if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
+                    edits = edits.min(before[j - 2] + 1);
+                }
+                row[j] = edits;
+                smallest = smallest.min(edits);
+            }
+            if smallest > self.limit {
+                return None;
+            }
+            std::mem::swap(before, last);
+            std::mem::swap(last, row);
+        }
+        Some(last[b.len()]).filter(|&edits| edits <= self.limit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn near<'a>(wanted: &str, names: &[&'a str]) -> Vec<&'a str> {
+        nearest(wanted, names.iter().copied(), 3)
+    }
+
+    #[test]
+    fn typing_errors_are_forgiven() {
+        let names = ["armJoint.phi", "armJoint.w", "pendulumJoint.phi", "armFriction", "time"];
+        assert_eq!(near("armFrction", &names), ["armFriction"]);
+        assert_eq!(near("armFritcion", &names), ["armFriction"]);
+        assert_eq!(near("ARMFRICTION", &names), ["armFriction"]);
+        assert_eq!(near("armJoint.phj", &names), ["armJoint.phi", "armJoint.w"]);
+        assert_eq!(near("phi", &names), ["armJoint.phi", "pendulumJoint.phi"]);
+        assert!(near("voltage", &names).is_empty());
+    }
+
+    #[test]
+    fn the_closest_come_first_and_no_more_than_asked() {
+        assert_eq!(near("abcd", &["abxx", "abcx", "abcd1", "zbcd", "abcd"]), ["abcd", "abcx", "abcd1"]);
+        assert!(nearest("a", ["a"].into_iter(), 0).is_empty());
+    }
+
+    #[test]
+    fn odd_names_do_no_harm() {
+        let long = "x".repeat(100_000);
+        assert!(near(&long, &["x", ""]).is_empty());
+        assert!(near("", &["time", &long]).is_empty());
+        assert_eq!(near("\u{e4}", &["\u{c4}"]), ["\u{c4}"]);
+    }
+
+    #[test]
+    fn a_swap_is_one_edit() {
+        let mut search = Search::new("abcdefghi");
+        assert_eq!(search.distance("abdcefghi"), Some(1));
+        assert_eq!(search.distance("abcdefghi"), Some(0));
+        assert_eq!(search.distance("bcdefgh"), Some(2));
+    }
+}

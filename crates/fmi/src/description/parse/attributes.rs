@@ -1,0 +1,186 @@
+//! Attributes as typed values: what cannot be understood becomes a quirk and counts as absent.
+
+use super::xml::Element;
+use crate::description::model::QuirkKind;
+use crate::description::quirks::Quirks;
+use crate::error::FmiError;
+use std::borrow::Cow;
+
+/// The attributes of one element.
+pub(super) struct Attributes<'e> {
+    file: &'static str,
+    element: &'e str,
+    pub(super) line: u32,
+    pairs: Vec<(&'e str, Cow<'e, str>)>,
+}
+
+impl<'e> Attributes<'e> {
+    pub(super) fn of(element: &'e Element<'_>) -> Result<Self, FmiError> {
+        Ok(Attributes { file: element.file, element: element.name(), line: element.line, pairs: element.attributes()? })
+    }
+
+    /// The value as it stands.
+    pub(super) fn get(&self, name: &str) -> Option<&str> {
+        self.pairs.iter().find(|(key, _)| *key == name).map(|(_, value)| value.as_ref())
+    }
+
+    /// The value as an owned text.
+    pub(super) fn text(&self, name: &str) -> Option<String> {
+        self.get(name).map(str::to_owned)
+    }
+
+    /// The value as an owned text; a quirk and empty where it is missing.
+    pub(super) fn expected(&self, name: &str, quirks: &mut Quirks) -> String {
+        self.text(name).unwrap_or_else(|| {
+            quirks.add(QuirkKind::Missing, self.line, || format!("<{}> has no {name}", self.element));
+            String::new()
+        })
+    }
+
+    /// The value without which the element means nothing.
+    pub(super) fn required(&self, name: &str) -> Result<&str, FmiError> {
+        self.get(name).ok_or_else(|| self.error(format!("no {name}")))
+    }
+
+    pub(super) fn error(&self, message: String) -> FmiError {
+        FmiError::Description {
+            file: self.file,
+            line: self.line,
+            message: format!("<{}>: {message}", self.element),
+        }
+    }
+
+    /// The value as `parse` understands it.
+    fn parsed<T>(
+        &self,
+        name: &str,
+        what: &str,
+        quirks: &mut Quirks,
+        parse: impl FnOnce(&str) -> Option<T>,
+    ) -> Option<T> {
+        let value = self.get(name)?;
+        let parsed = parse(value.trim());
+        if parsed.is_none() {
+            quirks.add(QuirkKind::Attribute, self.line, || {
+                format!("<{}>: {name}=\"{}\" is not {what}; ignored", self.element, shortened(value))
+            });
+        }
+        parsed
+    }
+
+    pub(super) fn real(&self, name: &str, quirks: &mut Quirks) -> Option<f64> {
+        self.parsed(name, "a number", quirks, parse_real)
+    }
+
+    pub(super) fn integer(&self, name: &str, quirks: &mut Quirks) -> Option<i32> {
+        self.parsed(name, "an integer", quirks, parse_integer)
+    }
+
+    pub(super) fn count(&self, name: &str, quirks: &mut Quirks) -> Option<u32> {
+        self.parsed(name, "a count", quirks, |text| text.parse().ok())
+    }
+
+    pub(super) fn boolean(&self, name: &str, quirks: &mut Quirks) -> Option<bool> {
+        self.parsed(name, "true or false", quirks, parse_boolean)
+    }
+
+    /// A capability or property: false where it is not mentioned.
+    pub(super) fn flag(&self, name: &str, quirks: &mut Quirks) -> bool {
+        self.boolean(name, quirks).unwrap_or(false)
+    }
+
+    /// One of a few words.
+    pub(super) fn choice<T: Copy>(&self, name: &str, words: &[(&str, T)], quirks: &mut Quirks) -> Option<T> {
+        self.parsed(name, "a word the standard knows", quirks, |text| {
+            words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning)
+        })
+    }
+
+    /// A list of counts separated by white space.
+    pub(super) fn counts(&self, name: &str, quirks: &mut Quirks) -> Option<Vec<u32>> {
+        self.parsed(name, "a list of counts", quirks, |text| {
+            text.split_ascii_whitespace().map(|word| word.parse().ok()).collect()
+        })
+    }
+
+    /// A list of words, each one of a few.
+    pub(super) fn choices<T: Copy>(
+        &self,
+        name: &str,
+        words: &[(&str, T)],
+        quirks: &mut Quirks,
+    ) -> Option<Vec<T>> {
+        self.parsed(name, "a list of words the standard knows", quirks, |text| {
+            let meaning = |text| words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning);
+            text.split_ascii_whitespace().map(meaning).collect()
+        })
+    }
+
+    /// The value reference of a variable.
+    pub(super) fn value_reference(&self) -> Result<u32, FmiError> {
+        let text = self.required("valueReference")?.trim();
+        text.parse().map_err(|_| self.error(format!("valueReference=\"{}\" is not one", shortened(text))))
+    }
+}
+
+/// A number as XML Schema writes it, whatever the user's language: "1e3", "-.5", "INF", "NaN".
+pub(super) fn parse_real(text: &str) -> Option<f64> {
+    text.parse().ok()
+}
+
+/// An integer, also as "3.0": some tools write all numbers alike.
+pub(super) fn parse_integer(text: &str) -> Option<i32> {
+    text.parse().ok().or_else(|| {
+        let value: f64 = text.parse().ok()?;
+        let integer = value as i32;
+        (f64::from(integer) == value).then_some(integer)
+    })
+}
+
+pub(super) fn parse_boolean(text: &str) -> Option<bool> {
+    match text {
+        "true" | "1" | "True" | "TRUE" => Some(true),
+        "false" | "0" | "False" | "FALSE" => Some(false),
+        _ => None,
+    }
+}
+
+/// Long values are cut in messages.
+pub(super) fn shortened(text: &str) -> String {
+    match text.char_indices().nth(60) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_read_as_xml_schema_writes_them() {
+        for (text, value) in [("1e3", 1000.0), ("-.5", -0.5), ("+1.", 1.0), ("INF", f64::INFINITY), ("-INF", f64::NEG_INFINITY)] {
+            assert_eq!(parse_real(text), Some(value), "{text}");
+        }
+        assert!(parse_real("NaN").unwrap().is_nan());
+        for text in ["", "1,5", "1d3", "0x10", "1 2", "one"] {
+            assert_eq!(parse_real(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn integers_and_booleans_are_read_as_tools_write_them() {
+        for (text, value) in [("3", Some(3)), ("-3", Some(-3)), ("+3", Some(3)), ("3.0", Some(3)), ("3.5", None), ("3000000000", None), ("NaN", None)] {
+            assert_eq!(parse_integer(text), value, "{text}");
+        }
+        assert_eq!(parse_boolean("1"), Some(true));
+        assert_eq!(parse_boolean("False"), Some(false));
+        assert_eq!(parse_boolean("yes"), None);
+    }
+
+    #[test]
+    fn long_values_are_cut_between_characters() {
+        assert_eq!(shortened("abc"), "abc");
+        assert_eq!(shortened(&"\u{e4}".repeat(100)), format!("{}...", "\u{e4}".repeat(60)));
+    }
+}

@@ -1,0 +1,120 @@
+//! From bytes to text: by byte order mark, by the declared encoding, and where that does not fit, with
+//! replacement characters rather than not at all.
+
+use crate::description::model::QuirkKind;
+use crate::description::quirks::Quirks;
+use encoding_rs::{Encoding, UTF_8, UTF_16BE, UTF_16LE};
+use std::borrow::Cow;
+
+/// How far the XML declaration is looked for.
+const DECLARATION_BYTES: usize = 256;
+
+/// Decodes a document.
+pub(super) fn decode<'b>(bytes: &'b [u8], quirks: &mut Quirks) -> Cow<'b, str> {
+    let (encoding, body) = match Encoding::for_bom(bytes) {
+        Some((encoding, length)) => (encoding, &bytes[length..]),
+        None => (without_mark(bytes, quirks), bytes),
+    };
+    let (text, damaged) = encoding.decode_without_bom_handling(body);
+    if damaged {
+        let line = match encoding == UTF_8 {
+            true => first_bad_line(body),
+            false => 0,
+        };
+        quirks.add(QuirkKind::Encoding, line, || {
+            format!("bytes that are not {}; replaced by U+FFFD", encoding.name())
+        });
+    }
+    text
+}
+
+/// The encoding of a document without byte order mark.
+fn without_mark(bytes: &[u8], quirks: &mut Quirks) -> &'static Encoding {
+    match bytes {
+        [b'<', 0, ..] => return UTF_16LE,
+        [0, b'<', ..] => return UTF_16BE,
+        _ => {}
+    }
+    let Some(label) = declared(bytes) else { return UTF_8 };
+    match Encoding::for_label(label) {
+        // The declaration was legible byte by byte, so the document cannot be in a two-byte encoding.
+        Some(encoding) if encoding != UTF_16LE && encoding != UTF_16BE => encoding,
+        _ => {
+            quirks.add(QuirkKind::Encoding, 1, || {
+                format!("encoding \"{}\" cannot be right; read as UTF-8", String::from_utf8_lossy(label))
+            });
+            UTF_8
+        }
+    }
+}
+
+/// The label in `encoding="..."` of the XML declaration.
+fn declared(bytes: &[u8]) -> Option<&[u8]> {
+    let start = &bytes[..bytes.len().min(DECLARATION_BYTES)];
+    let start = start.trim_ascii_start().strip_prefix(b"<?xml")?;
+    let end = start.windows(2).position(|pair| pair == b"?>")?;
+    let declaration = &start[..end];
+    let at = declaration.windows(8).position(|word| word == b"encoding")?;
+    let value = declaration[at + 8..].trim_ascii_start().strip_prefix(b"=")?.trim_ascii_start();
+    let (&quote, value) = value.split_first()?;
+    let length = value.iter().position(|&byte| byte == quote)?;
+    (quote == b'"' || quote == b'\'').then_some(&value[..length])
+}
+
+fn first_bad_line(bytes: &[u8]) -> u32 {
+    let valid = match std::str::from_utf8(bytes) {
+        Ok(_) => return 0,
+        Err(error) => error.valid_up_to(),
+    };
+    1 + bytes[..valid].iter().filter(|&&byte| byte == b'\n').count() as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn decoded(bytes: &[u8]) -> (String, Vec<String>) {
+        let mut quirks = Quirks::default();
+        let text = decode(bytes, &mut quirks).into_owned();
+        (text, quirks.into_list().iter().map(ToString::to_string).collect())
+    }
+
+    #[test]
+    fn the_declaration_or_the_mark_decides() {
+        let latin = b"<?xml version=\"1.0\" encoding=\"ISO-8859-1\"?><a b=\"\xb0C\"/>";
+        assert!(decoded(latin).0.ends_with("\u{b0}C\"/>"));
+        let single = b"<?xml version='1.0' encoding = 'windows-1252' ?><a b='\x80'/>";
+        assert!(decoded(single).0.ends_with("'\u{20ac}'/>"));
+        let utf16: Vec<u8> = "\u{feff}<a/>".encode_utf16().flat_map(u16::to_le_bytes).collect();
+        assert_eq!(decoded(&utf16), ("<a/>".to_owned(), vec![]));
+        let unmarked: Vec<u8> = "<\u{e4}/>".encode_utf16().flat_map(u16::to_be_bytes).collect();
+        assert_eq!(decoded(&unmarked), ("<\u{e4}/>".to_owned(), vec![]));
+        assert_eq!(decoded(b"\xef\xbb\xbf<a/>"), ("<a/>".to_owned(), vec![]));
+    }
+
+    #[test]
+    fn utf8_is_not_copied() {
+        let mut quirks = Quirks::default();
+        assert!(matches!(decode("<\u{e4}/>".as_bytes(), &mut quirks), Cow::Borrowed(_)));
+    }
+
+    #[test]
+    fn bad_bytes_are_replaced_and_reported_with_their_line() {
+        let (text, quirks) = decoded(b"<a>\n\n\xff</a>");
+        assert_eq!(text, "<a>\n\n\u{fffd}</a>");
+        assert_eq!(quirks, ["line 3: bytes that are not UTF-8; replaced by U+FFFD"]);
+    }
+
+    #[test]
+    fn impossible_declarations_are_reported() {
+        for label in ["klingon", "UTF-16"] {
+            let text = format!("<?xml version=\"1.0\" encoding=\"{label}\"?><a/>");
+            let (decoded, quirks) = decoded(text.as_bytes());
+            assert_eq!(decoded, text);
+            assert!(quirks[0].contains(label), "{quirks:?}");
+        }
+        assert_eq!(declared(b"<?xml encoding"), None);
+        assert_eq!(declared(b"<?xml encoding=?>"), None);
+        assert_eq!(declared(b"<?xml encoding=\"a?>"), None);
+    }
+}

@@ -1,0 +1,189 @@
+//! Model descriptions of FMI 1.0, as far as the house types go: header, units, variables, experiment. Which
+//! variables are states stands in no file of FMI 1.0, so the model structure stays empty.
+
+use super::attributes::Attributes;
+use super::xml::{Element, Xml};
+use super::{Draft, Flags, shared};
+use crate::description::model::{Capabilities, Interface, QuirkKind};
+use crate::description::unit::{DisplayUnit, Unit};
+use crate::description::variable::{Causality, Initial, Value, Variability, Variable, VariableKind};
+use crate::error::FmiError;
+
+pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
+    let attributes = Attributes::of(root)?;
+    shared::header(&attributes, "guid", draft)?;
+    draft.model.declared_states = shared::array_length(&attributes, "numberOfContinuousStates", draft)?;
+    let mut interface =
+        Interface { model_identifier: shared::model_identifier(&attributes)?, ..Interface::default() };
+    let mut is_co_simulation = false;
+    while let Some(element) = xml.child(root.level)? {
+        match element.name() {
+            "UnitDefinitions" => units(xml, &element, draft)?,
+            "TypeDefinitions" => type_definitions(xml, &element, draft)?,
+            "DefaultExperiment" => shared::default_experiment(&element, draft)?,
+            "ModelVariables" => variables(xml, &element, draft)?,
+            "Implementation" => {
+                is_co_simulation = true;
+                interface.capabilities = implementation(xml, &element, draft)?;
+            }
+            _ => {}
+        }
+    }
+    let model = &mut draft.model;
+    *(if is_co_simulation { &mut model.co_simulation } else { &mut model.model_exchange }) = Some(interface);
+    Ok(())
+}
+
+/// `<CoSimulation_StandAlone>` or `<CoSimulation_Tool>` with the `<Capabilities>` inside.
+fn implementation(
+    xml: &mut Xml<'_>,
+    parent: &Element<'_>,
+    draft: &mut Draft,
+) -> Result<Capabilities, FmiError> {
+    let mut capabilities = Capabilities::default();
+    while let Some(element) = xml.child(parent.level)? {
+        let needs_tool = element.name() == "CoSimulation_Tool";
+        while let Some(child) = xml.child(element.level)? {
+            if child.name() == "Capabilities" {
+                capabilities = shared::capabilities(&Attributes::of(&child)?, draft);
+            }
+        }
+        capabilities.needs_execution_tool = needs_tool;
+    }
+    Ok(capabilities)
+}
+
+/// `<BaseUnit unit="rad/s"><DisplayUnitDefinition displayUnit="rpm" gain="9.55"/></BaseUnit>`
+fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
+    while let Some(element) = xml.child(parent.level)? {
+        if element.name() != "BaseUnit" {
+            continue;
+        }
+        let name = Attributes::of(&element)?.required("unit")?.to_owned();
+        let mut display_units = Vec::new();
+        while let Some(child) = xml.child(element.level)? {
+            let attributes = Attributes::of(&child)?;
+            if child.name() == "DisplayUnitDefinition" {
+                display_units.push(DisplayUnit {
+                    name: attributes.required("displayUnit")?.to_owned(),
+                    factor: attributes.real("gain", &mut draft.quirks).unwrap_or(1.0),
+                    offset: attributes.real("offset", &mut draft.quirks).unwrap_or(0.0),
+                    inverse: false,
+                });
+            }
+        }
+        draft.model.units.push(Unit { name, base: None, display_units });
+    }
+    Ok(())
+}
+
+fn kind(element: &str) -> Option<VariableKind> {
+    match element {
+        "Real" | "RealType" => Some(VariableKind::Real),
+        "Integer" | "IntegerType" => Some(VariableKind::Integer),
+        "Boolean" | "BooleanType" => Some(VariableKind::Boolean),
+        "String" | "StringType" => Some(VariableKind::String),
+        "Enumeration" | "EnumerationType" => Some(VariableKind::Enumeration),
+        _ => None,
+    }
+}
+
+fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
+    while let Some(element) = xml.child(parent.level)? {
+        let outer = Attributes::of(&element)?;
+        while let Some(child) = xml.child(element.level)? {
+            let Some(kind) = kind(child.name()) else { continue };
+            let name = outer.required("name")?.to_owned();
+            let mut found = shared::plain_type(name, outer.text("description"), kind);
+            shared::type_attributes(&Attributes::of(&child)?, &mut found, draft);
+            if kind == VariableKind::Enumeration {
+                found.items = shared::items(xml, &child, draft)?;
+            }
+            draft.model.type_definitions.push(found);
+        }
+    }
+    Ok(())
+}
+
+fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
+    while let Some(element) = xml.child(parent.level)? {
+        if element.name() != "ScalarVariable" {
+            continue;
+        }
+        let attributes = Attributes::of(&element)?;
+        let mut typed = None;
+        while let Some(child) = xml.child(element.level)? {
+            if let Some(kind) = kind(child.name()) {
+                let mut variable = shared::plain_variable(&attributes, kind)?;
+                let fixed = values(&Attributes::of(&child)?, &mut variable, draft);
+                typed = Some((variable, fixed));
+            }
+        }
+        let Some((mut variable, fixed)) = typed else {
+            return Err(attributes.error("a variable without type".to_owned()));
+        };
+        roles(&attributes, &mut variable, fixed, draft);
+        draft.model.variables.push(variable);
+        draft.flags.push(Flags::default());
+    }
+    Ok(())
+}
+
+/// Attributes of the type element; returns whether the start value is exact.
+fn values(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) -> bool {
+    let quirks = &mut draft.quirks;
+    variable.declared_type = attributes.text("declaredType");
+    variable.quantity = attributes.text("quantity");
+    variable.unit = attributes.text("unit");
+    variable.display_unit = attributes.text("displayUnit");
+    variable.relative_quantity = attributes.flag("relativeQuantity", quirks);
+    variable.min = attributes.real("min", quirks);
+    variable.max = attributes.real("max", quirks);
+    variable.nominal = attributes.real("nominal", quirks);
+    variable.start = match variable.kind {
+        VariableKind::Real => attributes.real("start", quirks).map(Value::Real),
+        VariableKind::Integer | VariableKind::Enumeration => {
+            attributes.integer("start", quirks).map(Value::Integer)
+        }
+        VariableKind::Boolean => attributes.boolean("start", quirks).map(Value::Boolean),
+        VariableKind::String => attributes.text("start").map(Value::String),
+    };
+    attributes.boolean("fixed", quirks).unwrap_or(true)
+}
+
+/// FMI 1.0 calls parameters a variability and knows no `initial` (specification 1.0, chapter 3.1).
+fn roles(attributes: &Attributes<'_>, variable: &mut Variable, fixed: bool, draft: &mut Draft) {
+    let quirks = &mut draft.quirks;
+    let causalities = [
+        ("input", Causality::Input),
+        ("output", Causality::Output),
+        ("internal", Causality::Local),
+        ("none", Causality::Local),
+    ];
+    let variabilities = [
+        ("constant", Variability::Constant),
+        ("parameter", Variability::Fixed),
+        ("discrete", Variability::Discrete),
+        ("continuous", Variability::Continuous),
+    ];
+    variable.causality = attributes.choice("causality", &causalities, quirks).unwrap_or(Causality::Local);
+    variable.variability = attributes
+        .choice("variability", &variabilities, quirks)
+        .filter(|&given| given != Variability::Continuous || variable.kind == VariableKind::Real)
+        .unwrap_or_else(|| Variability::default_for(variable.causality, variable.kind));
+    if variable.variability == Variability::Fixed && variable.causality == Causality::Local {
+        let computed = variable.start.is_none();
+        variable.causality = if computed { Causality::CalculatedParameter } else { Causality::Parameter };
+    }
+    variable.initial = match (variable.causality, &variable.start) {
+        (Causality::Input, _) => None,
+        (_, Some(_)) if fixed => Some(Initial::Exact),
+        (_, Some(_)) => Some(Initial::Approx),
+        (_, None) => Some(Initial::Calculated),
+    };
+    if attributes.get("alias") == Some("negatedAlias") {
+        quirks.add(QuirkKind::Unsupported, attributes.line, || {
+            format!("\"{}\" is another variable with the sign reversed; its values are not", variable.name)
+        });
+    }
+}

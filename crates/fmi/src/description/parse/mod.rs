@@ -1,0 +1,114 @@
+//! From the bytes of `modelDescription.xml` to house types: one file per version of the standard, what they have
+//! in common in `shared.rs`, and the checks that need the whole picture behind them.
+
+mod attributes;
+mod build_description;
+mod encoding;
+mod fmi1;
+mod fmi2;
+mod fmi3;
+mod shared;
+mod xml;
+
+use super::checks;
+use super::model::{FmiVersion, ModelDescription, Unknown};
+use super::quirks::Quirks;
+use crate::archive::MODEL_DESCRIPTION;
+use crate::error::FmiError;
+use attributes::Attributes;
+use xml::{Element, Xml};
+
+pub(crate) use build_description::{BUILD_DESCRIPTION, BuildSet, build_sets};
+
+/// Largest document read. A model with a million variables has half of it.
+pub(crate) const LARGEST_DOCUMENT: u64 = 512 << 20;
+
+/// A description in the making.
+pub(super) struct Draft {
+    pub(super) model: ModelDescription,
+    pub(super) quirks: Quirks,
+    /// For each variable which of its flags the file sets, so that a type does not overrule them.
+    pub(super) flags: Vec<Flags>,
+    /// Lines of the unknowns in the model structure, in the order of outputs, derivatives, initial unknowns.
+    pub(super) structure_lines: [Vec<u32>; 3],
+}
+
+/// Flags that a variable sets itself, and that its type would else supply.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Flags {
+    pub(super) relative_quantity: bool,
+    pub(super) unbounded: bool,
+}
+
+/// An index that stands for "not a variable"; the checks remove it.
+pub(super) const NOWHERE: usize = usize::MAX;
+
+/// Parses a document and checks it.
+pub(super) fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
+    check_size(bytes, MODEL_DESCRIPTION)?;
+    let mut quirks = Quirks::default();
+    let text = encoding::decode(bytes, &mut quirks);
+    let mut xml = Xml::new(&text, MODEL_DESCRIPTION)?;
+    let root = xml.root()?;
+    if root.name() != "fmiModelDescription" {
+        return Err(xml.error(format!("<{}> is the outermost element, not <fmiModelDescription>", root.name())));
+    }
+    let version = version(&Attributes::of(&root)?)?;
+    let major = version.major;
+    let mut draft = Draft {
+        model: ModelDescription::empty(version),
+        quirks,
+        flags: Vec::new(),
+        structure_lines: Default::default(),
+    };
+    let parse_version: fn(&mut Xml<'_>, &Element<'_>, &mut Draft) -> Result<(), FmiError> = match major {
+        1 => fmi1::parse,
+        2 => fmi2::parse,
+        3 => fmi3::parse,
+        _ => return Err(FmiError::UnknownVersion { version: draft.model.fmi_version.text }),
+    };
+    parse_version(&mut xml, &root, &mut draft)?;
+    checks::finish(draft)
+}
+
+fn check_size(bytes: &[u8], file: &'static str) -> Result<(), FmiError> {
+    if bytes.len() as u64 <= LARGEST_DOCUMENT {
+        return Ok(());
+    }
+    let message = format!("{} bytes, more than the limit of {LARGEST_DOCUMENT}", bytes.len());
+    Err(FmiError::Description { file, line: 1, message })
+}
+
+/// The version by its leading numbers: "2.0", "3.0.1", "3.0-beta.2".
+fn version(root: &Attributes<'_>) -> Result<FmiVersion, FmiError> {
+    let text = root.required("fmiVersion")?;
+    let mut numbers = text.trim().split(|c: char| !c.is_ascii_digit()).map(str::parse);
+    match (numbers.next(), numbers.next()) {
+        (Some(Ok(major)), minor) => {
+            let minor = minor.and_then(Result::ok).unwrap_or(0);
+            Ok(FmiVersion { major, minor, text: text.to_owned() })
+        }
+        _ => Err(root.error(format!("fmiVersion=\"{}\" is not one", attributes::shortened(text)))),
+    }
+}
+
+/// The three lists of the model structure.
+#[derive(Clone, Copy)]
+enum StructureList {
+    Outputs,
+    Derivatives,
+    InitialUnknowns,
+}
+
+impl Draft {
+    fn add_unknown(&mut self, list: StructureList, unknown: Unknown, line: u32) {
+        let structure = &mut self.model.structure;
+        let (unknowns, lines) = match list {
+            StructureList::Outputs => (&mut structure.outputs, &mut self.structure_lines[0]),
+            StructureList::Derivatives => (&mut structure.derivatives, &mut self.structure_lines[1]),
+            StructureList::InitialUnknowns => (&mut structure.initial_unknowns, &mut self.structure_lines[2]),
+        };
+        unknowns.push(unknown);
+        lines.push(line);
+    }
+}

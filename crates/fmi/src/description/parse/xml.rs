@@ -1,0 +1,216 @@
+//! XML as a walk over elements, hardened: no document types, bounded depth and attributes, lines in all errors.
+
+use crate::error::FmiError;
+use quick_xml::Reader;
+use quick_xml::XmlVersion;
+use quick_xml::events::{BytesStart, Event};
+use std::borrow::Cow;
+
+/// Depth of elements. Model descriptions need 5, annotations of tools some more.
+const DEEPEST: usize = 128;
+/// Attributes of one element. The standard knows elements with 20.
+const MOST_ATTRIBUTES: usize = 64;
+
+/// A document being walked from its first byte to its last.
+pub(super) struct Xml<'a> {
+    reader: Reader<&'a [u8]>,
+    /// Name of the file, for messages.
+    file: &'static str,
+    text: &'a str,
+    /// Number of elements open.
+    depth: usize,
+    /// How far lines are counted, and how many there are up to there.
+    counted: usize,
+    line: u32,
+}
+
+/// The start of an element.
+pub(super) struct Element<'a> {
+    start: BytesStart<'a>,
+    pub(super) file: &'static str,
+    /// Line in which it starts.
+    pub(super) line: u32,
+    /// Its depth; the root has 1.
+    pub(super) level: usize,
+}
+
+impl<'a> Xml<'a> {
+    pub(super) fn new(text: &'a str, file: &'static str) -> Result<Self, FmiError> {
+        let mut reader = Reader::from_str(text);
+        reader.config_mut().expand_empty_elements = true;
+        let mut xml = Xml { reader, file, text, depth: 0, counted: 0, line: 1 };
+        // Not allowed in XML, and a trap for everything that goes to C later.
+        match text.bytes().position(|byte| byte == 0) {
+            Some(at) => Err(xml.error_at(at as u64, "a NUL character")),
+            None => Ok(xml),
+        }
+    }
+
+    /// The root element.
+    pub(super) fn root(&mut self) -> Result<Element<'a>, FmiError> {
+        match self.child(0)? {
+            Some(root) => Ok(root),
+            None => Err(self.error("there is no element in it")),
+        }
+    }
+
+    /// The next child of the element at `level`, or `None` at its end. Whatever is left of the child returned
+    /// last is skipped.
+    pub(super) fn child(&mut self, level: usize) -> Result<Option<Element<'a>>, FmiError> {
+        loop {
+            let before = self.reader.buffer_position();
+            match self.reader.read_event() {
+                Ok(Event::Start(start)) => {
+                    self.depth += 1;
+                    if self.depth > DEEPEST {
+                        return Err(self.error_at(before, format!("more than {DEEPEST} elements inside each other")));
+                    }
+                    if self.depth == level + 1 {
+                        return Ok(Some(Element { start, file: self.file, line: self.line_at(before), level: self.depth }));
+                    }
+                }
+                Ok(Event::End(_)) => {
+                    self.depth = self.depth.saturating_sub(1);
+                    if self.depth < level {
+                        return Ok(None);
+                    }
+                }
+                Ok(Event::DocType(_)) => {
+                    return Err(self.error_at(before, "a document type definition; entities are not accepted"));
+                }
+                Ok(Event::Eof) if self.depth == 0 => return Ok(None),
+                Ok(Event::Eof) => {
+                    return Err(self.error_at(before, format!("the file ends with {} elements open", self.depth)));
+                }
+                Ok(_) => {}
+                Err(error) => {
+                    let at = self.reader.error_position().max(before);
+                    return Err(self.error_at(at, error.to_string()));
+                }
+            }
+        }
+    }
+
+    /// Line of a byte at or behind the last one asked for.
+    fn line_at(&mut self, position: u64) -> u32 {
+        let position = (position as usize).min(self.text.len());
+        if position > self.counted {
+            let between = &self.text.as_bytes()[self.counted..position];
+            self.line += between.iter().filter(|&&byte| byte == b'\n').count() as u32;
+            self.counted = position;
+        }
+        self.line
+    }
+
+    fn error_at(&mut self, position: u64, message: impl Into<String>) -> FmiError {
+        FmiError::Description { file: self.file, line: self.line_at(position), message: message.into() }
+    }
+
+    /// An error at the place reached.
+    pub(super) fn error(&mut self, message: impl Into<String>) -> FmiError {
+        let position = self.reader.buffer_position();
+        self.error_at(position, message)
+    }
+}
+
+impl Element<'_> {
+    /// Name without namespace prefix.
+    pub(super) fn name(&self) -> &str {
+        self.start.local_name().into_inner()
+    }
+
+    /// Names and values of the attributes, in the order of the file.
+    pub(super) fn attributes(&self) -> Result<Vec<(&str, Cow<'_, str>)>, FmiError> {
+        let error = |message: String| FmiError::Description {
+            file: self.file,
+            line: self.line,
+            message: format!("<{}>: {message}", self.name()),
+        };
+        let mut pairs: Vec<(&str, Cow<'_, str>)> = Vec::with_capacity(8);
+        // The library's own check for duplicates does not bound the number of attributes.
+        for attribute in self.start.attributes().with_checks(false) {
+            let attribute = attribute.map_err(|reason| error(reason.to_string()))?;
+            let key = attribute.key.into_inner();
+            if pairs.len() == MOST_ATTRIBUTES {
+                return Err(error(format!("more than {MOST_ATTRIBUTES} attributes")));
+            }
+            if pairs.iter().any(|(known, _)| *known == key) {
+                return Err(error(format!("attribute {key} twice")));
+            }
+            let value = attribute
+                .normalized_value(XmlVersion::Explicit1_0)
+                .map_err(|reason| error(format!("attribute {key}: {reason}")))?;
+            pairs.push((key, value));
+        }
+        Ok(pairs)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::archive::MODEL_DESCRIPTION;
+
+    fn walk(text: &str) -> Result<Vec<String>, FmiError> {
+        let mut xml = Xml::new(text, MODEL_DESCRIPTION)?;
+        let root = xml.root()?;
+        let mut seen = vec![format!("{}:{}", root.name(), root.line)];
+        while let Some(child) = xml.child(root.level)? {
+            let attributes = child.attributes()?;
+            seen.push(format!("{}:{}:{}", child.name(), child.line, attributes.len()));
+        }
+        Ok(seen)
+    }
+
+    fn refusal(text: &str) -> String {
+        walk(text).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn children_come_with_their_lines_and_grandchildren_are_skipped() {
+        let text = "<?xml version=\"1.0\"?>\n<!-- c -->\n<n:a>\n<b x='1'\n y='2'/>\n<c><d><e/></d>text &amp;</c>\n</n:a>\n";
+        assert_eq!(walk(text).unwrap(), ["a:3", "b:4:2", "c:6:0"]);
+    }
+
+    #[test]
+    fn entities_are_refused_wherever_they_come_from() {
+        let bomb = "<?xml version=\"1.0\"?>\n<!DOCTYPE a [<!ENTITY b \"bb\"><!ENTITY c \"&b;&b;\">]>\n<a b=\"&c;\"/>";
+        assert_eq!(
+            refusal(bomb),
+            "modelDescription.xml, line 2: a document type definition; entities are not accepted"
+        );
+        assert!(refusal("<a><b c='&bomb;'/></a>").contains("<b>: attribute c"));
+    }
+
+    #[test]
+    fn depth_and_attributes_are_bounded() {
+        let deep = format!("{}{}", "<a>\n".repeat(1000), "</a>".repeat(1000));
+        assert_eq!(refusal(&deep), "modelDescription.xml, line 129: more than 128 elements inside each other");
+        let many: String = (0..300).map(|i| format!(" a{i}='1'")).collect();
+        assert!(refusal(&format!("<r><a{many}/></r>")).contains("more than 64 attributes"));
+    }
+
+    #[test]
+    fn damaged_documents_are_refused_with_their_lines() {
+        for (text, line, part) in [
+            ("", 1, "no element"),
+            ("just text", 1, "no element"),
+            ("<a>\n<b>\n", 3, "2 elements open"),
+            ("<a>\n</b>\n", 2, "b"),
+            ("<a>\n<b", 2, ""),
+            ("<a>\n<b c='1' c='2'/></a>", 2, "attribute c twice"),
+            ("<a>\n<b c=1/></a>", 2, "<b>"),
+            ("<a>\n\0</a>", 2, "NUL"),
+        ] {
+            let message = refusal(text);
+            assert!(message.contains(&format!("line {line}:")) && message.contains(part), "{text:?}: {message}");
+        }
+    }
+
+    #[test]
+    fn values_are_unescaped_and_white_space_is_normalised() {
+        let mut xml = Xml::new("<a b=\"&lt;&#228;&#x62;\n&quot;\"/>", MODEL_DESCRIPTION).unwrap();
+        let root = xml.root().unwrap();
+        assert_eq!(root.attributes().unwrap()[0].1, "<\u{e4}b \"");
+    }
+}

@@ -1,0 +1,61 @@
+//! Collecting departures from the standard, so many of each class that a report stays readable.
+
+use super::model::{Quirk, QuirkKind};
+
+/// Quirks of one class kept with their lines; of the rest only the number.
+const KEPT: usize = 50;
+
+#[derive(Debug, Default)]
+pub(super) struct Quirks {
+    list: Vec<Quirk>,
+    counts: Vec<(QuirkKind, usize)>,
+}
+
+impl Quirks {
+    /// Notes a quirk. The message is only made if it is kept.
+    pub(super) fn add(&mut self, kind: QuirkKind, line: u32, message: impl FnOnce() -> String) {
+        let count = match self.counts.iter_mut().find(|(known, _)| *known == kind) {
+            Some((_, count)) => count,
+            None => {
+                self.counts.push((kind, 0));
+                let last = self.counts.len() - 1;
+                &mut self.counts[last].1
+            }
+        };
+        *count += 1;
+        if *count <= KEPT {
+            self.list.push(Quirk { kind, message: message(), line });
+        }
+    }
+
+    /// The quirks in the order of their lines, those of the file as a whole first.
+    pub(super) fn into_list(mut self) -> Vec<Quirk> {
+        self.list.sort_by_key(|quirk| quirk.line);
+        for (kind, count) in self.counts {
+            if count > KEPT {
+                let message = format!("{} more of the kind \"{kind}\"", count - KEPT);
+                self.list.push(Quirk { kind, message, line: 0 });
+            }
+        }
+        self.list
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flood_of_one_class_leaves_room_for_the_others() {
+        let mut quirks = Quirks::default();
+        for line in (1..=1000).rev() {
+            quirks.add(QuirkKind::Undefined, line, || format!("unit {line}"));
+        }
+        quirks.add(QuirkKind::Missing, 2000, || "guid".to_owned());
+        let list = quirks.into_list();
+        assert_eq!(list.len(), KEPT + 2);
+        assert!(list.is_sorted_by_key(|quirk| if quirk.line == 0 { u32::MAX } else { quirk.line }));
+        assert_eq!(list[KEPT].message, "guid");
+        assert!(list[KEPT + 1].message.starts_with("950 more"), "{}", list[KEPT + 1]);
+    }
+}

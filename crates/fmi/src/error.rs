@@ -1,0 +1,395 @@
+//! What can go wrong with an FMU: one error type that names the place and the numbers.
+
+use crate::description::{Value, VariableKind};
+use crate::failure::CallFailure;
+use std::io;
+use std::path::PathBuf;
+
+/// Why an FMU could not be opened, understood, built or run.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FmiError {
+    /// The operating system refused something.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Io {
+        /// What was tried, as a verb phrase: "open", "create".
+        action: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The file is not a zip archive, or it is damaged.
+    #[error("{} is not a usable FMU archive: {reason}", path.display())]
+    BadArchive {
+        /// The archive.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// An entry of the archive is not what an honest FMU contains; nothing was unpacked.
+    #[error("{}: entry \"{}\" {problem}", path.display(), entry.escape_debug())]
+    BadEntry {
+        /// The archive.
+        path: PathBuf,
+        /// Name of the entry as stored.
+        entry: String,
+        /// What is wrong with it.
+        problem: EntryProblem,
+    },
+    /// The archive as a whole exceeds a limit of [`ArchiveLimits`](crate::archive::ArchiveLimits).
+    #[error("{}: {found} {what}, more than the limit of {limit}", path.display())]
+    ArchiveLimit {
+        /// The archive.
+        path: PathBuf,
+        /// What was counted.
+        what: &'static str,
+        /// How much there is (at least).
+        found: u64,
+        /// How much is allowed.
+        limit: u64,
+    },
+    /// There is no `modelDescription.xml` at the root.
+    #[error("{} has no modelDescription.xml at its root{}", path.display(), hint.as_deref().unwrap_or(""))]
+    NoModelDescription {
+        /// The archive or folder.
+        path: PathBuf,
+        /// Where one was found instead, as the rest of the sentence.
+        hint: Option<String>,
+    },
+    /// `modelDescription.xml` (or `buildDescription.xml`) cannot be read as what it should be.
+    #[error("{file}, line {line}: {message}")]
+    Description {
+        /// Name of the file.
+        file: &'static str,
+        /// Line in the file, counted from 1.
+        line: u32,
+        /// What is wrong.
+        message: String,
+    },
+    /// A version of the standard that does not exist yet.
+    #[error("the FMU follows FMI {version}; known are 1.0, 2.0 and 3.0")]
+    UnknownVersion {
+        /// As written in the file.
+        version: String,
+    },
+    /// `modelDescription.xml` is well formed but leaves the standard, and strict reading was asked for.
+    #[error("the model description departs from the FMI standard in {count} places, first (line {line}): {first}")]
+    NotConforming {
+        /// Number of quirks.
+        count: usize,
+        /// Line of the first one.
+        line: u32,
+        /// The first one.
+        first: String,
+    },
+    /// The FMU has no sources to build a library from.
+    #[error("no sources for \"{model_identifier}\": {reason}")]
+    NoSources {
+        /// Model identifier of the interface.
+        model_identifier: String,
+        /// What was looked for.
+        reason: String,
+    },
+    /// No C compiler was found.
+    #[error("no C compiler found to build \"{model_identifier}\" (tried {tried}); install one or set CC")]
+    NoCompiler {
+        /// Model identifier of the interface.
+        model_identifier: String,
+        /// The names tried.
+        tried: String,
+    },
+    /// The C compiler refused the sources.
+    #[error("building \"{model_identifier}\" failed ({status}): {command}\n{output}")]
+    CompileFailed {
+        /// Model identifier of the interface.
+        model_identifier: String,
+        /// The command.
+        command: String,
+        /// How the compiler ended.
+        status: String,
+        /// The last lines it wrote.
+        output: String,
+    },
+    /// No binary for this platform.
+    #[error("{} has no binary for this platform ({wanted}); present: {present}", path.display())]
+    NoBinary {
+        /// The FMU.
+        path: PathBuf,
+        /// The folders looked for, in order.
+        wanted: String,
+        /// The folders (with their machine types) present.
+        present: String,
+    },
+    /// The FMU follows a version of the standard that can be described but not run.
+    #[error("FMI {version} can be inspected but not simulated by this version; FMI 2.0 can")]
+    UnsupportedVersion {
+        /// The version.
+        version: String,
+    },
+    /// The FMU offers co-simulation only.
+    #[error("{model} offers co-simulation only; this version simulates model exchange")]
+    NoModelExchange {
+        /// Name of the model.
+        model: String,
+    },
+    /// The FMU is a front for another program.
+    #[error("{model} needs the tool that made it{} (needsExecutionTool); such FMUs cannot be run", tool.as_deref().map(|t| format!(" ({t})")).unwrap_or_default())]
+    NeedsExecutionTool {
+        /// Name of the model.
+        model: String,
+        /// The tool, if the FMU names it.
+        tool: Option<String>,
+    },
+    /// The dynamic loader refused the library; its own words.
+    #[error("cannot load {}: {message}", library.display())]
+    LoadFailed {
+        /// The library.
+        library: PathBuf,
+        /// The loader's message.
+        message: String,
+    },
+    /// The library lacks a function that FMI demands.
+    #[error("{} has no function {symbol}, which the standard demands", library.display())]
+    MissingSymbol {
+        /// The library.
+        library: PathBuf,
+        /// The function.
+        symbol: &'static str,
+    },
+    /// An optional function was called that the library does not have.
+    #[error("the FMU has no function {function}")]
+    MissingFunction {
+        /// The function.
+        function: &'static str,
+    },
+    /// A second instance of an FMU that allows one per process.
+    #[error("{} allows one instance per process (canBeInstantiatedOnlyOncePerProcess), and there is one", library.display())]
+    OnlyOneInstance {
+        /// The library.
+        library: PathBuf,
+    },
+    /// A call into the FMU failed.
+    #[error(transparent)]
+    Call(Box<CallFailure>),
+    /// Slices of different lengths, or a vector that has not the model's size; the FMU was not called.
+    #[error("{call}: {found} values where {expected} are needed")]
+    Length {
+        /// The call.
+        call: &'static str,
+        /// Length needed.
+        expected: usize,
+        /// Length given.
+        found: usize,
+    },
+    /// The discrete states do not settle.
+    #[error("the event iteration at t = {time} did not end after {limit} rounds")]
+    EventIteration {
+        /// Time of the event.
+        time: f64,
+        /// Rounds allowed.
+        limit: u32,
+    },
+    /// A saved state of another instance.
+    #[error("the saved state belongs to another instance")]
+    ForeignState,
+    /// The model has no variable of this name.
+    #[error("the model has no variable \"{name}\"{}", did_you_mean(nearest))]
+    UnknownVariable {
+        /// The name.
+        name: String,
+        /// Names that resemble it, the most similar first.
+        nearest: Vec<String>,
+    },
+    /// A value of the wrong type.
+    #[error("{name} is of type {kind}, {value} ({given}) does not fit")]
+    WrongType {
+        /// The variable.
+        name: String,
+        /// Its type.
+        kind: VariableKind,
+        /// The value.
+        value: Value,
+        /// Type of the value.
+        given: &'static str,
+    },
+    /// A variable that cannot be set, or not now.
+    #[error("{name} cannot be set: {reason}")]
+    NotSettable {
+        /// The variable.
+        name: String,
+        /// Why.
+        reason: &'static str,
+    },
+    /// NaN or an infinity where a number is needed.
+    #[error("{name} = {value}: a finite number is needed")]
+    NotFinite {
+        /// What was to get the value.
+        name: String,
+        /// The value.
+        value: f64,
+    },
+    /// A variable that cannot be an output.
+    #[error("{name} cannot be an output: {reason}")]
+    NotAnOutput {
+        /// The variable.
+        name: String,
+        /// Why.
+        reason: &'static str,
+    },
+    /// An input that cannot be used.
+    #[error("input {name}: {problem}")]
+    BadInput {
+        /// The variable, or what stands for it.
+        name: String,
+        /// What is wrong, with numbers.
+        problem: String,
+    },
+    /// Settings of a simulation that do not make sense.
+    #[error("{problem}")]
+    BadSetting {
+        /// What is wrong, with numbers.
+        problem: String,
+    },
+    /// An option of the integration method that cannot be used.
+    #[error(transparent)]
+    Options(#[from] ode::OptionsError),
+    /// A simulation that started but failed.
+    #[error(transparent)]
+    Simulation(Box<ode::SimulationError>),
+    /// No result holds this variable.
+    #[error("there is no value of \"{name}\"; there are: {present}")]
+    NotInResult {
+        /// The name.
+        name: String,
+        /// The names in the result.
+        present: String,
+    },
+    /// There is no bundled example of this name.
+    #[error("there is no example \"{name}\"; there are: {known}")]
+    UnknownExample {
+        /// The name.
+        name: String,
+        /// The names that exist.
+        known: String,
+    },
+    /// The folder cannot be packed into an FMU.
+    #[error("cannot pack {}: {reason}", folder.display())]
+    CannotPack {
+        /// The folder.
+        folder: PathBuf,
+        /// Why not.
+        reason: String,
+    },
+}
+
+/// What is wrong with one entry of an archive.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EntryProblem {
+    /// The name is empty or has an empty component.
+    #[error("has an empty name or an empty folder name in it")]
+    EmptyName,
+    /// `..` or `.` as a component.
+    #[error("leads out of the archive (\"..\" or \".\" in its path)")]
+    Traversal,
+    /// Starts with `/` or a drive letter.
+    #[error("has an absolute path")]
+    Absolute,
+    /// Holds a backslash, a colon or a control character (NUL included).
+    #[error("has the character {0:?} in its name")]
+    ForbiddenCharacter(char),
+    /// The name or one of its components is longer than file systems take.
+    #[error("has a name of {found} bytes, more than the limit of {limit}")]
+    NameTooLong {
+        /// Bytes of the name or component.
+        found: usize,
+        /// Bytes allowed.
+        limit: usize,
+    },
+    /// More folders within folders than allowed.
+    #[error("lies more than {limit} folders deep")]
+    TooDeep {
+        /// Components allowed.
+        limit: usize,
+    },
+    /// A folder that has contents of its own.
+    #[error("is a folder with {0} bytes of data")]
+    FolderWithData(u64),
+    /// A device name reserved on Windows, or a component ending in a dot or a space.
+    #[error("has a name that is not a file name on every system")]
+    ReservedName,
+    /// Neither a file nor a folder: symbolic link, device, pipe or socket.
+    #[error("is a {0}, not a file")]
+    NotAFile(&'static str),
+    /// Encrypted.
+    #[error("is encrypted")]
+    Encrypted,
+    /// A compression method other than stored and deflate.
+    #[error("is compressed with method {0}; FMUs use 0 (stored) and 8 (deflate)")]
+    Compression(u16),
+    /// Two entries of the same name.
+    #[error("occurs twice")]
+    Duplicate,
+    /// Two entries whose names differ in case only.
+    #[error("differs from \"{0}\" in upper and lower case only")]
+    CaseDuplicate(String),
+    /// A file where another entry needs a folder, or the other way round.
+    #[error("makes \"{0}\" both a file and a folder")]
+    FileAndFolder(String),
+    /// The data overlap those of another entry.
+    #[error("shares bytes {start}..{end} of the archive with \"{other}\"")]
+    Overlap {
+        /// First shared byte.
+        start: u64,
+        /// One behind the last.
+        end: u64,
+        /// The other entry.
+        other: String,
+    },
+    /// The local header and the central directory disagree.
+    #[error("is described differently in its local header: {0}")]
+    HeaderMismatch(String),
+    /// Inflates to another size than the directory says.
+    #[error("inflates to {found} bytes{}, its header says {declared}", if *.found > *.declared { " or more" } else { "" })]
+    WrongSize {
+        /// Bytes counted (counting stops behind the declared size).
+        found: u64,
+        /// Bytes declared.
+        declared: u64,
+    },
+    /// Larger than the limit for one file.
+    #[error("has {found} bytes, more than the limit of {limit}")]
+    TooLarge {
+        /// Bytes declared.
+        found: u64,
+        /// Bytes allowed.
+        limit: u64,
+    },
+    /// Inflates too much to be honest.
+    #[error("would inflate from {compressed} to {size} bytes, more than {limit} times")]
+    Ratio {
+        /// Compressed bytes.
+        compressed: u64,
+        /// Bytes declared.
+        size: u64,
+        /// Factor allowed.
+        limit: u64,
+    },
+    /// The compressed data are damaged (bad stream, wrong checksum, truncated).
+    #[error("is damaged: {0}")]
+    Damaged(String),
+}
+
+impl FmiError {
+    /// Wraps an error of the operating system with what was tried on which path.
+    pub(crate) fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> FmiError {
+        let path = path.into();
+        move |source| FmiError::Io { action, path, source }
+    }
+}
+
+/// The end of a sentence about a name that does not exist.
+fn did_you_mean(nearest: &[String]) -> String {
+    if nearest.is_empty() { String::new() } else { format!("; did you mean {}?", nearest.join(", ")) }
+}

@@ -1,0 +1,383 @@
+//! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
+
+use crate::archive::Archive;
+use crate::description::{Interface, ModelDescription};
+use crate::error::FmiError;
+use crate::instance::{Instance, Instantiated};
+use crate::options::SimulateOptions;
+use crate::plan::SimulationPlan;
+use crate::platform;
+use crate::simulation::Simulator;
+use crate::source;
+use crate::sys::{FloatEnvironment, Library, RawInstance, Request, Sizes};
+use crate::trajectory::Trajectory;
+use std::ffi::CString;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Instances kept for later, per FMU.
+const MAX_IDLE: usize = 4;
+
+/// An opened FMU. Clones share everything and are cheap.
+///
+/// Opening and inspecting run no code of the FMU; the first instance loads its library, which does.
+#[derive(Debug, Clone)]
+pub struct Fmu {
+    inner: Arc<Inner>,
+}
+
+/// Fields are dropped in this order: instances, library, folder.
+#[derive(Debug)]
+struct Inner {
+    idle: Mutex<Vec<RawInstance>>,
+    library: Mutex<Option<Arc<Library>>>,
+    reuse: AtomicU8,
+    description: ModelDescription,
+    /// URI of the resources folder.
+    resources: CString,
+    path: PathBuf,
+    archive: Archive,
+}
+
+/// How the instances of an FMU are brought back to their beginning between simulations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reuse {
+    /// By the FMU's reset function: it was seen to restore everything, bit for bit.
+    Reset,
+    /// By a new instance for every simulation: reset is missing, fails, or leaves traces.
+    Reinstantiate,
+}
+
+const UNCHECKED: u8 = 0;
+const RESET: u8 = 1;
+const REINSTANTIATE: u8 = 2;
+
+/// How an instance is made.
+#[derive(Debug, Clone, Default)]
+pub struct InstanceOptions {
+    /// Name of the instance, for log messages; default: the name of the model.
+    pub name: Option<String>,
+    /// Ask the FMU to log.
+    pub logging: bool,
+    /// Let the FMU show windows.
+    pub visible: bool,
+}
+
+impl Fmu {
+    /// Opens a `.fmu` file or an unpacked folder and reads its description.
+    ///
+    /// # Errors
+    /// Everything that can be wrong with the file; see [`FmiError`].
+    pub fn open(path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
+        let path = path.as_ref();
+        let archive = Archive::open(path)?;
+        let description = ModelDescription::read(&archive)?;
+        let resources = resource_uri(&archive.root().join("resources"));
+        Ok(Fmu {
+            inner: Arc::new(Inner {
+                idle: Mutex::new(Vec::new()),
+                library: Mutex::new(None),
+                reuse: AtomicU8::new(UNCHECKED),
+                description,
+                resources,
+                path: path.to_owned(),
+                archive,
+            }),
+        })
+    }
+
+    /// The model description.
+    pub fn description(&self) -> &ModelDescription {
+        &self.inner.description
+    }
+
+    /// The path it was opened by.
+    pub fn path(&self) -> &Path {
+        &self.inner.path
+    }
+
+    /// The folder that holds its (unpacked) content.
+    pub fn root(&self) -> &Path {
+        self.inner.archive.root()
+    }
+
+    /// SHA-256 of its content, in hexadecimal.
+    pub fn content_hash(&self) -> &str {
+        self.inner.archive.content_hash()
+    }
+
+    /// Simulates once.
+    ///
+    /// # Errors
+    /// Options that do not fit the model, and everything that can go wrong in a simulation.
+    pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+        let plan = Arc::new(SimulationPlan::new(self, options)?);
+        Simulator::new(plan)?.trajectory(&[])
+    }
+
+    /// Makes a model-exchange instance. **This loads the library and runs its code.**
+    ///
+    /// # Errors
+    /// The FMU cannot be run here (see [`FmiError`]), or it refuses to be instantiated.
+    pub fn instantiate(&self) -> Result<Instance<Instantiated>, FmiError> {
+        self.instantiate_with(&InstanceOptions::default())
+    }
+
+    /// Makes a model-exchange instance with a name, with logging.
+    ///
+    /// # Errors
+    /// As [`instantiate`](Self::instantiate).
+    pub fn instantiate_with(&self, options: &InstanceOptions) -> Result<Instance<Instantiated>, FmiError> {
+        let interface = self.check_runnable()?;
+        let library = self.library()?;
+        let description = self.description();
+        let text = |what: &str, text: &str| {
+            CString::new(text)
+                .map_err(|_| FmiError::BadSetting { problem: format!("the {what} holds a NUL character") })
+        };
+        let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
+        let guid = text("guid", &description.guid)?;
+        let request = Request {
+            name: &name,
+            guid: &guid,
+            resources: &self.inner.resources,
+            visible: options.visible,
+            logging: options.logging,
+        };
+        let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
+        let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
+        if only_one {
+            self.drop_idle();
+        }
+        // The FMU may change the floating-point mode of this thread and shall not.
+        let _guard = FloatEnvironment::standard();
+        let raw = RawInstance::new(&library, &request, sizes, only_one)?;
+        Ok(Instance::from_raw(raw, self.clone()))
+    }
+
+    /// Whether this version can simulate the FMU; the interface it would use.
+    ///
+    /// # Errors
+    /// [`FmiError::UnsupportedVersion`], [`FmiError::NoModelExchange`], [`FmiError::NeedsExecutionTool`].
+    pub fn check_runnable(&self) -> Result<&Interface, FmiError> {
+        let description = self.description();
+        Library::check_version(&description.fmi_version)?;
+        let interface = description
+            .model_exchange
+            .as_ref()
+            .ok_or_else(|| FmiError::NoModelExchange { model: description.model_name.clone() })?;
+        if interface.capabilities.needs_execution_tool {
+            return Err(FmiError::NeedsExecutionTool {
+                model: description.model_name.clone(),
+                tool: description.generation_tool.clone(),
+            });
+        }
+        Ok(interface)
+    }
+
+    /// The library for this platform, loaded at the first call; compiled before that if the FMU brings sources only.
+    pub(crate) fn library(&self) -> Result<Arc<Library>, FmiError> {
+        // The lock is held while the library loads: a second thread waits instead of loading it again.
+        let mut slot = self.inner.library.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(library) = &*slot {
+            return Ok(Arc::clone(library));
+        }
+        let interface = self.check_runnable()?;
+        let description = self.description();
+        let path = match platform::find_binary(
+            self.root(),
+            &interface.model_identifier,
+            description.fmi_version.major,
+        ) {
+            Ok(found) => {
+                if let Some(note) = &found.note {
+                    log::warn!("{}: {note}", self.path().display());
+                }
+                found.path
+            }
+            Err(no_binary) => {
+                match source::build_library(self.root(), description, interface, self.content_hash()) {
+                    Ok(path) => path,
+                    Err(FmiError::NoSources { .. }) => return Err(self.with_own_path(no_binary)),
+                    Err(error) => return Err(error),
+                }
+            }
+        };
+        let library = Arc::new(Library::open(&path, &description.fmi_version)?);
+        *slot = Some(Arc::clone(&library));
+        Ok(library)
+    }
+
+    /// Says the path the user knows instead of that of the private folder.
+    fn with_own_path(&self, error: FmiError) -> FmiError {
+        match error {
+            FmiError::NoBinary { wanted, present, .. } => {
+                FmiError::NoBinary { path: self.path().to_owned(), wanted, present }
+            }
+            other => other,
+        }
+    }
+
+    /// An instance that was used before and is not needed at present; to be reset before use.
+    pub(crate) fn take_idle(&self) -> Option<RawInstance> {
+        self.idle().pop()
+    }
+
+    /// Keeps an instance for later, or frees it if there are enough.
+    pub(crate) fn put_idle(&self, raw: RawInstance) {
+        let surplus = {
+            let mut idle = self.idle();
+            if raw.is_dead() || idle.len() >= MAX_IDLE {
+                Some(raw)
+            } else {
+                idle.push(raw);
+                None
+            }
+        };
+        drop(surplus);
+    }
+
+    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<RawInstance>> {
+        self.inner.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Frees the idle instances.
+    pub(crate) fn drop_idle(&self) {
+        let idle = std::mem::take(&mut *self.idle());
+        drop(idle);
+    }
+
+    /// What is known about reset; `None` before it was tried.
+    pub fn reuse(&self) -> Option<Reuse> {
+        match self.inner.reuse.load(Ordering::Acquire) {
+            RESET => Some(Reuse::Reset),
+            REINSTANTIATE => Some(Reuse::Reinstantiate),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn set_reuse(&self, reuse: Reuse) {
+        let value = match reuse {
+            Reuse::Reset => RESET,
+            Reuse::Reinstantiate => REINSTANTIATE,
+        };
+        // Once found out, a broken reset stays broken.
+        if self.inner.reuse.load(Ordering::Acquire) != REINSTANTIATE {
+            self.inner.reuse.store(value, Ordering::Release);
+        }
+        if reuse == Reuse::Reinstantiate {
+            self.drop_idle();
+        }
+    }
+}
+
+/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 2.0 asks.
+fn resource_uri(path: &Path) -> CString {
+    let mut uri = String::from("file://");
+    let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
+    if !text.starts_with('/') {
+        uri.push('/');
+    }
+    for byte in text.bytes() {
+        if byte.is_ascii_alphanumeric() || b"/-._~:".contains(&byte) {
+            uri.push(char::from(byte));
+        } else {
+            uri.push_str(&format!("%{byte:02X}"));
+        }
+    }
+    CString::new(uri).unwrap_or_default()
+}
+
+/// Opens each file once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`].
+///
+/// A file counts as unchanged while its path, identity on the disk, size and time of modification are the same; it is
+/// not read for that. Of a folder, `modelDescription.xml` and the folder itself are looked at.
+#[derive(Debug)]
+pub struct FmuCache {
+    capacity: usize,
+    /// The most recently used last.
+    entries: Mutex<Vec<(Key, Fmu)>>,
+}
+
+/// What tells one file from another, and from its earlier self.
+type Key = (PathBuf, platform::FileIdentity, Option<platform::FileIdentity>);
+
+impl FmuCache {
+    /// A cache that holds at most `capacity` FMUs (at least one); the one not used for the longest time goes first.
+    pub fn new(capacity: usize) -> Self {
+        Self { capacity: capacity.max(1), entries: Mutex::new(Vec::new()) }
+    }
+
+    /// The FMU at `path`, opened now or before.
+    ///
+    /// # Errors
+    /// As [`Fmu::open`].
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
+        let path = path.as_ref();
+        let key = key_of(path)?;
+        if let Some(fmu) = self.find(&key) {
+            return Ok(fmu);
+        }
+        // Not under the lock: opening one file does not keep others waiting. Two threads may both open a new file;
+        // the first to finish is kept.
+        let fmu = Fmu::open(path)?;
+        if let Some(first) = self.find(&key) {
+            return Ok(first);
+        }
+        let dropped: Vec<(Key, Fmu)> = {
+            let mut entries = self.entries();
+            // An older version of the same file will not be asked for again.
+            let mut dropped: Vec<_> = entries.extract_if(.., |(old, _)| old.0 == key.0).collect();
+            if entries.len() >= self.capacity {
+                dropped.push(entries.remove(0));
+            }
+            entries.push((key, fmu.clone()));
+            dropped
+        };
+        drop(dropped);
+        Ok(fmu)
+    }
+
+    /// Forgets everything. FMUs that are in use stay open.
+    pub fn clear(&self) {
+        let entries = std::mem::take(&mut *self.entries());
+        drop(entries);
+    }
+
+    fn find(&self, key: &Key) -> Option<Fmu> {
+        let mut entries = self.entries();
+        let position = entries.iter().position(|(known, _)| known == key)?;
+        let entry = entries.remove(position);
+        let fmu = entry.1.clone();
+        entries.push(entry);
+        Some(fmu)
+    }
+
+    fn entries(&self) -> std::sync::MutexGuard<'_, Vec<(Key, Fmu)>> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn key_of(path: &Path) -> Result<Key, FmiError> {
+    let canonical = path.canonicalize().map_err(FmiError::io("open", path))?;
+    let metadata = canonical.metadata().map_err(FmiError::io("open", path))?;
+    let inner = if metadata.is_dir() {
+        canonical.join("modelDescription.xml").metadata().ok().map(|inner| platform::file_identity(&inner))
+    } else {
+        None
+    };
+    Ok((canonical, platform::file_identity(&metadata), inner))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn uris_are_percent_encoded() {
+        let uri = |path: &str| resource_uri(Path::new(path)).into_string().unwrap();
+        assert_eq!(uri("/tmp/a-b_c.d/resources"), "file:///tmp/a-b_c.d/resources");
+        assert_eq!(uri("/tmp/a b/{\u{e4}}"), "file:///tmp/a%20b/%7B%C3%A4%7D");
+    }
+}

@@ -1,0 +1,546 @@
+//! Time-varying inputs: tables and functions; linear between rows for continuous reals, held for everything else.
+
+use crate::assign::{resolve, whole};
+use crate::description::{Causality, ModelDescription, Variability, Variable, VariableKind};
+use crate::error::FmiError;
+use ode::InputStop;
+use std::fmt;
+use std::sync::Arc;
+
+/// A function of time.
+pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
+
+/// What drives the inputs of a model.
+///
+/// Continuous real inputs are linear between the rows of their table, all other inputs keep the value of a row until the
+/// next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
+/// is the limit from the left. Jumps and changes of held values are events; changes of slope are hit by steps.
+///
+/// ```
+/// use fmi::Inputs;
+/// let inputs = Inputs::new()
+///     .table(vec![0.0, 1.0, 1.0, 5.0], [("u", vec![0.0, 0.0, 1.0, 1.0]), ("mode", vec![1.0, 1.0, 2.0, 2.0])])
+///     .function("v", |t| (2.0 * t).sin());
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct Inputs {
+    sources: Vec<Source>,
+}
+
+#[derive(Clone)]
+enum Source {
+    Column { name: String, times: Arc<[f64]>, values: Arc<[f64]> },
+    Function { name: String, function: InputFunction },
+}
+
+impl fmt::Debug for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Source::Column { name, times, .. } => write!(f, "{name}: {} rows", times.len()),
+            Source::Function { name, .. } => write!(f, "{name}: function"),
+        }
+    }
+}
+
+impl Inputs {
+    /// No inputs.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a table: times in ascending order and, for each variable, as many values. Integers and Booleans are given as
+    /// numbers. What is wrong with a table is said when a simulation is planned.
+    #[must_use]
+    pub fn table<N, C>(mut self, times: impl Into<Arc<[f64]>>, columns: C) -> Self
+    where
+        N: Into<String>,
+        C: IntoIterator<Item = (N, Vec<f64>)>,
+    {
+        let times: Arc<[f64]> = times.into();
+        for (name, values) in columns {
+            self.sources.push(Source::Column {
+                name: name.into(),
+                times: Arc::clone(&times),
+                values: values.into(),
+            });
+        }
+        self
+    }
+
+    /// Adds one variable with times of its own.
+    #[must_use]
+    pub fn series(
+        mut self,
+        name: impl Into<String>,
+        times: impl Into<Arc<[f64]>>,
+        values: impl Into<Arc<[f64]>>,
+    ) -> Self {
+        self.sources.push(Source::Column { name: name.into(), times: times.into(), values: values.into() });
+        self
+    }
+
+    /// Adds a continuous real input that is a function of time. It should be smooth; where it returns NaN or an
+    /// infinity, the model counts as not defined. It may be called from any thread.
+    #[must_use]
+    pub fn function(
+        mut self,
+        name: impl Into<String>,
+        function: impl Fn(f64) -> f64 + Send + Sync + 'static,
+    ) -> Self {
+        self.sources.push(Source::Function { name: name.into(), function: Arc::new(function) });
+        self
+    }
+
+    /// The names, in the order given.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.sources.iter().map(|source| match source {
+            Source::Column { name, .. } | Source::Function { name, .. } => name.as_str(),
+        })
+    }
+}
+
+/// A column with its rows.
+#[derive(Debug, Clone)]
+struct Column {
+    times: Arc<[f64]>,
+    values: Arc<[f64]>,
+}
+
+/// A held column and where its value goes.
+#[derive(Debug, Clone)]
+struct Held {
+    column: Column,
+    target: Target,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Target {
+    Real(usize),
+    Integer(usize),
+    Boolean(usize),
+}
+
+/// The inputs of one simulation, resolved and checked.
+#[derive(Clone, Default)]
+pub(crate) struct InputPlan {
+    linear: Vec<Column>,
+    functions: Vec<InputFunction>,
+    /// Of the linear columns, then of the functions.
+    pub(crate) continuous: Vec<u32>,
+    held: Vec<Held>,
+    pub(crate) held_reals: Vec<u32>,
+    pub(crate) held_integers: Vec<u32>,
+    pub(crate) held_booleans: Vec<u32>,
+    /// Instants of jumps, ascending.
+    jumps: Vec<f64>,
+    /// Jumps and kinks, ascending.
+    stops: Vec<InputStop>,
+    /// Times closer than this are one.
+    same: f64,
+    /// Positions of the variables that are driven.
+    pub(crate) driven: Vec<usize>,
+}
+
+impl fmt::Debug for InputPlan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("InputPlan")
+            .field("continuous", &self.continuous)
+            .field("held", &self.held.len())
+            .field("stops", &self.stops.len())
+            .finish_non_exhaustive()
+    }
+}
+
+impl InputPlan {
+    /// Resolves and checks the inputs; `same` is the distance within which times are equal.
+    ///
+    /// # Errors
+    /// Unknown names, variables that are not inputs, tables whose rows cannot be used.
+    pub(crate) fn new(description: &ModelDescription, inputs: &Inputs, same: f64) -> Result<Self, FmiError> {
+        let mut plan = Self { same, ..Self::default() };
+        let mut function_references = Vec::new();
+        let mut stops = Vec::new();
+        for source in &inputs.sources {
+            let (Source::Column { name, .. } | Source::Function { name, .. }) = source;
+            let index = resolve(description, name)?;
+            let variable = &description.variables[index];
+            if variable.causality != Causality::Input {
+                return Err(bad(
+                    variable,
+                    format!("it is not an input but a variable of causality {}", variable.causality),
+                ));
+            }
+            if plan.driven.contains(&index) {
+                return Err(bad(variable, "it is given twice".to_owned()));
+            }
+            plan.driven.push(index);
+            let is_linear =
+                variable.kind == VariableKind::Real && variable.variability == Variability::Continuous;
+            match source {
+                Source::Function { function, .. } if is_linear => {
+                    function_references.push(variable.value_reference);
+                    plan.functions.push(Arc::clone(function));
+                }
+                Source::Function { .. } => {
+                    let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
+                    return Err(bad(variable, problem.to_owned()));
+                }
+                Source::Column { times, values, .. } => {
+                    check_rows(variable, times, values)?;
+                    let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
+                    if is_linear {
+                        column.linear_stops(same, &mut stops);
+                        plan.continuous.push(variable.value_reference);
+                        plan.linear.push(column);
+                    } else {
+                        column.held_stops(&mut stops);
+                        plan.hold(variable, column)?;
+                    }
+                }
+            }
+        }
+        plan.continuous.append(&mut function_references);
+        plan.take_stops(stops);
+        Ok(plan)
+    }
+
+    fn hold(&mut self, variable: &Variable, column: Column) -> Result<(), FmiError> {
+        let bad_row =
+            |what: &str, fits: &dyn Fn(f64) -> bool| {
+                column.values.iter().position(|v| !fits(*v)).map(|row| {
+                    bad(variable, format!("{} in row {} is not {what}", column.values[row], row + 1))
+                })
+            };
+        let (list, target, problem): (&mut Vec<u32>, fn(usize) -> Target, _) = match variable.kind {
+            VariableKind::Real => (&mut self.held_reals, Target::Real, None),
+            VariableKind::Integer | VariableKind::Enumeration => {
+                (&mut self.held_integers, Target::Integer, bad_row("an integer", &|v| whole(v).is_some()))
+            }
+            VariableKind::Boolean => {
+                (&mut self.held_booleans, Target::Boolean, bad_row("0 or 1", &|v| v == 0.0 || v == 1.0))
+            }
+            VariableKind::String => {
+                return Err(bad(variable, "text inputs cannot vary with time".to_owned()));
+            }
+        };
+        if let Some(problem) = problem {
+            return Err(problem);
+        }
+        list.push(variable.value_reference);
+        let target = target(list.len() - 1);
+        self.held.push(Held { column, target });
+        Ok(())
+    }
+
+    /// Merges stops of all columns that are one instant, and moves the rows there onto it.
+    fn take_stops(&mut self, mut stops: Vec<InputStop>) {
+        stops.sort_by(|a, b| a.time.total_cmp(&b.time));
+        let mut first = f64::NEG_INFINITY;
+        for stop in stops {
+            match self.stops.last_mut() {
+                Some(last) if stop.time - first <= self.same => {
+                    last.time = stop.time;
+                    last.jump |= stop.jump;
+                }
+                _ => {
+                    first = stop.time;
+                    self.stops.push(stop);
+                }
+            }
+        }
+        self.jumps = self.stops.iter().filter(|stop| stop.jump).map(|stop| stop.time).collect();
+        for column in self.linear.iter_mut().chain(self.held.iter_mut().map(|held| &mut held.column)) {
+            column.snap(&self.jumps, self.same);
+        }
+    }
+
+    /// The first stop after `t`.
+    pub(crate) fn next_stop(&self, t: f64) -> Option<InputStop> {
+        let next = self.stops.partition_point(|stop| stop.time <= t + self.same);
+        self.stops.get(next).copied()
+    }
+}
+
+fn bad(variable: &Variable, problem: String) -> FmiError {
+    FmiError::BadInput { name: variable.name.clone(), problem }
+}
+
+fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<(), FmiError> {
+    if times.len() != values.len() {
+        return Err(bad(variable, format!("{} values for {} times", values.len(), times.len())));
+    }
+    if times.is_empty() {
+        return Err(bad(variable, "the table has no rows".to_owned()));
+    }
+    for (row, (time, value)) in times.iter().zip(values).enumerate() {
+        if !time.is_finite() || !value.is_finite() {
+            return Err(bad(variable, format!("row {} (time {time}, value {value}) is not finite", row + 1)));
+        }
+        if row > 0 && *time < times[row - 1] {
+            let before = times[row - 1];
+            return Err(bad(
+                variable,
+                format!("times must ascend: row {} has {time} after {before}", row + 1),
+            ));
+        }
+    }
+    Ok(())
+}
+
+impl Column {
+    /// Where the piecewise linear function jumps or changes its slope.
+    fn linear_stops(&self, same: f64, stops: &mut Vec<InputStop>) {
+        let (times, values) = (&self.times, &self.values);
+        // Slope and rounding error of the slope left of the present row; before the first row the value is held.
+        let mut slope = (0.0, 0.0);
+        let mut row = 0;
+        while row < times.len() {
+            let time = times[row];
+            let mut last = row;
+            while last + 1 < times.len() && times[last + 1] - time <= same {
+                last += 1;
+            }
+            let next = if last + 1 < times.len() {
+                let dt = times[last + 1] - times[last];
+                let (a, b) = (values[last], values[last + 1]);
+                ((b - a) / dt, f64::EPSILON * (a.abs() + b.abs() + (b - a).abs() * (time.abs() / dt)) / dt)
+            } else {
+                (0.0, 0.0)
+            };
+            let jump = values[row..=last].iter().any(|v| *v != values[row]);
+            let kink = (next.0 - slope.0).abs() > 4.0 * (next.1 + slope.1);
+            if jump || kink {
+                stops.push(InputStop { time: times[last], jump });
+            }
+            slope = next;
+            row = last + 1;
+        }
+    }
+
+    /// Where the held value changes.
+    fn held_stops(&self, stops: &mut Vec<InputStop>) {
+        for row in 1..self.times.len() {
+            if self.values[row] != self.values[row - 1] {
+                stops.push(InputStop { time: self.times[row], jump: true });
+            }
+        }
+    }
+
+    /// Moves rows that are within `same` of one of the instants onto it.
+    fn snap(&mut self, instants: &[f64], same: f64) {
+        let target = |time: f64| {
+            let at = instants.partition_point(|instant| *instant < time - same);
+            instants.get(at).copied().filter(|instant| (instant - time).abs() <= same).unwrap_or(time)
+        };
+        if self.times.iter().any(|time| target(*time) != *time) {
+            self.times = self.times.iter().map(|time| target(*time)).collect();
+        }
+    }
+
+    /// Value of the linear interpolant at `t`; `left`: the limit from the left. `cursor` remembers the place.
+    fn linear(&self, t: f64, left: bool, cursor: &mut usize) -> f64 {
+        let (times, values) = (&*self.times, &*self.values);
+        let passed = |row: f64| if left { row < t } else { row <= t };
+        let fits = |k: usize| (k == 0 || passed(times[k - 1])) && (k == times.len() || !passed(times[k]));
+        let mut k = *cursor;
+        if !fits(k) {
+            k = if k < times.len() && fits(k + 1) {
+                k + 1
+            } else {
+                times.partition_point(|row| passed(*row))
+            };
+            *cursor = k;
+        }
+        if k == 0 {
+            return values[0];
+        }
+        let (t0, v0) = (times[k - 1], values[k - 1]);
+        match (times.get(k), values.get(k)) {
+            (Some(&t1), Some(&v1)) if t < t1 => v0 + (v1 - v0) * ((t - t0) / (t1 - t0)),
+            (Some(_), Some(&v1)) => v1,
+            _ => v0,
+        }
+    }
+
+    /// Value held from `t` on.
+    fn held(&self, t: f64) -> f64 {
+        let rows = self.times.partition_point(|row| *row <= t);
+        self.values[rows.max(1) - 1]
+    }
+}
+
+/// Where a run stands in its inputs, and the values for the next calls.
+#[derive(Debug, Default)]
+pub(crate) struct InputState {
+    /// Jumps that have happened.
+    passed: usize,
+    cursors: Vec<usize>,
+    pub(crate) continuous: Vec<f64>,
+    pub(crate) held_reals: Vec<f64>,
+    pub(crate) held_integers: Vec<i32>,
+    pub(crate) held_booleans: Vec<bool>,
+}
+
+impl InputState {
+    /// Buffers of the right sizes.
+    pub(crate) fn new(plan: &InputPlan) -> Self {
+        Self {
+            passed: 0,
+            cursors: vec![0; plan.linear.len()],
+            continuous: vec![0.0; plan.continuous.len()],
+            held_reals: vec![0.0; plan.held_reals.len()],
+            held_integers: vec![0; plan.held_integers.len()],
+            held_booleans: vec![false; plan.held_booleans.len()],
+        }
+    }
+
+    /// Goes to the start of a run: jumps up to `t` have happened.
+    pub(crate) fn begin(&mut self, plan: &InputPlan, t: f64) {
+        self.passed = 0;
+        self.cursors.fill(0);
+        self.pass(plan, t);
+    }
+
+    /// Lets the jumps up to `t` happen and takes over the held values.
+    pub(crate) fn pass(&mut self, plan: &InputPlan, t: f64) {
+        let happened = plan.jumps.partition_point(|jump| *jump <= t + plan.same);
+        self.passed = self.passed.max(happened);
+        let now = match self.passed.checked_sub(1).and_then(|last| plan.jumps.get(last)) {
+            Some(jump) => jump.max(t),
+            None => t,
+        };
+        for held in &plan.held {
+            let value = held.column.held(now);
+            match held.target {
+                Target::Real(i) => self.held_reals[i] = value,
+                Target::Integer(i) => self.held_integers[i] = whole(value).unwrap_or_default(),
+                Target::Boolean(i) => self.held_booleans[i] = value != 0.0,
+            }
+        }
+    }
+
+    /// Computes the continuous inputs at `t`; `false` if one is not finite. The piece between two jumps is used until
+    /// the jump has happened ([`pass`](Self::pass)), also for times a little beyond it.
+    pub(crate) fn continuous_at(&mut self, plan: &InputPlan, t: f64) -> bool {
+        let next = plan.jumps.get(self.passed).copied().unwrap_or(f64::INFINITY);
+        let last = self.passed.checked_sub(1).map_or(f64::NEG_INFINITY, |i| plan.jumps[i]);
+        let (at, left) = if t >= next { (next, true) } else { (t.max(last), false) };
+        for ((column, cursor), value) in plan.linear.iter().zip(&mut self.cursors).zip(&mut self.continuous) {
+            *value = column.linear(at, left, cursor);
+        }
+        for (function, value) in plan.functions.iter().zip(&mut self.continuous[plan.linear.len()..]) {
+            *value = function(t);
+        }
+        self.continuous.iter().all(|value| value.is_finite())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn column(times: &[f64], values: &[f64]) -> Column {
+        Column { times: times.into(), values: values.into() }
+    }
+
+    fn stops_of(column: &Column) -> Vec<(f64, bool)> {
+        let mut stops = Vec::new();
+        column.linear_stops(1e-14, &mut stops);
+        stops.into_iter().map(|stop| (stop.time, stop.jump)).collect()
+    }
+
+    #[test]
+    fn linear_between_rows_and_held_outside() {
+        let c = column(&[1.0, 2.0, 4.0], &[10.0, 20.0, 0.0]);
+        let mut cursor = 0;
+        for (t, value) in
+            [(0.0, 10.0), (1.0, 10.0), (1.5, 15.0), (3.0, 10.0), (4.0, 0.0), (9.0, 0.0), (1.25, 12.5)]
+        {
+            assert_eq!(c.linear(t, false, &mut cursor), value, "t = {t}");
+            assert_eq!(c.linear(t, true, &mut cursor), value, "t = {t}");
+        }
+    }
+
+    #[test]
+    fn a_time_listed_twice_has_two_limits() {
+        let c = column(&[0.0, 1.0, 1.0, 2.0], &[0.0, 1.0, 5.0, 5.0]);
+        let mut cursor = 0;
+        assert_eq!(c.linear(1.0, true, &mut cursor), 1.0);
+        assert_eq!(c.linear(1.0, false, &mut cursor), 5.0);
+        assert_eq!(stops_of(&c), [(0.0, false), (1.0, true)]);
+    }
+
+    #[test]
+    fn only_changes_of_slope_are_kinks() {
+        let times: Vec<f64> = (0..100).map(|k| 0.1 * f64::from(k)).collect();
+        let ramp: Vec<f64> = times.iter().map(|t| 3.0 - 0.7 * t).collect();
+        assert_eq!(stops_of(&column(&times, &ramp)), [(0.0, false), (times[99], false)]);
+        let bent: Vec<f64> = times.iter().map(|t| (t - 5.0).max(0.0)).collect();
+        assert_eq!(stops_of(&column(&times, &bent)), [(times[50], false), (times[99], false)]);
+    }
+
+    fn plan_of(linear: Vec<Column>, held: Vec<Column>) -> InputPlan {
+        let mut plan = InputPlan { same: 1e-14, continuous: vec![0; linear.len()], ..InputPlan::default() };
+        let mut stops = Vec::new();
+        linear.iter().for_each(|c| c.linear_stops(plan.same, &mut stops));
+        held.iter().for_each(|c| c.held_stops(&mut stops));
+        plan.held_reals = vec![0; held.len()];
+        plan.linear = linear;
+        plan.held = held
+            .into_iter()
+            .enumerate()
+            .map(|(i, column)| Held { column, target: Target::Real(i) })
+            .collect();
+        plan.take_stops(stops);
+        plan
+    }
+
+    #[test]
+    fn the_piece_before_a_jump_holds_until_the_jump_has_happened() {
+        let plan = plan_of(
+            vec![column(&[0.0, 1.0, 1.0, 2.0], &[0.0, 1.0, 5.0, 5.0])],
+            vec![column(&[0.0, 1.0, 1.5], &[7.0, 8.0, 9.0])],
+        );
+        let mut state = InputState::new(&plan);
+        state.begin(&plan, 0.0);
+        assert_eq!(state.held_reals, [7.0]);
+        for (t, u) in [(0.5, 0.5), (1.0, 1.0), (1.5, 1.0)] {
+            assert!(state.continuous_at(&plan, t));
+            assert_eq!(state.continuous, [u], "t = {t}");
+        }
+        state.pass(&plan, 1.0);
+        assert_eq!(state.held_reals, [8.0]);
+        state.continuous_at(&plan, 1.0);
+        assert_eq!(state.continuous, [5.0]);
+        state.pass(&plan, 1.5);
+        assert_eq!(state.held_reals, [9.0]);
+    }
+
+    #[test]
+    fn jumps_within_rounding_are_one_instant() {
+        let near = 0.1 + 0.2; // 0.30000000000000004
+        let plan = plan_of(
+            vec![column(&[0.0, 0.3, 0.3, 1.0], &[0.0, 1.0, 5.0, 5.0])],
+            vec![column(&[0.0, near], &[7.0, 8.0])],
+        );
+        assert_eq!(plan.jumps, [near]);
+        let mut state = InputState::new(&plan);
+        state.begin(&plan, 0.0);
+        state.continuous_at(&plan, near);
+        assert_eq!(state.continuous, [1.0]);
+        state.pass(&plan, 0.3);
+        state.continuous_at(&plan, 0.3);
+        assert_eq!((state.continuous[0], state.held_reals[0]), (5.0, 8.0));
+        assert_eq!(plan.next_stop(0.3), None);
+        assert_eq!(plan.next_stop(0.0).map(|stop| (stop.time, stop.jump)), Some((near, true)));
+    }
+
+    #[test]
+    fn a_jump_at_the_start_has_happened() {
+        let plan = plan_of(vec![column(&[0.0, 0.0, 1.0], &[1.0, 2.0, 2.0])], vec![]);
+        let mut state = InputState::new(&plan);
+        state.begin(&plan, 0.0);
+        state.continuous_at(&plan, 0.0);
+        assert_eq!(state.continuous, [2.0]);
+    }
+}

@@ -1,0 +1,367 @@
+//! Instances of a model and the phases of their lives; each phase is a type, and has the calls that FMI allows in it.
+
+use crate::assign::{self, Assignments};
+use crate::description::{Value, Variable, VariableKind};
+use crate::error::FmiError;
+use crate::failure::CallFailure;
+use crate::fmu::Fmu;
+use crate::sys::{Fault, LogLine, RawInstance, SavedSlot, Status};
+use std::marker::PhantomData;
+
+/// A live instance of an FMU in the phase `P`.
+///
+/// An instance can be moved to another thread but not shared ([`Send`], not `Sync`). Changing the phase takes the
+/// instance and returns it in its new phase; when the FMU answers with an error, the instance is freed (after `fatal` it
+/// is abandoned: FMI forbids even freeing it), and the error has the FMU's last log lines.
+#[derive(Debug)]
+pub struct Instance<P> {
+    core: Box<Core>,
+    _phase: PhantomData<P>,
+}
+
+/// A phase in the life of an [`Instance`].
+pub trait Phase: sealed::Sealed {
+    /// Whether the standard lets this variable be set in this phase.
+    ///
+    /// # Errors
+    /// [`FmiError::NotSettable`] with the reason.
+    fn check_settable(variable: &Variable) -> Result<(), FmiError>;
+}
+
+/// A phase in which values can be read: all but [`Instantiated`] (FMI 2.0.x, section 3.2.3).
+pub trait Readable: Phase {}
+
+impl Readable for Initialization {}
+impl Readable for EventMode {}
+impl Readable for ContinuousTime {}
+impl Readable for Terminated {}
+
+mod sealed {
+    /// Keeps the list of phases complete.
+    pub trait Sealed {}
+}
+
+/// Made or reset, not yet initialized: parameters and start values are set here.
+#[derive(Debug)]
+pub enum Instantiated {}
+/// Initialization mode: inputs at the start time are set here.
+#[derive(Debug)]
+pub enum Initialization {}
+/// Event mode: discrete states are updated here.
+#[derive(Debug)]
+pub enum EventMode {}
+/// Continuous-time mode: time, states and continuous inputs are set here.
+#[derive(Debug)]
+pub enum ContinuousTime {}
+/// Ended: values can be read.
+#[derive(Debug)]
+pub enum Terminated {}
+
+macro_rules! phase {
+    ($phase:ty, |$variable:ident| $check:expr) => {
+        impl sealed::Sealed for $phase {}
+        impl Phase for $phase {
+            fn check_settable($variable: &Variable) -> Result<(), FmiError> {
+                $check
+            }
+        }
+    };
+}
+phase!(Instantiated, |v| assign::check_settable_at_start(v));
+phase!(Initialization, |v| assign::check_settable_in_initialization(v));
+phase!(EventMode, |v| assign::check_settable_in_event_mode(v));
+phase!(ContinuousTime, |v| assign::check_settable_in_continuous_time(v));
+phase!(Terminated, |v| Err(assign::not_settable(v, "the simulation has ended")));
+
+/// A saved state of an instance, to be brought back by the same instance. When it is dropped, its memory is used for the
+/// next saved state; the instance frees it at its end.
+#[derive(Debug)]
+pub struct SavedState(SavedSlot);
+
+/// The part of an instance that does not change with the phase. The component is dropped before the FMU it is of.
+#[derive(Debug)]
+pub(crate) struct Core {
+    pub(crate) raw: RawInstance,
+    fmu: Fmu,
+}
+
+impl Core {
+    /// The error behind a fault.
+    pub(crate) fn error(&self, fault: Fault) -> FmiError {
+        self.error_about(fault, &[], |_| false)
+    }
+
+    /// The error behind a fault of a call about `references`, whose kind of variable `is` tells.
+    fn error_about(&self, fault: Fault, references: &[u32], is: impl Fn(VariableKind) -> bool) -> FmiError {
+        let failed = match fault {
+            Fault::Discard(call) => self.raw.failed(call, Status::Discard),
+            Fault::Failed(failed) => *failed,
+            Fault::Missing(function) => return FmiError::MissingFunction { function },
+            Fault::Length { call, expected, found } => return FmiError::Length { call, expected, found },
+        };
+        let mut failure = CallFailure::from(failed);
+        let variables = &self.fmu.description().variables;
+        failure.variables = references
+            .iter()
+            .filter_map(|reference| variables.iter().find(|v| v.value_reference == *reference && is(v.kind)))
+            .map(|variable| variable.name.clone())
+            .collect();
+        failure.expand(self.fmu.description());
+        FmiError::Call(Box::new(failure))
+    }
+
+    /// Sets values, one call per type.
+    pub(crate) fn apply(&mut self, values: &Assignments) -> Result<(), FmiError> {
+        let Assignments { reals, integers, booleans, strings } = values;
+        self.set_reals(&reals.0, &reals.1)?;
+        if !integers.0.is_empty() {
+            self.raw
+                .set_integer(&integers.0, &integers.1)
+                .map_err(|fault| self.error_about(fault, &integers.0, is_integer))?;
+        }
+        if !booleans.0.is_empty() {
+            self.raw.set_boolean(&booleans.0, &booleans.1).map_err(|fault| {
+                self.error_about(fault, &booleans.0, |kind| kind == VariableKind::Boolean)
+            })?;
+        }
+        if !strings.0.is_empty() {
+            self.raw
+                .set_string(&strings.0, &strings.1)
+                .map_err(|fault| self.error_about(fault, &strings.0, |kind| kind == VariableKind::String))?;
+        }
+        Ok(())
+    }
+
+    /// Sets real variables.
+    pub(crate) fn set_reals(&mut self, references: &[u32], values: &[f64]) -> Result<(), FmiError> {
+        if references.is_empty() && values.is_empty() {
+            return Ok(());
+        }
+        self.raw
+            .set_real(references, values)
+            .map_err(|fault| self.error_about(fault, references, |kind| kind == VariableKind::Real))
+    }
+
+    /// Reads a variable.
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
+        let reference = [variable.value_reference];
+        let kind = variable.kind;
+        let result = match kind {
+            VariableKind::Real => {
+                let mut value = [0.0];
+                self.raw.get_real(&reference, &mut value).map(|()| Value::Real(value[0]))
+            }
+            VariableKind::Integer | VariableKind::Enumeration => {
+                let mut value = [0];
+                self.raw.get_integer(&reference, &mut value).map(|()| Value::Integer(value[0]))
+            }
+            VariableKind::Boolean => {
+                let mut value = [false];
+                self.raw.get_boolean(&reference, &mut value).map(|()| Value::Boolean(value[0]))
+            }
+            VariableKind::String => self
+                .raw
+                .get_string(&reference)
+                .map(|mut texts| Value::String(texts.pop().unwrap_or_default())),
+        };
+        result.map_err(|fault| self.error_about(fault, &reference, |other| other == kind))
+    }
+
+    /// Runs a raw call and words its error.
+    pub(crate) fn call<T>(
+        &mut self,
+        call: impl FnOnce(&mut RawInstance) -> Result<T, Fault>,
+    ) -> Result<T, FmiError> {
+        call(&mut self.raw).map_err(|fault| self.error(fault))
+    }
+}
+
+fn is_integer(kind: VariableKind) -> bool {
+    matches!(kind, VariableKind::Integer | VariableKind::Enumeration)
+}
+
+impl<P> Instance<P> {
+    pub(crate) fn core(&mut self) -> &mut Core {
+        &mut self.core
+    }
+
+    /// The same instance in another phase; the caller has made the call that leads there.
+    pub(crate) fn into_phase<Q>(self) -> Instance<Q> {
+        Instance { core: self.core, _phase: PhantomData }
+    }
+
+    /// Gives up the wrapping.
+    pub(crate) fn into_raw(self) -> (RawInstance, Fmu) {
+        let core = *self.core;
+        (core.raw, core.fmu)
+    }
+
+    /// Makes a call that leads to another phase.
+    pub(crate) fn step_to<Q>(
+        mut self,
+        call: impl FnOnce(&mut RawInstance) -> Result<(), Fault>,
+    ) -> Result<Instance<Q>, FmiError> {
+        self.core.call(call)?;
+        Ok(self.into_phase())
+    }
+
+    /// The FMU it is an instance of.
+    pub fn fmu(&self) -> &Fmu {
+        &self.core.fmu
+    }
+
+    /// The last lines the FMU logged, oldest first, and the number of earlier ones that were not kept.
+    pub fn log(&self) -> (Vec<LogLine>, u64) {
+        let (mut lines, dropped) = self.core.raw.log();
+        for line in &mut lines {
+            line.text = crate::failure::expand_references(&line.text, self.fmu().description());
+        }
+        (lines, dropped)
+    }
+
+    /// Switches the FMU's logging on or off.
+    ///
+    /// # Errors
+    /// The FMU refuses, or has no such function.
+    pub fn set_logging(&mut self, on: bool) -> Result<(), FmiError> {
+        self.core.call(|raw| raw.set_debug_logging(on))
+    }
+
+    /// Saves the complete state of the instance.
+    ///
+    /// # Errors
+    /// The FMU cannot, or refuses.
+    pub fn save_state(&mut self) -> Result<SavedState, FmiError> {
+        self.core.call(RawInstance::save_state).map(SavedState)
+    }
+
+    /// The bytes of a saved state.
+    ///
+    /// # Errors
+    /// [`FmiError::ForeignState`] for a state of another instance; the FMU cannot, or refuses.
+    pub fn serialize(&mut self, state: &SavedState) -> Result<Vec<u8>, FmiError> {
+        self.check_own(state)?;
+        self.core.call(|raw| raw.serialize(&state.0))
+    }
+
+    /// Makes a saved state of bytes that an instance of the same FMU has written.
+    ///
+    /// # Errors
+    /// The FMU cannot, or refuses.
+    pub fn deserialize(&mut self, bytes: &[u8]) -> Result<SavedState, FmiError> {
+        self.core.call(|raw| raw.deserialize(bytes)).map(SavedState)
+    }
+
+    fn check_own(&self, state: &SavedState) -> Result<(), FmiError> {
+        if self.core.raw.owns(&state.0) { Ok(()) } else { Err(FmiError::ForeignState) }
+    }
+
+    /// Brings the instance back to its beginning. Whether the FMU really does so is another matter: see
+    /// [`Pool`](crate::Pool), which checks it.
+    ///
+    /// # Errors
+    /// The FMU cannot, or refuses; the instance is freed then.
+    pub fn reset(self) -> Result<Instance<Instantiated>, FmiError> {
+        let mut fresh: Instance<Instantiated> = self.step_to(RawInstance::reset)?;
+        fresh.core.raw.clear_log();
+        Ok(fresh)
+    }
+}
+
+impl<P: Readable> Instance<P> {
+    /// Reads a variable.
+    ///
+    /// # Errors
+    /// There is no such variable, or the FMU refuses.
+    pub fn get(&mut self, name: &str) -> Result<Value, FmiError> {
+        let fmu = self.core.fmu.clone();
+        let index = assign::resolve(fmu.description(), name)?;
+        self.core.value(&fmu.description().variables[index])
+    }
+
+    /// Reads real variables by value reference, in one call.
+    ///
+    /// # Errors
+    /// The slices differ in length, or the FMU refuses.
+    pub fn get_reals(&mut self, references: &[u32], values: &mut [f64]) -> Result<(), FmiError> {
+        self.core
+            .raw
+            .get_real(references, values)
+            .map_err(|fault| self.core.error_about(fault, references, |kind| kind == VariableKind::Real))
+    }
+
+    /// The derivative of `unknowns` in the direction `seed` of the space of `knowns` (value references of reals).
+    ///
+    /// # Errors
+    /// The slices differ in length; the FMU cannot, or refuses.
+    pub fn directional_derivative(
+        &mut self,
+        unknowns: &[u32],
+        knowns: &[u32],
+        seed: &[f64],
+        sensitivity: &mut [f64],
+    ) -> Result<(), FmiError> {
+        self.core.call(|raw| raw.directional_derivative(unknowns, knowns, seed, sensitivity))
+    }
+}
+
+impl<P: Phase> Instance<P> {
+    /// Sets a variable.
+    ///
+    /// # Errors
+    /// There is no such variable, the value has the wrong type or is not finite, the variable cannot be set in this
+    /// phase, or the FMU refuses.
+    pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<(), FmiError> {
+        let fmu = self.core.fmu.clone();
+        let index = assign::resolve(fmu.description(), name)?;
+        let variable = &fmu.description().variables[index];
+        P::check_settable(variable)?;
+        let mut values = Assignments::default();
+        values.push(variable, &value.into())?;
+        self.core.apply(&values)
+    }
+
+    /// Brings back a state saved by this instance **in the same phase**.
+    ///
+    /// # Errors
+    /// [`FmiError::ForeignState`] for a state of another instance; the FMU cannot, or refuses.
+    pub fn restore_state(&mut self, state: &SavedState) -> Result<(), FmiError> {
+        self.check_own(state)?;
+        self.core.call(|raw| raw.restore_state(&state.0))
+    }
+}
+
+impl Instance<Instantiated> {
+    pub(crate) fn from_raw(raw: RawInstance, fmu: Fmu) -> Self {
+        Self { core: Box::new(Core { raw, fmu }), _phase: PhantomData }
+    }
+
+    /// Brings an instance with a past back to its beginning.
+    pub(crate) fn from_used(raw: RawInstance, fmu: Fmu) -> Result<Self, FmiError> {
+        Self::from_raw(raw, fmu).reset()
+    }
+
+    /// Sets the experiment up and enters initialization mode.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn enter_initialization(
+        mut self,
+        start_time: f64,
+        stop_time: Option<f64>,
+        relative_tolerance: Option<f64>,
+    ) -> Result<Instance<Initialization>, FmiError> {
+        self.core.call(|raw| raw.setup_experiment(relative_tolerance, start_time, stop_time))?;
+        self.step_to(RawInstance::enter_initialization)
+    }
+}
+
+impl Instance<Initialization> {
+    /// Ends the initialization; the instance is in event mode then, and its initial events are due.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn exit_initialization(self) -> Result<Instance<EventMode>, FmiError> {
+        self.step_to(RawInstance::exit_initialization)
+    }
+}

@@ -1,0 +1,44 @@
+//! A safe importer of Functional Mock-up Units: opening, describing, building and running them.
+#![deny(unsafe_code)]
+
+pub mod archive;
+mod assign;
+pub mod description;
+pub mod error;
+mod examples;
+mod failure;
+mod fmu;
+mod input;
+mod instance;
+mod model_exchange;
+mod options;
+mod plan;
+pub mod platform;
+mod pool;
+mod session;
+mod simulation;
+mod source;
+mod sys;
+mod system;
+mod trajectory;
+
+pub use archive::{Archive, ArchiveLimits};
+pub use description::{ModelDescription, Value, Variable};
+pub use error::{EntryProblem, FmiError};
+pub use examples::{example_fmu, example_names};
+pub use failure::CallFailure;
+pub use fmu::{Fmu, FmuCache, InstanceOptions, Reuse};
+pub use input::{InputFunction, Inputs};
+pub use instance::{
+    ContinuousTime, EventMode, Initialization, Instance, Instantiated, Phase, Readable, SavedState, Terminated,
+};
+pub use model_exchange::MAX_EVENT_ITERATIONS;
+pub use ode;
+pub use options::{DEFAULT_INTERVALS, DEFAULT_TOLERANCE, SimulateOptions};
+pub use plan::SimulationPlan;
+pub use pool::{Lease, Pool};
+pub use session::Session;
+pub use simulation::Simulator;
+pub use source::{build_library, clear_caches, pack};
+pub use sys::{LogLine, Status};
+pub use trajectory::Trajectory;

@@ -1,0 +1,397 @@
+//! What a simulation may be told, and the times at which it is sampled.
+
+use crate::description::{DefaultExperiment, Value};
+use crate::error::FmiError;
+use crate::input::Inputs;
+use ode::Method;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+/// Output intervals where nothing else is said.
+pub const DEFAULT_INTERVALS: usize = 500;
+
+/// Relative tolerance where neither the options nor the model say one.
+pub const DEFAULT_TOLERANCE: f64 = 1e-6;
+
+/// More rows than this are taken for a mistake.
+const MAX_ROWS: usize = 100_000_000;
+
+/// Unit round-off of double precision.
+const U: f64 = f64::EPSILON / 2.0;
+
+/// Options of a simulation; the default leaves everything to the model.
+///
+/// ```
+/// use fmi::SimulateOptions;
+/// let options = SimulateOptions::default().final_time(40.0).start_value("armFriction", 0.01).outputs(["armJoint.phi"]);
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct SimulateOptions {
+    /// Start time; default: that of the default experiment, else 0.
+    pub start_time: Option<f64>,
+    /// Final time; default: that of the default experiment, else the last of `times`, else an error.
+    pub final_time: Option<f64>,
+    /// The times of the rows, ascending. A time listed twice gives the limit from the left, then that from the right.
+    /// At most one of `times`, `output_interval` and `ncp`; without any there are 500 intervals.
+    pub times: Option<Vec<f64>>,
+    /// Distance of the rows; the last row is at the final time.
+    pub output_interval: Option<f64>,
+    /// Number of intervals between the rows.
+    pub ncp: Option<usize>,
+    /// Values for parameters and variables with a start value, set before the initialization. Of several for one
+    /// variable the last counts.
+    pub start_values: Vec<(String, Value)>,
+    /// Real variables whose values are given anew at each run.
+    pub parameters: Vec<String>,
+    /// Variables to record; default: those of causality output, or the states if there are none. Time is always there.
+    pub outputs: Option<Vec<String>>,
+    /// Time-varying inputs.
+    pub inputs: Option<Inputs>,
+    /// Relative tolerance; default: that of the default experiment, else 1e-6.
+    pub relative_tolerance: Option<f64>,
+    /// Integration method.
+    pub method: Method,
+    /// Step of the fixed-step methods; default: a 500th of the span.
+    pub step_size: Option<f64>,
+    /// Largest step of the adaptive methods.
+    pub max_step: Option<f64>,
+    /// Limit of wall-clock time.
+    pub timeout: Option<Duration>,
+    /// Add rows for both sides of every event.
+    pub record_events: bool,
+    /// Set from outside to end the run.
+    pub cancel: Option<Arc<AtomicBool>>,
+}
+
+impl SimulateOptions {
+    /// Options that leave everything to the model.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Sets [`start_time`](Self::start_time).
+    #[must_use]
+    pub fn start_time(mut self, time: f64) -> Self {
+        self.start_time = Some(time);
+        self
+    }
+
+    /// Sets [`final_time`](Self::final_time).
+    #[must_use]
+    pub fn final_time(mut self, time: f64) -> Self {
+        self.final_time = Some(time);
+        self
+    }
+
+    /// Sets [`times`](Self::times).
+    #[must_use]
+    pub fn times(mut self, times: impl Into<Vec<f64>>) -> Self {
+        self.times = Some(times.into());
+        self
+    }
+
+    /// Sets [`output_interval`](Self::output_interval).
+    #[must_use]
+    pub fn output_interval(mut self, interval: f64) -> Self {
+        self.output_interval = Some(interval);
+        self
+    }
+
+    /// Sets [`ncp`](Self::ncp).
+    #[must_use]
+    pub fn ncp(mut self, intervals: usize) -> Self {
+        self.ncp = Some(intervals);
+        self
+    }
+
+    /// Adds to [`start_values`](Self::start_values).
+    #[must_use]
+    pub fn start_value(mut self, name: impl Into<String>, value: impl Into<Value>) -> Self {
+        self.start_values.push((name.into(), value.into()));
+        self
+    }
+
+    /// Sets [`parameters`](Self::parameters).
+    #[must_use]
+    pub fn parameters<N: Into<String>>(mut self, names: impl IntoIterator<Item = N>) -> Self {
+        self.parameters = names.into_iter().map(Into::into).collect();
+        self
+    }
+
+    /// Sets [`outputs`](Self::outputs).
+    #[must_use]
+    pub fn outputs<N: Into<String>>(mut self, names: impl IntoIterator<Item = N>) -> Self {
+        self.outputs = Some(names.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// Sets [`inputs`](Self::inputs).
+    #[must_use]
+    pub fn inputs(mut self, inputs: Inputs) -> Self {
+        self.inputs = Some(inputs);
+        self
+    }
+
+    /// Sets [`relative_tolerance`](Self::relative_tolerance).
+    #[must_use]
+    pub fn relative_tolerance(mut self, tolerance: f64) -> Self {
+        self.relative_tolerance = Some(tolerance);
+        self
+    }
+
+    /// Sets [`method`](Self::method).
+    #[must_use]
+    pub fn method(mut self, method: Method) -> Self {
+        self.method = method;
+        self
+    }
+
+    /// Sets [`step_size`](Self::step_size).
+    #[must_use]
+    pub fn step_size(mut self, step: f64) -> Self {
+        self.step_size = Some(step);
+        self
+    }
+
+    /// Sets [`max_step`](Self::max_step).
+    #[must_use]
+    pub fn max_step(mut self, step: f64) -> Self {
+        self.max_step = Some(step);
+        self
+    }
+
+    /// Sets [`timeout`](Self::timeout).
+    #[must_use]
+    pub fn timeout(mut self, limit: Duration) -> Self {
+        self.timeout = Some(limit);
+        self
+    }
+
+    /// Sets [`record_events`](Self::record_events).
+    #[must_use]
+    pub fn record_events(mut self, on: bool) -> Self {
+        self.record_events = on;
+        self
+    }
+
+    /// Sets [`cancel`](Self::cancel).
+    #[must_use]
+    pub fn cancel(mut self, flag: Arc<AtomicBool>) -> Self {
+        self.cancel = Some(flag);
+        self
+    }
+
+    /// The options of the integration method.
+    pub(crate) fn method_options(&self, experiment: &DefaultExperiment) -> ode::Options {
+        let suggested = experiment.tolerance.filter(|tolerance| (1e-14..1.0).contains(tolerance));
+        ode::Options {
+            method: self.method,
+            relative_tolerance: self.relative_tolerance.or(suggested).unwrap_or(DEFAULT_TOLERANCE),
+            step_size: self.step_size,
+            max_step: self.max_step,
+            record_events: self.record_events,
+            limits: ode::Limits { timeout: self.timeout, ..ode::Limits::default() },
+            cancel: self.cancel.clone(),
+            ..ode::Options::default()
+        }
+    }
+
+    /// Resolves span and rows.
+    pub(crate) fn grid(&self, experiment: &DefaultExperiment) -> Result<Grid, FmiError> {
+        let given = [self.times.is_some(), self.output_interval.is_some(), self.ncp.is_some()];
+        if given.iter().filter(|is| **is).count() > 1 {
+            return Err(setting("at most one of times, output_interval and ncp can be given".to_owned()));
+        }
+        let start = self.start_time.or(experiment.start_time).unwrap_or(0.0);
+        let last = self.times.as_ref().and_then(|times| times.last().copied());
+        let Some(end) = self.final_time.or(experiment.stop_time).or(last) else {
+            return Err(setting(
+                "no final time: neither final_time nor times is given, and the model suggests none"
+                    .to_owned(),
+            ));
+        };
+        if !(start.is_finite() && end.is_finite() && start <= end) {
+            let problem = format!(
+                "cannot simulate from {start} to {end}: both must be finite, the end not before the start"
+            );
+            return Err(setting(problem));
+        }
+        let same = 100.0 * U * start.abs().max(end.abs()).max(end - start);
+        let times = match (&self.times, self.output_interval, self.ncp) {
+            (Some(times), ..) => snap(times, start, end, same)?,
+            (_, Some(interval), _) => intervals(start, end, same, interval)?,
+            (_, _, Some(0)) => return Err(setting("ncp = 0: at least one interval is needed".to_owned())),
+            (_, _, ncp) => uniform(start, end, ncp.unwrap_or(DEFAULT_INTERVALS))?,
+        };
+        Ok(Grid { start, end, same, times })
+    }
+}
+
+/// Span and rows of a simulation.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Grid {
+    pub(crate) start: f64,
+    pub(crate) end: f64,
+    /// Times closer than this are one.
+    pub(crate) same: f64,
+    pub(crate) times: Vec<f64>,
+}
+
+fn setting(problem: String) -> FmiError {
+    FmiError::BadSetting { problem }
+}
+
+/// `n` equal intervals: `start + k h`, never a sum, and the end itself.
+fn uniform(start: f64, end: f64, n: usize) -> Result<Vec<f64>, FmiError> {
+    if start == end {
+        return Ok(vec![start]);
+    }
+    if n > MAX_ROWS {
+        return Err(setting(format!("{n} intervals are more than the limit of {MAX_ROWS}")));
+    }
+    let h = (end - start) / n as f64;
+    Ok((0..n).map(|k| start + k as f64 * h).chain([end]).collect())
+}
+
+/// Rows `interval` apart, and one at the end.
+fn intervals(start: f64, end: f64, same: f64, interval: f64) -> Result<Vec<f64>, FmiError> {
+    if !(interval > 0.0 && interval.is_finite()) {
+        return Err(setting(format!("output_interval = {interval} must be positive and finite")));
+    }
+    let count = ((end - start) / interval).ceil();
+    if count > MAX_ROWS as f64 || interval <= same {
+        return Err(setting(format!(
+            "output_interval = {interval} from {start} to {end} makes more rows than the limit of {MAX_ROWS}"
+        )));
+    }
+    Ok((0..=count as usize)
+        .map(|k| start + k as f64 * interval)
+        .take_while(|t| *t < end - same)
+        .chain([end])
+        .collect())
+}
+
+/// Checks given times, and makes those one that are within rounding of each other or of the ends of the span.
+fn snap(times: &[f64], start: f64, end: f64, same: f64) -> Result<Vec<f64>, FmiError> {
+    let mut snapped: Vec<f64> = Vec::with_capacity(times.len());
+    for (i, &time) in times.iter().enumerate() {
+        if !(time >= start - same && time <= end + same) {
+            return Err(setting(format!(
+                "times[{i}] = {time} is not within the span of the simulation, {start} to {end}"
+            )));
+        }
+        let mut time = if time <= start + same {
+            start
+        } else if time >= end - same {
+            end
+        } else {
+            time
+        };
+        if let Some(&before) = snapped.last() {
+            if times[i] < times[i - 1] {
+                return Err(setting(format!(
+                    "times must ascend: times[{i}] = {} comes after {}",
+                    times[i],
+                    times[i - 1]
+                )));
+            }
+            if time - before <= same {
+                time = before;
+            }
+            if i > 1 && time == snapped[i - 2] {
+                return Err(setting(format!(
+                    "times[{i}] = {time} is listed a third time; twice is left and right limit"
+                )));
+            }
+        }
+        snapped.push(time);
+    }
+    Ok(snapped)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NONE: DefaultExperiment =
+        DefaultExperiment { start_time: None, stop_time: None, tolerance: None, step_size: None };
+
+    fn grid(options: &SimulateOptions) -> Grid {
+        options.grid(&NONE).unwrap()
+    }
+
+    fn problem(options: &SimulateOptions) -> String {
+        options.grid(&NONE).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn five_hundred_intervals_by_default() {
+        let g = grid(&SimulateOptions::new().final_time(40.0));
+        assert_eq!((g.start, g.end, g.times.len()), (0.0, 40.0, 501));
+        assert_eq!((g.times[1], g.times[500]), (0.08, 40.0));
+        let one = grid(&SimulateOptions::new().start_time(0.1).final_time(1.1).ncp(1));
+        assert_eq!(one.times, [0.1, 1.1]);
+        assert_eq!(grid(&SimulateOptions::new().final_time(0.0)).times, [0.0]);
+    }
+
+    #[test]
+    fn intervals_end_at_the_final_time() {
+        let times = |interval| grid(&SimulateOptions::new().final_time(1.0).output_interval(interval)).times;
+        assert_eq!(times(0.5), [0.0, 0.5, 1.0]);
+        assert_eq!(times(0.1).len(), 11);
+        assert_eq!(times(0.4), [0.0, 0.4, 0.8, 1.0]);
+        assert_eq!(times(7.0), [0.0, 1.0]);
+    }
+
+    #[test]
+    fn the_default_experiment_comes_before_the_last_of_the_times() {
+        let experiment = DefaultExperiment { start_time: Some(1.0), stop_time: Some(3.0), ..NONE };
+        let options = SimulateOptions::new().times([1.5, 2.0]);
+        let g = options.grid(&experiment).unwrap();
+        assert_eq!((g.start, g.end), (1.0, 3.0));
+        assert_eq!(grid(&options).end, 2.0);
+        assert!(
+            SimulateOptions::new()
+                .times([4.0])
+                .grid(&experiment)
+                .unwrap_err()
+                .to_string()
+                .contains("times[0] = 4")
+        );
+        assert!(problem(&SimulateOptions::new()).contains("final_time"));
+    }
+
+    #[test]
+    fn times_within_rounding_are_one() {
+        let three = 0.1 + 0.2;
+        let g = grid(&SimulateOptions::new().times([-1e-17, 0.3, three, 1.0 + 1e-15]).final_time(1.0));
+        assert_eq!(g.times, [0.0, 0.3, 0.3, 1.0]);
+    }
+
+    #[test]
+    fn bad_settings_name_the_numbers() {
+        let end = || SimulateOptions::new().final_time(1.0);
+        assert!(problem(&end().ncp(2).output_interval(0.1)).contains("at most one"));
+        assert!(problem(&end().ncp(0)).contains("ncp = 0"));
+        assert!(problem(&end().times([0.5, 0.2])).contains("times[1] = 0.2 comes after 0.5"));
+        assert!(problem(&end().times([0.5, 0.5, 0.5])).contains("third"));
+        assert!(problem(&end().times([f64::NAN])).contains("NaN"));
+        assert!(problem(&end().times([2.0])).contains("times[0] = 2"));
+        assert!(problem(&end().output_interval(-0.1)).contains("-0.1"));
+        assert!(problem(&end().output_interval(1e-300)).contains("limit"));
+        assert!(problem(&SimulateOptions::new().final_time(f64::INFINITY)).contains("inf"));
+        assert!(problem(&end().start_time(2.0)).contains("from 2 to 1"));
+    }
+
+    #[test]
+    fn the_tolerance_of_the_model_is_taken_if_it_makes_sense() {
+        let tolerance = |suggested| {
+            let experiment = DefaultExperiment { tolerance: suggested, ..NONE };
+            SimulateOptions::new().method_options(&experiment).relative_tolerance
+        };
+        assert_eq!(tolerance(Some(1e-4)), 1e-4);
+        assert_eq!(tolerance(Some(0.0)), 1e-6);
+        assert_eq!(tolerance(None), 1e-6);
+    }
+}

@@ -1,0 +1,619 @@
+//! Everything that differs between operating systems and processors: names of folders and libraries,
+//! machine types of binaries, where caches and private folders live, how a C compiler is called.
+
+use crate::error::FmiError;
+use std::env;
+use std::fmt;
+use std::fs::{self, File};
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// Extension of shared libraries on this platform, without the dot: `so`, `dll`, `dylib`.
+pub const LIBRARY_EXTENSION: &str = env::consts::DLL_EXTENSION;
+
+/// Processor a binary is made for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Machine {
+    /// 32-bit x86.
+    X86,
+    /// 64-bit x86.
+    X86_64,
+    /// 32-bit ARM.
+    Arm,
+    /// 64-bit ARM.
+    Aarch64,
+    /// 64-bit RISC-V.
+    Riscv64,
+    /// Anything else, with the number the file gives.
+    Other(u32),
+}
+
+impl Machine {
+    /// The processor this library was compiled for.
+    pub fn host() -> Machine {
+        match env::consts::ARCH {
+            "x86" => Machine::X86,
+            "x86_64" => Machine::X86_64,
+            "arm" => Machine::Arm,
+            "aarch64" => Machine::Aarch64,
+            "riscv64" => Machine::Riscv64,
+            _ => Machine::Other(0),
+        }
+    }
+}
+
+impl fmt::Display for Machine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Machine::X86 => f.write_str("x86"),
+            Machine::X86_64 => f.write_str("x86_64"),
+            Machine::Arm => f.write_str("arm"),
+            Machine::Aarch64 => f.write_str("aarch64"),
+            Machine::Riscv64 => f.write_str("riscv64"),
+            Machine::Other(number) => write!(f, "machine {number}"),
+        }
+    }
+}
+
+/// File format of a binary, which tells the operating system.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BinaryFormat {
+    /// Linux and most other Unix systems.
+    Elf,
+    /// Windows.
+    Pe,
+    /// macOS.
+    MachO,
+}
+
+impl BinaryFormat {
+    /// The format this platform loads.
+    pub fn host() -> BinaryFormat {
+        if cfg!(windows) {
+            BinaryFormat::Pe
+        } else if cfg!(target_vendor = "apple") {
+            BinaryFormat::MachO
+        } else {
+            BinaryFormat::Elf
+        }
+    }
+}
+
+impl fmt::Display for BinaryFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            BinaryFormat::Elf => "ELF",
+            BinaryFormat::Pe => "Windows",
+            BinaryFormat::MachO => "Mach-O",
+        })
+    }
+}
+
+/// What the header of a shared library says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BinaryHeader {
+    /// File format.
+    pub format: BinaryFormat,
+    /// Processors it has code for; more than one only in universal Mach-O files.
+    pub machines: Vec<Machine>,
+}
+
+impl BinaryHeader {
+    /// Reads the header of a file; `None` if it is not a binary of a known format.
+    pub fn read(path: &Path) -> io::Result<Option<BinaryHeader>> {
+        Self::read_from(&mut File::open(path)?)
+    }
+
+    /// Reads the header of a binary from a stream that stands at its beginning.
+    fn read_from(file: &mut (impl Read + Seek)) -> io::Result<Option<BinaryHeader>> {
+        let mut start = Vec::with_capacity(1024);
+        file.by_ref().take(1024).read_to_end(&mut start)?;
+        let header = match start.get(..4) {
+            Some([0x7f, b'E', b'L', b'F']) => elf_machine(&start).map(|m| (BinaryFormat::Elf, vec![m])),
+            Some([b'M', b'Z', ..]) => pe_machine(&start, file)?.map(|m| (BinaryFormat::Pe, vec![m])),
+            Some([0xcf | 0xce, 0xfa, 0xed, 0xfe]) => {
+                u32_le(&start, 4).map(|cpu| (BinaryFormat::MachO, vec![mach_o_machine(cpu)]))
+            }
+            Some([0xca, 0xfe, 0xba, 0xbe]) => universal_machines(&start).map(|m| (BinaryFormat::MachO, m)),
+            _ => None,
+        };
+        Ok(header.map(|(format, machines)| BinaryHeader { format, machines }))
+    }
+
+    /// Whether this platform can load it.
+    pub fn runs_here(&self) -> bool {
+        self.format == BinaryFormat::host() && self.machines.contains(&Machine::host())
+    }
+}
+
+impl fmt::Display for BinaryHeader {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.format)?;
+        for machine in &self.machines {
+            write!(f, " {machine}")?;
+        }
+        Ok(())
+    }
+}
+
+/// `e_machine` of an ELF header (System V ABI, chapter 4): two bytes at offset 18.
+fn elf_machine(start: &[u8]) -> Option<Machine> {
+    let bytes: [u8; 2] = start.get(18..20)?.try_into().ok()?;
+    let big_endian = *start.get(5)? == 2;
+    let number = if big_endian { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) };
+    Some(match number {
+        3 => Machine::X86,
+        62 if start.get(4) == Some(&1) => Machine::Other(62), // x32: 32-bit pointers on x86-64
+        62 => Machine::X86_64,
+        40 => Machine::Arm,
+        183 => Machine::Aarch64,
+        243 if start.get(4) == Some(&2) => Machine::Riscv64,
+        other => Machine::Other(u32::from(other)),
+    })
+}
+
+/// `Machine` of the COFF header behind the PE signature (Microsoft PE format).
+fn pe_machine(start: &[u8], file: &mut (impl Read + Seek)) -> io::Result<Option<Machine>> {
+    let Some(offset) = u32_le(start, 0x3c) else { return Ok(None) };
+    file.seek(SeekFrom::Start(u64::from(offset)))?;
+    let mut header = Vec::with_capacity(6);
+    file.by_ref().take(6).read_to_end(&mut header)?;
+    let [b'P', b'E', 0, 0, low, high] = header[..] else { return Ok(None) };
+    Ok(Some(match u16::from_le_bytes([low, high]) {
+        0x014c => Machine::X86,
+        0x8664 => Machine::X86_64,
+        0x01c0 | 0x01c4 => Machine::Arm,
+        0xaa64 => Machine::Aarch64,
+        0x5064 => Machine::Riscv64,
+        other => Machine::Other(u32::from(other)),
+    }))
+}
+
+/// `cputype` of a Mach-O header (`mach/machine.h`).
+fn mach_o_machine(cpu: u32) -> Machine {
+    match cpu {
+        7 => Machine::X86,
+        0x0100_0007 => Machine::X86_64,
+        12 => Machine::Arm,
+        0x0100_000c => Machine::Aarch64,
+        other => Machine::Other(other),
+    }
+}
+
+/// Processors of a universal Mach-O file. Java class files have the same magic number; their next
+/// field, read as a count, is far above any number of processors.
+fn universal_machines(start: &[u8]) -> Option<Vec<Machine>> {
+    let count = u32_be(start, 4)?;
+    if !(1..=30).contains(&count) {
+        return None;
+    }
+    (0..count as usize).map(|slice| u32_be(start, 8 + 20 * slice).map(mach_o_machine)).collect()
+}
+
+fn u32_le(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
+}
+
+fn u32_be(bytes: &[u8], at: usize) -> Option<u32> {
+    u32_le(bytes, at).map(u32::swap_bytes)
+}
+
+/// Folders of `binaries/` that may hold a library for this platform, the best first.
+///
+/// FMI 1.0 and 2.0 name them `linux64`, `win64`, `darwin64` and know no processor but x86; FMUs for ARM use
+/// FMI 3.0's names, or put an ARM library into the x86 folder, so both are looked at and
+/// [`BinaryHeader::runs_here`] decides.
+pub fn binary_folders(fmi_major: u32) -> Vec<String> {
+    let modern = format!("{}-{}", modern_processor(), modern_system());
+    let classic = format!("{}{}", classic_system(), usize::BITS);
+    let classic_first = fmi_major < 3 && matches!(Machine::host(), Machine::X86 | Machine::X86_64);
+    if classic_first { vec![classic, modern] } else { vec![modern, classic] }
+}
+
+fn modern_processor() -> &'static str {
+    env::consts::ARCH
+}
+
+fn modern_system() -> &'static str {
+    match env::consts::OS {
+        "macos" => "darwin",
+        other => other,
+    }
+}
+
+fn classic_system() -> &'static str {
+    match env::consts::OS {
+        "windows" => "win",
+        "macos" => "darwin",
+        other => other,
+    }
+}
+
+/// A library found in `binaries/`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FoundBinary {
+    /// The library.
+    pub path: PathBuf,
+    /// What was not as it should be, if anything: another name than the model identifier.
+    pub note: Option<String>,
+}
+
+/// Finds the library of a model for this platform.
+///
+/// A library of another name is taken if it is the only one in its folder (and noted).
+/// Fails with [`FmiError::NoBinary`], which lists what is there with its machine types.
+pub fn find_binary(root: &Path, model_identifier: &str, fmi_major: u32) -> Result<FoundBinary, FmiError> {
+    let folders = binary_folders(fmi_major);
+    for folder in &folders {
+        let folder = root.join("binaries").join(folder);
+        let exact = folder.join(format!("{model_identifier}.{LIBRARY_EXTENSION}"));
+        if runs_here(&exact) {
+            return Ok(FoundBinary { path: exact, note: None });
+        }
+        if exact.exists() {
+            continue;
+        }
+        if let [only] = &libraries_in(&folder)[..]
+            && runs_here(only)
+        {
+            let note = format!(
+                "{} taken for model identifier \"{model_identifier}\": the only library there",
+                only.strip_prefix(root).unwrap_or(only).display()
+            );
+            return Ok(FoundBinary { path: only.clone(), note: Some(note) });
+        }
+    }
+    Err(FmiError::NoBinary {
+        path: root.to_owned(),
+        wanted: format!(
+            "{} with {} {}",
+            folders.join(" or "),
+            BinaryFormat::host(),
+            Machine::host()
+        ),
+        present: present_binaries(root),
+    })
+}
+
+fn runs_here(path: &Path) -> bool {
+    matches!(BinaryHeader::read(path), Ok(Some(header)) if header.runs_here())
+}
+
+/// Files with the extension of this platform's libraries, sorted; empty if there is no such folder.
+fn libraries_in(folder: &Path) -> Vec<PathBuf> {
+    sorted_entries(folder)
+        .into_iter()
+        .filter(|path| path.extension().is_some_and(|extension| extension == LIBRARY_EXTENSION) && path.is_file())
+        .collect()
+}
+
+fn sorted_entries(folder: &Path) -> Vec<PathBuf> {
+    let mut paths: Vec<_> =
+        fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+    paths.sort();
+    paths
+}
+
+/// The folders of `binaries/` and what is in them, for a message.
+fn present_binaries(root: &Path) -> String {
+    let folders = sorted_entries(&root.join("binaries"));
+    let described: Vec<String> =
+        folders.iter().filter(|path| path.is_dir()).take(20).map(|folder| describe_folder(folder)).collect();
+    if described.is_empty() { "no binaries at all".to_owned() } else { described.join(", ") }
+}
+
+fn describe_folder(folder: &Path) -> String {
+    let files: Vec<String> = sorted_entries(folder)
+        .iter()
+        .filter(|path| path.is_file())
+        .take(5)
+        .map(|path| {
+            let what = match BinaryHeader::read(path) {
+                Ok(Some(header)) => header.to_string(),
+                Ok(None) => "not a library".to_owned(),
+                Err(error) => error.to_string(),
+            };
+            format!("{}: {what}", file_name(path))
+        })
+        .collect();
+    let inside = if files.is_empty() { "empty".to_owned() } else { files.join(", ") };
+    format!("{} ({inside})", file_name(folder))
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Folder under which private unpack folders are made.
+///
+/// Some FMUs cannot live in a path with spaces, braces or letters beyond ASCII, because they paste it into
+/// a URI or a format string; then another folder for temporary files is preferred, if there is one.
+pub(crate) fn unpack_base() -> PathBuf {
+    let usual = env::temp_dir();
+    let others = if cfg!(unix) { &["/tmp", "/var/tmp"][..] } else { &[] };
+    if is_plain(&usual) {
+        return usual;
+    }
+    others.iter().map(PathBuf::from).find(|path| path.is_dir()).unwrap_or(usual)
+}
+
+fn is_plain(path: &Path) -> bool {
+    path.to_str().is_some_and(|text| {
+        text.chars().all(|c| c.is_ascii_alphanumeric() || "/\\:._-~+,=@".contains(c))
+    })
+}
+
+/// Folder for files worth keeping between runs: `FMUFIT_CACHE` if set, else where the system keeps caches
+/// of a user, else a folder for temporary files.
+pub(crate) fn cache_folder() -> PathBuf {
+    if let Some(folder) = absolute_from("FMUFIT_CACHE") {
+        return folder;
+    }
+    let users = if cfg!(windows) {
+        absolute_from("LOCALAPPDATA")
+    } else if cfg!(target_vendor = "apple") {
+        absolute_from("HOME").map(|home| home.join("Library").join("Caches"))
+    } else {
+        absolute_from("XDG_CACHE_HOME").or_else(|| absolute_from("HOME").map(|home| home.join(".cache")))
+    };
+    users.unwrap_or_else(env::temp_dir).join("fmufit")
+}
+
+/// A folder named by an environment variable; relative ones are ignored, as the XDG specification asks.
+fn absolute_from(variable: &str) -> Option<PathBuf> {
+    env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute())
+}
+
+/// Where caches go if they cannot go into [`cache_folder`].
+pub(crate) fn fallback_cache_folder() -> PathBuf {
+    unpack_base().join("fmufit-cache")
+}
+
+/// Creates a folder that only its owner may write into, and refuses one that is there and is not such.
+/// Libraries are loaded from it, and folders for temporary files are open to everybody.
+pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
+    let mut builder = fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    match builder.create(path) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
+        _ => {}
+    }
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let found = fs::symlink_metadata(path)?;
+        let own = tempfile::tempfile()?.metadata()?.uid();
+        if !found.is_dir() || found.uid() != own || found.mode() & 0o022 != 0 {
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "others may write into it"));
+        }
+    }
+    Ok(())
+}
+
+/// Permissions of files for everybody, less what the user's mask takes away.
+pub(crate) fn with_usual_permissions<'a, 'b>(builder: &'a mut tempfile::Builder<'b, 'b>) -> &'a mut tempfile::Builder<'b, 'b> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(fs::Permissions::from_mode(0o666));
+    }
+    builder
+}
+
+/// Names of C compilers to try where `CC` is not set.
+pub(crate) const C_COMPILERS: &[&str] = &["cc", "gcc", "clang"];
+
+/// Options that make a C compiler write a shared library. Floating-point arithmetic stays as the standard
+/// says: contraction to fused operations would make results depend on the processor.
+pub(crate) fn shared_library_options() -> &'static [&'static str] {
+    if cfg!(windows) {
+        &["-O2", "-shared", "-ffp-contract=off"]
+    } else {
+        &["-O2", "-fPIC", "-shared", "-ffp-contract=off"]
+    }
+}
+
+/// Libraries every model is linked with.
+pub(crate) fn system_libraries() -> &'static [&'static str] {
+    if cfg!(windows) { &[] } else { &["-lm"] }
+}
+
+/// Whether a component of an archive's path can be the name of a file here.
+pub(crate) fn is_file_name(component: &str) -> bool {
+    if !cfg!(windows) {
+        return true;
+    }
+    let stem = component.split('.').next().unwrap_or_default().trim_end().to_ascii_uppercase();
+    let numbered = |prefix: &str| {
+        stem.strip_prefix(prefix).is_some_and(|rest| rest.len() == 1 && rest.as_bytes()[0].is_ascii_digit())
+    };
+    let device = matches!(stem.as_str(), "CON" | "PRN" | "AUX" | "NUL") || numbered("COM") || numbered("LPT");
+    !device && !component.ends_with(['.', ' ']) && !component.contains(['<', '>', ':', '"', '|', '?', '*'])
+}
+
+/// Whether a file is marked as executable by its owner.
+pub(crate) fn is_executable(metadata: &fs::Metadata) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        metadata.permissions().mode() & 0o100 != 0
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = metadata;
+        false
+    }
+}
+
+/// Marks a file as executable by everybody who can read it, where systems have such marks.
+pub(crate) fn make_executable(file: &File) -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        file.set_permissions(fs::Permissions::from_mode(0o755))?;
+    }
+    #[cfg(not(unix))]
+    let _ = file;
+    Ok(())
+}
+
+/// What tells a file from another, and from what it was before it was changed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct FileIdentity {
+    /// Device and inode, where systems have them.
+    place: (u64, u64),
+    size: u64,
+    /// Seconds and nanoseconds of the last modification of the content and, where known, of the status.
+    modified: (i64, i64),
+    changed: (i64, i64),
+}
+
+/// The identity of a file from its metadata; nothing is read.
+pub(crate) fn file_identity(metadata: &fs::Metadata) -> FileIdentity {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        FileIdentity {
+            place: (metadata.dev(), metadata.ino()),
+            size: metadata.size(),
+            modified: (metadata.mtime(), metadata.mtime_nsec()),
+            changed: (metadata.ctime(), metadata.ctime_nsec()),
+        }
+    }
+    #[cfg(not(unix))]
+    {
+        let since_epoch = metadata.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
+        let modified = since_epoch.map_or((0, 0), |d| (d.as_secs() as i64, i64::from(d.subsec_nanos())));
+        FileIdentity { place: (0, 0), size: metadata.len(), modified, changed: (0, 0) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Cursor;
+
+    fn header(bytes: &[u8]) -> Option<BinaryHeader> {
+        BinaryHeader::read_from(&mut Cursor::new(bytes)).unwrap()
+    }
+
+    fn elf(class: u8, order: u8, machine: [u8; 2]) -> Vec<u8> {
+        let mut bytes = vec![0x7f, b'E', b'L', b'F', class, order, 1];
+        bytes.resize(18, 0);
+        bytes.extend(machine);
+        bytes.resize(64, 0);
+        bytes
+    }
+
+    #[test]
+    fn elf_headers_tell_the_machine() {
+        for (bytes, machine) in [
+            (elf(2, 1, [62, 0]), Machine::X86_64),
+            (elf(1, 1, [3, 0]), Machine::X86),
+            (elf(2, 1, [183, 0]), Machine::Aarch64),
+            (elf(2, 2, [0, 183]), Machine::Aarch64),
+            (elf(1, 1, [62, 0]), Machine::Other(62)),
+            (elf(2, 1, [21, 0]), Machine::Other(21)),
+        ] {
+            assert_eq!(header(&bytes), Some(BinaryHeader { format: BinaryFormat::Elf, machines: vec![machine] }));
+        }
+    }
+
+    #[test]
+    fn pe_headers_tell_the_machine() {
+        let mut bytes = b"MZ".to_vec();
+        bytes.resize(0x3c, 0);
+        bytes.extend(2000u32.to_le_bytes());
+        bytes.resize(2000, 0);
+        bytes.extend(b"PE\0\0\x64\x86");
+        assert_eq!(
+            header(&bytes),
+            Some(BinaryHeader { format: BinaryFormat::Pe, machines: vec![Machine::X86_64] })
+        );
+    }
+
+    #[test]
+    fn mach_o_headers_tell_all_machines() {
+        let thin = [0xcf, 0xfa, 0xed, 0xfe, 0x0c, 0, 0, 1];
+        assert_eq!(header(&thin).map(|h| h.machines), Some(vec![Machine::Aarch64]));
+        let mut fat = vec![0xca, 0xfe, 0xba, 0xbe, 0, 0, 0, 2];
+        fat.extend([1, 0, 0, 7]);
+        fat.extend([0; 16]);
+        fat.extend([1, 0, 0, 12]);
+        fat.extend([0; 16]);
+        assert_eq!(header(&fat).map(|h| h.machines), Some(vec![Machine::X86_64, Machine::Aarch64]));
+    }
+
+    #[test]
+    fn other_files_are_not_binaries() {
+        let java = [0xca, 0xfe, 0xba, 0xbe, 0, 0, 0, 52];
+        for bytes in [&b""[..], b"\x7fEL", b"\x7fELF", b"MZ", b"MZ and more text, but not that much of it, and no header", &java] {
+            assert_eq!(header(bytes), None, "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn this_very_program_runs_here() {
+        let header = BinaryHeader::read(&env::current_exe().unwrap()).unwrap().unwrap();
+        assert!(header.runs_here(), "{header}");
+    }
+
+    #[test]
+    fn the_classic_folder_comes_first_on_x86_only() {
+        let two = binary_folders(2);
+        let three = binary_folders(3);
+        assert_eq!(two.len(), 2);
+        if Machine::host() == Machine::X86_64 && cfg!(target_os = "linux") {
+            assert_eq!(two, ["linux64", "x86_64-linux"]);
+            assert_eq!(three, ["x86_64-linux", "linux64"]);
+        }
+    }
+
+    #[test]
+    fn a_foreign_library_is_not_taken_and_is_listed() {
+        let root = tempfile::tempdir().unwrap();
+        let mine = root.path().join("binaries").join(&binary_folders(2)[0]);
+        let other = root.path().join("binaries/plan9");
+        fs::create_dir_all(&mine).unwrap();
+        fs::create_dir_all(&other).unwrap();
+        fs::write(mine.join(format!("m.{LIBRARY_EXTENSION}")), elf(2, 1, [21, 0])).unwrap();
+        let message = find_binary(root.path(), "m", 2).unwrap_err().to_string();
+        assert!(message.contains("ELF machine 21") && message.contains("plan9 (empty)"), "{message}");
+        assert!(message.contains(&binary_folders(2)[0]), "{message}");
+    }
+
+    #[test]
+    fn a_single_library_of_another_name_is_taken_and_noted() {
+        let root = tempfile::tempdir().unwrap();
+        let mine = root.path().join("binaries").join(&binary_folders(2)[0]);
+        fs::create_dir_all(&mine).unwrap();
+        let program = env::current_exe().unwrap();
+        let library = mine.join(format!("other.{LIBRARY_EXTENSION}"));
+        fs::copy(&program, &library).unwrap();
+        let found = find_binary(root.path(), "m", 2).unwrap();
+        assert_eq!(found.path, library);
+        assert!(found.note.unwrap().contains("\"m\""));
+        fs::copy(&program, mine.join(format!("third.{LIBRARY_EXTENSION}"))).unwrap();
+        assert!(matches!(find_binary(root.path(), "m", 2), Err(FmiError::NoBinary { .. })));
+        let exact = mine.join(format!("m.{LIBRARY_EXTENSION}"));
+        fs::copy(&program, &exact).unwrap();
+        assert_eq!(find_binary(root.path(), "m", 2).unwrap(), FoundBinary { path: exact, note: None });
+    }
+
+    #[test]
+    fn an_fmu_without_binaries_says_so() {
+        let root = tempfile::tempdir().unwrap();
+        let message = find_binary(root.path(), "m", 2).unwrap_err().to_string();
+        assert!(message.contains("no binaries at all"), "{message}");
+    }
+
+    #[test]
+    fn paths_that_upset_fmus_are_recognised() {
+        assert!(is_plain(Path::new("/tmp/a-b_c.d")));
+        for bad in ["/tmp/a b", "/tmp/{a}", "/tmp/\u{e4}", "/tmp/a%20b"] {
+            assert!(!is_plain(Path::new(bad)), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! One model as scripts use it: set values, simulate, look at the values, set others, simulate again.
+
+use crate::assign::{check_settable_at_start, convert, resolve};
+use crate::description::Value;
+use crate::error::FmiError;
+use crate::fmu::Fmu;
+use crate::options::SimulateOptions;
+use crate::plan::SimulationPlan;
+use crate::simulation::Simulator;
+use crate::trajectory::Trajectory;
+use std::sync::Arc;
+
+/// A model with the values set since it was loaded or reset. Every simulation starts from a freshly reset model with all
+/// these values, so that a second one gives the same bits.
+///
+/// Sessions of one [`Fmu`] hand their instances on to each other; making a session costs next to nothing.
+#[derive(Debug)]
+pub struct Session {
+    fmu: Fmu,
+    /// Position of the variable and its value, in the order of setting; each position once.
+    values: Vec<(usize, Value)>,
+    /// Positions set since the last simulation.
+    pending: Vec<usize>,
+    /// Holds the final values of the last simulation.
+    last: Option<Simulator>,
+    /// Holds initial values, while nothing has been simulated.
+    initial: Option<Simulator>,
+}
+
+impl Session {
+    /// A session with nothing set.
+    pub fn new(fmu: Fmu) -> Self {
+        Self { fmu, values: Vec::new(), pending: Vec::new(), last: None, initial: None }
+    }
+
+    /// The model.
+    pub fn fmu(&self) -> &Fmu {
+        &self.fmu
+    }
+
+    /// Sets a parameter, a start value, or the constant value of an input, for all simulations from now on.
+    ///
+    /// # Errors
+    /// Unknown name (with the nearest names), wrong type, NaN or infinity, or a variable that cannot be set.
+    pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<(), FmiError> {
+        let description = self.fmu.description();
+        let index = resolve(description, name)?;
+        let variable = &description.variables[index];
+        check_settable_at_start(variable)?;
+        let value = convert(variable, &value.into())?;
+        match self.values.iter_mut().find(|(known, _)| *known == index) {
+            Some(entry) => entry.1 = value,
+            None => self.values.push((index, value)),
+        }
+        if !self.pending.contains(&index) {
+            self.pending.push(index);
+        }
+        self.initial = None;
+        Ok(())
+    }
+
+    /// Value of a variable: after a simulation its final value, unless it has been set since; before, the value set or the
+    /// start value, or what the initialization makes of them.
+    ///
+    /// # Errors
+    /// Unknown name; the model cannot be initialized.
+    pub fn get(&mut self, name: &str) -> Result<Value, FmiError> {
+        let index = resolve(self.fmu.description(), name)?;
+        let set =
+            |values: &[(usize, Value)]| values.iter().find(|(i, _)| *i == index).map(|(_, v)| v.clone());
+        if let Some(simulator) = &mut self.last {
+            let pending = if self.pending.contains(&index) { set(&self.values) } else { None };
+            return pending.map_or_else(|| simulator.value(name), Ok);
+        }
+        if let Some(value) = set(&self.values) {
+            return Ok(value);
+        }
+        if let Some(value) = &self.fmu.description().variables[index].start {
+            return Ok(value.clone());
+        }
+        self.initial_value(name)
+    }
+
+    fn initial_value(&mut self, name: &str) -> Result<Value, FmiError> {
+        let mut simulator = match self.initial.take() {
+            Some(simulator) => simulator,
+            None => {
+                let start = self.fmu.description().default_experiment.start_time.unwrap_or(0.0);
+                let options = self.with_values(&SimulateOptions::new().start_time(start).final_time(start));
+                let mut simulator = Simulator::new(Arc::new(SimulationPlan::new(&self.fmu, &options)?))?;
+                simulator.initialize_only(&[])?;
+                simulator
+            }
+        };
+        let value = simulator.value(name);
+        self.initial = Some(simulator);
+        value
+    }
+
+    /// Forgets all values set and the last simulation.
+    pub fn reset(&mut self) {
+        *self = Self::new(self.fmu.clone());
+    }
+
+    /// Simulates from a freshly reset model with all values set; `start_values` of the options count on top of them for
+    /// this simulation only.
+    ///
+    /// # Errors
+    /// As [`Fmu::simulate`].
+    pub fn simulate(&mut self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+        let plan = Arc::new(SimulationPlan::new(&self.fmu, &self.with_values(options))?);
+        // Their instances go back to the FMU and are used again right away.
+        self.last = None;
+        self.initial = None;
+        let mut simulator = Simulator::new(Arc::clone(&plan))?;
+        let trajectory = simulator.trajectory(plan.parameter_starts())?;
+        self.last = Some(simulator);
+        self.pending.clear();
+        Ok(trajectory)
+    }
+
+    fn with_values(&self, options: &SimulateOptions) -> SimulateOptions {
+        let mut options = options.clone();
+        let variables = &self.fmu.description().variables;
+        let mut values: Vec<(String, Value)> = self
+            .values
+            .iter()
+            .map(|(index, value)| (variables[*index].name.clone(), value.clone()))
+            .collect();
+        values.append(&mut options.start_values);
+        options.start_values = values;
+        options
+    }
+}

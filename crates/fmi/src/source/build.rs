@@ -1,0 +1,261 @@
+//! What to compile, and how: the recipe for a library, from the description or from the files that are there.
+
+use super::compiler::Compiler;
+use crate::archive::{hash_of_texts, is_inside};
+use crate::description::{BUILD_DESCRIPTION, BuildSet, Interface, ModelDescription, build_sets};
+use crate::error::FmiError;
+use crate::platform::{self, BinaryHeader};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Endings of files that belong to the sources but are not compiled by themselves.
+const HEADERS: &[&str] = &["h", "hpp", "hh", "inc"];
+
+/// Raised when libraries built by earlier versions must not be used any more.
+const RECIPE_VERSION: &str = "1";
+
+/// How to build one library.
+#[derive(Debug, PartialEq)]
+pub(super) struct Recipe {
+    model_identifier: String,
+    /// Where the compiler runs; all other paths are relative to it, so that nothing in the library depends on where
+    /// the FMU was unpacked.
+    folder: PathBuf,
+    /// Sorted out of the arguments because their order is that of the command line.
+    arguments: Vec<String>,
+}
+
+impl Recipe {
+    /// Finds out what to compile.
+    pub(super) fn find(
+        root: &Path,
+        description: &ModelDescription,
+        interface: &Interface,
+    ) -> Result<Recipe, FmiError> {
+        let folder = root.join("sources");
+        let sources = Sources { folder: &folder, model_identifier: &interface.model_identifier };
+        let set = sources.build_set(description, interface)?;
+        let mut arguments: Vec<String> = platform::shared_library_options().iter().map(|&s| s.into()).collect();
+        // The standard's headers paste the model identifier before all names unless told not to.
+        arguments.push(format!("-DFMI{}_OVERRIDE_FUNCTION_PREFIX", description.fmi_version.major));
+        arguments.push("-I.".to_owned());
+        for include in &set.include_folders {
+            arguments.push(format!("-I{}", sources.checked(include, Path::is_dir)?));
+        }
+        for (name, value) in &set.definitions {
+            arguments.push(match value {
+                Some(value) => format!("-D{name}={value}"),
+                None => format!("-D{name}"),
+            });
+        }
+        for file in &set.files {
+            let file = sources.checked(file, Path::is_file)?;
+            if !is_header(&file) {
+                arguments.push(file);
+            }
+        }
+        Ok(Recipe { model_identifier: interface.model_identifier.clone(), folder, arguments })
+    }
+
+    /// A key that differs whenever the library could.
+    pub(super) fn key(&self, compiler: &Compiler, content_hash: &str) -> String {
+        let identity = compiler.identity();
+        let platform = format!("{} {}", std::env::consts::OS, std::env::consts::ARCH);
+        let fixed =
+            [RECIPE_VERSION, content_hash, self.model_identifier.as_str(), identity.as_str(), platform.as_str()];
+        hash_of_texts(fixed.into_iter().chain(self.arguments.iter().map(String::as_str)))
+    }
+
+    /// Compiles and links into `target`.
+    pub(super) fn build(&self, compiler: &Compiler, target: &Path) -> Result<(), FmiError> {
+        let mut arguments = self.arguments.clone();
+        arguments.push("-o".to_owned());
+        arguments.push(target.to_string_lossy().into_owned());
+        arguments.extend(platform::system_libraries().iter().map(|&library| library.to_owned()));
+        compiler.run(&self.model_identifier, &self.folder, &arguments)?;
+        match BinaryHeader::read(target).map_err(FmiError::io("read", target))? {
+            Some(header) if header.runs_here() => Ok(()),
+            header => Err(FmiError::CompileFailed {
+                model_identifier: self.model_identifier.clone(),
+                command: compiler.identity(),
+                status: "success".to_owned(),
+                output: match header {
+                    Some(header) => format!("the library is for {header}, not for this platform"),
+                    None => "what it wrote is no library".to_owned(),
+                },
+            }),
+        }
+    }
+}
+
+/// The folder with the sources of one interface.
+struct Sources<'a> {
+    folder: &'a Path,
+    model_identifier: &'a str,
+}
+
+impl Sources<'_> {
+    fn error(&self, reason: String) -> FmiError {
+        FmiError::NoSources { model_identifier: self.model_identifier.to_owned(), reason }
+    }
+
+    /// What to compile: as listed in the description, else in the build description, else every C file.
+    fn build_set(&self, description: &ModelDescription, interface: &Interface) -> Result<BuildSet, FmiError> {
+        if !self.folder.is_dir() {
+            return Err(self.error("there is no folder \"sources\"".to_owned()));
+        }
+        if !interface.source_files.is_empty() {
+            return Ok(BuildSet { files: interface.source_files.clone(), ..BuildSet::default() });
+        }
+        let list = self.folder.join(BUILD_DESCRIPTION);
+        if list.is_file() {
+            let bytes = fs::read(&list).map_err(FmiError::io("read", &list))?;
+            if let Some(set) = build_sets(&bytes, self.model_identifier)? {
+                return Ok(set);
+            }
+        }
+        let files = self.all_c_files()?;
+        if files.is_empty() {
+            return Err(self.error("the folder \"sources\" has no C files".to_owned()));
+        }
+        log::warn!(
+            "\"{}\" does not list its source files; compiling all {} C files in \"sources\"",
+            description.model_name,
+            files.len()
+        );
+        Ok(BuildSet { files, ..BuildSet::default() })
+    }
+
+    fn all_c_files(&self) -> Result<Vec<String>, FmiError> {
+        let mut names = Vec::new();
+        for entry in fs::read_dir(self.folder).map_err(FmiError::io("list", self.folder))? {
+            let path = entry.map_err(FmiError::io("list", self.folder))?.path();
+            let name = path.file_name().and_then(|name| name.to_str());
+            if let Some(name) = name.filter(|name| name.ends_with(".c"))
+                && path.is_file()
+            {
+                names.push(name.to_owned());
+            }
+        }
+        names.sort();
+        Ok(names)
+    }
+
+    /// A path from a file, as an argument: it must lie in `sources/`, also behind links, and be what it should be.
+    /// The leading `./` keeps names from being taken for options.
+    fn checked(&self, name: &str, is_right: fn(&Path) -> bool) -> Result<String, FmiError> {
+        // Tools on Windows write backslashes here.
+        let relative = name.replace('\\', "/");
+        let relative = relative.trim_end_matches('/');
+        let refuse = |why: &str| self.error(format!("\"{}\" {why}", name.escape_debug()));
+        if !is_inside(relative) {
+            return Err(refuse("is listed, but is no path inside of \"sources\""));
+        }
+        let path = self.folder.join(relative);
+        if !is_right(&path) {
+            return Err(refuse("is listed, but is not there"));
+        }
+        let real = path.canonicalize().map_err(FmiError::io("find", &path))?;
+        let real_folder = self.folder.canonicalize().map_err(FmiError::io("find", self.folder))?;
+        if !real.starts_with(real_folder) {
+            return Err(refuse("is a link that leads out of \"sources\""));
+        }
+        Ok(format!("./{relative}"))
+    }
+}
+
+fn is_header(name: &str) -> bool {
+    Path::new(name).extension().and_then(|ending| ending.to_str()).is_some_and(|ending| HEADERS.contains(&ending))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn description(listed: &[&str]) -> ModelDescription {
+        let files: String = listed.iter().map(|name| format!("<File name=\"{name}\"/>")).collect();
+        let text = format!(
+            "<fmiModelDescription fmiVersion=\"2.0\" modelName=\"m\" guid=\"g\">\
+             <ModelExchange modelIdentifier=\"m\"><SourceFiles>{files}</SourceFiles></ModelExchange>\
+             </fmiModelDescription>"
+        );
+        ModelDescription::parse(text.as_bytes()).unwrap()
+    }
+
+    fn sources(files: &[&str]) -> tempfile::TempDir {
+        let root = tempfile::tempdir().unwrap();
+        fs::create_dir(root.path().join("sources")).unwrap();
+        for name in files {
+            let path = root.path().join("sources").join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "").unwrap();
+        }
+        root
+    }
+
+    fn recipe(files: &[&str], listed: &[&str]) -> Result<Recipe, FmiError> {
+        let description = description(listed);
+        let root = sources(files);
+        Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap())
+    }
+
+    fn compiled(files: &[&str], listed: &[&str]) -> Vec<String> {
+        let arguments = recipe(files, listed).unwrap().arguments;
+        arguments.into_iter().filter(|argument| !argument.starts_with('-')).collect()
+    }
+
+    #[test]
+    fn listed_files_are_compiled_in_their_order() {
+        assert_eq!(compiled(&["a.c", "b.c", "c.h", "x.c"], &["b.c", "c.h", "a.c"]), ["./b.c", "./a.c"]);
+        assert_eq!(compiled(&["s/a.c"], &["s\\a.c"]), ["./s/a.c"]);
+    }
+
+    #[test]
+    fn without_a_list_all_c_files_are_compiled() {
+        assert_eq!(compiled(&["b.c", "a.c", "a.h", "sub/c.c"], &[]), ["./a.c", "./b.c"]);
+    }
+
+    #[test]
+    fn a_build_description_is_used() {
+        let root = sources(&["a.c", "b.c", "inc/x.h"]);
+        fs::write(
+            root.path().join("sources/buildDescription.xml"),
+            "<fmiBuildDescription><BuildConfiguration modelIdentifier=\"m\"><SourceFileSet><SourceFile name=\"a.c\"/>\
+             <PreprocessorDefinition name=\"N\" value=\"2\"/><IncludeDirectory name=\"inc/\"/></SourceFileSet>\
+             </BuildConfiguration></fmiBuildDescription>",
+        )
+        .unwrap();
+        let description = description(&[]);
+        let found = Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap()).unwrap();
+        assert!(found.arguments.ends_with(&["-I./inc".into(), "-DN=2".into(), "./a.c".into()]), "{found:?}");
+    }
+
+    #[test]
+    fn names_that_lead_out_of_the_sources_are_refused() {
+        for name in ["../a.c", "/etc/passwd", "..\\a.c", "C:\\a.c", "x/../../a.c", ""] {
+            let message = recipe(&["a.c"], &[name]).unwrap_err().to_string();
+            assert!(message.contains("no path inside"), "{name}: {message}");
+        }
+        assert!(recipe(&["a.c"], &["b.c"]).unwrap_err().to_string().contains("not there"));
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn links_that_lead_out_of_the_sources_are_refused() {
+        let root = sources(&[]);
+        let outside = tempfile::NamedTempFile::new().unwrap();
+        std::os::unix::fs::symlink(outside.path(), root.path().join("sources/a.c")).unwrap();
+        let description = description(&["a.c"]);
+        let result = Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap());
+        assert!(result.unwrap_err().to_string().contains("leads out"));
+    }
+
+    #[test]
+    fn missing_sources_are_told_apart() {
+        assert!(recipe(&["a.h"], &[]).unwrap_err().to_string().contains("no C files"));
+        let empty = tempfile::tempdir().unwrap();
+        let description = description(&[]);
+        let result = Recipe::find(empty.path(), &description, description.model_exchange.as_ref().unwrap());
+        assert!(result.unwrap_err().to_string().contains("no folder"));
+    }
+}

@@ -1,0 +1,213 @@
+//! A folder of things worth keeping between runs: filled by renaming, so that processes do not meet half of a file;
+//! bounded; removable.
+
+use crate::error::FmiError;
+use crate::platform;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+/// Folder of built libraries, one folder for each key inside.
+const LIBRARIES: &str = "libraries";
+/// Folders that belong to the caches, and nothing else in the cache folder does.
+const SUBFOLDERS: &[&str] = &[LIBRARIES, "examples"];
+/// What is unfinished starts with this.
+const UNFINISHED: &str = ".unfinished-";
+
+/// Bounds of the libraries kept.
+const MOST_ENTRIES: usize = 64;
+const MOST_BYTES: u64 = 512 << 20;
+/// Age at which what is unfinished was left behind by a process that died.
+const ABANDONED: Duration = Duration::from_secs(24 * 3600);
+
+/// A subfolder of the cache folder, made if it is not there; if none can be made where caches belong, one in the
+/// folder for temporary files.
+pub(crate) fn folder(name: &str) -> Result<PathBuf, FmiError> {
+    let usual = platform::cache_folder().join(name);
+    let Err(error) = prepare(&usual) else { return Ok(usual) };
+    log::warn!("no cache in {}: {error}", usual.display());
+    let fallback = platform::fallback_cache_folder();
+    platform::create_private_folder(&fallback).map_err(FmiError::io("create", &fallback))?;
+    let inside = fallback.join(name);
+    prepare(&inside).map_err(FmiError::io("create", &inside))?;
+    Ok(inside)
+}
+
+/// Makes a folder and tries whether it can be written into.
+fn prepare(folder: &Path) -> io::Result<()> {
+    fs::create_dir_all(folder)?;
+    tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(folder).map(drop)
+}
+
+/// The library `file_name` kept under `key`, made by `make` (which writes to the path it is given) if it is not
+/// there. Two processes that make the same one at once both succeed, and one result is kept.
+pub(super) fn get_or_make(
+    key: &str,
+    file_name: &str,
+    make: impl FnOnce(&Path) -> Result<(), FmiError>,
+) -> Result<PathBuf, FmiError> {
+    let libraries = folder(LIBRARIES)?;
+    let kept = libraries.join(key);
+    let library = kept.join(file_name);
+    if library.is_file() {
+        touch(&library);
+        return Ok(library);
+    }
+    let unfinished = tempfile::Builder::new()
+        .prefix(UNFINISHED)
+        .tempdir_in(&libraries)
+        .map_err(FmiError::io("create a folder in", &libraries))?;
+    make(&unfinished.path().join(file_name))?;
+    match fs::rename(unfinished.path(), &kept) {
+        Ok(()) => {
+            let _ = unfinished.keep(); // moved away: nothing to remove
+        }
+        Err(_) if library.is_file() => {} // somebody else was faster
+        Err(error) => return Err(FmiError::io("create", kept)(error)),
+    }
+    evict(&libraries, &kept, MOST_ENTRIES, MOST_BYTES);
+    Ok(library)
+}
+
+/// Marks as used just now; that it may fail (a cache that can only be read) does no harm.
+fn touch(library: &Path) {
+    let touched =
+        fs::File::options().append(true).open(library).and_then(|file| file.set_modified(SystemTime::now()));
+    if let Err(error) = touched {
+        log::debug!("{} not marked as used: {error}", library.display());
+    }
+}
+
+struct Kept {
+    path: PathBuf,
+    used: SystemTime,
+    bytes: u64,
+}
+
+/// Removes what was used longest ago until the bounds hold, but never `spared`; and what was never finished.
+fn evict(libraries: &Path, spared: &Path, most_entries: usize, most_bytes: u64) {
+    let mut entries = Vec::new();
+    for path in fs::read_dir(libraries).into_iter().flatten().flatten().map(|entry| entry.path()) {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if name.starts_with(UNFINISHED) {
+            let age = path.metadata().and_then(|found| found.modified()).ok().and_then(|time| time.elapsed().ok());
+            if age.is_some_and(|age| age > ABANDONED) {
+                remove(&path);
+            }
+        } else if let Some(kept) = Kept::inspect(&path) {
+            entries.push(kept);
+        }
+    }
+    entries.sort_by_key(|kept| (kept.path == spared, kept.used));
+    let mut bytes: u64 = entries.iter().map(|kept| kept.bytes).sum();
+    let mut left = entries.len();
+    for kept in &entries {
+        if (left <= most_entries && bytes <= most_bytes) || kept.path == spared {
+            return;
+        }
+        remove(&kept.path);
+        left -= 1;
+        bytes -= kept.bytes;
+    }
+}
+
+impl Kept {
+    fn inspect(path: &Path) -> Option<Kept> {
+        let mut kept = Kept { path: path.to_owned(), used: SystemTime::UNIX_EPOCH, bytes: 0 };
+        for entry in fs::read_dir(path).ok()?.flatten() {
+            let found = entry.metadata().ok()?;
+            kept.used = kept.used.max(found.modified().ok()?);
+            kept.bytes += found.len();
+        }
+        Some(kept)
+    }
+}
+
+/// Removes a folder. Another process may be doing the same.
+fn remove(path: &Path) {
+    if let Err(error) = fs::remove_dir_all(path)
+        && error.kind() != io::ErrorKind::NotFound
+    {
+        log::debug!("{} stays in the cache: {error}", path.display());
+    }
+}
+
+/// Removes everything this library keeps between runs: built libraries and packed example models.
+pub fn clear_caches() -> Result<(), FmiError> {
+    for folder in [platform::cache_folder(), platform::fallback_cache_folder()] {
+        for name in SUBFOLDERS {
+            let path = folder.join(name);
+            match fs::remove_dir_all(&path) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    return Err(FmiError::io("remove", path)(error));
+                }
+                _ => {}
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keep(libraries: &Path, name: &str, bytes: usize, age: u64) -> PathBuf {
+        let folder = libraries.join(name);
+        fs::create_dir(&folder).unwrap();
+        let file = folder.join("m.so");
+        fs::write(&file, vec![0; bytes]).unwrap();
+        let time = SystemTime::now() - Duration::from_secs(age);
+        fs::File::options().append(true).open(&file).unwrap().set_modified(time).unwrap();
+        folder
+    }
+
+    fn names(libraries: &Path) -> Vec<String> {
+        let mut names: Vec<_> = fs::read_dir(libraries)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn the_longest_unused_go_first_and_the_new_one_stays() {
+        let root = tempfile::tempdir().unwrap();
+        let spared = keep(root.path(), "new", 10, 1000);
+        for (name, age) in [("a", 30), ("b", 10), ("c", 20)] {
+            keep(root.path(), name, 10, age);
+        }
+        evict(root.path(), &spared, 3, 1000);
+        assert_eq!(names(root.path()), ["b", "c", "new"]);
+        evict(root.path(), &spared, 3, 25);
+        assert_eq!(names(root.path()), ["b", "new"]);
+        evict(root.path(), &spared, 0, 0);
+        assert_eq!(names(root.path()), ["new"]);
+    }
+
+    #[test]
+    fn touching_makes_a_library_young() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = keep(root.path(), "a", 1, 1000);
+        touch(&folder.join("m.so"));
+        let kept = Kept::inspect(&folder).unwrap();
+        assert!(kept.used.elapsed().unwrap() < Duration::from_secs(100));
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_folder_that_others_may_write_into_is_not_trusted() {
+        use std::os::unix::fs::PermissionsExt;
+        let root = tempfile::tempdir().unwrap();
+        let mine = root.path().join("mine");
+        platform::create_private_folder(&mine).unwrap();
+        platform::create_private_folder(&mine).unwrap();
+        fs::set_permissions(&mine, fs::Permissions::from_mode(0o777)).unwrap();
+        assert!(platform::create_private_folder(&mine).is_err());
+        let link = root.path().join("link");
+        std::os::unix::fs::symlink(root.path(), &link).unwrap();
+        assert!(platform::create_private_folder(&link).is_err());
+    }
+}

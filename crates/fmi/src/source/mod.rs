@@ -1,0 +1,40 @@
+//! FMUs as source code: building a library for this platform, keeping it, and packing a folder into an `.fmu`.
+
+mod build;
+mod cache;
+mod compiler;
+mod pack;
+
+pub use cache::clear_caches;
+#[allow(unused_imports)] // for the example models
+pub(crate) use cache::folder as cache_folder;
+pub use pack::pack;
+
+use crate::description::{Interface, ModelDescription};
+use crate::error::FmiError;
+use std::path::{Path, PathBuf};
+
+/// Builds the library of an interface from the sources of an FMU with the system's C compiler (`CC`, else `cc`,
+/// `gcc`, `clang`), or finds it in the cache.
+///
+/// * `root`: the unpacked FMU, `content_hash` the hash of its content.
+/// * Compiled are the files the description lists, or `sources/buildDescription.xml`, or else all `.c` files in
+///   `sources/`. Compiler options in an FMU are ignored.
+///
+/// The library is kept in a cache folder (`FMUFIT_CACHE`, else where the system keeps caches of a user) by content,
+/// compiler and options; the oldest go when there are more than 64 or 512 MiB of them.
+///
+/// Errors: [`FmiError::NoSources`], [`FmiError::NoCompiler`], [`FmiError::CompileFailed`] with the command and
+/// the last lines of the compiler; [`FmiError::Io`].
+pub fn build_library(
+    root: &Path,
+    description: &ModelDescription,
+    interface: &Interface,
+    content_hash: &str,
+) -> Result<PathBuf, FmiError> {
+    let recipe = build::Recipe::find(root, description, interface)?;
+    let compiler = compiler::Compiler::find(&interface.model_identifier)?;
+    let key = recipe.key(&compiler, content_hash);
+    let file_name = format!("{}.{}", interface.model_identifier, crate::platform::LIBRARY_EXTENSION);
+    cache::get_or_make(&key, &file_name, |target| recipe.build(&compiler, target))
+}

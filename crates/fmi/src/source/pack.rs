@@ -1,0 +1,124 @@
+//! Packing a folder into an `.fmu`: everything in it, and a library for this platform built from its sources.
+
+use super::build_library;
+use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, files_below};
+use crate::description::{Interface, ModelDescription};
+use crate::error::FmiError;
+use crate::platform;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use zip::write::{SimpleFileOptions, ZipWriter};
+
+/// Packs a folder with `modelDescription.xml` and `sources/` into an `.fmu` that holds all of it and, built now, a
+/// library for this platform in `binaries/`. Folders without sources are packed as they are.
+///
+/// The same folder and compiler give the same bytes: entries are sorted and carry no time. The result replaces
+/// `out` in one step, after it has been opened and parsed again.
+///
+/// Errors: [`FmiError::CannotPack`]; those of opening a folder, parsing its description, building its library.
+pub fn pack(folder: &Path, out: &Path) -> Result<(), FmiError> {
+    let source = Archive::open(folder)?;
+    let description = ModelDescription::read(&source)?;
+    let mut files = files_to_pack(source.root(), out)?;
+    for interface in distinct_interfaces(&description) {
+        if source.root().join("sources").is_dir() {
+            let library = build_library(source.root(), &description, interface, source.content_hash())?;
+            files.insert(library_name(&description, interface), library);
+        }
+    }
+    check_names(files.keys().map(String::as_str)).map_err(|(entry, problem)| FmiError::CannotPack {
+        folder: folder.to_owned(),
+        reason: format!("\"{}\" {problem}", entry.escape_debug()),
+    })?;
+    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    let unfinished = platform::with_usual_permissions(builder.prefix(".fmufit-").suffix(".fmu"))
+        .tempfile_in(parent)
+        .map_err(FmiError::io("create a file in", parent))?;
+    write_archive(unfinished.as_file(), &files).map_err(|error| error.of(unfinished.path()))?;
+    check_result(unfinished.path(), &source, folder)?;
+    unfinished.persist(out).map_err(|error| FmiError::io("write", out)(error.error))?;
+    Ok(())
+}
+
+/// All files of the folder by the names they get, without `out` itself if it lies there.
+fn files_to_pack(root: &Path, out: &Path) -> Result<BTreeMap<String, PathBuf>, FmiError> {
+    let out = out.canonicalize().ok();
+    let files = files_below(root, ArchiveLimits::default().entries)?;
+    let is_out = |path: &Path| out.is_some() && path.canonicalize().ok() == out;
+    Ok(files.into_iter().filter(|(_, path)| !is_out(path)).collect())
+}
+
+/// The interfaces that need a library of their own.
+fn distinct_interfaces(description: &ModelDescription) -> Vec<&Interface> {
+    let mut interfaces: Vec<&Interface> =
+        description.model_exchange.iter().chain(&description.co_simulation).collect();
+    interfaces.dedup_by_key(|interface| interface.model_identifier.as_str());
+    interfaces
+}
+
+fn library_name(description: &ModelDescription, interface: &Interface) -> String {
+    let folders = platform::binary_folders(description.fmi_version.major);
+    let folder = folders.first().map_or("unknown", String::as_str);
+    format!("binaries/{folder}/{}.{}", interface.model_identifier, platform::LIBRARY_EXTENSION)
+}
+
+/// Where writing an archive failed.
+enum WriteError {
+    Read(PathBuf, io::Error),
+    Write(io::Error),
+}
+
+impl From<zip::result::ZipError> for WriteError {
+    fn from(error: zip::result::ZipError) -> Self {
+        WriteError::Write(error.into())
+    }
+}
+
+impl WriteError {
+    fn of(self, archive: &Path) -> FmiError {
+        match self {
+            WriteError::Read(path, error) => FmiError::io("read", path)(error),
+            WriteError::Write(error) => FmiError::io("write", archive)(error),
+        }
+    }
+}
+
+fn write_archive(out: &File, files: &BTreeMap<String, PathBuf>) -> Result<(), WriteError> {
+    let mut archive = ZipWriter::new(BufWriter::new(out));
+    for (name, path) in files {
+        let read = |error| WriteError::Read(path.clone(), error);
+        let mut file = File::open(path).map_err(read)?;
+        let metadata = file.metadata().map_err(read)?;
+        let mode = if platform::is_executable(&metadata) { 0o755 } else { 0o644 };
+        // No time of last modification: the library then writes the first one the format knows, 1980.
+        let options = SimpleFileOptions::default()
+            .compression_method(zip::CompressionMethod::Deflated)
+            .last_modified_time(zip::DateTime::default())
+            .large_file(metadata.len() >= u64::from(u32::MAX))
+            .unix_permissions(mode);
+        archive.start_file(name.as_str(), options)?;
+        io::copy(&mut file, &mut archive).map_err(WriteError::Write)?;
+    }
+    let mut buffer = archive.finish()?;
+    buffer.flush().map_err(WriteError::Write)?;
+    drop(buffer);
+    out.sync_all().map_err(WriteError::Write)
+}
+
+/// Opens the archive as a user would.
+fn check_result(path: &Path, source: &Archive, folder: &Path) -> Result<(), FmiError> {
+    let archive = Archive::open(path)?;
+    ModelDescription::read(&archive)?;
+    let text = |root: &Path| {
+        let path = root.join(MODEL_DESCRIPTION);
+        fs::read(&path).map_err(FmiError::io("read", path))
+    };
+    if text(archive.root())? == text(source.root())? {
+        return Ok(());
+    }
+    let reason = "its model description changed while it was packed".to_owned();
+    Err(FmiError::CannotPack { folder: folder.to_owned(), reason })
+}

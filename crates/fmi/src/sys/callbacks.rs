@@ -1,0 +1,233 @@
+//! What an FMU may call back: the logger and the memory functions, and the bounded store of log lines.
+//!
+//! FMI 2.0's logger is variadic, which stable Rust can call but not define. Of the two ways out, a fixed-arity
+//! function in its place loses the arguments (messages keep their `%s`), so a C shim (`logger.c`) expands the message
+//! with `vsnprintf` and passes plain bytes to [`sink`].
+
+use super::Status;
+use std::collections::VecDeque;
+use std::ffi::{c_char, c_int, c_void};
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Lines kept per instance.
+const LINES: usize = 32;
+
+/// A line that an FMU logged.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogLine {
+    /// How serious it is.
+    pub status: Status,
+    /// Category, one of the model description's or anything else.
+    pub category: String,
+    /// The message; bytes that are not UTF-8 and control characters are replaced, long messages cut.
+    pub text: String,
+}
+
+impl fmt::Display for LogLine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "[{}] {}", self.status, self.text)
+    }
+}
+
+/// The last lines an instance logged, and how many earlier ones were dropped.
+#[derive(Debug)]
+struct Lines {
+    kept: VecDeque<LogLine>,
+    dropped: u64,
+}
+
+impl Lines {
+    /// Adds a line; when full, the oldest gives its place and its buffers.
+    fn push(&mut self, status: Status, category: &[u8], text: &[u8]) {
+        let mut line = if self.kept.len() >= LINES {
+            self.dropped += 1;
+            self.kept.pop_front()
+        } else {
+            None
+        }
+        .unwrap_or_else(|| LogLine { status, category: String::new(), text: String::new() });
+        line.status = status;
+        copy_lossy(category, &mut line.category);
+        copy_lossy(text.trim_ascii_end(), &mut line.text);
+        self.kept.push_back(line);
+    }
+}
+
+/// Copies text, replacing what is not UTF-8 and what could steer a terminal.
+fn copy_lossy(bytes: &[u8], target: &mut String) {
+    target.clear();
+    for chunk in bytes.utf8_chunks() {
+        for c in chunk.valid().chars() {
+            target.push(if c.is_control() && c != '\n' && c != '\t' {
+                char::REPLACEMENT_CHARACTER
+            } else {
+                c
+            });
+        }
+        if !chunk.invalid().is_empty() {
+            target.push(char::REPLACEMENT_CHARACTER);
+        }
+    }
+}
+
+/// The log of one instance. FMUs may log from threads of their own, hence the mutex.
+#[derive(Debug)]
+pub(super) struct Log(Mutex<Lines>);
+
+impl Log {
+    pub(super) fn new() -> Self {
+        Self(Mutex::new(Lines { kept: VecDeque::with_capacity(LINES), dropped: 0 }))
+    }
+
+    fn lines(&self) -> MutexGuard<'_, Lines> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The last `n` lines, oldest first, and how many earlier ones there were.
+    pub(super) fn last(&self, n: usize) -> (Vec<LogLine>, u64) {
+        let lines = self.lines();
+        let skip = lines.kept.len().saturating_sub(n);
+        (lines.kept.iter().skip(skip).cloned().collect(), lines.dropped + skip as u64)
+    }
+
+    /// Forgets the lines.
+    pub(super) fn clear(&self) {
+        let mut lines = self.lines();
+        lines.kept.clear();
+        lines.dropped = 0;
+    }
+}
+
+/// What `componentEnvironment` points to; the same layout as in `logger.c`.
+#[repr(C)]
+#[derive(Debug)]
+pub(super) struct Environment {
+    sink: unsafe extern "C" fn(*mut c_void, c_int, *const c_char, usize, *const c_char, usize),
+    data: *mut c_void,
+}
+
+// SAFETY: never written after it was made; `data` leads to a `Log`, which is a mutex and may be used from any thread.
+unsafe impl Send for Environment {}
+// SAFETY: as for `Send`.
+unsafe impl Sync for Environment {}
+
+impl Environment {
+    /// An environment whose messages go to `log`, which must outlive every component that knows the environment.
+    pub(super) fn new(log: &Log) -> Self {
+        Self { sink, data: std::ptr::from_ref(log).cast_mut().cast() }
+    }
+}
+
+/// Takes a message from the C shim.
+///
+/// # Safety
+/// `data` is the address of a live [`Log`]; `category` and `text` point to as many bytes as their lengths say.
+unsafe extern "C" fn sink(
+    data: *mut c_void,
+    status: c_int,
+    category: *const c_char,
+    category_length: usize,
+    text: *const c_char,
+    text_length: usize,
+) {
+    // A panic (out of memory at worst) must not unwind into C; the line is lost then.
+    let _ = catch_unwind(AssertUnwindSafe(|| {
+        // SAFETY: `Environment::new` stored the address of a `Log` that outlives the component (invariant 3).
+        let log = unsafe { &*data.cast::<Log>() };
+        // SAFETY: the shim passes a buffer of its own, or the FMU's category up to its NUL, with the length it found.
+        let (category, text) = unsafe {
+            (
+                std::slice::from_raw_parts(category.cast::<u8>(), category_length),
+                std::slice::from_raw_parts(text.cast::<u8>(), text_length),
+            )
+        };
+        log.lines().push(super::fmi2::status(status), category, text);
+    }));
+}
+
+unsafe extern "C" {
+    /// The logger of FMI 2.0 (`logger.c`).
+    pub(super) fn fmufit_fmi2_log(
+        environment: *mut c_void,
+        instance: *const c_char,
+        status: c_int,
+        category: *const c_char,
+        message: *const c_char,
+        ...
+    );
+    /// `calloc`.
+    pub(super) fn fmufit_allocate(count: usize, size: usize) -> *mut c_void;
+    /// `free`.
+    pub(super) fn fmufit_free(block: *mut c_void);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::ptr::null;
+
+    fn texts(log: &Log) -> Vec<String> {
+        log.last(LINES).0.into_iter().map(|line| line.text).collect()
+    }
+
+    fn send(environment: &Environment, message: *const c_char) {
+        // SAFETY: the environment is alive; the format takes no arguments.
+        unsafe { fmufit_fmi2_log((&raw const *environment).cast_mut().cast(), null(), 3, null(), message) };
+    }
+
+    #[test]
+    fn messages_are_expanded() {
+        let log = Log::new();
+        let environment = Environment::new(&log);
+        // SAFETY: the arguments fit the format.
+        unsafe {
+            fmufit_fmi2_log(
+                (&raw const environment).cast_mut().cast(),
+                c"name".as_ptr(),
+                1,
+                c"cat".as_ptr(),
+                c"x = %g, n = %d, s = %s, 100 %%\n".as_ptr(),
+                1.5f64,
+                42 as c_int,
+                c"text".as_ptr(),
+            );
+        }
+        let line = &log.last(1).0[0];
+        assert_eq!(line.text, "x = 1.5, n = 42, s = text, 100 %");
+        assert_eq!((line.status, line.category.as_str()), (Status::Warning, "cat"));
+    }
+
+    #[test]
+    fn null_pointers_bad_formats_and_bad_bytes_are_tolerated() {
+        let log = Log::new();
+        let environment = Environment::new(&log);
+        send(&environment, null());
+        send(&environment, c"100 %".as_ptr());
+        send(&environment, c"writes %n".as_ptr());
+        send(&environment, c"odd %k".as_ptr());
+        send(&environment, c"caf\xe9 \x1b[31m".as_ptr());
+        assert_eq!(texts(&log), ["", "100 %", "writes %n", "odd %k", "caf\u{fffd} \u{fffd}[31m"]);
+        // SAFETY: a NULL environment is ignored.
+        unsafe { fmufit_fmi2_log(std::ptr::null_mut(), null(), 0, null(), c"lost".as_ptr()) };
+        assert_eq!(texts(&log).len(), 5);
+    }
+
+    #[test]
+    fn long_messages_are_cut_and_a_flood_is_counted() {
+        let log = Log::new();
+        let environment = Environment::new(&log);
+        let long = std::ffi::CString::new(vec![b'a'; 10_000]).unwrap();
+        send(&environment, long.as_ptr());
+        let text = &log.last(1).0[0].text;
+        assert!(text.len() == 2047 && text.ends_with("a..."));
+        for _ in 0..1000 {
+            send(&environment, c"flood".as_ptr());
+        }
+        let (lines, dropped) = log.last(10);
+        assert_eq!((lines.len(), dropped), (10, 991));
+        log.clear();
+        assert_eq!(log.last(10), (Vec::new(), 0));
+    }
+}

@@ -1,0 +1,105 @@
+//! A loaded shared library of an FMU with its function table; it stays open as long as anything of it lives.
+
+use super::platform::{self, FloatEnvironment, Handle};
+use super::{Binding, fmi2};
+use crate::description::FmiVersion;
+use crate::error::FmiError;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicUsize;
+
+/// An open library and the functions found in it.
+pub(crate) struct Library {
+    /// Holds pointers into `handle`, so it is declared, and dropped, before it.
+    binding: Box<dyn Binding>,
+    /// Instances alive, for FMUs that allow only one.
+    pub(super) live: AtomicUsize,
+    path: PathBuf,
+    /// Last: closed when the table is gone (invariant 1).
+    _handle: Handle,
+}
+
+impl fmt::Debug for Library {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Library({})", self.path.display())
+    }
+}
+
+impl Library {
+    /// Refuses versions of the standard for which there is no binding.
+    pub(crate) fn check_version(version: &FmiVersion) -> Result<(), FmiError> {
+        match version.major {
+            2 => Ok(()),
+            _ => Err(FmiError::UnsupportedVersion { version: version.text.clone() }),
+        }
+    }
+
+    /// Loads the library and looks its functions up. **This runs foreign code** (the library's constructors).
+    ///
+    /// # Errors
+    /// The dynamic loader's own message, or the name of the mandatory function that is missing.
+    pub(crate) fn open(path: &Path, version: &FmiVersion) -> Result<Self, FmiError> {
+        Self::check_version(version)?;
+        // Loading code linked with -ffast-math changes the floating-point mode of this thread.
+        let _guard = FloatEnvironment::standard();
+        // SAFETY: the user asked to run this FMU, and running its constructors is part of that.
+        let handle = unsafe { platform::open(path) }
+            .map_err(|error| FmiError::LoadFailed { library: path.to_owned(), message: message(&error) })?;
+        let symbols = Symbols { handle: &handle, path };
+        // SAFETY: the description says that the library follows this version of the standard.
+        let binding = unsafe { fmi2::Fmi2::load(&symbols)? };
+        Ok(Self {
+            binding: Box::new(binding),
+            live: AtomicUsize::new(0),
+            path: path.to_owned(),
+            _handle: handle,
+        })
+    }
+
+    /// The function table.
+    pub(super) fn binding(&self) -> &dyn Binding {
+        &*self.binding
+    }
+
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// The loader's message as the system gives it.
+fn message(error: &libloading::Error) -> String {
+    match std::error::Error::source(error) {
+        Some(source) => source.to_string(),
+        None => error.to_string(),
+    }
+}
+
+/// Looks symbols up in a library while its table is being made.
+pub(super) struct Symbols<'a> {
+    handle: &'a Handle,
+    path: &'a Path,
+}
+
+impl Symbols<'_> {
+    /// A function that must be there.
+    ///
+    /// # Safety
+    /// `T` is a function pointer type that fits the symbol, and is not called after the library is closed.
+    pub(super) unsafe fn required<T: Copy>(&self, name: &'static str) -> Result<T, FmiError> {
+        // SAFETY: handed on to the caller.
+        match unsafe { self.handle.get::<T>(name) } {
+            Ok(symbol) => Ok(*symbol),
+            Err(_) => Err(FmiError::MissingSymbol { library: self.path.to_owned(), symbol: name }),
+        }
+    }
+
+    /// A function that may be missing.
+    ///
+    /// # Safety
+    /// As for [`required`](Self::required).
+    pub(super) unsafe fn optional<T: Copy>(&self, name: &'static str) -> Option<T> {
+        // SAFETY: handed on to the caller.
+        unsafe { self.handle.get::<T>(name) }.ok().map(|symbol| *symbol)
+    }
+}

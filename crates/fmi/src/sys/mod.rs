@@ -1,0 +1,226 @@
+//! The unsafe room: everything that touches foreign code or raw pointers, behind safe functions.
+//!
+//! # Invariants
+//!
+//! 1. **A library outlives its instances.** A [`RawInstance`] holds an `Arc` of the [`Library`] its functions come
+//!    from, and [`Library`] keeps the shared object open until the last one is gone. The function pointers of a
+//!    binding are only called through a `Library` that is alive.
+//! 2. **One owner per component.** A component pointer lives in exactly one `RawInstance`, is never copied out of
+//!    it, and is freed once, on drop. `RawInstance` may move to another thread (`Send`): FMI functions of one
+//!    instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1); so it is not
+//!    `Sync`, and every method takes `&mut self`.
+//! 3. **Addresses that an FMU keeps stay put.** The callback structure and the environment it names are on the
+//!    heap (in `Arc`s, whose contents do not move) and dropped after the component. The environment is shared with C code that may log from a thread of its own; all
+//!    it reaches is a mutex around the log lines, and no foreign code is ever called while that mutex is held.
+//! 4. **Lengths are checked in release builds.** Slices handed to an FMU together with a count have that count, and
+//!    vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at instantiation.
+//!    A mismatch is a typed error and the FMU is not called.
+//! 5. **The state machine of FMI is kept one floor up**: [`Instance`](crate::Instance) makes calls in a wrong phase
+//!    a compile-time error. This room relies on it for the FMU's sake, not for memory safety of its own.
+//! 6. **After `Fatal` an instance is dead.** No function is called on it again, not even the one that frees it
+//!    (FMI 2.0.x, section 2.1.3). What the FMU might still reach (callbacks, environment, library) is leaked.
+//! 7. **No panic crosses into C.** The sink of the logger catches unwinding; the rest of the callbacks are C.
+//! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`; the outside holds
+//!    tokens that say whose they are. The table is freed with the instance.
+//! 9. **The floating-point environment** that an FMU (or the loading of it) leaves behind is undone by
+//!    [`FloatEnvironment`].
+//!
+//! The versions of FMI stop here: [`Binding`] is one function table in house types, and `fmi2.rs` is the only file
+//! that knows how a version spells it. A further version is a further implementation and a line in `library.rs`.
+#![allow(unsafe_code)]
+
+mod callbacks;
+mod fmi2;
+mod library;
+mod platform;
+mod raw_instance;
+
+pub use callbacks::LogLine;
+pub(crate) use library::Library;
+pub(crate) use platform::FloatEnvironment;
+pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
+
+use callbacks::Environment;
+use std::any::Any;
+use std::ffi::{CStr, c_char, c_void};
+use std::fmt;
+use std::sync::Arc;
+
+/// Pointer to a component of an FMU.
+type Component = *mut c_void;
+/// Pointer to a saved state of a component.
+type StatePointer = *mut c_void;
+
+/// What a call into an FMU returned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Status {
+    /// Done.
+    Ok,
+    /// Done, with something to say about it.
+    Warning,
+    /// Not possible at this point; nothing is broken.
+    Discard,
+    /// The instance cannot go on; it can be freed or reset.
+    Error,
+    /// The instance is broken beyond repair.
+    Fatal,
+    /// Not finished yet (co-simulation only).
+    Pending,
+    /// The library does not offer the function.
+    Missing,
+    /// A number that the standard does not know.
+    Unknown(i32),
+}
+
+impl fmt::Display for Status {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Status::Ok => f.write_str("ok"),
+            Status::Warning => f.write_str("warning"),
+            Status::Discard => f.write_str("discard"),
+            Status::Error => f.write_str("error"),
+            Status::Fatal => f.write_str("fatal"),
+            Status::Pending => f.write_str("pending"),
+            Status::Missing => f.write_str("that there is no such function"),
+            Status::Unknown(code) => write!(f, "the unknown status {code}"),
+        }
+    }
+}
+
+/// The calls, in house words; [`Binding::name`] gives the standard's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Call {
+    Instantiate,
+    SetDebugLogging,
+    SetupExperiment,
+    EnterInitialization,
+    ExitInitialization,
+    Terminate,
+    Reset,
+    GetReal,
+    GetInteger,
+    GetBoolean,
+    GetString,
+    SetReal,
+    SetInteger,
+    SetBoolean,
+    SetString,
+    SaveState,
+    RestoreState,
+    SerializedSize,
+    Serialize,
+    Deserialize,
+    DirectionalDerivative,
+    EnterEventMode,
+    NewDiscreteStates,
+    EnterContinuousTimeMode,
+    CompletedIntegratorStep,
+    SetTime,
+    SetContinuousStates,
+    GetContinuousStates,
+    GetDerivatives,
+    GetEventIndicators,
+    GetNominals,
+}
+
+/// What an event iteration told.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct EventInfo {
+    /// Another iteration is wanted.
+    pub(crate) new_discrete_states_needed: bool,
+    /// The model wishes to end the simulation.
+    pub(crate) terminate: bool,
+    /// The nominals of the states have changed.
+    pub(crate) nominals_changed: bool,
+    /// The continuous states have changed.
+    pub(crate) values_changed: bool,
+    /// The next time event.
+    pub(crate) next_event_time: Option<f64>,
+}
+
+/// A live component and what it needs to stay alive.
+struct Created {
+    component: Component,
+    /// Structures whose address the FMU was given.
+    keep: Arc<dyn Any + Send + Sync>,
+}
+
+/// What an instance is made with.
+#[derive(Debug)]
+pub(crate) struct Request<'a> {
+    pub(crate) name: &'a CStr,
+    pub(crate) guid: &'a CStr,
+    pub(crate) resources: &'a CStr,
+    pub(crate) visible: bool,
+    pub(crate) logging: bool,
+}
+
+/// The function table of one library in house types: what a version of FMI has to supply for model exchange.
+///
+/// # Safety
+/// For all `unsafe` methods: `component` was made by this binding, is not freed and not dead, and no other call on
+/// it is under way; slices that belong together have the same length; vectors have the model's sizes.
+/// Functions that a library may lack answer [`Status::Missing`].
+#[allow(clippy::missing_safety_doc)]
+trait Binding: Send + Sync {
+    fn name(&self, call: Call) -> &'static str;
+    unsafe fn instantiate(&self, request: &Request<'_>, environment: &Environment) -> Option<Created>;
+    unsafe fn free_instance(&self, component: Component);
+    unsafe fn set_debug_logging(&self, component: Component, on: bool) -> Status;
+    unsafe fn setup_experiment(
+        &self,
+        component: Component,
+        tolerance: Option<f64>,
+        start: f64,
+        stop: Option<f64>,
+    ) -> Status;
+    unsafe fn enter_initialization(&self, component: Component) -> Status;
+    unsafe fn exit_initialization(&self, component: Component) -> Status;
+    unsafe fn terminate(&self, component: Component) -> Status;
+    unsafe fn reset(&self, component: Component) -> Status;
+    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Status;
+    unsafe fn get_integer(&self, component: Component, references: &[u32], values: &mut [i32]) -> Status;
+    unsafe fn get_boolean(&self, component: Component, references: &[u32], values: &mut [i32]) -> Status;
+    unsafe fn get_string(
+        &self,
+        component: Component,
+        references: &[u32],
+        values: &mut [*const c_char],
+    ) -> Status;
+    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status;
+    unsafe fn set_integer(&self, component: Component, references: &[u32], values: &[i32]) -> Status;
+    unsafe fn set_boolean(&self, component: Component, references: &[u32], values: &[i32]) -> Status;
+    unsafe fn set_string(&self, component: Component, references: &[u32], values: &[*const c_char])
+    -> Status;
+    unsafe fn save_state(&self, component: Component, state: &mut StatePointer) -> Status;
+    unsafe fn restore_state(&self, component: Component, state: StatePointer) -> Status;
+    unsafe fn free_state(&self, component: Component, state: &mut StatePointer) -> Status;
+    unsafe fn serialized_size(&self, component: Component, state: StatePointer, size: &mut usize) -> Status;
+    unsafe fn serialize(&self, component: Component, state: StatePointer, bytes: &mut [u8]) -> Status;
+    unsafe fn deserialize(&self, component: Component, bytes: &[u8], state: &mut StatePointer) -> Status;
+    unsafe fn directional_derivative(
+        &self,
+        component: Component,
+        unknowns: &[u32],
+        knowns: &[u32],
+        seed: &[f64],
+        sensitivity: &mut [f64],
+    ) -> Status;
+    unsafe fn enter_event_mode(&self, component: Component) -> Status;
+    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Status;
+    unsafe fn enter_continuous_time_mode(&self, component: Component) -> Status;
+    unsafe fn completed_integrator_step(
+        &self,
+        component: Component,
+        no_set_state_prior: bool,
+        event: &mut bool,
+        terminate: &mut bool,
+    ) -> Status;
+    unsafe fn set_time(&self, component: Component, time: f64) -> Status;
+    unsafe fn set_continuous_states(&self, component: Component, states: &[f64]) -> Status;
+    unsafe fn get_continuous_states(&self, component: Component, states: &mut [f64]) -> Status;
+    unsafe fn get_derivatives(&self, component: Component, derivatives: &mut [f64]) -> Status;
+    unsafe fn get_event_indicators(&self, component: Component, indicators: &mut [f64]) -> Status;
+    unsafe fn get_nominals(&self, component: Component, nominals: &mut [f64]) -> Status;
+}

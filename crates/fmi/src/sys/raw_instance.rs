@@ -1,0 +1,494 @@
+//! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
+
+use super::callbacks::{Environment, Log};
+use super::{Call, Component, EventInfo, Library, LogLine, Request, StatePointer, Status};
+use crate::error::FmiError;
+use std::any::Any;
+use std::ffi::{CStr, CString, c_char};
+use std::mem::ManuallyDrop;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Weak};
+
+/// Log lines that an error carries.
+const LINES_IN_ERRORS: usize = 8;
+
+/// Sizes of the model's vectors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Sizes {
+    pub(crate) states: usize,
+    pub(crate) indicators: usize,
+}
+
+/// Why a call did not deliver. Making a `Discard` allocates nothing.
+#[derive(Debug)]
+pub(crate) enum Fault {
+    /// Not possible at this point.
+    Discard(&'static str),
+    /// Anything worse.
+    Failed(Box<Failed>),
+    /// The library has no such function.
+    Missing(&'static str),
+    /// A slice of the wrong length; the FMU was not called.
+    Length { call: &'static str, expected: usize, found: usize },
+}
+
+/// A call that returned an error.
+#[derive(Debug)]
+pub(crate) struct Failed {
+    pub(crate) call: &'static str,
+    pub(crate) status: Status,
+    pub(crate) time: Option<f64>,
+    pub(crate) log: Vec<LogLine>,
+    pub(crate) dropped: u64,
+}
+
+type Outcome = Result<(), Fault>;
+
+/// Place of a saved state in the table of its instance; alive while its token is.
+#[derive(Debug)]
+pub(crate) struct SavedSlot {
+    owner: Arc<()>,
+    slot: Arc<usize>,
+}
+
+struct Slot {
+    pointer: StatePointer,
+    token: Weak<usize>,
+}
+
+/// A live component.
+pub(crate) struct RawInstance {
+    component: Component,
+    /// After `Fatal`: nothing is called any more.
+    dead: bool,
+    sizes: Sizes,
+    /// For messages: the time last set.
+    time: Option<f64>,
+    saved: Vec<Slot>,
+    identity: Arc<()>,
+    scratch: Vec<i32>,
+    // What the component may reach; dropped by hand, after it, and not at all when it is dead.
+    keep: ManuallyDrop<Arc<dyn Any + Send + Sync>>,
+    environment: ManuallyDrop<Arc<Environment>>,
+    log: ManuallyDrop<Arc<Log>>,
+    library: ManuallyDrop<Arc<Library>>,
+}
+
+// SAFETY: the component and its saved states are owned by this value alone and all calls take `&mut self`, so calls never
+// overlap; FMI lets the calls of an instance come from different threads one after the other (FMI 2.0.x, section 2.1.1).
+// All other fields are `Send` by themselves. `Sync` stays absent.
+unsafe impl Send for RawInstance {}
+
+impl std::fmt::Debug for RawInstance {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RawInstance")
+            .field("dead", &self.dead)
+            .field("time", &self.time)
+            .finish_non_exhaustive()
+    }
+}
+
+impl RawInstance {
+    /// Makes a component.
+    pub(crate) fn new(
+        library: &Arc<Library>,
+        request: &Request<'_>,
+        sizes: Sizes,
+        only_one: bool,
+    ) -> Result<Self, FmiError> {
+        // The count is taken before the call, so that of two threads only one gets the single instance.
+        if library.live.fetch_add(1, Ordering::Relaxed) > 0 && only_one {
+            library.live.fetch_sub(1, Ordering::Relaxed);
+            return Err(FmiError::OnlyOneInstance { library: library.path().to_owned() });
+        }
+        let log = Arc::new(Log::new());
+        let environment = Arc::new(Environment::new(&log));
+        // SAFETY: the environment and the log it points to are on the heap and kept until the component is gone.
+        let created = unsafe { library.binding().instantiate(request, &environment) };
+        let Some(created) = created else {
+            library.live.fetch_sub(1, Ordering::Relaxed);
+            let (log, dropped) = log.last(LINES_IN_ERRORS);
+            return Err(FmiError::from(Failed {
+                call: library.binding().name(Call::Instantiate),
+                status: Status::Error,
+                time: None,
+                log,
+                dropped,
+            }));
+        };
+        Ok(Self {
+            component: created.component,
+            dead: false,
+            sizes,
+            time: None,
+            saved: Vec::new(),
+            identity: Arc::new(()),
+            scratch: Vec::new(),
+            keep: ManuallyDrop::new(created.keep),
+            environment: ManuallyDrop::new(environment),
+            log: ManuallyDrop::new(log),
+            library: ManuallyDrop::new(Arc::clone(library)),
+        })
+    }
+
+    /// Whether a call returned `Fatal`.
+    pub(crate) fn is_dead(&self) -> bool {
+        self.dead
+    }
+
+    /// The time last set.
+    pub(crate) fn time(&self) -> Option<f64> {
+        self.time
+    }
+
+    /// The last lines the FMU logged, and how many earlier ones were dropped.
+    pub(crate) fn log(&self) -> (Vec<LogLine>, u64) {
+        self.log.last(usize::MAX)
+    }
+
+    /// Forgets the log.
+    pub(crate) fn clear_log(&mut self) {
+        self.log.clear();
+    }
+
+    /// What an error about `call` carries.
+    pub(crate) fn failed(&self, call: &'static str, status: Status) -> Failed {
+        let (log, dropped) = self.log.last(LINES_IN_ERRORS);
+        Failed { call, status, time: self.time, log, dropped }
+    }
+
+    /// The one place where a status becomes a result.
+    fn check(&mut self, call: Call, status: Status) -> Outcome {
+        match status {
+            Status::Ok | Status::Warning => Ok(()),
+            _ => self.not_ok(call, status),
+        }
+    }
+
+    #[cold]
+    fn not_ok(&mut self, call: Call, status: Status) -> Outcome {
+        let name = self.library.binding().name(call);
+        match status {
+            Status::Ok | Status::Warning => Ok(()),
+            Status::Discard => Err(Fault::Discard(name)),
+            Status::Missing => Err(Fault::Missing(name)),
+            Status::Fatal => {
+                self.dead = true;
+                Err(Fault::Failed(Box::new(self.failed(name, status))))
+            }
+            Status::Error | Status::Pending | Status::Unknown(_) => {
+                Err(Fault::Failed(Box::new(self.failed(name, status))))
+            }
+        }
+    }
+
+    /// Refuses calls on a dead component.
+    fn alive(&self, call: Call) -> Outcome {
+        if self.dead {
+            return Err(Fault::Failed(Box::new(
+                self.failed(self.library.binding().name(call), Status::Fatal),
+            )));
+        }
+        Ok(())
+    }
+
+    fn length(&self, call: Call, expected: usize, found: usize) -> Outcome {
+        if expected == found {
+            Ok(())
+        } else {
+            Err(Fault::Length { call: self.library.binding().name(call), expected, found })
+        }
+    }
+}
+
+/// Runs one call: the component is alive, `$body` is evaluated with the binding and the component, its status checked.
+macro_rules! run {
+    ($self:ident, $call:expr, |$binding:ident, $component:ident| $body:expr) => {{
+        $self.alive($call)?;
+        let status = {
+            let ($binding, $component) = ($self.library.binding(), $self.component);
+            // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of this
+            // macro or are those of the slices passed.
+            unsafe { $body }
+        };
+        $self.check($call, status)
+    }};
+}
+
+impl RawInstance {
+    pub(crate) fn set_debug_logging(&mut self, on: bool) -> Outcome {
+        run!(self, Call::SetDebugLogging, |b, c| b.set_debug_logging(c, on))
+    }
+
+    pub(crate) fn setup_experiment(
+        &mut self,
+        tolerance: Option<f64>,
+        start: f64,
+        stop: Option<f64>,
+    ) -> Outcome {
+        self.time = Some(start);
+        run!(self, Call::SetupExperiment, |b, c| b.setup_experiment(c, tolerance, start, stop))
+    }
+
+    pub(crate) fn enter_initialization(&mut self) -> Outcome {
+        run!(self, Call::EnterInitialization, |b, c| b.enter_initialization(c))
+    }
+
+    pub(crate) fn exit_initialization(&mut self) -> Outcome {
+        run!(self, Call::ExitInitialization, |b, c| b.exit_initialization(c))
+    }
+
+    pub(crate) fn terminate(&mut self) -> Outcome {
+        run!(self, Call::Terminate, |b, c| b.terminate(c))
+    }
+
+    pub(crate) fn reset(&mut self) -> Outcome {
+        self.time = None;
+        run!(self, Call::Reset, |b, c| b.reset(c))
+    }
+
+    pub(crate) fn get_real(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
+        self.length(Call::GetReal, references.len(), values.len())?;
+        run!(self, Call::GetReal, |b, c| b.get_real(c, references, values))
+    }
+
+    pub(crate) fn get_integer(&mut self, references: &[u32], values: &mut [i32]) -> Outcome {
+        self.length(Call::GetInteger, references.len(), values.len())?;
+        run!(self, Call::GetInteger, |b, c| b.get_integer(c, references, values))
+    }
+
+    pub(crate) fn get_boolean(&mut self, references: &[u32], values: &mut [bool]) -> Outcome {
+        self.length(Call::GetBoolean, references.len(), values.len())?;
+        let mut raw = std::mem::take(&mut self.scratch);
+        raw.clear();
+        raw.resize(values.len(), 0);
+        let outcome = self.get_raw_boolean(references, &mut raw);
+        for (value, raw) in values.iter_mut().zip(&raw) {
+            *value = *raw != 0;
+        }
+        self.scratch = raw;
+        outcome
+    }
+
+    fn get_raw_boolean(&mut self, references: &[u32], values: &mut [i32]) -> Outcome {
+        run!(self, Call::GetBoolean, |b, c| b.get_boolean(c, references, values))
+    }
+
+    pub(crate) fn get_string(&mut self, references: &[u32]) -> Result<Vec<String>, Fault> {
+        let mut pointers: Vec<*const c_char> = vec![std::ptr::null(); references.len()];
+        run!(self, Call::GetString, |b, c| b.get_string(c, references, &mut pointers))?;
+        Ok(pointers
+            .into_iter()
+            .map(|pointer| {
+                if pointer.is_null() {
+                    return String::new();
+                }
+                // SAFETY: strings an FMU returns end in NUL and stay valid until the next call on it (FMI 2.0.x,
+                // section 2.1.7), and there is none before the copy.
+                unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned()
+            })
+            .collect())
+    }
+
+    pub(crate) fn set_real(&mut self, references: &[u32], values: &[f64]) -> Outcome {
+        self.length(Call::SetReal, references.len(), values.len())?;
+        run!(self, Call::SetReal, |b, c| b.set_real(c, references, values))
+    }
+
+    pub(crate) fn set_integer(&mut self, references: &[u32], values: &[i32]) -> Outcome {
+        self.length(Call::SetInteger, references.len(), values.len())?;
+        run!(self, Call::SetInteger, |b, c| b.set_integer(c, references, values))
+    }
+
+    pub(crate) fn set_boolean(&mut self, references: &[u32], values: &[bool]) -> Outcome {
+        self.length(Call::SetBoolean, references.len(), values.len())?;
+        let mut raw = std::mem::take(&mut self.scratch);
+        raw.clear();
+        raw.extend(values.iter().map(|&value| i32::from(value)));
+        let outcome = self.set_raw_boolean(references, &raw);
+        self.scratch = raw;
+        outcome
+    }
+
+    fn set_raw_boolean(&mut self, references: &[u32], values: &[i32]) -> Outcome {
+        run!(self, Call::SetBoolean, |b, c| b.set_boolean(c, references, values))
+    }
+
+    pub(crate) fn set_string(&mut self, references: &[u32], values: &[CString]) -> Outcome {
+        self.length(Call::SetString, references.len(), values.len())?;
+        let pointers: Vec<*const c_char> = values.iter().map(|value| value.as_ptr()).collect();
+        run!(self, Call::SetString, |b, c| b.set_string(c, references, &pointers))
+    }
+
+    /// Saves the state in a place whose token is gone, or a new one.
+    pub(crate) fn save_state(&mut self) -> Result<SavedSlot, Fault> {
+        let (index, mut pointer) = self.vacant_slot();
+        let outcome = run!(self, Call::SaveState, |b, c| b.save_state(c, &mut pointer));
+        self.fill_slot(index, pointer, outcome)
+    }
+
+    /// Makes a state of bytes written by [`serialize`](Self::serialize).
+    pub(crate) fn deserialize(&mut self, bytes: &[u8]) -> Result<SavedSlot, Fault> {
+        // A new state is made, never one written over: fmi2DeSerializeFMUstate knows no reuse.
+        let mut pointer: StatePointer = std::ptr::null_mut();
+        let outcome = run!(self, Call::Deserialize, |b, c| b.deserialize(c, bytes, &mut pointer));
+        let index = self.saved.len();
+        self.saved.push(Slot { pointer: std::ptr::null_mut(), token: Weak::new() });
+        self.fill_slot(index, pointer, outcome)
+    }
+
+    fn vacant_slot(&mut self) -> (usize, StatePointer) {
+        let index = match self.saved.iter().position(|slot| slot.token.strong_count() == 0) {
+            Some(index) => index,
+            None => {
+                self.saved.push(Slot { pointer: std::ptr::null_mut(), token: Weak::new() });
+                self.saved.len() - 1
+            }
+        };
+        (index, self.saved[index].pointer)
+    }
+
+    fn fill_slot(
+        &mut self,
+        index: usize,
+        pointer: StatePointer,
+        outcome: Outcome,
+    ) -> Result<SavedSlot, Fault> {
+        self.saved[index].pointer = pointer;
+        outcome?;
+        let slot = Arc::new(index);
+        self.saved[index].token = Arc::downgrade(&slot);
+        Ok(SavedSlot { owner: Arc::clone(&self.identity), slot })
+    }
+
+    /// The pointer behind a token; `None` if the token is of another instance.
+    fn saved_pointer(&self, saved: &SavedSlot) -> Option<StatePointer> {
+        if !Arc::ptr_eq(&saved.owner, &self.identity) {
+            return None;
+        }
+        self.saved.get(*saved.slot).map(|slot| slot.pointer)
+    }
+
+    /// Whether the token was made by this instance.
+    pub(crate) fn owns(&self, saved: &SavedSlot) -> bool {
+        self.saved_pointer(saved).is_some()
+    }
+
+    /// Brings a saved state back. The caller has checked [`owns`](Self::owns); a foreign token is a `Discard`.
+    pub(crate) fn restore_state(&mut self, saved: &SavedSlot) -> Outcome {
+        let pointer = self.owned(Call::RestoreState, saved)?;
+        self.time = None;
+        run!(self, Call::RestoreState, |b, c| b.restore_state(c, pointer))
+    }
+
+    fn owned(&self, call: Call, saved: &SavedSlot) -> Result<StatePointer, Fault> {
+        self.saved_pointer(saved).ok_or(Fault::Discard(self.library.binding().name(call)))
+    }
+
+    /// The bytes of a saved state.
+    pub(crate) fn serialize(&mut self, saved: &SavedSlot) -> Result<Vec<u8>, Fault> {
+        let pointer = self.owned(Call::Serialize, saved)?;
+        let mut size = 0;
+        run!(self, Call::SerializedSize, |b, c| b.serialized_size(c, pointer, &mut size))?;
+        let mut bytes = Vec::new();
+        if bytes.try_reserve_exact(size).is_err() {
+            return Err(Fault::Failed(Box::new(
+                self.failed(self.library.binding().name(Call::SerializedSize), Status::Error),
+            )));
+        }
+        bytes.resize(size, 0);
+        run!(self, Call::Serialize, |b, c| b.serialize(c, pointer, &mut bytes))?;
+        Ok(bytes)
+    }
+
+    pub(crate) fn directional_derivative(
+        &mut self,
+        unknowns: &[u32],
+        knowns: &[u32],
+        seed: &[f64],
+        sensitivity: &mut [f64],
+    ) -> Outcome {
+        self.length(Call::DirectionalDerivative, knowns.len(), seed.len())?;
+        self.length(Call::DirectionalDerivative, unknowns.len(), sensitivity.len())?;
+        run!(self, Call::DirectionalDerivative, |b, c| {
+            b.directional_derivative(c, unknowns, knowns, seed, sensitivity)
+        })
+    }
+
+    pub(crate) fn enter_event_mode(&mut self) -> Outcome {
+        run!(self, Call::EnterEventMode, |b, c| b.enter_event_mode(c))
+    }
+
+    pub(crate) fn new_discrete_states(&mut self, info: &mut EventInfo) -> Outcome {
+        run!(self, Call::NewDiscreteStates, |b, c| b.new_discrete_states(c, info))
+    }
+
+    pub(crate) fn enter_continuous_time_mode(&mut self) -> Outcome {
+        run!(self, Call::EnterContinuousTimeMode, |b, c| b.enter_continuous_time_mode(c))
+    }
+
+    /// Returns whether the model wants an event, and whether it wants to end.
+    pub(crate) fn completed_integrator_step(&mut self) -> Result<(bool, bool), Fault> {
+        let (mut event, mut terminate) = (false, false);
+        run!(self, Call::CompletedIntegratorStep, |b, c| {
+            b.completed_integrator_step(c, true, &mut event, &mut terminate)
+        })?;
+        Ok((event, terminate))
+    }
+
+    pub(crate) fn set_time(&mut self, time: f64) -> Outcome {
+        self.time = Some(time);
+        run!(self, Call::SetTime, |b, c| b.set_time(c, time))
+    }
+
+    pub(crate) fn set_continuous_states(&mut self, states: &[f64]) -> Outcome {
+        self.length(Call::SetContinuousStates, self.sizes.states, states.len())?;
+        run!(self, Call::SetContinuousStates, |b, c| b.set_continuous_states(c, states))
+    }
+
+    pub(crate) fn get_continuous_states(&mut self, states: &mut [f64]) -> Outcome {
+        self.length(Call::GetContinuousStates, self.sizes.states, states.len())?;
+        run!(self, Call::GetContinuousStates, |b, c| b.get_continuous_states(c, states))
+    }
+
+    pub(crate) fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Outcome {
+        self.length(Call::GetDerivatives, self.sizes.states, derivatives.len())?;
+        run!(self, Call::GetDerivatives, |b, c| b.get_derivatives(c, derivatives))
+    }
+
+    pub(crate) fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Outcome {
+        self.length(Call::GetEventIndicators, self.sizes.indicators, indicators.len())?;
+        run!(self, Call::GetEventIndicators, |b, c| b.get_event_indicators(c, indicators))
+    }
+
+    pub(crate) fn get_nominals(&mut self, nominals: &mut [f64]) -> Outcome {
+        self.length(Call::GetNominals, self.sizes.states, nominals.len())?;
+        run!(self, Call::GetNominals, |b, c| b.get_nominals(c, nominals))
+    }
+}
+
+impl Drop for RawInstance {
+    fn drop(&mut self) {
+        self.library.live.fetch_sub(1, Ordering::Relaxed);
+        if self.dead {
+            // Invariant 6: no further call, and what the component may still reach is leaked: library, callbacks, log.
+            return;
+        }
+        let binding = self.library.binding();
+        for slot in &mut self.saved {
+            if !slot.pointer.is_null() {
+                // SAFETY: the component is alive, the state was made by it and is freed once. The status is of no use.
+                let _ = unsafe { binding.free_state(self.component, &mut slot.pointer) };
+            }
+        }
+        // SAFETY: the component is alive, ours alone, and gone after this.
+        unsafe { binding.free_instance(self.component) };
+        // SAFETY: nothing refers to these any more, and they are dropped once; the library last.
+        unsafe {
+            ManuallyDrop::drop(&mut self.keep);
+            ManuallyDrop::drop(&mut self.environment);
+            ManuallyDrop::drop(&mut self.log);
+            ManuallyDrop::drop(&mut self.library);
+        }
+    }
+}

@@ -1,0 +1,514 @@
+//! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
+
+use crate::description::Variable;
+use crate::error::FmiError;
+use crate::input::InputState;
+use crate::instance::{ContinuousTime, Core, EventMode, Instance, Instantiated};
+use crate::model_exchange::MAX_EVENT_ITERATIONS;
+use crate::plan::{OutputSource, SimulationPlan};
+use crate::sys::{Fault, RawInstance};
+use ode::{CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction};
+use std::sync::Arc;
+
+/// What a run has of its FMU at the moment.
+#[derive(Debug)]
+enum Mode {
+    /// Nothing: none was made yet, or it broke.
+    Gone,
+    /// An instance with a past, to be reset before its next use.
+    Spare(RawInstance),
+    /// Initialized, or ended by the model.
+    Event(Instance<EventMode>),
+    Continuous(Instance<ContinuousTime>),
+}
+
+/// One worker's system: the instance and everything that is written during a run.
+#[derive(Debug)]
+pub(crate) struct System {
+    plan: Arc<SimulationPlan>,
+    mode: Mode,
+    /// An FMU call failed: the instance is not used again.
+    broken: bool,
+    inputs: InputState,
+    /// The point last set in the FMU, as far as that is known.
+    set_time: Option<f64>,
+    set_states: Option<()>,
+    states: Vec<f64>,
+    /// The point last committed: what `get` refers to after a run.
+    last_time: f64,
+    last_states: Vec<f64>,
+    /// The time event that the model announced.
+    announced: Option<f64>,
+    /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and never gone back
+    /// behind.
+    floor: f64,
+    reals: Vec<f64>,
+    integers: Vec<i32>,
+    booleans: Vec<bool>,
+    /// Running digest of everything that the FMU answered; only while reset is checked.
+    digest: Option<u64>,
+}
+
+/// Same bits, so that NaN and signed zeros count as what they are.
+fn same_bits(a: f64, b: f64) -> bool {
+    a.to_bits() == b.to_bits()
+}
+
+impl System {
+    pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
+        let n = plan.n_states;
+        Self {
+            mode: Mode::Gone,
+            broken: false,
+            inputs: InputState::new(&plan.inputs),
+            set_time: None,
+            set_states: None,
+            states: vec![0.0; n],
+            last_time: plan.start,
+            last_states: vec![0.0; n],
+            announced: None,
+            floor: f64::NEG_INFINITY,
+            reals: vec![0.0; plan.outputs.reals.len()],
+            integers: vec![0; plan.outputs.integers.len()],
+            booleans: vec![false; plan.outputs.booleans.len()],
+            digest: None,
+            plan,
+        }
+    }
+
+    /// Starts collecting a digest of what the FMU answers.
+    pub(crate) fn begin_digest(&mut self) {
+        self.digest = Some(0x9e37_79b9_7f4a_7c15);
+    }
+
+    /// Ends collecting.
+    pub(crate) fn end_digest(&mut self) -> Option<u64> {
+        self.digest.take()
+    }
+
+    /// Takes an instance that will have to be reset.
+    pub(crate) fn adopt(&mut self, raw: RawInstance) {
+        self.broken = false;
+        self.mode = Mode::Spare(raw);
+    }
+
+    /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
+    pub(crate) fn retire(&mut self) -> Option<RawInstance> {
+        self.pass_log_on();
+        let instance = match std::mem::replace(&mut self.mode, Mode::Gone) {
+            Mode::Gone => return None,
+            Mode::Spare(raw) => return Some(raw),
+            _ if self.broken => return None,
+            // Some FMUs free what a run has allocated only when they are told that it is over.
+            Mode::Event(instance) => instance.terminate(),
+            Mode::Continuous(instance) => instance.terminate(),
+        };
+        instance.ok().map(|instance| instance.into_raw().0)
+    }
+
+    /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
+    fn pass_log_on(&mut self) {
+        if !log::log_enabled!(log::Level::Debug) {
+            return;
+        }
+        let (lines, dropped) = match &self.mode {
+            Mode::Event(instance) => instance.log(),
+            Mode::Continuous(instance) => instance.log(),
+            Mode::Gone | Mode::Spare(_) => return,
+        };
+        let model = &self.plan.fmu.description().model_name;
+        if dropped > 0 {
+            log::debug!("{model}: {dropped} earlier lines were not kept");
+        }
+        for line in lines {
+            log::debug!("{model}: {line}");
+        }
+    }
+
+    /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
+    pub(crate) fn initialize(
+        &mut self,
+        mut instance: Instance<Instantiated>,
+        parameters: &[f64],
+    ) -> Result<(), FmiError> {
+        let plan = Arc::clone(&self.plan);
+        self.mode = Mode::Gone;
+        self.broken = false;
+        instance.core().apply(&plan.start_values)?;
+        instance.core().set_reals(&plan.parameters, parameters)?;
+        let mut instance = instance.enter_initialization(
+            plan.start,
+            Some(plan.end),
+            Some(plan.options.relative_tolerance),
+        )?;
+        self.inputs.begin(&plan.inputs, plan.start);
+        if !self.inputs.continuous_at(&plan.inputs, plan.start) {
+            return Err(self.bad_function_value(plan.start));
+        }
+        set_held(instance.core(), &plan, &self.inputs)?;
+        instance.core().set_reals(&plan.inputs.continuous, &self.inputs.continuous)?;
+        self.mode = Mode::Event(instance.exit_initialization()?);
+        self.set_time = None;
+        self.set_states = None;
+        self.announced = None;
+        self.floor = f64::NEG_INFINITY;
+        self.last_time = plan.start;
+        Ok(())
+    }
+
+    /// Lets the initial events happen, for those who only want initial values.
+    pub(crate) fn settle(&mut self) -> Result<(), FmiError> {
+        let mut states = vec![0.0; self.plan.n_states];
+        let start = self.plan.start;
+        match self.start(start, &mut states) {
+            // States that are not finite can be looked at all the same.
+            Ok(_) | Err(CallError::Discard) => Ok(()),
+            Err(CallError::Failed(error)) => Err(unbox(error)),
+        }
+    }
+
+    fn bad_function_value(&self, t: f64) -> FmiError {
+        let bad = self.inputs.continuous.iter().find(|value| !value.is_finite());
+        let value = bad.copied().unwrap_or(f64::NAN);
+        FmiError::NotFinite { name: format!("an input function at t = {t}"), value }
+    }
+
+    /// Value of a variable at the point last committed.
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value, FmiError> {
+        let (time, states) = (self.last_time, std::mem::take(&mut self.last_states));
+        let result = self.set_point(time, &states);
+        self.last_states = states;
+        match result {
+            Ok(()) => {}
+            Err(CallError::Failed(error)) => return Err(unbox(error)),
+            // The point was good when the step was completed; the value there is the best there is.
+            Err(CallError::Discard) => {}
+        }
+        self.core()?.value(variable)
+    }
+
+    fn core(&mut self) -> Result<&mut Core, FmiError> {
+        match &mut self.mode {
+            Mode::Event(instance) => Ok(instance.core()),
+            Mode::Continuous(instance) => Ok(instance.core()),
+            Mode::Gone | Mode::Spare(_) => Err(no_instance()),
+        }
+    }
+
+    /// Makes a raw call; see [`call`].
+    fn call<T>(&mut self, body: impl FnOnce(&mut RawInstance) -> Result<T, Fault>) -> CallResult<T> {
+        call(&mut self.mode, &mut self.broken, body)
+    }
+
+    /// Notes that the instance is not to be used again.
+    fn fail(&mut self, error: FmiError) -> CallError {
+        self.broken = true;
+        CallError::failed(error)
+    }
+
+    /// Sets time, continuous inputs and states together; what has these very bits already is left out.
+    fn set_point(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
+        let t = t.max(self.floor);
+        if !self.set_time.is_some_and(|set| same_bits(set, t)) {
+            self.set_time = None;
+            self.call(|raw| raw.set_time(t))?;
+            self.set_inputs(t)?;
+            self.set_time = Some(t);
+        }
+        if x.is_empty() {
+            return Ok(());
+        }
+        let same = self.set_states.is_some() && self.states.iter().zip(x).all(|(a, b)| same_bits(*a, *b));
+        if !same {
+            self.set_states = None;
+            self.call(|raw| raw.set_continuous_states(x))?;
+            self.states.copy_from_slice(x);
+            self.set_states = Some(());
+        }
+        Ok(())
+    }
+
+    /// Sets the continuous inputs at `t`.
+    fn set_inputs(&mut self, t: f64) -> CallResult<()> {
+        if self.plan.inputs.continuous.is_empty() {
+            return Ok(());
+        }
+        let Self { plan, inputs, mode, broken, .. } = self;
+        if !inputs.continuous_at(&plan.inputs, t) {
+            return Err(CallError::Discard);
+        }
+        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous, &inputs.continuous))
+    }
+
+    fn note(&mut self, values: &[f64]) {
+        if let Some(digest) = &mut self.digest {
+            for value in values {
+                *digest = (*digest ^ value.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29);
+            }
+        }
+    }
+
+    fn note_outcome(&mut self, outcome: &EventOutcome) {
+        if self.digest.is_some() {
+            let flags = u32::from(outcome.terminate) + 2 * u32::from(outcome.nominals_changed);
+            self.note(&[f64::from(flags), outcome.next_time.unwrap_or(f64::NAN)]);
+        }
+    }
+
+    fn commit(&mut self, t: f64, x: &[f64]) {
+        self.last_time = t;
+        self.last_states.copy_from_slice(x);
+    }
+
+    /// Goes from event mode to continuous time, unless the model has ended the simulation.
+    fn leave_event_mode(&mut self, outcome: &EventOutcome) -> CallResult<()> {
+        if outcome.terminate {
+            return Ok(());
+        }
+        match std::mem::replace(&mut self.mode, Mode::Gone) {
+            Mode::Event(instance) => match instance.enter_continuous_time() {
+                Ok(instance) => {
+                    self.mode = Mode::Continuous(instance);
+                    Ok(())
+                }
+                Err(error) => Err(self.fail(error)),
+            },
+            other => {
+                self.mode = other;
+                Ok(())
+            }
+        }
+    }
+
+    fn enter_event_mode(&mut self) -> CallResult<()> {
+        match std::mem::replace(&mut self.mode, Mode::Gone) {
+            Mode::Continuous(instance) => match instance.enter_event_mode() {
+                Ok(instance) => {
+                    self.mode = Mode::Event(instance);
+                    Ok(())
+                }
+                Err(error) => Err(self.fail(error)),
+            },
+            other => {
+                self.mode = other;
+                Ok(())
+            }
+        }
+    }
+
+    fn iterate_events(&mut self, t: f64) -> CallResult<EventOutcome> {
+        let tolerance = self.plan.same;
+        let outcome = self.core().and_then(|core| core.iterate_events(t, tolerance, MAX_EVENT_ITERATIONS));
+        match outcome {
+            Ok(outcome) => {
+                self.announced = outcome.next_time;
+                self.note_outcome(&outcome);
+                Ok(outcome)
+            }
+            Err(error) => Err(self.fail(error)),
+        }
+    }
+
+    fn read_states(&mut self, x: &mut [f64]) -> CallResult<()> {
+        if x.is_empty() {
+            return Ok(());
+        }
+        self.call(|raw| raw.get_continuous_states(x))?;
+        all_finite(x)
+    }
+}
+
+/// Makes a raw call; `Discard` costs nothing, everything worse ends the use of the instance.
+fn call<T>(
+    mode: &mut Mode,
+    broken: &mut bool,
+    body: impl FnOnce(&mut RawInstance) -> Result<T, Fault>,
+) -> CallResult<T> {
+    let core = match mode {
+        Mode::Event(instance) => instance.core(),
+        Mode::Continuous(instance) => instance.core(),
+        Mode::Gone | Mode::Spare(_) => return Err(CallError::failed(no_instance())),
+    };
+    match body(&mut core.raw) {
+        Ok(value) => Ok(value),
+        Err(Fault::Discard(_)) => Err(CallError::Discard),
+        Err(fault) => {
+            let error = core.error(fault);
+            *broken = true;
+            Err(CallError::failed(error))
+        }
+    }
+}
+
+fn no_instance() -> FmiError {
+    FmiError::BadSetting { problem: "there is no running instance".to_owned() }
+}
+
+/// Sets the held inputs.
+fn set_held(core: &mut Core, plan: &SimulationPlan, inputs: &InputState) -> Result<(), FmiError> {
+    let p = &plan.inputs;
+    core.set_reals(&p.held_reals, &inputs.held_reals)?;
+    if !p.held_integers.is_empty() {
+        core.call(|raw| raw.set_integer(&p.held_integers, &inputs.held_integers))?;
+    }
+    if !p.held_booleans.is_empty() {
+        core.call(|raw| raw.set_boolean(&p.held_booleans, &inputs.held_booleans))?;
+    }
+    Ok(())
+}
+
+fn all_finite(values: &[f64]) -> CallResult<()> {
+    if values.iter().all(|value| value.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
+}
+
+/// The FMU's error inside what the driver passes on.
+pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError {
+    match error.downcast::<FmiError>() {
+        Ok(error) => *error,
+        Err(other) => FmiError::BadSetting { problem: other.to_string() },
+    }
+}
+
+impl HybridSystem for System {
+    fn n_states(&self) -> usize {
+        self.plan.n_states
+    }
+
+    fn n_event_indicators(&self) -> usize {
+        self.plan.n_indicators
+    }
+
+    fn n_outputs(&self) -> usize {
+        self.plan.outputs.sources.len()
+    }
+
+    fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
+        if nominals.is_empty() {
+            return Ok(());
+        }
+        match self.call(|raw| raw.get_nominals(nominals)) {
+            Ok(()) => {}
+            Err(CallError::Discard) => nominals.copy_from_slice(&self.plan.nominals),
+            Err(error) => return Err(error),
+        }
+        self.plan.correct_nominals(nominals);
+        Ok(())
+    }
+
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        let outcome = self.iterate_events(t0)?;
+        self.read_states(x)?;
+        self.leave_event_mode(&outcome)?;
+        self.note(x);
+        self.commit(t0, x);
+        // The model stands at its start time with its own states and the inputs set in initialization mode; only in
+        // continuous-time mode can they be set anew.
+        self.set_time = outcome.terminate.then_some(t0);
+        self.set_states = outcome.terminate.then_some(());
+        self.states.copy_from_slice(x);
+        Ok(EventOutcome { states_changed: true, ..outcome })
+    }
+
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        self.set_point(t, x)?;
+        self.call(|raw| raw.get_derivatives(dx))?;
+        all_finite(dx)?;
+        self.note(dx);
+        Ok(())
+    }
+
+    fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        if z.is_empty() {
+            return Ok(());
+        }
+        self.set_point(t, x)?;
+        self.call(|raw| raw.get_event_indicators(z))?;
+        all_finite(z)?;
+        self.note(z);
+        Ok(())
+    }
+
+    /// Values that are not finite are passed on: an output that is NaN is for the reader to judge.
+    fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
+        if self.plan.outputs.needs_fmu() {
+            self.set_point(t, x)?;
+        }
+        let Self { plan, mode, broken, reals, integers, booleans, .. } = self;
+        let outputs = &plan.outputs;
+        if !reals.is_empty() {
+            call(mode, broken, |raw| raw.get_real(&outputs.reals, reals))?;
+        }
+        if !integers.is_empty() {
+            call(mode, broken, |raw| raw.get_integer(&outputs.integers, integers))?;
+        }
+        if !booleans.is_empty() {
+            call(mode, broken, |raw| raw.get_boolean(&outputs.booleans, booleans))?;
+        }
+        for (source, value) in outputs.sources.iter().zip(y.iter_mut()) {
+            *value = match *source {
+                OutputSource::Time => t,
+                OutputSource::State(i) => x[i],
+                OutputSource::Real(i) => reals[i],
+                OutputSource::Integer(i) => f64::from(integers[i]),
+                OutputSource::Boolean(i) => f64::from(u8::from(booleans[i])),
+            };
+        }
+        self.note(y);
+        Ok(())
+    }
+
+    fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
+        self.commit(t, x);
+        self.note(x);
+        if self.plan.completed_step_not_needed {
+            return Ok(StepAction::default());
+        }
+        self.set_point(t, x)?;
+        let (event, terminate) = self.call(RawInstance::completed_integrator_step)?;
+        Ok(StepAction { event, terminate })
+    }
+
+    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        let plan = Arc::clone(&self.plan);
+        let t = visit.time;
+        // Of two instants within rounding the model must see the later one, or its time event would not be due.
+        let seen = match self.announced {
+            Some(next) if visit.cause.time && next > t && next - t <= plan.same => next.min(plan.end.max(t)),
+            _ => t,
+        };
+        self.set_point(seen, x)?;
+        self.floor = seen;
+        self.enter_event_mode()?;
+        if visit.cause.input {
+            self.inputs.pass(&plan.inputs, t);
+            if !self.inputs.continuous_at(&plan.inputs, t) {
+                return Err(CallError::Discard);
+            }
+            let inputs = &self.inputs;
+            let core = match &mut self.mode {
+                Mode::Event(instance) => instance.core(),
+                _ => return Err(CallError::Discard),
+            };
+            let set = set_held(core, &plan, inputs)
+                .and_then(|()| core.set_reals(&plan.inputs.continuous, &inputs.continuous));
+            if let Err(error) = set {
+                return Err(self.fail(error));
+            }
+        }
+        let outcome = self.iterate_events(seen)?;
+        if outcome.states_changed {
+            self.read_states(x)?;
+        }
+        self.leave_event_mode(&outcome)?;
+        self.note(x);
+        self.commit(t, x);
+        self.set_time = outcome.terminate.then_some(seen);
+        self.set_states = outcome.terminate.then_some(());
+        self.states.copy_from_slice(x);
+        Ok(outcome)
+    }
+
+    fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
+        self.plan.inputs.next_stop(t)
+    }
+}

@@ -1,0 +1,457 @@
+//! Archives that are damaged, dishonest or too large are refused with an error that names entry and numbers, and
+//! leave nothing behind.
+
+mod zip_bytes;
+
+use fmi::{Archive, ArchiveLimits, EntryProblem, FmiError};
+use proptest::prelude::*;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+use zip_bytes::{Entry, description, zip};
+
+/// A file that is gone at the end of the test.
+fn file(bytes: &[u8]) -> tempfile::NamedTempFile {
+    let file = tempfile::Builder::new().prefix("test-").suffix(".fmu").tempfile().unwrap();
+    fs::write(file.path(), bytes).unwrap();
+    file
+}
+
+fn open(bytes: &[u8]) -> Result<Archive, FmiError> {
+    Archive::open(file(bytes).path())
+}
+
+fn open_with(bytes: &[u8], limits: &ArchiveLimits) -> Result<Archive, FmiError> {
+    Archive::open_with(file(bytes).path(), limits)
+}
+
+/// The problem with the last entry of an archive that starts well.
+fn problem_of(entries: &[Entry]) -> EntryProblem {
+    let mut all = vec![description()];
+    all.extend_from_slice(entries);
+    let error = open(&zip(&all)).expect_err("must be refused");
+    let message = error.to_string();
+    match error {
+        FmiError::BadEntry { entry, problem, .. } => {
+            assert!(message.contains(&entry.escape_debug().to_string()), "{message}");
+            problem
+        }
+        other => panic!("{other}"),
+    }
+}
+
+fn problem_of_name(name: &str) -> EntryProblem {
+    problem_of(&[Entry::stored(name, b"x")])
+}
+
+#[test]
+fn an_honest_archive_is_unpacked_and_its_folder_goes_with_it() {
+    let archive = open(&zip(&[
+        description(),
+        Entry::stored("resources/", b"").with(|entry| entry.mode = 0o040_755),
+        Entry::stored("resources/a.txt", b"stored"),
+        Entry::deflated("resources/deep/er/b.txt", &b"deflated ".repeat(10_000)),
+        Entry::stored("resources/run.sh", b"").with(|entry| entry.mode = 0o100_755),
+        Entry::stored("documentation/\u{e4} b.html", b"").with(|entry| entry.mode = 0),
+    ]))
+    .unwrap();
+    let root = archive.root().to_owned();
+    assert!(root.is_absolute() && archive.is_private());
+    assert!(root.file_name().unwrap().to_str().unwrap().starts_with("fmufit-"));
+    assert_eq!(fs::read_to_string(root.join("modelDescription.xml")).unwrap(), zip_bytes::DESCRIPTION);
+    assert_eq!(fs::read(root.join("resources/a.txt")).unwrap(), b"stored");
+    assert_eq!(fs::read(root.join("resources/deep/er/b.txt")).unwrap().len(), 90_000);
+    assert!(root.join("documentation/\u{e4} b.html").is_file());
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let mode = |name: &str| root.join(name).metadata().unwrap().permissions().mode();
+        assert_eq!(mode("resources/run.sh") & 0o111, 0o111);
+        assert_eq!(mode("resources/a.txt") & 0o111, 0);
+    }
+    drop(archive);
+    assert!(!root.exists());
+}
+
+#[test]
+fn the_hash_is_that_of_the_bytes() {
+    let bytes = zip(&[description()]);
+    let (one, two) = (open(&bytes).unwrap(), open(&bytes).unwrap());
+    assert_eq!(one.content_hash(), two.content_hash());
+    assert_ne!(one.root(), two.root());
+    let other = open(&zip(&[description(), Entry::stored("a", b"")])).unwrap();
+    assert_ne!(one.content_hash(), other.content_hash());
+    assert_eq!(one.content_hash().len(), 64);
+}
+
+#[test]
+fn an_unpacked_folder_is_used_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = Archive::open(folder.path()).unwrap_err();
+    assert!(matches!(error, FmiError::NoModelDescription { .. }), "{error}");
+    fs::write(folder.path().join("modelDescription.xml"), zip_bytes::DESCRIPTION).unwrap();
+    let archive = Archive::open(folder.path()).unwrap();
+    assert_eq!(archive.root(), folder.path());
+    assert!(!archive.is_private());
+    drop(archive);
+    assert!(folder.path().join("modelDescription.xml").exists());
+}
+
+#[test]
+fn a_missing_file_is_an_io_error_with_its_path() {
+    let error = Archive::open("/no/such/file.fmu").unwrap_err();
+    assert!(matches!(&error, FmiError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound));
+    assert!(error.to_string().contains("/no/such/file.fmu"), "{error}");
+}
+
+#[test]
+fn what_is_no_archive_is_told_from_what_was_one() {
+    for (bytes, part) in [
+        (&b""[..], "not a zip archive"),
+        (b"hello, world", "not a zip archive"),
+        (b"<?xml version=\"1.0\"?>", "not a zip archive"),
+    ] {
+        let message = open(bytes).unwrap_err().to_string();
+        assert!(message.contains(part), "{message}");
+    }
+    let whole = zip(&[description(), Entry::stored("resources/a", &[7; 1000])]);
+    for length in (1..whole.len()).filter(|length| length % 7 == 0 || whole.len() - length < 30) {
+        let error = open(&whole[..length]).expect_err("truncated");
+        assert!(matches!(error, FmiError::BadArchive { .. }), "{length}: {error}");
+        let part = if length < 4 { "not a zip archive" } else { "cut off" };
+        assert!(error.to_string().contains(part), "{length}: {error}");
+    }
+}
+
+#[test]
+fn a_missing_model_description_is_looked_for_elsewhere() {
+    let none = open(&zip(&[Entry::stored("a.txt", b"")])).unwrap_err();
+    assert!(matches!(none, FmiError::NoModelDescription { hint: None, .. }), "{none}");
+    let down = open(&zip(&[description().with(|entry| {
+        entry.name = b"BouncingBall/modelDescription.xml".to_vec();
+        entry.local_name = entry.name.clone();
+    })]))
+    .unwrap_err()
+    .to_string();
+    assert!(down.contains("pack the contents of \"BouncingBall\""), "{down}");
+    let case = open(&zip(&[Entry::stored("ModelDescription.xml", b"")])).unwrap_err().to_string();
+    assert!(case.contains("upper and lower case matter"), "{case}");
+    let folder = open(&zip(&[Entry::stored("modelDescription.xml/", b"")])).unwrap_err();
+    assert!(matches!(folder, FmiError::NoModelDescription { .. }), "{folder}");
+}
+
+#[test]
+fn names_that_lead_out_of_the_folder_are_refused() {
+    for name in ["../evil", "a/../../evil", "resources/..", "./a", "a/./b"] {
+        assert_eq!(problem_of_name(name), EntryProblem::Traversal, "{name}");
+    }
+    for name in ["/etc/passwd", "C:/evil", "c:evil", "//server/share"] {
+        assert_eq!(problem_of_name(name), EntryProblem::Absolute, "{name}");
+    }
+    for name in ["..\\evil", "a\\b", "\\\\server\\share", "C:\\evil"] {
+        assert_eq!(problem_of_name(name), EntryProblem::ForbiddenCharacter('\\'), "{name}");
+    }
+    assert_eq!(problem_of_name("a\0.txt"), EntryProblem::ForbiddenCharacter('\0'));
+    for name in ["", "a//b", "a//"] {
+        assert_eq!(problem_of_name(name), EntryProblem::EmptyName, "{name}");
+    }
+}
+
+#[test]
+fn names_that_collide_are_refused() {
+    let pair = |one: &str, two: &str| problem_of(&[Entry::stored(one, b"1"), Entry::stored(two, b"2")]);
+    assert_eq!(pair("a.txt", "a.txt"), EntryProblem::Duplicate);
+    assert_eq!(pair("a.txt", "A.TXT"), EntryProblem::CaseDuplicate("a.txt".into()));
+    assert_eq!(pair("r/a", "R/b"), EntryProblem::CaseDuplicate("r".into()));
+    assert_eq!(pair("a", "a/b"), EntryProblem::FileAndFolder("a".into()));
+    assert_eq!(pair("a/b", "a"), EntryProblem::FileAndFolder("a".into()));
+    assert_eq!(problem_of_name("ModelDescription.xml"), EntryProblem::CaseDuplicate("modelDescription.xml".into()));
+    assert_eq!(problem_of_name("modelDescription.xml"), EntryProblem::Duplicate);
+}
+
+#[test]
+fn links_devices_and_the_like_are_refused() {
+    for (mode, what) in [
+        (0o120_777, "symbolic link"),
+        (0o020_644, "device"),
+        (0o060_644, "device"),
+        (0o010_644, "pipe"),
+        (0o140_644, "socket"),
+    ] {
+        let entry = Entry::stored("a", b"/etc/passwd").with(|entry| entry.mode = mode);
+        assert_eq!(problem_of(&[entry]), EntryProblem::NotAFile(what));
+    }
+    let folder = Entry::stored("a/", b"data").with(|entry| entry.mode = 0o040_755);
+    assert_eq!(problem_of(&[folder]), EntryProblem::FolderWithData(4));
+}
+
+#[test]
+fn encrypted_and_exotically_packed_entries_are_refused() {
+    assert_eq!(problem_of(&[Entry::stored("a", b"x").with(|entry| entry.flags = 1)]), EntryProblem::Encrypted);
+    for method in [9, 12, 14, 93, 99] {
+        let entry = Entry::stored("a", b"x").with(|entry| entry.method = method);
+        assert_eq!(problem_of(&[entry]), EntryProblem::Compression(method));
+    }
+}
+
+#[test]
+fn bytes_that_serve_two_entries_are_refused() {
+    // Two names for one file: the building block of the bombs that overlap.
+    let twice = [Entry::stored("a", b"12345"), Entry::stored("b", b"12345").with(|entry| {
+        entry.local_name = b"a".to_vec();
+        entry.header_of = Some(1);
+    })];
+    assert!(matches!(problem_of(&twice), EntryProblem::HeaderMismatch(_)));
+    // The data of the first entry are the second one.
+    let inner = Entry::stored("b", b"12345");
+    let inner_bytes = zip(std::slice::from_ref(&inner));
+    let local = &inner_bytes[..30 + 1 + 5];
+    let outer = Entry::stored("a", local);
+    let mut bytes = zip(&[description(), outer, inner]);
+    let find = |needle: &[u8], from: usize| {
+        from + bytes[from..].windows(needle.len()).position(|window| window == needle).unwrap()
+    };
+    // Point the directory's third record at the copy inside of the second.
+    let copy = find(local, 0);
+    let third = bytes.windows(4).rposition(|window| window == b"PK\x01\x02").unwrap();
+    bytes[third + 42..third + 46].copy_from_slice(&(copy as u32).to_le_bytes());
+    match open(&bytes).unwrap_err() {
+        FmiError::BadEntry { entry, problem: EntryProblem::Overlap { start, other, .. }, .. } => {
+            assert_eq!((entry.as_str(), start, other.as_str()), ("b", copy as u64, "a"));
+        }
+        other => panic!("{other}"),
+    }
+}
+
+#[test]
+fn data_that_reach_into_the_directory_are_refused() {
+    let entry = Entry::stored("a", b"12345").with(|entry| {
+        entry.sizes = (50, 50);
+        entry.local_sizes = (50, 50);
+    });
+    match problem_of(&[entry]) {
+        EntryProblem::Overlap { other, .. } => assert!(other.contains("directory"), "{other}"),
+        other => panic!("{other}"),
+    }
+}
+
+#[test]
+fn sizes_that_lie_are_found_out() {
+    let data = b"some text, some text, some text, some text".repeat(10);
+    let honest = Entry::deflated("a", &data);
+    let lying = |size: u64| {
+        honest.clone().with(|entry| {
+            entry.sizes.1 = size;
+            entry.local_sizes.1 = size as u32;
+        })
+    };
+    let real = data.len() as u64;
+    assert_eq!(problem_of(&[lying(10)]), EntryProblem::WrongSize { found: real, declared: 10 });
+    assert_eq!(problem_of(&[lying(real - 1)]), EntryProblem::WrongSize { found: real, declared: real - 1 });
+    assert_eq!(problem_of(&[lying(real + 1)]), EntryProblem::WrongSize { found: real, declared: real + 1 });
+    let stored = Entry::stored("a", b"12345").with(|entry| entry.sizes.1 = 6);
+    assert_eq!(problem_of(&[stored]), EntryProblem::WrongSize { found: 5, declared: 6 });
+    for packed in [honest.packed.len() as u64 - 3, honest.packed.len() as u64 + 3] {
+        let mut entry = honest.clone();
+        entry.packed.resize(packed as usize, 0);
+        entry.sizes.0 = packed;
+        entry.local_sizes.0 = packed as u32;
+        let problem = problem_of(&[entry]);
+        assert!(matches!(problem, EntryProblem::Damaged(_) | EntryProblem::WrongSize { .. }), "{problem}");
+    }
+}
+
+#[test]
+fn headers_that_contradict_the_directory_are_refused() {
+    type Change = fn(&mut Entry);
+    let changes: [Change; 3] = [
+        |entry| entry.local_name = b"b".to_vec(),
+        |entry| entry.local_sizes.0 += 1,
+        |entry| entry.local_sizes.1 += 1,
+    ];
+    for change in changes {
+        let problem = problem_of(&[Entry::deflated("a", b"12345").with(change)]);
+        assert!(matches!(problem, EntryProblem::HeaderMismatch(_)), "{problem}");
+    }
+    // Sizes behind the data (bit 3) are legal, and the header then says 0.
+    let streamed = Entry::deflated("a", b"12345").with(|entry| {
+        entry.flags = 8;
+        entry.local_sizes = (0, 0);
+    });
+    assert!(open(&zip(&[description(), streamed])).is_ok());
+}
+
+#[test]
+fn damaged_data_are_refused() {
+    let wrong_sum = Entry::deflated("a", b"12345").with(|entry| entry.crc32 ^= 1);
+    assert!(matches!(problem_of(&[wrong_sum]), EntryProblem::Damaged(_)));
+    let garbage = Entry::packed("a", vec![0xff; 100], 100, 0);
+    assert!(matches!(problem_of(&[garbage]), EntryProblem::Damaged(_)));
+}
+
+/// A deflate stream of `mebibytes` of zeros, about a thousandth of that long.
+fn bomb(mebibytes: usize) -> Vec<u8> {
+    let mut compress = flate2::Compress::new(flate2::Compression::best(), false);
+    let zeros = vec![0; 1 << 20];
+    let mut block = Vec::with_capacity(1 << 16);
+    // A full flush ends on a byte and forgets what came before, so the block can be repeated.
+    compress.compress_vec(&zeros, &mut block, flate2::FlushCompress::Full).unwrap();
+    let mut stream = block.repeat(mebibytes);
+    stream.extend([1, 0, 0, 0xff, 0xff]);
+    stream
+}
+
+#[test]
+fn a_bomb_is_refused_at_once_whatever_its_header_says() {
+    const SIZE: u64 = 10 << 30;
+    let stream = bomb(10 << 10);
+    assert!((5 << 20..15 << 20).contains(&stream.len()), "{}", stream.len());
+    let start = Instant::now();
+    let honest = problem_of(&[Entry::packed("bomb", stream.clone(), SIZE, 0)]);
+    assert_eq!(honest, EntryProblem::TooLarge { found: SIZE, limit: 2 << 30 });
+    match problem_of(&[Entry::packed("bomb", stream.clone(), 1000, 0)]) {
+        EntryProblem::WrongSize { found, declared: 1000 } => assert!(found < 1 << 20, "{found}"),
+        other => panic!("{other}"),
+    }
+    let below_the_limit = problem_of(&[Entry::packed("bomb", stream.clone(), 1 << 31, 0)]);
+    assert_eq!(
+        below_the_limit,
+        EntryProblem::Ratio { compressed: stream.len() as u64, size: 1 << 31, limit: 200 }
+    );
+    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
+}
+
+#[test]
+fn a_bomb_in_many_pieces_is_refused_by_the_sum() {
+    let piece = bomb(100);
+    let entries: Vec<Entry> =
+        (0..30).map(|i| Entry::packed(&format!("piece{i}"), piece.clone(), 100 << 20, 0)).collect();
+    let mut all = vec![description()];
+    all.extend(entries);
+    match open(&zip(&all)).unwrap_err() {
+        FmiError::ArchiveLimit { found, limit, .. } => assert!(found > limit && limit == 200),
+        other => panic!("{other}"),
+    }
+}
+
+#[test]
+fn tables_that_pack_well_are_not_taken_for_bombs() {
+    let table = b"0.0,0.0,0.0\n".repeat(1 << 20);
+    let entry = Entry::deflated("resources/table.csv", &table);
+    assert!(entry.packed.len() * 200 < table.len());
+    assert!(open(&zip(&[description(), entry])).is_ok());
+}
+
+#[test]
+fn each_limit_is_named_with_its_numbers() {
+    let archive = zip(&[description(), Entry::stored("a", &[1; 5000]), Entry::stored("b", &[2; 5000])]);
+    let limits = ArchiveLimits::default();
+    let entries = open_with(&archive, &ArchiveLimits { entries: 2, ..limits.clone() }).unwrap_err();
+    assert!(entries.to_string().ends_with("3 entries, more than the limit of 2"), "{entries}");
+    let file = open_with(&archive, &ArchiveLimits { file_bytes: 4999, ..limits.clone() }).unwrap_err();
+    assert!(file.to_string().ends_with("entry \"a\" has 5000 bytes, more than the limit of 4999"), "{file}");
+    let total = open_with(&archive, &ArchiveLimits { total_bytes: 9000, ..limits.clone() }).unwrap_err();
+    assert!(total.to_string().ends_with("unpacked bytes, more than the limit of 9000"), "{total}");
+    assert!(open_with(&archive, &ArchiveLimits { entries: 3, file_bytes: 5000, ..limits }).is_ok());
+}
+
+#[test]
+fn many_entries_are_no_trouble() {
+    let mut entries = vec![description()];
+    entries.extend((0..20_000).map(|i| Entry::stored(&format!("resources/{}/{i}.txt", i % 100), b"x")));
+    let archive = open(&zip(&entries)).unwrap();
+    assert!(archive.root().join("resources/99/19999.txt").is_file());
+}
+
+#[test]
+fn entries_the_directory_does_not_count_are_refused() {
+    let mut bytes = zip(&[description(), Entry::stored("a", b"hidden")]);
+    let end = bytes.len() - 22;
+    bytes[end + 8..end + 12].copy_from_slice(&[1, 0, 1, 0]);
+    let message = open(&bytes).unwrap_err().to_string();
+    assert!(message.contains("more than the 1 entries"), "{message}");
+}
+
+/// Everything above that is refused late, after the private folder has been made.
+fn refused_while_unpacking() -> Vec<Vec<u8>> {
+    let wrong_sum = Entry::deflated("resources/a", b"12345").with(|entry| entry.crc32 ^= 1);
+    let too_long = Entry::packed("resources/bomb", bomb(10), 1000, 0);
+    let garbage = Entry::packed("resources/a", vec![0xff; 100], 100, 0);
+    [wrong_sum, too_long, garbage].map(|entry| zip(&[description(), entry])).to_vec()
+}
+
+/// Runs a test of this file in a process of its own with its own folder for temporary files.
+fn in_own_temporary_folder(test: &str) -> (tempfile::TempDir, std::process::Output) {
+    let folder = tempfile::tempdir().unwrap();
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", test, "--ignored", "--nocapture"])
+        .envs(["TMPDIR", "TMP", "TEMP"].map(|variable| (variable, folder.path())))
+        .output()
+        .unwrap();
+    (folder, output)
+}
+
+fn names_in(folder: &Path) -> Vec<PathBuf> {
+    fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect()
+}
+
+#[test]
+fn nothing_is_left_behind() {
+    let (folder, output) = in_own_temporary_folder("leaves_nothing_behind_inside");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("1 passed"));
+    assert_eq!(names_in(folder.path()), Vec::<PathBuf>::new());
+}
+
+#[test]
+#[ignore = "run by nothing_is_left_behind with a folder of its own"]
+fn leaves_nothing_behind_inside() {
+    for bytes in refused_while_unpacking() {
+        let file = file(&bytes);
+        assert!(matches!(Archive::open(file.path()), Err(FmiError::BadEntry { .. })));
+        assert_eq!(names_in(&std::env::temp_dir()), [file.path()]);
+    }
+    let file = file(&zip(&[description()]));
+    let archive = Archive::open(file.path()).unwrap();
+    assert_eq!(names_in(&std::env::temp_dir()).len(), 2);
+    assert!(archive.root().starts_with(std::env::temp_dir()));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn any_bytes_end_in_an_error(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        prop_assert!(open(&bytes).is_err());
+    }
+
+    #[test]
+    fn a_changed_archive_opens_or_is_refused(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        cut in prop::option::of(any::<prop::sample::Index>()),
+    ) {
+        let mut bytes = zip(&[description(), Entry::stored("a/b", b"12345"), Entry::deflated("a/c", &[7; 300])]);
+        for (place, value) in changes {
+            let place = place.index(bytes.len());
+            bytes[place] = value;
+        }
+        if let Some(cut) = cut {
+            bytes.truncate(cut.index(bytes.len()));
+        }
+        if let Ok(archive) = open(&bytes) {
+            prop_assert!(archive.root().join("modelDescription.xml").is_file());
+        }
+    }
+
+    #[test]
+    fn headers_that_claim_anything_do_no_harm(
+        sizes in any::<(u64, u64)>(), local_sizes in any::<(u32, u32)>(), method in 0_u16..10, flags in any::<u16>(),
+        mode in any::<u32>(), header_of in prop::option::of(0_usize..2),
+    ) {
+        let odd = Entry::deflated("a", b"12345").with(|entry| {
+            *entry = Entry { sizes, local_sizes, method, flags, mode: mode & 0xffff, header_of, ..entry.clone() };
+        });
+        let _ = open(&zip(&[description(), odd]));
+    }
+}

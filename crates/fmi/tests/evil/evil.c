@@ -1,0 +1,276 @@
+/* An FMI 2.0 model-exchange model with one fault at a time, chosen by a macro: x' = -k x, y = x. */
+#include "fmi2.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#ifdef FLUSHES
+#include <xmmintrin.h>
+#endif
+
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+typedef struct {
+    double time, x, k, n_sets;
+    int n, b;
+    int fatal;
+    fmi2CallbackFunctions functions;
+} Model;
+
+#ifdef SHARED_GLOBALS
+static double global_k;
+#define K(m) global_k
+#else
+#define K(m) ((m)->k)
+#endif
+
+static void start_values(Model *m) {
+    m->time = 0;
+    m->x = 1;
+    K(m) = 1;
+    m->n = 3;
+    m->b = 1;
+}
+
+static void say(Model *m, fmi2Status status, const char *text) {
+    m->functions.logger(m->functions.componentEnvironment, "evil", status, "logAll", text);
+}
+
+EXPORT const char *fmi2GetTypesPlatform(void) { return "default"; }
+EXPORT const char *fmi2GetVersion(void) { return "2.0"; }
+
+EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+                                     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
+    Model *m;
+    (void)name; (void)type; (void)guid; (void)resources; (void)visible; (void)logging;
+#ifdef NOT_INSTANTIABLE
+    functions->logger(functions->componentEnvironment, "evil", fmi2Error, "logAll", "no licence for %s", "evil");
+    return NULL;
+#endif
+    m = functions->allocateMemory(1, sizeof *m);
+    if (m == NULL) return NULL;
+    memcpy(&m->functions, functions, sizeof *functions);
+    start_values(m);
+#ifdef FLUSHES
+    _mm_setcsr(_mm_getcsr() | 0x8040);
+#endif
+    return m;
+}
+
+EXPORT void fmi2FreeInstance(fmi2Component c) {
+    Model *m = c;
+    if (m->fatal) abort();
+    m->functions.freeMemory(m);
+}
+
+EXPORT fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
+                                      fmi2Boolean has_stop, fmi2Real stop) {
+    (void)has_tolerance; (void)tolerance; (void)has_stop; (void)stop;
+    ((Model *)c)->time = start;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
+
+EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    (void)c;
+#ifdef NO_START
+    say(c, fmi2Error, "no solution for #r2# (## #r99#)");
+    return fmi2Error;
+#endif
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return fmi2OK; }
+
+EXPORT fmi2Status fmi2Reset(fmi2Component c) {
+    Model *m = c;
+#if defined(LYING_RESET)
+    double k = K(m);
+    start_values(m);
+    K(m) = k * 1.0000001;
+#elif defined(FAILING_RESET)
+    (void)m;
+    return fmi2Error;
+#else
+    start_values(m);
+#endif
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference *vr, size_t n, fmi2Real *value) {
+    Model *m = c;
+    size_t i;
+    for (i = 0; i < n; i++) {
+        switch (vr[i]) {
+        case 0: case 3: value[i] = m->x; break;
+        case 1: value[i] = -K(m) * m->x; break;
+        case 2: value[i] = K(m); break;
+        case 4: value[i] = 2.5; break;
+        case 5: value[i] = 2 * K(m); break;
+        case 6: value[i] = m->time; break;
+        default: return fmi2Error;
+        }
+#ifdef NAN_OUTPUT
+        if (vr[i] == 3) value[i] = NAN;
+#endif
+    }
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference *vr, size_t n, const fmi2Real *value) {
+    Model *m = c;
+    size_t i;
+    for (i = 0; i < n; i++) {
+        switch (vr[i]) {
+        case 0: m->x = value[i]; break;
+        case 2:
+            if (value[i] < 0) {
+                say(m, fmi2Error, "#r2# must not be negative, #i0#");
+                return fmi2Error;
+            }
+            K(m) = value[i];
+            break;
+        default: return fmi2Error;
+        }
+    }
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference *vr, size_t n, fmi2Integer *value) {
+    (void)vr;
+    while (n-- > 0) value[n] = ((Model *)c)->n;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference *vr, size_t n, const fmi2Integer *value) {
+    (void)vr;
+    while (n-- > 0) ((Model *)c)->n = value[n];
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference *vr, size_t n, fmi2Boolean *value) {
+    (void)vr;
+    while (n-- > 0) value[n] = ((Model *)c)->b;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference *vr, size_t n, const fmi2Boolean *value) {
+    (void)vr;
+    while (n-- > 0) ((Model *)c)->b = value[n];
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2EnterEventMode(fmi2Component c) { (void)c; return fmi2OK; }
+
+EXPORT fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
+    (void)c;
+    memset(info, 0, sizeof *info);
+#ifdef ENDLESS_EVENTS
+    info->newDiscreteStatesNeeded = fmi2True;
+#endif
+#ifdef PAST_EVENT
+    info->nextEventTimeDefined = fmi2True;
+    info->nextEventTime = -1;
+#endif
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { (void)c; return fmi2OK; }
+
+EXPORT fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set, fmi2Boolean *event,
+                                              fmi2Boolean *terminate) {
+    (void)c; (void)no_set;
+    *event = fmi2False;
+    *terminate = fmi2False;
+#ifdef ENDS_ITSELF
+    *terminate = ((Model *)c)->time >= 0.25;
+#endif
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
+    ((Model *)c)->time = time;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real *x, size_t n) {
+    if (n != 1) return fmi2Error;
+    ((Model *)c)->x = x[0];
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real *x, size_t n) {
+    if (n != 1) return fmi2Error;
+    x[0] = ((Model *)c)->x;
+    return fmi2OK;
+}
+
+#ifndef MISSING_SYMBOL
+EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
+    Model *m = c;
+    if (n != 1) return fmi2Error;
+    dx[0] = -K(m) * m->x;
+#ifdef FLUSHES
+    /* Denormal unless it is flushed. */
+    {
+        volatile double tiny = 1e-310;
+        dx[0] = tiny * 1.0 > 0 ? -1.0 : -2.0;
+    }
+#endif
+#ifdef DISCARD_BELOW
+    if (m->x < 0.5) return fmi2Discard;
+#endif
+#ifdef ERROR_LATE
+    if (m->time > 0.5) {
+        say(m, fmi2Error, "broken beyond t = 0.5");
+        return fmi2Error;
+    }
+#endif
+#ifdef FATAL_LATE
+    if (m->time > 0.5) {
+        m->fatal = 1;
+        return fmi2Fatal;
+    }
+#endif
+#ifdef NAN_LATE
+    if (m->time > 0.5) dx[0] = NAN;
+#endif
+#ifdef ODD_STATUS
+    if (m->time > 0.5) return (fmi2Status)77;
+#endif
+#ifdef LOG_FLOOD
+    {
+        int i;
+        for (i = 0; i < 200; i++) {
+            say(m, fmi2Warning, NULL);
+            say(m, fmi2Warning, "100 % sure, %");
+            say(m, fmi2Warning, "bad \xff\xfe bytes");
+            m->functions.logger(m->functions.componentEnvironment, NULL, fmi2Warning, NULL, "x = %g of %s", m->x, (char *)NULL);
+        }
+    }
+#endif
+    return fmi2OK;
+}
+#endif
+
+EXPORT fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real *z, size_t n) {
+    (void)c; (void)z; (void)n;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real *x, size_t n) {
+    (void)c;
+    while (n-- > 0) {
+#ifdef BAD_NOMINAL
+        x[n] = 0;
+#else
+        x[n] = 1;
+#endif
+    }
+    return fmi2OK;
+}

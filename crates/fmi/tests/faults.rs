@@ -1,0 +1,325 @@
+//! What happens when an FMU misbehaves: each test has an FMU with one fault.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use fmi::ode::{ErrorKind, Ignore, Termination};
+use fmi::{FmiError, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Status, Value};
+use std::sync::Arc;
+use support::{Folder, evil, evil_with};
+
+fn plan(folder: &Folder) -> Arc<SimulationPlan> {
+    Arc::new(SimulationPlan::new(&folder.open(), &SimulateOptions::new().parameters(["k"])).unwrap())
+}
+
+fn fails(faults: &[&str]) -> FmiError {
+    let folder = evil(faults);
+    let mut simulator = Simulator::new(plan(&folder)).unwrap();
+    let first = simulator.run(&[1.0], &mut Ignore).unwrap_err();
+    // The simulator survives, and the second run fails in the same way.
+    let second = simulator.run(&[1.0], &mut Ignore).unwrap_err();
+    assert_eq!(first.to_string(), second.to_string());
+    first
+}
+
+#[test]
+fn without_faults_it_runs() {
+    let folder = evil(&[]);
+    let result = folder.open().simulate(&SimulateOptions::new().relative_tolerance(1e-9)).unwrap();
+    assert!((result.final_value("y").unwrap().unwrap() - (-1f64).exp()).abs() < 1e-8);
+}
+
+#[test]
+fn points_refused_for_good_end_in_an_error_with_the_time() {
+    let FmiError::Simulation(error) = fails(&["DISCARD_BELOW"]) else { panic!() };
+    assert!(matches!(error.kind, ErrorKind::StepTooSmall { discarded: true }), "{error}");
+    assert!((error.time - 2f64.ln()).abs() < 1e-5, "{error}");
+}
+
+#[test]
+fn nan_is_a_refused_point() {
+    let FmiError::Simulation(error) = fails(&["NAN_LATE"]) else { panic!() };
+    assert!(matches!(error.kind, ErrorKind::StepTooSmall { discarded: true }), "{error}");
+    assert!(error.time <= 0.5 && error.time > 0.4, "{error}");
+}
+
+#[test]
+fn errors_name_the_call_the_time_and_the_log() {
+    let error = fails(&["ERROR_LATE"]);
+    let failure = error.call_failure().unwrap();
+    assert_eq!((failure.call, failure.status), ("fmi2GetDerivatives", Status::Error));
+    assert!(failure.time.unwrap() > 0.5);
+    assert_eq!(failure.log[0].text, "broken beyond t = 0.5");
+    let text = error.to_string();
+    assert!(text.contains("fmi2GetDerivatives returned error at t = ") && text.contains("broken"), "{text}");
+}
+
+#[test]
+fn after_fatal_the_instance_is_abandoned() {
+    // Freeing it would abort this process.
+    let error = fails(&["FATAL_LATE"]);
+    assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
+}
+
+#[test]
+fn an_unknown_status_is_an_error() {
+    assert_eq!(fails(&["ODD_STATUS"]).call_failure().unwrap().status, Status::Unknown(77));
+}
+
+#[test]
+fn a_failing_initialization_expands_references_in_its_log() {
+    let error = fails(&["NO_START"]);
+    let failure = error.call_failure().unwrap();
+    assert_eq!(failure.call, "fmi2ExitInitializationMode");
+    assert_eq!(failure.log[0].text, "no solution for k (# #r99#)");
+}
+
+#[test]
+fn a_refused_value_names_its_variable() {
+    let folder = evil(&[]);
+    let error = Simulator::new(plan(&folder)).unwrap().run(&[-1.0], &mut Ignore).unwrap_err();
+    let failure = error.call_failure().unwrap();
+    assert_eq!((failure.call, &failure.variables[..]), ("fmi2SetReal", &["k".to_owned()][..]));
+    assert_eq!(failure.log[0].text, "k must not be negative, n");
+}
+
+#[test]
+fn an_endless_event_iteration_is_cut() {
+    let error = fails(&["ENDLESS_EVENTS"]);
+    assert!(error.to_string().contains("did not end after 100 rounds"), "{error}");
+}
+
+#[test]
+fn an_event_in_the_past_is_an_error() {
+    let FmiError::Simulation(error) = fails(&["PAST_EVENT"]) else { panic!() };
+    assert!(matches!(error.kind, ErrorKind::EventInThePast(next) if next == -1.0), "{error}");
+}
+
+#[test]
+fn a_flood_of_odd_log_messages_is_bounded() {
+    let folder = evil(&["LOG_FLOOD"]);
+    let result = folder.open().simulate(&SimulateOptions::new().ncp(1)).unwrap();
+    assert_eq!(result.termination, Termination::Finished);
+    let mut instance = folder
+        .open()
+        .instantiate()
+        .unwrap()
+        .enter_initialization(0.0, None, None)
+        .unwrap()
+        .exit_initialization()
+        .unwrap()
+        .enter_continuous_time()
+        .unwrap();
+    instance.get_derivatives(&mut [0.0]).unwrap();
+    let (lines, dropped) = instance.log();
+    assert_eq!((lines.len(), dropped), (32, 768));
+    let texts: Vec<&str> = lines[28..].iter().map(|line| line.text.as_str()).collect();
+    assert_eq!(texts[..3], ["", "100 % sure, %", "bad \u{fffd}\u{fffd} bytes"]);
+    assert!(texts[3].starts_with("x = 1 of "), "{texts:?}");
+}
+
+#[test]
+fn a_model_may_end_the_simulation() {
+    let folder = evil(&["ENDS_ITSELF"]);
+    let mut simulator = Simulator::new(plan(&folder)).unwrap();
+    let first = simulator.trajectory(&[1.0]).unwrap();
+    assert_eq!(first.termination, Termination::StoppedByModel);
+    assert!(first.end_time >= 0.25 && first.end_time < 1.0);
+    assert_eq!(simulator.trajectory(&[1.0]).unwrap(), first);
+}
+
+#[test]
+fn a_reset_that_lies_is_found_out() {
+    let folder = evil(&["LYING_RESET"]);
+    let options = SimulateOptions::new();
+    let fmu = folder.open();
+    let mut simulator = Simulator::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap())).unwrap();
+    let first = simulator.trajectory(&[]).unwrap();
+    assert_eq!(simulator.trajectory(&[]).unwrap(), first);
+    assert_eq!(simulator.trajectory(&[]).unwrap(), first);
+    assert_eq!(fmu.reuse(), Some(Reuse::Reinstantiate));
+
+    let fmu = folder.open();
+    let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap()));
+    assert_eq!(pool.reuse().unwrap(), Reuse::Reinstantiate);
+    assert!(pool.is_concurrent().unwrap());
+    assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap(), first);
+    assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap(), first);
+}
+
+#[test]
+fn a_reset_that_fails_is_replaced() {
+    let folder = evil(&["FAILING_RESET"]);
+    let pool = Pool::new(plan(&folder));
+    let first = pool.lend().unwrap().trajectory(&[1.0]).unwrap();
+    assert_eq!(pool.lend().unwrap().trajectory(&[1.0]).unwrap(), first);
+    assert_eq!(pool.reuse().unwrap(), Reuse::Reinstantiate);
+}
+
+#[test]
+fn instances_that_share_their_memory_run_one_at_a_time() {
+    let folder = evil(&["SHARED_GLOBALS"]);
+    let pool = Pool::new(plan(&folder));
+    assert!(!pool.is_concurrent().unwrap());
+    let truth = pool.lend().unwrap().trajectory(&[1.0]).unwrap();
+    std::thread::scope(|scope| {
+        for _ in 0..3 {
+            scope.spawn(|| {
+                for _ in 0..5 {
+                    assert_eq!(pool.lend().unwrap().trajectory(&[1.0]).unwrap(), truth);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn only_one_instance_where_only_one_is_allowed() {
+    let folder = evil_with(&[], |xml| {
+        xml.replace(
+            "modelIdentifier=\"evil\"",
+            "modelIdentifier=\"evil\" canBeInstantiatedOnlyOncePerProcess=\"true\"",
+        )
+    });
+    let fmu = folder.open();
+    let first = fmu.instantiate().unwrap();
+    assert!(matches!(fmu.instantiate(), Err(FmiError::OnlyOneInstance { .. })));
+    drop(first);
+    fmu.instantiate().unwrap();
+    let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &SimulateOptions::new()).unwrap()));
+    assert!(!pool.is_concurrent().unwrap());
+    let first = pool.lend().unwrap().trajectory(&[]).unwrap();
+    assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap(), first);
+}
+
+#[test]
+fn flushing_of_denormals_neither_counts_nor_stays() {
+    let tiny = std::hint::black_box(1e-310);
+    let folder = evil(&["FLUSHES"]);
+    let result = folder.open().simulate(&SimulateOptions::new().ncp(1)).unwrap();
+    assert!(result.final_value("y").unwrap().unwrap().abs() < 1e-9, "the model saw flushed denormals");
+    assert!(tiny * std::hint::black_box(1.0) > 0.0, "the mode of this thread was changed");
+}
+
+#[test]
+fn outputs_that_are_nan_are_passed_on() {
+    let folder = evil(&["NAN_OUTPUT"]);
+    let result = folder.open().simulate(&SimulateOptions::new().ncp(2)).unwrap();
+    assert!(result.get("y").unwrap().iter().all(|y| y.is_nan()));
+}
+
+#[test]
+fn a_nominal_of_zero_counts_as_one() {
+    let folder = evil(&["BAD_NOMINAL"]);
+    let good = evil(&[]);
+    let options = SimulateOptions::new();
+    assert_eq!(folder.open().simulate(&options).unwrap(), good.open().simulate(&options).unwrap());
+}
+
+#[test]
+fn a_library_without_a_mandatory_function_is_refused() {
+    let error = evil(&["MISSING_SYMBOL"]).open().instantiate().unwrap_err();
+    assert!(matches!(&error, FmiError::MissingSymbol { symbol: "fmi2GetDerivatives", .. }), "{error}");
+}
+
+#[test]
+fn missing_optional_functions_matter_only_when_they_are_called() {
+    let folder = evil(&[]);
+    let mut instance = folder.open().instantiate().unwrap();
+    for (error, function) in [
+        (instance.save_state().unwrap_err(), "fmi2GetFMUstate"),
+        (instance.set("label", "x").unwrap_err(), "fmi2SetString"),
+        (instance.set_logging(true).unwrap_err(), "fmi2SetDebugLogging"),
+    ] {
+        assert!(matches!(error, FmiError::MissingFunction { function: f } if f == function), "{error}");
+    }
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
+    let error = instance.directional_derivative(&[], &[], &[], &mut []).unwrap_err();
+    assert!(
+        matches!(error, FmiError::MissingFunction { function: "fmi2GetDirectionalDerivative" }),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_refusal_to_instantiate_carries_the_log() {
+    let error = evil(&["NOT_INSTANTIABLE"]).open().instantiate().unwrap_err();
+    assert!(
+        error.to_string().contains("fmi2Instantiate") && error.to_string().contains("no licence for evil"),
+        "{error}"
+    );
+}
+
+#[test]
+fn fmus_that_cannot_be_run_say_why() {
+    let refused = |from: &str, to: &str| {
+        let folder = evil_with(&[], |xml| xml.replace(from, to));
+        SimulationPlan::new(&folder.open(), &SimulateOptions::new()).unwrap_err()
+    };
+    let tool = refused("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" needsExecutionTool=\"true\"");
+    assert!(matches!(tool, FmiError::NeedsExecutionTool { .. }), "{tool}");
+    let cs = refused("<ModelExchange ", "<CoSimulation ");
+    assert!(matches!(cs, FmiError::NoModelExchange { .. }), "{cs}");
+
+    let folder = evil(&[]);
+    std::fs::remove_dir_all(folder.path().join("binaries")).unwrap();
+    std::fs::create_dir_all(folder.path().join("binaries/plan9")).unwrap();
+    let error = folder.open().instantiate().unwrap_err();
+    assert!(matches!(error, FmiError::NoBinary { .. }) && error.to_string().contains("plan9"), "{error}");
+
+    let folder = evil(&[]);
+    let library = fmi::platform::find_binary(folder.path(), "evil", 2).unwrap().path;
+    let mut bytes = std::fs::read(&library).unwrap();
+    bytes.truncate(200);
+    std::fs::write(&library, bytes).unwrap();
+    let error = folder.open().instantiate().unwrap_err();
+    assert!(matches!(error, FmiError::LoadFailed { .. }), "{error}");
+}
+
+#[test]
+fn values_are_checked_by_name_type_and_settability() {
+    let folder = evil(&[]);
+    let fmu = folder.open();
+    let set = |name: &str, value: Value| {
+        SimulationPlan::new(&fmu, &SimulateOptions::new().start_value(name, value))
+            .map(|_| ())
+            .map_err(|e| e.to_string())
+    };
+    for (name, value) in [
+        ("k", Value::Real(2.0)),
+        ("k", Value::Integer(2)),
+        ("x", Value::Real(0.5)),
+        ("n", Value::Integer(7)),
+        ("n", Value::Real(7.0)),
+        ("b", Value::Boolean(false)),
+        ("label", "text".into()),
+    ] {
+        set(name, value).unwrap();
+    }
+    for (name, value, text) in [
+        ("k", "text".into(), "k is of type Real, \"text\" (String) does not fit"),
+        ("k", Value::Boolean(true), "Boolean"),
+        ("n", Value::Real(1.5), "n is of type Integer, 1.5 (Real) does not fit"),
+        ("b", Value::Integer(1), "b is of type Boolean"),
+        ("label", Value::Real(1.0), "String"),
+        ("label", "a\0b".into(), "NUL"),
+        ("k", Value::Real(f64::NAN), "k = NaN"),
+        ("k", Value::Real(f64::INFINITY), "k = inf"),
+        ("c", Value::Real(1.0), "c cannot be set: it is a constant"),
+        ("y", Value::Real(1.0), "y cannot be set: the model calculates it"),
+        ("twice_k", Value::Real(1.0), "twice_k cannot be set: it is a calculated parameter"),
+        ("time", Value::Real(1.0), "time cannot be set: it is the independent variable"),
+        ("kk", Value::Real(1.0), "no variable \"kk\"; did you mean k"),
+    ] {
+        let error = set(name, value).unwrap_err();
+        assert!(error.contains(text), "{error}");
+    }
+    for (name, kind) in [("n", "Real"), ("y", "calculates"), ("k2", "no variable")] {
+        let error =
+            SimulationPlan::new(&fmu, &SimulateOptions::new().parameters([name])).unwrap_err().to_string();
+        assert!(error.contains(kind), "{error}");
+    }
+    let error = SimulationPlan::new(&fmu, &SimulateOptions::new().outputs(["label"])).unwrap_err();
+    assert!(matches!(error, FmiError::NotAnOutput { .. }), "{error}");
+}

@@ -1,0 +1,206 @@
+//! Source-code FMUs: built with the system's compiler, kept by content, packed reproducibly. Each test that needs a
+//! cache or a compiler of its own runs itself again in a process with that environment.
+
+use fmi::platform::{BinaryHeader, LIBRARY_EXTENSION, binary_folders, find_binary};
+use fmi::{Archive, FmiError, ModelDescription, build_library, clear_caches, pack};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const MODEL: &str = "#include \"model.h\"\nint answer(void) { return ANSWER; }\n";
+const HEADER: &str = "#define ANSWER 42\n";
+
+fn description(files: &str) -> String {
+    format!(
+        "<fmiModelDescription fmiVersion=\"2.0\" modelName=\"m\" guid=\"g\"><ModelExchange modelIdentifier=\"tiny\">\
+         <SourceFiles>{files}</SourceFiles></ModelExchange></fmiModelDescription>"
+    )
+}
+
+/// A folder with a model of two files.
+fn source_folder() -> tempfile::TempDir {
+    let root = tempfile::tempdir().unwrap();
+    fs::write(root.path().join("modelDescription.xml"), description("<File name=\"model.c\"/>")).unwrap();
+    for (name, text) in [("sources/model.c", MODEL), ("sources/model.h", HEADER), ("resources/table.txt", "1 2 3\n")] {
+        let path = root.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    }
+    root
+}
+
+fn build(root: &Path) -> Result<PathBuf, FmiError> {
+    let archive = Archive::open(root)?;
+    let model = ModelDescription::read(&archive)?;
+    build_library(archive.root(), &model, model.model_exchange.as_ref().unwrap(), archive.content_hash())
+}
+
+/// Runs an ignored test of this file with a cache folder of its own and more variables.
+fn in_own_environment(test: &str, variables: &[(&str, &str)]) -> tempfile::TempDir {
+    let cache = tempfile::tempdir().unwrap();
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", test, "--ignored", "--nocapture"])
+        .env("FMUFIT_CACHE", cache.path())
+        .env_remove("CC")
+        .envs(variables.iter().copied())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && said.contains("1 passed"), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    cache
+}
+
+fn cache() -> PathBuf {
+    std::env::var_os("FMUFIT_CACHE").unwrap().into()
+}
+
+fn kept() -> Vec<PathBuf> {
+    fs::read_dir(cache().join("libraries")).unwrap().map(|entry| entry.unwrap().path()).collect()
+}
+
+#[test]
+fn libraries_are_built_once_per_content() {
+    in_own_environment("builds_once_per_content", &[]);
+}
+
+#[test]
+#[ignore = "run by libraries_are_built_once_per_content"]
+fn builds_once_per_content() {
+    let root = source_folder();
+    let library = build(root.path()).unwrap();
+    assert_eq!(library.file_name().unwrap().to_str().unwrap(), format!("tiny.{LIBRARY_EXTENSION}"));
+    assert!(library.starts_with(cache()));
+    assert!(BinaryHeader::read(&library).unwrap().unwrap().runs_here());
+    let made = library.metadata().unwrap().modified().unwrap();
+    assert_eq!(build(root.path()).unwrap(), library);
+    let copy = source_folder();
+    assert_eq!(build(copy.path()).unwrap(), library); // the same content elsewhere
+    assert_eq!(kept().len(), 1);
+    assert!(library.metadata().unwrap().modified().unwrap() >= made);
+    fs::write(root.path().join("sources/model.h"), "#define ANSWER 43\n").unwrap();
+    assert_ne!(build(root.path()).unwrap(), library);
+    assert_eq!(kept().len(), 2);
+    // Many at once: all succeed, one result is kept, nothing unfinished stays.
+    fs::write(root.path().join("sources/model.h"), "#define ANSWER 44\n").unwrap();
+    let paths: Vec<PathBuf> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..4).map(|_| scope.spawn(|| build(root.path()).unwrap())).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    });
+    assert!(paths.iter().all(|path| *path == paths[0]));
+    assert_eq!(kept().len(), 3);
+    fs::write(cache().join("mine.txt"), "not of the cache").unwrap();
+    clear_caches().unwrap();
+    assert!(!library.exists() && cache().join("mine.txt").exists());
+}
+
+#[test]
+fn what_the_compiler_says_is_passed_on() {
+    in_own_environment("passes_on_what_the_compiler_says", &[]);
+}
+
+#[test]
+#[ignore = "run by what_the_compiler_says_is_passed_on"]
+fn passes_on_what_the_compiler_says() {
+    let root = source_folder();
+    fs::write(root.path().join("sources/model.c"), "int answer(void) { return undeclared_name; }\n").unwrap();
+    match build(root.path()).unwrap_err() {
+        FmiError::CompileFailed { model_identifier, command, output, .. } => {
+            assert_eq!(model_identifier, "tiny");
+            assert!(command.contains("./model.c") && command.contains("-shared"), "{command}");
+            assert!(output.contains("undeclared_name") && output.contains("model.c:1"), "{output}");
+        }
+        other => panic!("{other}"),
+    }
+    assert_eq!(kept(), Vec::<PathBuf>::new());
+    fs::remove_file(root.path().join("sources/model.c")).unwrap();
+    assert!(matches!(build(root.path()), Err(FmiError::NoSources { .. })));
+}
+
+#[test]
+fn a_missing_compiler_is_named() {
+    in_own_environment("names_a_missing_compiler", &[("CC", "no-such-compiler -x")]);
+}
+
+#[test]
+#[ignore = "run by a_missing_compiler_is_named"]
+fn names_a_missing_compiler() {
+    let message = build(source_folder().path()).unwrap_err().to_string();
+    assert!(message.contains("no C compiler") && message.contains("CC=no-such-compiler -x"), "{message}");
+}
+
+#[test]
+fn without_a_usable_cache_folder_the_library_is_built_elsewhere() {
+    let blocked = tempfile::NamedTempFile::new().unwrap();
+    let temporary = tempfile::tempdir().unwrap();
+    let temporary = temporary.path().to_str().unwrap();
+    in_own_environment(
+        "builds_elsewhere",
+        &[("FMUFIT_CACHE", blocked.path().to_str().unwrap()), ("TMPDIR", temporary), ("TMP", temporary), ("TEMP", temporary)],
+    );
+}
+
+#[test]
+#[ignore = "run by without_a_usable_cache_folder_the_library_is_built_elsewhere"]
+fn builds_elsewhere() {
+    let library = build(source_folder().path()).unwrap();
+    assert!(library.starts_with(std::env::temp_dir()) && library.is_file(), "{}", library.display());
+}
+
+#[test]
+fn a_folder_is_packed_reproducibly() {
+    in_own_environment("packs_reproducibly", &[]);
+}
+
+#[test]
+#[ignore = "run by a_folder_is_packed_reproducibly"]
+fn packs_reproducibly() {
+    let root = source_folder();
+    let out = tempfile::tempdir().unwrap();
+    let (one, two) = (out.path().join("one.fmu"), out.path().join("two.fmu"));
+    fs::write(&two, "something older").unwrap();
+    pack(root.path(), &one).unwrap();
+    clear_caches().unwrap();
+    pack(source_folder().path(), &two).unwrap();
+    assert_eq!(fs::read(&one).unwrap(), fs::read(&two).unwrap());
+    assert_eq!(fs::read_dir(out.path()).unwrap().count(), 2);
+
+    let archive = Archive::open(&one).unwrap();
+    assert_eq!(fs::read_to_string(archive.root().join("sources/model.c")).unwrap(), MODEL);
+    assert_eq!(fs::read_to_string(archive.root().join("resources/table.txt")).unwrap(), "1 2 3\n");
+    let found = find_binary(archive.root(), "tiny", 2).unwrap();
+    assert!(found.path.starts_with(archive.root().join("binaries").join(&binary_folders(2)[0])));
+    assert_eq!(found.note, None);
+
+    // Packing into the folder itself does not pack the result of the last time.
+    let inside = root.path().join("out.fmu");
+    pack(root.path(), &inside).unwrap();
+    let before = fs::read(&inside).unwrap();
+    assert_eq!(before, fs::read(&one).unwrap());
+    pack(root.path(), &inside).unwrap();
+    let names: Vec<_> = fs::read_dir(Archive::open(&inside).unwrap().root())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name())
+        .collect();
+    assert!(!names.contains(&"out.fmu".into()));
+}
+
+#[test]
+fn folders_that_are_no_fmu_are_not_packed() {
+    let root = tempfile::tempdir().unwrap();
+    let out = root.path().join("out.fmu");
+    assert!(matches!(pack(root.path(), &out), Err(FmiError::NoModelDescription { .. })));
+    fs::write(root.path().join("modelDescription.xml"), "<fmiModelDescription/>").unwrap();
+    assert!(matches!(pack(root.path(), &out), Err(FmiError::Description { .. })));
+    fs::write(root.path().join("modelDescription.xml"), description("")).unwrap();
+    #[cfg(target_os = "linux")]
+    {
+        fs::write(root.path().join("A.txt"), "").unwrap();
+        fs::write(root.path().join("a.txt"), "").unwrap();
+        let message = pack(root.path(), &out).unwrap_err().to_string();
+        assert!(message.contains("upper and lower case"), "{message}");
+        fs::remove_file(root.path().join("A.txt")).unwrap();
+    }
+    assert!(!out.exists());
+    pack(root.path(), &out).unwrap(); // no sources: packed as it is
+    assert!(out.is_file());
+}

@@ -1,0 +1,67 @@
+//! FMUs for the tests: the bundled models, and small C sources with one fault each, compiled into temporary folders.
+#![allow(dead_code, clippy::unwrap_used)]
+
+use fmi::Fmu;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Where the sources are.
+fn here() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Compiles `sources` into the library of an unpacked FMU.
+fn compile(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&str]) {
+    let folder = root.join("binaries").join(&fmi::platform::binary_folders(2)[0]);
+    std::fs::create_dir_all(&folder).unwrap();
+    let library = folder.join(format!("{identifier}.{}", fmi::platform::LIBRARY_EXTENSION));
+    let output = Command::new("cc")
+        .args(["-shared", "-fPIC", "-O1", "-ffp-contract=off", "-o"])
+        .arg(&library)
+        .args(defines.iter().map(|define| format!("-D{define}")))
+        .arg("-I")
+        .arg(here().join("models/frontend"))
+        .args(sources)
+        .arg("-lm")
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// A folder that holds an FMU, and goes when the value goes.
+pub(crate) struct Folder {
+    folder: tempfile::TempDir,
+}
+
+impl Folder {
+    pub(crate) fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    pub(crate) fn open(&self) -> Fmu {
+        Fmu::open(self.path()).unwrap()
+    }
+}
+
+/// One of the bundled models.
+pub(crate) fn model(name: &str) -> Folder {
+    let folder = tempfile::tempdir().unwrap();
+    let model = here().join("models").join(name);
+    std::fs::copy(model.join("modelDescription.xml"), folder.path().join("modelDescription.xml")).unwrap();
+    compile(folder.path(), name, &[model.join("model.c"), here().join("models/frontend/fmi2_me.c")], &[]);
+    Folder { folder }
+}
+
+/// The evil model (`tests/evil/evil.c`) with these faults.
+pub(crate) fn evil(faults: &[&str]) -> Folder {
+    evil_with(faults, |xml| xml)
+}
+
+/// The evil model with another description.
+pub(crate) fn evil_with(faults: &[&str], edit: impl FnOnce(String) -> String) -> Folder {
+    let folder = tempfile::tempdir().unwrap();
+    let xml = std::fs::read_to_string(here().join("tests/evil/modelDescription.xml")).unwrap();
+    std::fs::write(folder.path().join("modelDescription.xml"), edit(xml)).unwrap();
+    compile(folder.path(), "evil", &[here().join("tests/evil/evil.c")], faults);
+    Folder { folder }
+}

@@ -1,0 +1,266 @@
+"""`fmin`: the paper's door, minimising a Python function."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core, _options
+from ._errors import Interrupted, MethodNotAvailable
+from ._progress import Printer, Progress
+from ._result import OptimizeResult
+
+if TYPE_CHECKING:
+    from ._plot import SimplexWalk
+
+_log = logging.getLogger("pydfo")
+
+Objective = Callable[[npt.NDArray[np.float64]], Any]
+Callback = Callable[[Progress], Any]
+
+_ALGORITHMS: dict[object, str] = {
+    None: "nelder-mead",
+    1: "nelder-mead",
+    "nelder-mead": "nelder-mead",
+    2: "barrier",
+    "barrier": "barrier",
+    3: "de",
+    "de": "de",
+    4: "ga",
+    "ga": "ga",
+}
+_LATER = {"barrier": "the sequential barrier method", "de": "differential evolution", "ga": "the genetic algorithm"}
+
+
+def _check_algorithm(alg: object) -> None:
+    try:
+        known = _ALGORITHMS[alg.lower() if isinstance(alg, str) else alg]
+    except (KeyError, TypeError):
+        raise ValueError(f"alg = {alg!r} is none of None, 1, 'nelder-mead'") from None
+    if known in _LATER:
+        raise MethodNotAvailable(
+            f"alg = {alg!r}: {_LATER[known]} is not in this version; alg=1 or 'nelder-mead' is"
+        )
+
+
+def listen(callback: Callback) -> Callback:
+    """A callback that is given its argument by name if it asks for it by the name ``intermediate_result``."""
+    try:
+        parameters = inspect.signature(callback).parameters
+    except (TypeError, ValueError):
+        return callback
+    named = parameters.get("intermediate_result")
+    if named is not None and named.kind is inspect.Parameter.KEYWORD_ONLY:
+        return lambda progress: callback(intermediate_result=progress)  # type: ignore[call-arg]
+    return callback
+
+
+def log_evaluations(progress: Progress) -> None:
+    """Writes the evaluations of an iteration to the log."""
+    for x, (cost, remark), used in progress._recent:
+        _log.debug("x = %s: %s%s", x.tolist(), remark or repr(cost), "" if used else " (not used)")
+
+
+def fmin(
+    func: Objective,
+    xstart: npt.ArrayLike | None = None,
+    lb: npt.ArrayLike | Sequence[float | None] | None = None,
+    ub: npt.ArrayLike | Sequence[float | None] | None = None,
+    alg: int | str | None = None,
+    plot: bool = False,
+    plot_conv: bool = False,
+    x_tol: float = 1e-6,
+    f_tol: float = 1e-6,
+    max_iters: SupportsFloat | None = 1000,
+    max_fevals: SupportsFloat | None = 10000,
+    disp: bool = True,
+    nbr_cores: SupportsIndex | None = None,
+    debug: bool = False,
+    *,
+    callback: Callback | None = None,
+    rng: int | np.random.Generator | None = None,
+    stop: Literal["any", "all"] = "any",
+    batch: Literal["auto", "serial", "two", "four"] = "auto",
+    initial_simplex: npt.ArrayLike | None = None,
+    target: SupportsFloat | None = None,
+    max_time: SupportsFloat | None = None,
+    on_error: Literal["raise", "continue"] = "raise",
+) -> OptimizeResult:
+    """Minimise a function of several variables without derivatives.
+
+    The signature is that of the tool that the paper describes; what is new is keyword-only.
+
+    Parameters
+    ----------
+    func : callable
+        ``func(x) -> float`` with `x` an array of shape (n,), which the function may keep. Functions, methods, partials
+        and objects with ``__call__`` will do. It may return a float, a NumPy scalar or an array of one element. NaN and
+        infinities mean that there is no cost at this point.
+    xstart : array_like, shape (n,)
+        Where to start. May lie on a bound. Required.
+    lb, ub : array_like, shape (n,), or number, optional
+        Bounds; None (also as an element) where there is none. Equal bounds fix a parameter. No point outside of the
+        bounds is ever evaluated.
+    alg : optional
+        None, 1 or "nelder-mead": Nelder-Mead. The paper's other methods (2, 3, 4) are not in this version.
+    plot : bool
+        Draw the cost as contours over two parameters, with the simplex walking. Needs matplotlib.
+    plot_conv : bool
+        Draw how the best cost falls with the evaluations. Needs matplotlib.
+    x_tol : float
+        Absolute tolerance of the x test: the largest distance, along an axis, of a vertex from the best one.
+    f_tol : float
+        Absolute tolerance of the f test: the difference between the worst and the best vertex.
+    max_iters, max_fevals : int, optional
+        Exact limits of iterations and of calls of `func`; None for no limit.
+    disp : bool
+        Print a line per iteration, and how the run ended.
+    nbr_cores : int, optional
+        How many calls of `func` may run at once, each in a thread of its own; -1 for all cores. None stands for 1: a
+        Python function is called from several threads only if you ask for it. Only what releases the interpreter lock
+        (simulations do) gains from more. The simplices and the result are the same for any number.
+    debug : bool
+        Log every evaluation (logger "pydfo", level DEBUG).
+    callback : callable, optional
+        Called after the starting points and after each iteration with a `Progress`, on the calling thread. Raising
+        StopIteration, or returning True, ends the run with the best point so far.
+    rng : int or numpy.random.Generator, optional
+        Source of random numbers, for methods that draw any (Nelder-Mead does not).
+    stop : {"any", "all"}
+        Whether one of the two tests ends the run (as in the paper), or both must hold. A simplex that has not moved yet
+        never passes.
+    batch : {"auto", "serial", "two", "four"}
+        How many trial points are evaluated at once in an iteration, ahead of need; "auto" follows `nbr_cores`. The
+        simplices are the same for all; unneeded evaluations count.
+    initial_simplex : array_like, optional
+        Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default a tenth of the width
+        of the box, or 0.3 max(1, norm(xstart)) where there is none.
+    target : float, optional
+        End the run as soon as the cost is at or below this.
+    max_time : float, optional
+        Limit of wall-clock time in s: no call starts after it.
+    on_error : {"raise", "continue"}
+        What an exception in `func` means: it is raised, or it counts as a failed evaluation. A return value that is no
+        number is always raised.
+
+    Returns
+    -------
+    OptimizeResult
+        With fields ``x``, ``fun``, ``nit``, ``nfev``, ``nfail``, ``success``, ``message``, ``trace`` and others; unpacks
+        like the five-tuple ``(x_opt, f_opt, nbr_iters, nbr_fevals, solve_time)``. However a run ends, ``x`` is the best
+        point that was seen.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Arguments that cannot be used; a return value that is no number (TypeError).
+    AllStartsFailed
+        There was no cost at any of the starting points; the reasons are counted in its ``failures``.
+    Interrupted
+        Ctrl-C: a KeyboardInterrupt with the result so far in ``result``. A call of `func` that is running is awaited;
+        a second Ctrl-C does not wait.
+    Exception
+        Whatever `func` or `callback` raises comes out as it is, with the result so far in ``partial_result`` (None
+        if no point had a cost yet).
+
+    Examples
+    --------
+    >>> from pydfo import fmin
+    >>> res = fmin(lambda x: (x[0] - 1) ** 2 + (x[1] + 2) ** 2, [0, 0], lb=[-5, -5], ub=[5, 5], disp=False, stop="all")
+    >>> res.x.round(3)
+    array([ 1., -2.])
+    >>> x_opt, f_opt, nbr_iters, nbr_fevals, solve_time = res
+    """
+    if not callable(func):
+        hint = "; give the function itself, not the name of its file" if isinstance(func, str) else ""
+        raise TypeError(f"func must be callable, not {func!r}{hint}")
+    _check_algorithm(alg)
+    if on_error not in ("raise", "continue"):
+        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'continue'")
+    if callback is not None and not callable(callback):
+        raise TypeError(f"callback must be callable, not {callback!r}")
+    if xstart is None:
+        raise ValueError("xstart is needed: the point where Nelder-Mead starts")
+    x0 = _options.vector("xstart", xstart)
+    n = len(x0)
+    lower = _options.bound("lb", lb, n, -np.inf)
+    upper = _options.bound("ub", ub, n, np.inf)
+    vertices, steps = _options.simplex(initial_simplex, n)
+    options = _options.Options(
+        x_tol=_options.number("x_tol", x_tol),
+        f_tol=_options.number("f_tol", f_tol),
+        stop=_options.choice("stop", stop),
+        batch=_options.choice("batch", batch),
+        max_evaluations=_options.limit("max_fevals", max_fevals, 1),
+        max_iterations=_options.limit("max_iters", max_iters, 0),
+        max_time=_options.optional_number("max_time", max_time),
+        target=_options.optional_number("target", target),
+        workers=_options.worker_count("nbr_cores", nbr_cores, 1),
+        vertices=vertices,
+        steps=steps,
+    )
+    listeners: list[Callback] = []
+    if debug:
+        listeners.append(log_evaluations)
+    printer = Printer()
+    if disp:
+        listeners.append(printer)
+    walk: SimplexWalk | None = None
+    if plot or plot_conv:
+        from . import _plot
+
+        _plot.pyplot()
+        if plot:
+            walk = _plot.SimplexWalk(lower != upper)
+            listeners.append(walk)
+    if callback is not None:
+        listeners.append(listen(callback))
+    try:
+        result: OptimizeResult = _core.minimize(
+            func,
+            x0,
+            lower,
+            upper,
+            options,
+            tolerant=on_error == "continue",
+            observer=combine(listeners),
+            detail=debug,
+        )
+    except Interrupted as e:
+        if disp and isinstance(e.result, OptimizeResult):
+            _print_end(printer, e.result)
+        raise
+    result.rng = rng
+    _log.info("fmin: %s; f = %r after %d evaluations", result.message, result.fun, result.nfev)
+    if disp:
+        _print_end(printer, result)
+    if walk is not None:
+        result.figures += (walk.finish(result),)
+    if plot_conv:
+        from . import _plot
+
+        result.figures += (_plot.convergence(result),)
+    return result
+
+
+def combine(listeners: list[Callback]) -> Callback | None:
+    """One listener that tells all of them; True from any of them ends the run."""
+    if not listeners:
+        return None
+
+    def tell(progress: Progress) -> bool:
+        enough = False
+        for listener in listeners:
+            enough |= listener(progress) is True
+        return enough
+
+    return tell
+
+
+def _print_end(printer: Printer, result: OptimizeResult) -> None:
+    printer.end(result.message, result.x, result.fun, result.nit, result.nfev, result.solve_time)

@@ -1,0 +1,98 @@
+"""Progress: what a run tells while it goes, and the lines printed from it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Progress:
+    """The state of a run after an iteration; iteration 0 is the evaluation of the starting points.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+        The best point so far, in the user's units.
+    fun : float
+        The cost there.
+    nit, nfev, nfail : int
+        Complete iterations; evaluations, and failed ones, so far.
+    operation : str
+        What the iteration did: "initial", "reflection", "expansion", "outside contraction", "inside contraction" or
+        "shrink".
+    x_size, f_spread : float or None
+        Values of the two tests: extent of the simplex, spread of the costs at its vertices. None before the first
+        iteration; the spread is None as long as a vertex has failed.
+    final_simplex : tuple of ndarray or None
+        The simplex as it stands: vertices (n + 1, n) and their costs (n + 1,), best first.
+    solve_time : float
+        Wall-clock time since the start, in s.
+    """
+
+    def __init__(
+        self,
+        *,
+        x: FloatArray,
+        fun: float,
+        nit: int,
+        nfev: int,
+        nfail: int,
+        solve_time: float,
+        operation: str,
+        x_size: float | None,
+        f_spread: float | None,
+        final_simplex: tuple[FloatArray, FloatArray] | None,
+        recent: list[tuple[FloatArray, tuple[float, str], bool]],
+    ) -> None:
+        self.x = x
+        self.fun = fun
+        self.nit = nit
+        self.nfev = nfev
+        self.nfail = nfail
+        self.solve_time = solve_time
+        self.operation = operation
+        self.x_size = x_size
+        self.f_spread = f_spread
+        self.final_simplex = final_simplex
+        self._recent = recent
+
+    def __getitem__(self, key: str) -> Any:
+        return vars(self)[key]
+
+    def __repr__(self) -> str:
+        return f"<Progress: iteration {self.nit}, {self.nfev} evaluations, fun {self.fun!r}, {self.operation}>"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3e}"
+
+
+class Printer:
+    """Prints a line per iteration, as the paper's tool does."""
+
+    def __init__(self, names: list[str] | None = None) -> None:
+        self._names = names
+
+    def __call__(self, progress: Progress) -> None:
+        """Prints the line of one iteration, the first time with a headline."""
+        if progress.nit == 0:
+            print(f"{'iter':>5} {'evals':>6} {'best cost':>15} {'x size':>10} {'f spread':>10}  operation", flush=True)
+        print(
+            f"{progress.nit:>5} {progress.nfev:>6} {progress.fun:>15.8e} {_number(progress.x_size):>10} "
+            f"{_number(progress.f_spread):>10}  {progress.operation}",
+            flush=True,
+        )
+
+    def end(self, message: str, x: FloatArray, fun: float, nit: int, nfev: int, seconds: float) -> None:
+        """Prints how the run ended."""
+        print(message)
+        if self._names is None:
+            print(f"x = {np.array2string(np.asarray(x), separator=', ', prefix='x = ')}")
+        else:
+            for name, value in zip(self._names, x):
+                print(f"{name} = {value:.8g}")
+        print(f"f = {fun:.10g} after {nit} iterations, {nfev} evaluations, {seconds:.3g} s", flush=True)

@@ -1,0 +1,263 @@
+"""Results: fields by name as in SciPy, and the five values of the paper's tool when unpacked."""
+
+from __future__ import annotations
+
+from collections.abc import ItemsView, Iterator, KeysView, ValuesView
+from typing import TYPE_CHECKING, Any, Final, overload
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ._fit import Fit as Fit
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Numbers for the ways in which a run can end. Zero and multiples of ten are successes.
+STATUS: Final[dict[str, int]] = {
+    "converged": 0,
+    "target": 10,
+    "collapsed": 20,
+    "all-fixed": 30,
+    "max-evaluations": 1,
+    "max-iterations": 2,
+    "max-time": 3,
+    "stopped-by-observer": 4,
+    "interrupted": 5,
+    "aborted": 6,
+}
+
+
+class Trace:
+    """Every evaluation of a run, in request order; ``len(trace)`` is their number.
+
+    Attributes
+    ----------
+    x : ndarray, shape (m, n)
+        The points, in the user's units.
+    fun : ndarray, shape (m,)
+        Their costs; NaN where the evaluation failed, or was given up because the cost could not matter any more.
+    above : ndarray, shape (m,)
+        Where an evaluation was given up: the value that the cost is known to exceed; NaN elsewhere.
+    used : ndarray of bool, shape (m,)
+        Whether the path of the method went through the point. False for points evaluated ahead of need that turned
+        out not to be needed; they are never returned as best.
+    id, batch : ndarray of int, shape (m,)
+        Running numbers of the point and of the batch it belonged to.
+    seconds : ndarray, shape (m,)
+        Wall-clock time of each evaluation, in s.
+    messages : dict of int to str
+        Why evaluations failed, by their position in the trace.
+    """
+
+    def __init__(
+        self,
+        *,
+        x: FloatArray,
+        fun: FloatArray,
+        above: FloatArray,
+        used: npt.NDArray[np.bool_],
+        id: npt.NDArray[np.uint64],
+        batch: npt.NDArray[np.uint64],
+        seconds: FloatArray,
+        messages: dict[int, str],
+    ) -> None:
+        self.x = x
+        self.fun = fun
+        self.above = above
+        self.used = used
+        self.id = id
+        self.batch = batch
+        self.seconds = seconds
+        self.messages = messages
+
+    @property
+    def failed(self) -> npt.NDArray[np.bool_]:
+        """Which evaluations failed (shape (m,))."""
+        failed = np.zeros(len(self), dtype=np.bool_)
+        failed[list(self.messages)] = True
+        return failed
+
+    def best(self) -> int | None:
+        """Position of the best used point, the first of equals; None if all failed."""
+        candidates = np.where(self.used, self.fun, np.nan)
+        return None if np.isnan(candidates).all() else int(np.nanargmin(candidates))
+
+    def running_best(self) -> FloatArray:
+        """The smallest cost of the used points up to each evaluation; infinite before the first (shape (m,))."""
+        costs = np.where(self.used & ~np.isnan(self.fun), self.fun, np.inf)
+        return np.minimum.accumulate(costs)
+
+    def to_dataframe(self) -> Any:
+        """The trace as a pandas.DataFrame, one row per evaluation. Needs pandas."""
+        try:
+            import pandas as pd
+        except ImportError as e:
+            raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
+        columns: dict[str, Any] = {f"x{i}": self.x[:, i] for i in range(self.x.shape[1])}
+        columns |= {"fun": self.fun, "above": self.above, "used": self.used, "failed": self.failed}
+        columns |= {"batch": self.batch, "seconds": self.seconds}
+        return pd.DataFrame(columns)
+
+    def __len__(self) -> int:
+        return len(self.fun)
+
+    def __repr__(self) -> str:
+        failed, unused = len(self.messages), int(np.count_nonzero(~self.used))
+        return f"<Trace: {len(self)} evaluations of {self.x.shape[1]} parameters, {failed} failed, {unused} unused>"
+
+
+class OptimizeResult:
+    """The result of a minimisation.
+
+    Fields are attributes and dictionary entries (``res.x``, ``res["x"]``). Unpacked or indexed by number it is the
+    five-tuple ``(x_opt, f_opt, nbr_iters, nbr_fevals, solve_time)`` of the paper's tool: ``res[0]`` is ``res.x``.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+        The best point, in the user's units and order.
+    fun : float
+        The cost there.
+    nit : int
+        Complete iterations.
+    nfev : int
+        Calls of the objective, every one counted.
+    nfail : int
+        Calls that failed (an exception where tolerated, NaN, infinities).
+    n_speculative : int
+        Calls made ahead of need that turned out not to be needed.
+    n_batches : int
+        Batches of calls that could run at once.
+    solve_time : float
+        Wall-clock time, in s.
+    success : bool
+        Whether the method came to its own end, or reached the target.
+    status : int
+        0 converged, 10 target reached, 20 the simplex collapsed, 30 all parameters fixed; 1 evaluations, 2 iterations,
+        3 time used up; 4 stopped by a callback, 5 interrupted, 6 ended by an exception.
+    termination : str
+        The same in a word.
+    message : str
+        The same in a sentence, with the test that fired and its values.
+    x_size, f_spread : float or None
+        Last values of the two tests: extent of the simplex, spread of the costs at its vertices.
+    final_simplex : tuple of ndarray or None
+        Vertices (n + 1, n) and their costs (n + 1,), best first.
+    failures : dict of str to int
+        The reasons of failed calls and how often each occurred.
+    trace : Trace or None
+        Every evaluation.
+    method, batch : str
+        The method, and its plan of which points are evaluated ahead of need.
+    workers : int
+        Evaluations that could run at once.
+    rng : int or Generator or None
+        The source of random numbers as given (Nelder-Mead draws none).
+    figures : tuple of matplotlib figures
+        What ``plot`` and ``plot_conv`` drew.
+    """
+
+    def __init__(
+        self,
+        *,
+        x: FloatArray,
+        fun: float,
+        nit: int,
+        nfev: int,
+        nfail: int,
+        solve_time: float,
+        termination: str,
+        success: bool,
+        message: str,
+        x_size: float | None = None,
+        f_spread: float | None = None,
+        final_simplex: tuple[FloatArray, FloatArray] | None = None,
+        n_speculative: int = 0,
+        n_batches: int = 0,
+        failures: dict[str, int] | None = None,
+        trace: Trace | None = None,
+        method: str = "nelder-mead",
+        batch: str = "",
+        workers: int = 1,
+        rng: int | np.random.Generator | None = None,
+        figures: tuple[Figure, ...] = (),
+    ) -> None:
+        self.x = x
+        self.fun = fun
+        self.nit = nit
+        self.nfev = nfev
+        self.nfail = nfail
+        self.n_speculative = n_speculative
+        self.n_batches = n_batches
+        self.solve_time = solve_time
+        self.success = success
+        self.status = STATUS[termination]
+        self.termination = termination
+        self.message = message
+        self.x_size = x_size
+        self.f_spread = f_spread
+        self.final_simplex = final_simplex
+        self.failures = failures or {}
+        self.trace = trace
+        self.method = method
+        self.batch = batch
+        self.workers = workers
+        self.rng = rng
+        self.figures = figures
+
+    def _tuple(self) -> tuple[FloatArray, float, int, int, float]:
+        return self.x, self.fun, self.nit, self.nfev, self.solve_time
+
+    @overload
+    def __getitem__(self, key: slice) -> tuple[Any, ...]: ...
+    @overload
+    def __getitem__(self, key: int | str) -> Any: ...
+    def __getitem__(self, key: int | str | slice) -> Any:
+        if not isinstance(key, str):
+            return self._tuple()[key]
+        try:
+            return vars(self)[key]
+        except KeyError:
+            raise KeyError(f"{key} (there are: {', '.join(vars(self))})") from None
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._tuple())
+
+    def __len__(self) -> int:
+        return 5
+
+    def __contains__(self, key: object) -> bool:
+        return key in vars(self)
+
+    def keys(self) -> KeysView[str]:
+        """Names of the fields."""
+        return vars(self).keys()
+
+    def values(self) -> ValuesView[Any]:
+        """Values of the fields."""
+        return vars(self).values()
+
+    def items(self) -> ItemsView[str, Any]:
+        """Pairs of name and value."""
+        return vars(self).items()
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """The field of a name, or `default`."""
+        return vars(self).get(key, default)
+
+    def __repr__(self) -> str:
+        evaluations = f"{self.nfev} in {self.n_batches} batches" if self.n_batches else str(self.nfev)
+        remarks = [f"{n} {what}" for n, what in ((self.nfail, "failed"), (self.n_speculative, "speculative")) if n]
+        lines = [
+            ("message", self.message),
+            ("success", f"{self.success} (status {self.status}, {self.termination})"),
+            ("fun", f"{self.fun!r}"),
+            ("x", np.array2string(np.asarray(self.x), prefix=" " * 13)),
+            ("nit", str(self.nit)),
+            ("nfev", evaluations + (f" ({', '.join(remarks)})" if remarks else "")),
+            ("solve_time", f"{self.solve_time:.3g} s"),
+        ]
+        return "\n".join(f"{name:>10}: {text}" for name, text in lines)

@@ -1,0 +1,278 @@
+//! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter lock.
+
+use crate::error;
+use crate::interrupt::Watch;
+use crate::report::{self, LastSeen, Listener};
+use crate::settings::{Options, Settings};
+use crate::files;
+use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
+use dfo::{Measure, Progress};
+use numpy::PyArray1;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// `pydfo.Parameter`, field by field.
+#[derive(FromPyObject)]
+pub(crate) struct ParameterFields {
+    name: String,
+    start: f64,
+    lower: f64,
+    upper: f64,
+    scale: String,
+    nominal: Option<f64>,
+    fixed: bool,
+}
+
+impl ParameterFields {
+    fn check(self, py: Python<'_>) -> PyResult<Parameter> {
+        let scale = match self.scale.as_str() {
+            "linear" => Scale::Linear,
+            "log" => Scale::Log,
+            other => return Err(PyValueError::new_err(format!("scale = '{other}' is none of 'linear', 'log'"))),
+        };
+        let mut parameter = Parameter::new(self.name, self.start)
+            .bounds(self.lower, self.upper)
+            .scale(scale)
+            .fixed(self.fixed);
+        if let Some(nominal) = self.nominal {
+            parameter = parameter.nominal(nominal);
+        }
+        parameter.check().map_err(|e| error::calibration(py, &e))?;
+        Ok(parameter)
+    }
+}
+
+/// Checks the numbers of a `pydfo.Parameter`.
+#[pyfunction]
+pub(crate) fn check_parameter(py: Python<'_>, parameter: ParameterFields) -> PyResult<()> {
+    parameter.check(py).map(|_| ())
+}
+
+/// A start value of the type that Python has for it.
+#[derive(FromPyObject)]
+enum StartValue {
+    #[pyo3(transparent)]
+    Boolean(bool),
+    #[pyo3(transparent)]
+    Integer(i32),
+    #[pyo3(transparent)]
+    Real(f64),
+    #[pyo3(transparent)]
+    Text(String),
+}
+
+impl From<StartValue> for fmi::Value {
+    fn from(value: StartValue) -> Self {
+        match value {
+            StartValue::Boolean(v) => v.into(),
+            StartValue::Integer(v) => v.into(),
+            StartValue::Real(v) => v.into(),
+            StartValue::Text(v) => v.into(),
+        }
+    }
+}
+
+/// `pydfo._calibration.ExperimentFields`, field by field.
+#[derive(FromPyObject)]
+pub(crate) struct ExperimentFields {
+    /// A CSV file; None: `columns`.
+    path: Option<PathBuf>,
+    columns: Vec<(String, Vec<f64>)>,
+    /// Variable, column, weight.
+    outputs: Vec<(String, String, f64)>,
+    /// Variable, column.
+    inputs: Vec<(String, String)>,
+    start_values: Vec<(String, StartValue)>,
+    window: Option<(f64, f64)>,
+    start_time: Option<f64>,
+    timeout: Option<f64>,
+    relative_tolerance: Option<f64>,
+    solver: String,
+    step_size: Option<f64>,
+    max_step: Option<f64>,
+}
+
+impl ExperimentFields {
+    fn settings(&self) -> PyResult<SimulationSettings> {
+        let timeout = self.timeout.map(|seconds| {
+            Duration::try_from_secs_f64(seconds)
+                .map_err(|_| PyValueError::new_err(format!("timeout = {seconds} must be a number of seconds, at least 0")))
+        });
+        Ok(SimulationSettings {
+            method: self.solver.parse().map_err(|e: ode::OptionsError| PyValueError::new_err(e.to_string()))?,
+            relative_tolerance: self.relative_tolerance,
+            step_size: self.step_size,
+            max_step: self.max_step,
+            timeout: timeout.transpose()?,
+        })
+    }
+
+    fn experiment(self) -> Result<Experiment, CalibrationError> {
+        let data = match self.path {
+            Some(path) => Data::from_csv(path)?,
+            None => {
+                let mut columns = self.columns.into_iter();
+                let time = columns.next().map(|(_, values)| values).unwrap_or_default();
+                Data::from_columns(time, columns)?
+            }
+        };
+        let mut experiment = Experiment::new(data);
+        for (variable, column, weight) in self.outputs {
+            experiment = experiment.weighted_output(variable, column, weight);
+        }
+        for (variable, column) in self.inputs {
+            experiment = experiment.input(variable, column);
+        }
+        for (variable, value) in self.start_values {
+            experiment = experiment.start_value(variable, value);
+        }
+        if let Some((from, to)) = self.window {
+            experiment = experiment.window(from, to);
+        }
+        if let Some(time) = self.start_time {
+            experiment = experiment.start_time(time);
+        }
+        Ok(experiment)
+    }
+}
+
+/// A calibration; `pydfo.Calibration` is its face.
+#[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
+pub(crate) struct PyCalibration {
+    inner: Arc<calibration::Calibration>,
+}
+
+impl PyCalibration {
+    /// Computes something on another thread, without the lock; Ctrl-C does not wait for it.
+    fn compute<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&calibration::Calibration) -> Result<T, CalibrationError> + Send + 'static,
+    ) -> PyResult<T> {
+        let watch = Watch::new(py)?;
+        let inner = Arc::clone(&self.inner);
+        let result = watch.run_briefly(move || work(&inner))?;
+        if let Some(e) = watch.stop().take_raised() {
+            return Err(e);
+        }
+        match result {
+            Some(result) => result.map_err(|e| error::calibration(py, &e)),
+            None => Err(error::interrupted(py, None, None)),
+        }
+    }
+}
+
+#[pymethods]
+impl PyCalibration {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        model: PathBuf,
+        experiment: ExperimentFields,
+        parameters: Vec<ParameterFields>,
+    ) -> PyResult<Self> {
+        let fmu = files::open(py, model)?;
+        let settings = experiment.settings()?;
+        let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
+        let built = py.detach(move || {
+            let builder = calibration::Calibration::builder(fmu)
+                .experiment(experiment.experiment()?)
+                .settings(settings);
+            parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
+        });
+        let inner = built.map_err(|e| error::calibration(py, &e))?;
+        Ok(Self { inner: Arc::new(inner) })
+    }
+
+    #[getter]
+    fn n_residuals(&self) -> usize {
+        self.inner.n_residuals()
+    }
+
+    fn cost(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<f64> {
+        self.compute(py, move |calibration| calibration.cost(&x))
+    }
+
+    fn residuals<'py>(&self, py: Python<'py>, x: Vec<f64>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let residuals = self.compute(py, move |calibration| calibration.residuals(&x))?;
+        Ok(PyArray1::from_vec(py, residuals))
+    }
+
+    /// `time` and the compared outputs, at the measured times or at those given.
+    #[pyo3(signature = (x, times=None))]
+    fn simulate<'py>(
+        &self,
+        py: Python<'py>,
+        x: Vec<f64>,
+        times: Option<Vec<f64>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let trajectories = self.compute(py, move |calibration| calibration.simulate(&x, times.as_deref()))?;
+        let columns = PyDict::new(py);
+        for trajectory in trajectories {
+            columns.set_item("time", PyArray1::from_vec(py, trajectory.time))?;
+            for (name, values) in trajectory.names.iter().zip(trajectory.columns) {
+                columns.set_item(name, PyArray1::from_vec(py, values))?;
+            }
+        }
+        Ok(columns)
+    }
+
+    /// The recording: its times, and per output the variable, the column and its values (NaN where missing).
+    fn measurements<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray1<f64>>, Vec<Measured<'py>>)> {
+        let mut times = PyArray1::from_slice(py, &[]);
+        let mut measured = Vec::new();
+        for (data, outputs) in self.inner.comparisons() {
+            times = PyArray1::from_slice(py, data.time());
+            for (variable, column) in outputs {
+                let values = data.measured(column).map_err(|e| error::calibration(py, &e))?;
+                measured.push((variable.clone(), column.clone(), PyArray1::from_slice(py, values)));
+            }
+        }
+        Ok((times, measured))
+    }
+
+    #[pyo3(signature = (options, *, start=None, observer=None))]
+    fn fit<'py>(
+        &self,
+        py: Python<'py>,
+        options: Options,
+        start: Option<Vec<f64>>,
+        observer: Option<Py<PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let Settings { method, tolerances, limits, workers } = options.check(Measure::Relative)?;
+        let watch = Watch::new(py)?;
+        let stop = Arc::clone(watch.stop());
+        let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
+        let last_seen = Arc::new(LastSeen::default());
+        let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
+        let (seen, hearing) = (Arc::clone(&last_seen), listener.clone());
+        let outcome = watch.run(move |desk| {
+            inner.fit(FitOptions {
+                method,
+                workers,
+                start,
+                tolerances,
+                limits,
+                observer: Some(Box::new(|progress: &Progress<'_>| seen.pass_on(progress, desk, hearing.as_ref()))),
+                poll: Some(Box::new(move || asked.is_asked())),
+            })
+        })?;
+        let Some(outcome) = outcome else {
+            return Err(error::interrupted(py, last_seen.result(py)?.as_ref(), None));
+        };
+        let raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
+        let result = match outcome {
+            Ok(fit) => Some(report::to_python(py, &fit.report)?),
+            Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
+            Err(_) => None,
+        };
+        error::ended(py, &stop, raised, result)
+    }
+}
+
+/// Variable, column, values.
+type Measured<'py> = (String, String, Bound<'py, PyArray1<f64>>);

@@ -1,0 +1,247 @@
+//! Ctrl-C: the calling thread looks for Python's signals while work goes on elsewhere, or inside of a Python function.
+//!
+//! While a [`Watch`] lives, SIGINT is handled by us: the first one raises a flag, so that no further evaluation starts
+//! and simulations stop at their next step, while a Python function that is running is left to end; from the second
+//! one on KeyboardInterrupt is raised, as always. A handler of the user's is left in place. Work that runs inside of
+//! other work (a simulation inside of an objective) stops with it.
+
+use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::prelude::*;
+use pyo3::types::PyTuple;
+use std::cell::RefCell;
+use std::panic::resume_unwind;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::thread;
+use std::time::Duration;
+
+/// How long the calling thread waits at most before it looks for signals.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// Stack of a thread that runs native work: compiled models put large arrays there.
+const STACK_SIZE: usize = 16 << 20;
+
+/// The wish to end one piece of work.
+#[derive(Default)]
+pub(crate) struct Stop {
+    flag: Arc<AtomicBool>,
+    asked: AtomicU32,
+    /// The work that this one is part of.
+    parent: Option<Arc<Stop>>,
+    /// What a signal handler of the user's raised.
+    raised: Mutex<Option<PyErr>>,
+}
+
+impl Stop {
+    /// The flag for optimisers and simulations to look at. They may use it for their own ends, too.
+    pub(crate) fn flag(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.flag)
+    }
+
+    /// Whether the user, or the work around this one, wants it to end.
+    pub(crate) fn is_asked(&self) -> bool {
+        if self.asked.load(Ordering::Relaxed) > 0 {
+            return true;
+        }
+        let by_parent = self.parent.as_ref().is_some_and(|p| p.is_asked());
+        if by_parent {
+            self.ask();
+        }
+        by_parent
+    }
+
+    /// Asks for the end; returns how often that was done before.
+    fn ask(&self) -> u32 {
+        self.flag.store(true, Ordering::Relaxed);
+        self.asked.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Lets Python handle its signals. True: the user has lost patience.
+    fn look(&self, py: Python<'_>) -> bool {
+        let Err(e) = py.check_signals() else {
+            self.is_asked();
+            return false;
+        };
+        if !e.is_instance_of::<PyKeyboardInterrupt>(py) {
+            lock(&self.raised).get_or_insert(e);
+        }
+        self.ask() > 0
+    }
+
+    /// For loops on the calling thread: handles signals; true ends the loop.
+    pub(crate) fn poll(&self, py: Python<'_>) -> bool {
+        self.look(py);
+        self.is_asked()
+    }
+
+    /// The exception with which a signal handler of the user's ended the work.
+    pub(crate) fn take_raised(&self) -> Option<PyErr> {
+        lock(&self.raised).take()
+    }
+}
+
+/// A poisoned lock is no reason to fail: what we keep under locks is whole at every instant.
+pub(crate) fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|e| e.into_inner())
+}
+
+thread_local! {
+    /// The work inside of which this thread is calling a Python function.
+    static AROUND: RefCell<Vec<Arc<Stop>>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Until it is dropped, work that this thread starts counts as part of the work given.
+pub(crate) struct Inside;
+
+impl Inside {
+    pub(crate) fn new(work: &Arc<Stop>) -> Self {
+        AROUND.with_borrow_mut(|around| around.push(Arc::clone(work)));
+        Self
+    }
+}
+
+impl Drop for Inside {
+    fn drop(&mut self) {
+        AROUND.with_borrow_mut(|around| around.pop());
+    }
+}
+
+/// What we install for SIGINT.
+#[pyclass(frozen, module = "pydfo._core", name = "_SigintHandler")]
+pub(crate) struct SigintHandler {
+    active: Mutex<Vec<Arc<Stop>>>,
+}
+
+#[pymethods]
+impl SigintHandler {
+    #[pyo3(signature = (*_args))]
+    fn __call__(&self, _args: &Bound<'_, PyTuple>) -> PyResult<()> {
+        let mut again = false;
+        for stop in lock(&self.active).iter() {
+            again |= stop.ask() > 0;
+        }
+        if again { Err(PyKeyboardInterrupt::new_err(())) } else { Ok(()) }
+    }
+}
+
+/// Handles SIGINT for one piece of work, until it is dropped.
+pub(crate) struct Watch<'py> {
+    py: Python<'py>,
+    stop: Arc<Stop>,
+    handler: Option<Bound<'py, SigintHandler>>,
+    /// The handler to put back, if ours was installed for this work.
+    previous: Option<Bound<'py, PyAny>>,
+}
+
+impl<'py> Watch<'py> {
+    pub(crate) fn new(py: Python<'py>) -> PyResult<Self> {
+        let parent = AROUND.with_borrow(|around| around.last().cloned());
+        let stop = Arc::new(Stop { parent, ..Stop::default() });
+        let mut watch = Self { py, stop, handler: None, previous: None };
+        let signal = py.import("signal")?;
+        let current = signal.getattr("getsignal")?.call1((signal.getattr("SIGINT")?,))?;
+        if let Ok(ours) = current.cast::<SigintHandler>() {
+            // Inside of other work on the main thread, or on another thread while the main thread works: in the
+            // second case the work around this one, if any, is known as its parent.
+            let threading = py.import("threading")?;
+            let main = threading.call_method0("main_thread")?;
+            if threading.call_method0("current_thread")?.is(&main) {
+                lock(&ours.get().active).push(Arc::clone(&watch.stop));
+                watch.handler = Some(ours.clone());
+            }
+        } else if current.is(&signal.getattr("default_int_handler")?) {
+            let ours = Bound::new(py, SigintHandler { active: Mutex::new(vec![Arc::clone(&watch.stop)]) })?;
+            // Refused on other threads than the main one, which get no signals anyway.
+            if signal.call_method1("signal", (signal.getattr("SIGINT")?, &ours)).is_ok() {
+                watch.handler = Some(ours);
+                watch.previous = Some(current);
+            }
+        }
+        Ok(watch)
+    }
+
+    pub(crate) fn stop(&self) -> &Arc<Stop> {
+        &self.stop
+    }
+
+    /// Runs `work` on a thread of its own without the interpreter lock, while this thread handles signals and does
+    /// what `work` asks for at the [`Desk`]. `None`: the user has lost patience; `work` will end on its own some time.
+    pub(crate) fn run<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Desk) -> T + Send + 'static,
+    ) -> PyResult<Option<T>> {
+        let (sender, mut jobs) = channel();
+        let desk = Desk { sender };
+        // The desk goes with the end of the work, panics included; that is how this thread notices.
+        let worker = thread::Builder::new()
+            .name("pydfo-run".to_owned())
+            .stack_size(STACK_SIZE)
+            .spawn(move || work(&desk))?;
+        self.serve(worker, jobs, |stop, py| stop.look(py))
+    }
+
+    /// As [`run`](Self::run), for work that cannot be told to end: the first Ctrl-C does not wait for it.
+    pub(crate) fn run_briefly<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> PyResult<Option<T>> {
+        XX
+        loop {
+            let job;
+            (job, jobs) = self.py.detach(move || (jobs.recv_timeout(PATIENCE), jobs));
+            match job {
+                Ok(job) => job(self.py),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    let result = self.py.detach(|| worker.join());
+                    return result.map(Some).or_else(|panic| resume_unwind(panic));
+                }
+            }
+            if self.stop.look(self.py) {
+                return Ok(None);
+            }
+        }
+    }
+}
+
+impl Drop for Watch<'_> {
+    fn drop(&mut self) {
+        let Some(handler) = &self.handler else { return };
+        lock(&handler.get().active).retain(|s| !Arc::ptr_eq(s, &self.stop));
+        let Some(previous) = &self.previous else { return };
+        let restore = || -> PyResult<()> {
+            let signal = self.py.import("signal")?;
+            let sigint = signal.getattr("SIGINT")?;
+            if signal.call_method1("getsignal", (&sigint,))?.is(handler) {
+                signal.call_method1("signal", (&sigint, previous))?;
+            }
+            Ok(())
+        };
+        if let Err(e) = restore() {
+            e.write_unraisable(self.py, None);
+        }
+    }
+}
+
+type Job = Box<dyn FnOnce(Python<'_>) + Send>;
+
+/// Where work on another thread asks for something to be done on the calling thread.
+pub(crate) struct Desk {
+    sender: Sender<Job>,
+}
+
+impl Desk {
+    /// Has `job` done on the calling thread, with the interpreter lock. `None`: the calling thread has gone.
+    pub(crate) fn call<R: Send + 'static>(
+        &self,
+        job: impl FnOnce(Python<'_>) -> R + Send + 'static,
+    ) -> Option<R> {
+        let (sender, answer) = channel();
+        let job: Job = Box::new(move |py| {
+            let _ = sender.send(job(py));
+        });
+        self.sender.send(job).ok()?;
+        answer.recv().ok()
+    }
+}

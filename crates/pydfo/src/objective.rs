@@ -1,0 +1,87 @@
+//! A Python function as an objective: called with the lock held only inside of it, from whatever thread evaluates.
+
+use crate::interrupt::{Inside, Stop, lock};
+use dfo::{Evaluation, Objective, Outcome};
+use numpy::PyArray1;
+use pyo3::exceptions::{PyException, PyTypeError};
+use pyo3::prelude::*;
+use pyo3::types::PyFloat;
+use std::sync::{Arc, Mutex};
+
+/// A Python function `f(x) -> float`.
+pub(crate) struct PyObjective {
+    function: Py<PyAny>,
+    /// Whether an exception counts as a failed evaluation instead of ending the run.
+    tolerant: bool,
+    stop: Arc<Stop>,
+    /// The exception that ends the run. Of several that are raised at once, the one of the point asked for first.
+    raised: Mutex<Option<(u64, PyErr)>>,
+}
+
+impl PyObjective {
+    pub(crate) fn new(function: Py<PyAny>, tolerant: bool, stop: Arc<Stop>) -> Self {
+        Self { function, tolerant, stop, raised: Mutex::new(None) }
+    }
+
+    /// The exception that ended the run.
+    pub(crate) fn take_raised(&self) -> Option<PyErr> {
+        lock(&self.raised).take().map(|(_, e)| e)
+    }
+
+    fn abort(&self, id: u64, exception: PyErr) -> Outcome {
+        let message = exception.to_string();
+        let mut raised = lock(&self.raised);
+        if raised.as_ref().is_none_or(|(first, _)| id < *first) {
+            *raised = Some((id, exception));
+        }
+        Outcome::Abort(message)
+    }
+}
+
+impl Objective for PyObjective {
+    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
+        let _inside = Inside::new(&self.stop);
+        Python::attach(|py| match self.function.bind(py).call1((PyArray1::from_slice(py, x),)) {
+            Ok(value) => match cost(&value) {
+                Ok(cost) => Outcome::Value(cost),
+                // Always an error in the program, never one of the model.
+                Err(e) => self.abort(evaluation.id, e),
+            },
+            // SystemExit, KeyboardInterrupt and their like always end the run.
+            Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
+            Err(e) => self.abort(evaluation.id, e),
+        })
+    }
+}
+
+/// The number that a Python function returned: a float or an int, a NumPy scalar, an array of one element.
+fn cost(value: &Bound<'_, PyAny>) -> PyResult<f64> {
+    if let Ok(number) = value.cast::<PyFloat>() {
+        return Ok(number.value());
+    }
+    let bad = |what: String| {
+        PyTypeError::new_err(format!(
+            "the objective must return one number (a float, a NumPy scalar or an array of one element), not {what}"
+        ))
+    };
+    if value.is_none() {
+        return Err(bad("None; is a return statement missing?".to_owned()));
+    }
+    if let (Ok(shape), Ok(dtype)) = (value.getattr("shape"), value.getattr("dtype")) {
+        if !value.getattr("size").and_then(|s| s.extract::<usize>()).is_ok_and(|size| size == 1) {
+            return Err(bad(format!("an array of shape {shape}")));
+        }
+        return match dtype.getattr("kind").and_then(|k| k.extract::<char>()) {
+            Ok('f' | 'i' | 'u' | 'b') => value.call_method0("item")?.extract(),
+            _ => Err(bad(format!("an array or scalar of type {dtype}"))),
+        };
+    }
+    // Whatever can be a float: int, Fraction, Decimal, a tensor of another library.
+    value.extract().map_err(|_| {
+        let name = value.get_type().name().map_or_else(|_| "?".to_owned(), |n| n.to_string());
+        let text = value.repr().map_or_else(|_| String::new(), |r| r.to_string());
+        let shown: String = text.chars().take(60).collect();
+        let dots = if shown.len() < text.len() { "..." } else { "" };
+        bad(format!("{shown}{dots} ({name})"))
+    })
+}

@@ -1,0 +1,36 @@
+"""What the tests share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+
+def rosenbrock(x):
+    """Optimum 0 at (1, 1)."""
+    return 100.0 * (x[1] - x[0] ** 2) ** 2 + (1.0 - x[0]) ** 2
+
+
+class Recorder:
+    """An objective that keeps every point and value."""
+
+    def __init__(self, function):
+        self.function = function
+        self.points = []
+        self.values = []
+
+    def __call__(self, x):
+        self.points.append(x)
+        value = self.function(x)
+        self.values.append(value)
+        return value
+
+    @property
+    def best(self):
+        finite = [v for v in self.values if np.isfinite(v)]
+        return min(finite) if finite else None
+
+
+@pytest.fixture
+def recorder():
+    return Recorder(rosenbrock)

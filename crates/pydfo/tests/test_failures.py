@@ -1,0 +1,204 @@
+"""Failures, exceptions, bad input."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from conftest import Recorder, rosenbrock
+
+import pydfo
+from pydfo import fmin
+
+QUIET = {"disp": False}
+
+
+class Boom(Exception):
+    pass
+
+
+def failing_at(k, how, values):
+    """Rosenbrock's function, failing at evaluation k (counted from 1); keeps its finite values."""
+    lock = threading.Lock()
+    count = 0
+
+    def func(x):
+        nonlocal count
+        with lock:
+            count += 1
+            mine = count
+        if mine == k:
+            if how == "raise":
+                raise Boom(k)
+            return np.nan
+        value = rosenbrock(x)
+        with lock:
+            values.append(value)
+        return value
+
+    return func
+
+
+def check_best(result, values):
+    finite = np.where(result.trace.used, result.trace.fun, np.nan)
+    assert result.fun == np.nanmin(finite)
+    assert result.trace.x[np.nanargmin(finite)].tobytes() == result.x.tobytes()
+    if result.n_speculative == 0:
+        assert result.fun == min(values)
+
+
+@pytest.mark.parametrize("workers", [1, 4])
+@pytest.mark.parametrize("k", range(1, 61))
+def test_failing_at_evaluation_k_the_best_point_is_the_minimum_of_the_trace(k, workers):
+    options = dict(nbr_cores=workers, max_fevals=70, x_tol=0.0, f_tol=0.0, **QUIET)
+    values = []
+    result = fmin(failing_at(k, "nan", values), [-1.2, 1.0], **options)
+    assert (result.nfail, result.nfev) == (1, 70)
+    check_best(result, values)
+
+    values = []
+    with pytest.raises(Boom) as info:
+        fmin(failing_at(k, "raise", values), [-1.2, 1.0], **options)
+    partial = info.value.partial_result
+    if partial is None:
+        assert k == 1 and (workers > 1 or not values)
+    else:
+        assert partial.status == 6 and not partial.success and "aborted" in partial.message
+        check_best(partial, values)
+
+    values = []
+    result = fmin(failing_at(k, "raise", values), [-1.2, 1.0], on_error="continue", **options)
+    assert (result.nfail, result.nfev, result.failures) == (1, 70, {f"Boom: {k}": 1})
+    check_best(result, values)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_an_exception_keeps_its_identity_and_traceback(workers):
+    error = Boom("mine", 7)
+
+    def func(x):
+        if x[0] > 1.0:
+            raise error
+        return -x[0]
+
+    with pytest.raises(Boom) as info:
+        fmin(func, [0.0], nbr_cores=workers, **QUIET)
+    assert info.value is error and error.args == ("mine", 7)
+    assert info.traceback[-1].name == "func"
+    assert error.partial_result.fun < 0.0 and error.partial_result.x[0] <= 1.0
+
+
+def test_an_exception_without_room_for_attributes_is_raised_all_the_same():
+    class Rigid(Exception):
+        def __setattr__(self, name, value):
+            raise AttributeError(name)
+
+    with pytest.raises(Rigid):
+        fmin(lambda x: (_ for _ in ()).throw(Rigid()), [0.0], **QUIET)
+
+
+def test_exceptions_that_end_programs_are_never_swallowed():
+    def func(x):
+        raise SystemExit(3)
+
+    with pytest.raises(SystemExit):
+        fmin(func, [0.0], on_error="continue", **QUIET)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (None, "not None; is a return statement missing?"),
+        ("1.5", r"not '1.5' \(str\)"),
+        (np.zeros(3), r"not an array of shape \(3,\)"),
+        (np.zeros((2, 2)), r"not an array of shape \(2, 2\)"),
+        (np.zeros(0), r"not an array of shape \(0,\)"),
+        (np.array(["a"]), "not an array or scalar of type <U1"),
+        (np.complex128(1j), "not an array or scalar of type complex128"),
+        (1j, r"not 1j \(complex\)"),
+        ([1.0], r"not \[1.0\] \(list\)"),
+        ({}, r"not {} \(dict\)"),
+        (b"x" * 500, r"\.\.\. \(bytes\)"),
+    ],
+)
+@pytest.mark.parametrize("on_error", ["raise", "continue"])
+def test_what_is_no_number_is_a_type_error_that_names_it(value, said, on_error):
+    with pytest.raises(TypeError, match=said):
+        fmin(lambda x: value, [1.0], on_error=on_error, **QUIET)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_failing_everywhere_is_an_error_of_its_own_with_counts(workers):
+    reasons = iter(["out of range", "out of range", "no licence"])
+
+    def func(x):
+        raise Boom(next(reasons))
+
+    with pytest.raises(pydfo.AllStartsFailed, match="at every starting point: .*2 x Boom: out of range") as info:
+        fmin(func, [0.0, 0.0], on_error="continue", nbr_cores=workers, **QUIET)
+    assert info.value.failures == {"Boom: out of range": 2, "Boom: no licence": 1}
+    assert info.value.nfev == 3 and len(info.value.trace) == 3
+    assert isinstance(info.value, pydfo.CalibrationError) and isinstance(info.value, pydfo.PydfoError)
+    with pytest.raises(pydfo.AllStartsFailed, match="3 x cost is NaN"):
+        fmin(lambda x: np.nan, [0.0, 0.0], **QUIET)
+
+
+def test_a_budget_that_ends_before_any_cost_is_an_error():
+    with pytest.raises(pydfo.NoResult, match="max-evaluations") as info:
+        fmin(lambda x: np.inf, [0.0, 0.0], max_fevals=2, **QUIET)
+    assert info.value.nfev == 2 and not isinstance(info.value, pydfo.AllStartsFailed)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "said"),
+    [
+        ({"lb": [1.0, 0.0], "ub": [0.5, 1.0]}, ValueError, "parameter 0: the lower bound 1 is above the upper bound 0.5"),
+        ({"lb": [np.nan, 0.0]}, ValueError, "lower bound of parameter 0 is NaN"),
+        ({"ub": [1.0, np.nan]}, ValueError, "upper bound of parameter 1 is NaN"),
+        ({"lb": [0.0]}, ValueError, "lb has 1 values for 2 parameters"),
+        ({"ub": [1.0, 1.0, 1.0]}, ValueError, "ub has 3 values for 2 parameters"),
+        ({"ub": [[1.0, 1.0]]}, ValueError, "ub must be one-dimensional"),
+        ({"lb": ["a", "b"]}, TypeError, "lb must be numbers"),
+        ({"xstart": [np.nan, 0.0]}, ValueError, "start value NaN of parameter 0"),
+        ({"xstart": []}, ValueError, "empty"),
+        ({"xstart": [[0.5, 0.5]]}, ValueError, "xstart must be one-dimensional"),
+        ({"xstart": None}, ValueError, "xstart is needed"),
+        ({"xstart": "ab"}, TypeError, "xstart must be numbers"),
+        ({"xstart": [1j, 0]}, TypeError, "xstart must be numbers"),
+        ({"func": None}, TypeError, "func must be callable"),
+        ({"alg": 7}, ValueError, "alg = 7 is none of"),
+        ({"alg": "bobyqa"}, ValueError, "none of"),
+        ({"x_tol": -1.0}, ValueError, "x_tol = -1 must be finite and not negative"),
+        ({"f_tol": np.nan}, ValueError, "f_tol = NaN"),
+        ({"x_tol": "small"}, TypeError, "x_tol must be a number"),
+        ({"max_fevals": 0}, ValueError, "max_fevals = 0 must be a whole number, at least 1"),
+        ({"max_fevals": 1.5}, ValueError, "max_fevals = 1.5"),
+        ({"max_iters": -1}, ValueError, "max_iters = -1"),
+        ({"max_iters": np.nan}, ValueError, "max_iters = nan"),
+        ({"max_time": -1.0}, ValueError, "max_time = -1"),
+        ({"max_time": np.nan}, ValueError, "max_time = NaN"),
+        ({"target": np.nan}, ValueError, "target = NaN"),
+        ({"nbr_cores": 0}, ValueError, "nbr_cores = 0 must be at least 1"),
+        ({"nbr_cores": -2}, ValueError, "nbr_cores = -2"),
+        ({"nbr_cores": 1.5}, TypeError, "nbr_cores must be a whole number"),
+        ({"stop": "both"}, ValueError, "stop = 'both' is none of 'any', 'all'"),
+        ({"stop": 1}, TypeError, "stop must be a string"),
+        ({"batch": "eight"}, ValueError, "batch = 'eight' is none of"),
+        ({"on_error": "ignore"}, ValueError, "on_error = 'ignore'"),
+        ({"callback": 3}, TypeError, "callback must be callable"),
+        ({"initial_simplex": [[0.0, 0.0], [1.0, 1.0]]}, ValueError, "2 vertices; 3 are needed"),
+        ({"initial_simplex": [[0, 0], [0.5, 0.5], [1, 1]]}, ValueError, "flat: its vertices span only 1 of 2"),
+        ({"initial_simplex": [[0, 0], [0.5, 0], [0, 9]], "ub": [1, 1]}, ValueError, "coordinate 9 of vertex 2"),
+        ({"initial_simplex": [0.1, 0.1, 0.1]}, ValueError, "initial_simplex of shape"),
+        ({"initial_simplex": [0.1, 0.0]}, ValueError, "initial step of parameter 1 = 0"),
+        ({"initial_simplex": "big"}, TypeError, "initial_simplex must be numbers"),
+    ],
+    ids=lambda v: str(v) if isinstance(v, dict) else "",
+)
+def test_bad_arguments_are_named_before_anything_runs(changes, error, said):
+    func = Recorder(rosenbrock)
+    arguments = {"func": func, "xstart": [0.5, 0.5], **QUIET, **changes}
+    with pytest.raises(error, match=said):
+        fmin(**arguments)
+    assert func.values == []

@@ -1,0 +1,196 @@
+"""Ctrl-C: the first ends the run in order, the second gives control back at once."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+
+import pytest
+from conftest import rosenbrock
+
+import pydfo
+from pydfo import fmin
+
+QUIET = {"disp": False}
+ENDLESS = {"x_tol": 0.0, "f_tol": 0.0, "max_iters": None, "max_fevals": None, **QUIET}
+
+
+def press(*after):
+    """Ctrl-C on the main thread after so many seconds each."""
+
+    def run():
+        start = time.monotonic()
+        for seconds in after:
+            time.sleep(max(0.0, start + seconds - time.monotonic()))
+            os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    return thread
+
+
+def slow(x):
+    time.sleep(0.01)
+    return rosenbrock(x)
+
+
+@pytest.fixture(autouse=True)
+def handler_is_put_back():
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("workers", [1, 4])
+def test_the_first_ends_the_run_with_the_best_in_hand(workers):
+    press(0.3)
+    start = time.monotonic()
+    with pytest.raises(pydfo.Interrupted) as info:
+        fmin(slow, [-1.2, 1.0], nbr_cores=workers, **ENDLESS)
+    assert time.monotonic() - start < 1.3
+    result = info.value.result
+    assert isinstance(info.value, KeyboardInterrupt)
+    assert result.status == 5 and result.termination == "interrupted" and result.nfev >= 3
+    assert result.fun == result.trace.fun[result.trace.best()] < rosenbrock([-1.2, 1.0])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_function_that_runs_is_awaited(workers):
+    ended = []
+
+    def func(x):
+        time.sleep(0.5)
+        ended.append(1)
+        return rosenbrock(x)
+
+    press(0.2)
+    with pytest.raises(pydfo.Interrupted) as info:
+        fmin(func, [-1.2, 1.0], nbr_cores=workers, **ENDLESS)
+    assert len(ended) == workers == info.value.result.nfev
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_second_does_not_wait(workers):
+    release = threading.Event()
+    calls = []
+
+    def func(x):
+        calls.append(1)
+        if len(calls) > 8:
+            release.wait(8.0)
+        return rosenbrock(x)
+
+    press(0.3, 0.6)
+    start = time.monotonic()
+    with pytest.raises(pydfo.Interrupted) as info:
+        fmin(func, [-1.2, 1.0], nbr_cores=workers, **ENDLESS)
+    assert time.monotonic() - start < 2.0
+    release.set()
+    assert info.value.result.fun <= rosenbrock([-1.2, 1.0])
+
+
+def test_before_any_cost_there_is_no_result():
+    press(0.2)
+    with pytest.raises(pydfo.Interrupted) as info:
+        fmin(lambda x: time.sleep(0.4) or float("nan"), [-1.2, 1.0], **ENDLESS)
+    assert info.value.result is None
+
+
+def test_printing_runs_end_with_their_summary(capsys):
+    press(0.2)
+    with pytest.raises(pydfo.Interrupted):
+        fmin(slow, [-1.2, 1.0], x_tol=0.0, f_tol=0.0)
+    assert "interrupted" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_work_inside_of_work_stops_with_it(workers):
+    inner = []
+
+    def func(x):
+        try:
+            return fmin(slow, [-1.2, 1.0], **ENDLESS).fun
+        except pydfo.Interrupted as e:
+            inner.append(e.result)
+            raise
+
+    press(0.3)
+    start = time.monotonic()
+    with pytest.raises(pydfo.Interrupted) as info:
+        fmin(func, [0.0], nbr_cores=workers, **ENDLESS)
+    assert time.monotonic() - start < 1.3
+    assert inner and inner[0].nfev > 3
+    assert info.value.result is None
+
+
+def test_a_handler_of_the_users_is_left_in_place():
+    class Alarm(Exception):
+        pass
+
+    def handler(signum, frame):
+        raise Alarm
+
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        for workers in (1, 2):
+            press(0.2)
+            with pytest.raises(Alarm) as info:
+                fmin(slow, [-1.2, 1.0], nbr_cores=workers, **ENDLESS)
+            assert info.value.partial_result.fun <= rosenbrock([-1.2, 1.0])
+            assert signal.getsignal(signal.SIGINT) is handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_other_threads_can_minimise_without_signals():
+    results = []
+    thread = threading.Thread(target=lambda: results.append(fmin(rosenbrock, [-1.2, 1.0], **QUIET)))
+    thread.start()
+    thread.join(30.0)
+    assert results[0].success
+
+
+def test_no_evaluation_starts_after_a_fifth_of_a_second():
+    starts = []
+
+    def func(x):
+        starts.append(time.monotonic())
+        time.sleep(0.02)
+        return rosenbrock(x)
+
+    pressed = []
+    thread = threading.Timer(0.3, lambda: (pressed.append(time.monotonic()), os.kill(os.getpid(), signal.SIGINT)))
+    thread.start()
+    with pytest.raises(pydfo.Interrupted):
+        fmin(func, [-1.2, 1.0], nbr_cores=2, **ENDLESS)
+    assert max(starts) < pressed[0] + 0.2
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal to a process of its own")
+def test_a_script_ends_as_scripts_do_on_ctrl_c():
+    script = textwrap.dedent(
+        """
+        import sys, time, pydfo
+        def cost(x):
+            time.sleep(0.01)
+            return float(x @ x)
+        print("ready", flush=True)
+        try:
+            pydfo.fmin(cost, [1.0, 2.0], nbr_cores=2, disp=False, x_tol=0, f_tol=0, max_iters=None, max_fevals=None)
+        except pydfo.Interrupted as e:
+            print("best", e.result.fun, flush=True)
+            raise
+        """
+    )
+    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "ready\n"
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=10.0)
+    assert out.startswith("best ") and "Interrupted" in err
+    assert process.returncode != 0

@@ -1,0 +1,147 @@
+"""What the paper's tool got wrong, one test per defect: pinned so that it stays right here."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from conftest import Recorder, rosenbrock
+
+import pydfo
+from pydfo import fmin
+
+QUIET = {"disp": False}
+
+
+def probe(x):
+    """Rosenbrock's function with three regions without a cost, near the path from (-0.5, 1)."""
+    if x[0] + x[1] < -0.2 or (x[0] > 0.2 and x[1] < 0.02) or x[1] > 1.6:
+        return np.nan
+    return rosenbrock(x)
+
+
+@pytest.mark.parametrize("failure", [np.nan, np.inf, -np.inf, "raise"])
+def test_failing_regions_do_not_stall(failure):
+    def func(x):
+        value = probe(x)
+        if np.isfinite(value):
+            return value
+        if failure == "raise":
+            raise ArithmeticError("no cost here")
+        return failure
+
+    res = fmin(
+        func, [-0.5, 1.0], [-2, -2], [2, 2], x_tol=1e-8, f_tol=1e-10, stop="all", max_fevals=2000, on_error="continue", **QUIET
+    )
+    assert res.fun < 1e-6 and res.nfev < 2000
+    assert 0 < res.nfail == sum(res.failures.values()) == len(res.trace.messages)
+
+
+def test_no_vertex_is_evaluated_twice():
+    func = Recorder(rosenbrock)
+    res = fmin(func, [-1.2, 1.0], x_tol=1e-6, f_tol=1e-6, stop="all", **QUIET)
+    assert len({x.tobytes() for x in func.points}) == len(func.points)
+    # the paper's tool: 501 evaluations for 3.6e-7
+    assert res.fun < 3.6e-7 and res.nfev < 250
+
+
+def test_a_simplex_that_has_not_moved_never_converges():
+    # absolute tolerances would be met at once: the values are that small
+    func = Recorder(lambda x: 1e-8 * rosenbrock(x))
+    res = fmin(func, [-1.2, 1.0], **QUIET)
+    assert res.nit >= 1 and res.nfev > 3 and not np.array_equal(res.x, [-1.2, 1.0])
+    assert res.fun < func.values[0]
+    # and with the test that fits, the optimum is found
+    res = fmin(func, [-1.2, 1.0], x_tol=1e-7, f_tol=1e-20, stop="all", **QUIET)
+    np.testing.assert_allclose(res.x, [1.0, 1.0], atol=1e-5)
+
+
+def test_small_parameters_are_parameters():
+    optimum = np.array([3e-6, 7e-6])
+    res = fmin(
+        lambda x: float(np.sum((x / optimum - 1.0) ** 2)),
+        [1e-6, 1e-6],
+        lb=[0.0, 0.0],
+        ub=[1e-5, 1e-5],
+        x_tol=1e-12,
+        f_tol=1e-10,
+        stop="all",
+        **QUIET,
+    )
+    np.testing.assert_allclose(res.x, optimum, rtol=1e-4)
+    assert res.success
+
+
+@pytest.mark.parametrize("start", [[-3.0, 0.0], [3.0, 0.0], [0.0, -3.0], [0.0, 3.0]])
+def test_both_bounds_are_checked_at_the_start(start):
+    with pytest.raises(ValueError, match=r"start value -?3 of parameter [01] lies outside of its bounds \[-2, 2\]"):
+        fmin(rosenbrock, start, [-2, -2], [2, 2], **QUIET)
+
+
+def test_a_start_on_a_bound_is_allowed():
+    res = fmin(rosenbrock, [-2.0, 2.0], [-2, -2], [2, 2], x_tol=1e-7, f_tol=1e-10, stop="all", **QUIET)
+    assert res.fun < 1e-8 and np.array_equal(res.trace.x[0], [-2.0, 2.0])
+
+
+@pytest.mark.parametrize("nbr_cores", [1, 2, 4])
+def test_fifty_evaluations_are_fifty(nbr_cores):
+    func = Recorder(rosenbrock)
+    res = fmin(func, [-1.2, 1.0], max_fevals=50, nbr_cores=nbr_cores, **QUIET)
+    assert res.nfev == len(func.values) == 50
+
+
+def test_the_best_that_was_seen_is_returned_when_the_budget_ends():
+    for budget in range(1, 80):
+        func = Recorder(rosenbrock)
+        assert fmin(func, [-1.2, 1.0], max_fevals=budget, **QUIET).fun == func.best
+
+
+def test_callables_that_are_no_plain_functions_are_callables():
+    class Model:
+        def cost(self, scale, x):
+            return scale * rosenbrock(x)
+
+    assert fmin(partial(Model().cost, 2.0), [0.5, 0.5], **QUIET).nfev > 3
+
+
+def test_file_names_are_not_functions():
+    with pytest.raises(TypeError, match="not the name of its file"):
+        fmin("furuta_dfo_cost.py", [1.0], **QUIET)
+
+
+def test_the_initial_step_can_be_chosen():
+    res = fmin(rosenbrock, [1.0, 1.0], initial_simplex=[1e-3, 1e-3], max_iters=0, **QUIET)
+    np.testing.assert_allclose(res.trace.x - 1.0, [[0, 0], [1e-3, 0], [0, 1e-3]])
+
+
+def test_points_arrive_with_all_their_digits():
+    start = [0.1 + 0.2, 1.0 / 3.0]
+    func = Recorder(rosenbrock)
+    fmin(func, start, max_fevals=1, **QUIET)
+    assert func.points[0].tolist() == start
+
+
+def test_one_failing_evaluation_does_not_fail_the_run():
+    calls = []
+
+    def func(x):
+        calls.append(1)
+        if len(calls) == 10:
+            raise OSError("a licence was not to be had")
+        return rosenbrock(x)
+
+    res = fmin(func, [-1.2, 1.0], on_error="continue", **QUIET)
+    assert res.nfail == 1 and res.failures == {"OSError: a licence was not to be had": 1} and res.success
+
+
+@pytest.mark.parametrize("alg", [2, 3, 4, "barrier", "de", "ga", "DE"])
+def test_methods_of_later_versions_say_so(alg):
+    with pytest.raises(ValueError, match="not in this version") as info:
+        fmin(rosenbrock, [0.0, 0.0], alg=alg, **QUIET)
+    assert isinstance(info.value, NotImplementedError) and isinstance(info.value, pydfo.MethodNotAvailable)
+
+
+@pytest.mark.parametrize("alg", [None, 1, "nelder-mead", "Nelder-Mead"])
+def test_nelder_mead_by_all_its_names(alg):
+    assert fmin(rosenbrock, [0.0, 0.0], alg=alg, **QUIET).method == "nelder-mead"

@@ -1,0 +1,27 @@
+//! What the black-box tests share: the bundled models and the optional reference data beside the checkout.
+#![allow(dead_code, unreachable_pub)]
+#![allow(clippy::unwrap_used, clippy::print_stderr)]
+
+use fmufit::calibration::Data;
+use fmufit::fmi::{Fmu, example_fmu};
+use std::path::PathBuf;
+
+/// A bundled model.
+pub fn example(name: &str) -> Fmu {
+    Fmu::open(example_fmu(name).unwrap()).unwrap()
+}
+
+/// A file of the reference data that may lie beside the checkout; says so on standard error if it does not.
+pub fn shared_data(file: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(file);
+    if path.is_file() {
+        return Some(path);
+    }
+    eprintln!("SKIPPED: {file} is not there (looked for ../shared/data/{file} beside the checkout)");
+    None
+}
+
+/// The project's own Furuta measurements.
+pub fn furuta_measurements() -> Data {
+    Data::from_csv(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("examples/data/furuta.csv")).unwrap()
+}

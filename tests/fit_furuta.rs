@@ -1,0 +1,99 @@
+//! The main job, black box: the friction of the Furuta pendulum from noisy measurements.
+
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::*;
+use fmufit::calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter};
+use fmufit::dfo::{BatchPlan, Evaluation, NelderMead, Objective, Outcome};
+
+fn calibration(data: Data) -> Calibration {
+    Calibration::builder(example("furuta"))
+        .experiment(Experiment::new(data).output("armJoint.phi", "phi").output("pendulumJoint.phi", "theta"))
+        .parameter(Parameter::new("armFriction", 0.012).bounds(0.0, 0.022))
+        .parameter(Parameter::new("pendulumFriction", 0.002).bounds(0.0, 0.012))
+        .build()
+        .unwrap()
+}
+
+fn fit(calibration: &Calibration, workers: usize, plan: BatchPlan) -> Fit {
+    let method = NelderMead::default().batch(plan);
+    calibration.fit(FitOptions { workers: Some(workers), method, ..FitOptions::default() }).unwrap()
+}
+
+#[test]
+fn the_fit_finds_the_friction_and_is_the_same_for_any_number_of_workers_and_plan() {
+    let calibration = calibration(furuta_measurements());
+    let first = fit(&calibration, 1, BatchPlan::Serial);
+    // The measurements were made with (0.010, 0.001); standard deviations 1.4e-5 and 1.1e-6.
+    assert!((first.x[0] - 0.010).abs() < 6e-5, "{first}");
+    assert!((first.x[1] - 0.001).abs() < 6e-6, "{first}");
+    assert!(first.start_cost.unwrap() > 100.0 * first.cost);
+    for (workers, plan) in [(1, BatchPlan::Four), (2, BatchPlan::Auto), (4, BatchPlan::Auto), (3, BatchPlan::Two)] {
+        let other = fit(&calibration, workers, plan);
+        assert_eq!(first.x, other.x);
+        assert_eq!(first.cost.to_bits(), other.cost.to_bits());
+        assert_eq!(first.report.n_iterations, other.report.n_iterations);
+        assert_eq!(first.report.final_simplex, other.report.final_simplex);
+    }
+}
+
+#[test]
+fn cost_is_the_sum_of_squared_residuals_in_the_promised_order() {
+    let calibration = calibration(furuta_measurements());
+    let x = [0.011, 0.0015];
+    let cost = calibration.cost(&x).unwrap();
+    let residuals = calibration.residuals(&x).unwrap();
+    assert_eq!(residuals.len(), 2 * 801);
+    let sum: f64 = residuals.iter().map(|r| r * r).sum();
+    assert!((sum - cost).abs() < 1e-12 * cost);
+    // output by output: the second half belongs to theta
+    let data = furuta_measurements();
+    let simulated = &calibration.simulate(&x, None).unwrap()[0];
+    let theta = simulated.get("pendulumJoint.phi").unwrap();
+    let measured = data.column("theta").unwrap();
+    for k in 0..801 {
+        assert_eq!(residuals[801 + k].to_bits(), (theta[k] - measured[k]).to_bits());
+    }
+    assert_eq!(cost.to_bits(), calibration.cost(&x).unwrap().to_bits());
+}
+
+#[test]
+fn a_cutoff_ends_hopeless_simulations_and_changes_nothing_else() {
+    let calibration = calibration(furuta_measurements());
+    let x = [0.011, 0.0015];
+    let cost = calibration.cost(&x).unwrap();
+    let at = |cutoff: f64| calibration.evaluate(&x, &Evaluation::new(0, 0, cutoff));
+    assert_eq!(at(cost), Outcome::Value(cost));
+    assert_eq!(at(0.5 * cost), Outcome::Above(0.5 * cost));
+    assert_eq!(at(cost * (1.0 - 1e-15)), Outcome::Above(cost * (1.0 - 1e-15)));
+}
+
+#[test]
+fn missing_values_and_a_window_shorten_the_vector_and_nothing_else() {
+    let data = furuta_measurements();
+    let mut phi = data.column("phi").unwrap().to_vec();
+    phi[3] = f64::NAN;
+    phi[700] = f64::NAN;
+    let columns = [("phi".to_owned(), phi), ("theta".to_owned(), data.column("theta").unwrap().to_vec())];
+    let holed = Data::from_columns(data.time().to_vec(), columns).unwrap();
+    let full = calibration(data);
+    let holed = calibration(holed);
+    let x = [0.011, 0.0015];
+    let (a, mut b) = (full.residuals(&x).unwrap(), holed.residuals(&x).unwrap());
+    assert_eq!(b.len(), a.len() - 2);
+    b.insert(3, a[3]);
+    b.insert(700, a[700]);
+    assert_eq!(a, b);
+    let windowed = Calibration::builder(example("furuta"))
+        .experiment(Experiment::new(furuta_measurements()).output("armJoint.phi", "phi").window(1.0, 2.0))
+        .parameter(Parameter::new("armFriction", 0.012))
+        .parameter(Parameter::new("pendulumFriction", 0.002))
+        .build()
+        .unwrap();
+    // The last steps differ: they are cut to end with the window.
+    let windowed = windowed.residuals(&x).unwrap();
+    assert_eq!(windowed.len(), 21);
+    assert!(windowed.iter().zip(&a[20..=40]).all(|(w, a)| (w - a).abs() < 1e-6), "{windowed:?}");
+}

@@ -1,0 +1,66 @@
+//! Long fits run in constant memory.
+
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::*;
+use fmufit::calibration::{Calibration, Experiment, Parameter};
+
+/// Resident memory of this process in bytes.
+fn resident() -> usize {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find(|l| l.starts_with("VmRSS:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse::<usize>().unwrap() * 1024
+}
+
+/// Calls `cost` so often, with parameters that vary, and returns how much the resident memory grew after the first tenth.
+fn growth(calls: usize, workers: usize) -> usize {
+    let calibration = Calibration::builder(example("furuta"))
+        .experiment(
+            Experiment::new(furuta_measurements())
+                .output("armJoint.phi", "phi")
+                .output("pendulumJoint.phi", "theta")
+                .window(0.0, 10.0),
+        )
+        .parameter(Parameter::new("armFriction", 0.012).bounds(0.0, 0.022))
+        .parameter(Parameter::new("pendulumFriction", 0.002).bounds(0.0, 0.012))
+        .build()
+        .unwrap();
+    let run = |from: usize, to: usize| {
+        std::thread::scope(|scope| {
+            for worker in 0..workers {
+                let calibration = &calibration;
+                scope.spawn(move || {
+                    for k in (from + worker..to).step_by(workers) {
+                        let x = [0.008 + 1e-7 * (k % 1000) as f64, 0.001 + 1e-8 * (k % 997) as f64];
+                        assert!(calibration.cost(&x).unwrap().is_finite());
+                    }
+                });
+            }
+        });
+        resident()
+    };
+    let after_a_tenth = run(0, calls / 10);
+    run(calls / 10, calls).saturating_sub(after_a_tenth)
+}
+
+// One test for both numbers of workers: the measure is that of the whole process.
+fn check(calls: usize) {
+    for workers in [1, 2] {
+        let grown = growth(calls, workers);
+        assert!(grown < 1 << 20, "{grown} bytes more after {calls} calls from {workers} threads");
+    }
+}
+
+#[test]
+fn ten_thousand_evaluations_do_not_grow_the_process() {
+    check(10_000);
+}
+
+#[test]
+#[ignore = "long: run by `make test-long`"]
+fn a_hundred_thousand_evaluations_do_not_grow_the_process() {
+    check(100_000);
+}

@@ -1,0 +1,58 @@
+"""Refuses what must not stand in library code: unfinished work, unchecked unwraps, unsafe outside its room.
+
+Looks at every Rust source below crates/*/src and src. Test modules (from `#[cfg(test)]` to the end of the file) may
+unwrap; `unsafe` may stand only in crates/fmi/src/sys.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+UNSAFE_ROOM = ROOT / "crates" / "fmi" / "src" / "sys"
+FORBIDDEN = {
+    "unfinished": re.compile(r"\b(todo|unimplemented)!"),
+    "unwrap outside tests": re.compile(r"\.unwrap\(\)|\.expect\("),
+    "printing or debugging": re.compile(r"\b(dbg|println|eprintln|print|eprint)!"),
+}
+UNSAFE = re.compile(r"\bunsafe\b")
+
+
+def code_lines(text: str) -> list[tuple[int, str]]:
+    """Numbered lines outside of comments and of the test module at the end."""
+    lines: list[tuple[int, str]] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip().startswith("#[cfg(test)]"):
+            break
+        stripped = line.lstrip()
+        if stripped.startswith("//"):
+            continue
+        lines.append((number, re.sub(r"\s//.*$", "", line)))
+    return lines
+
+
+def findings(path: Path) -> list[str]:
+    """What is wrong in one file."""
+    found = []
+    for number, line in code_lines(path.read_text(encoding="utf-8")):
+        where = f"{path.relative_to(ROOT)}:{number}"
+        for what, pattern in FORBIDDEN.items():
+            if pattern.search(line):
+                found.append(f"{where}: {what}: {line.strip()}")
+        if UNSAFE.search(line) and "unsafe_" not in line and UNSAFE_ROOM not in path.parents:
+            found.append(f"{where}: unsafe outside {UNSAFE_ROOM.relative_to(ROOT)}: {line.strip()}")
+    return found
+
+
+def main() -> int:
+    """Prints every finding; the exit status says whether there was one."""
+    sources = sorted([*ROOT.glob("src/**/*.rs"), *ROOT.glob("crates/*/src/**/*.rs")])
+    found = [line for path in sources for line in findings(path)]
+    print("\n".join(found) if found else f"gate: {len(sources)} files are clean")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# Builds the source distribution, installs it into an empty virtual environment outside of the checkout, and runs a
+# smoke test there. Usage: tools/packaging.sh <folder with maturin and python>
+set -euo pipefail
+bin=$(cd "$1" && pwd)
+root=$(cd "$(dirname "$0")/.." && pwd)
+out=$(mktemp -d)
+trap 'rm -rf "$out"' EXIT
+export CARGO_TARGET_DIR="$root/target/packaging"
+"$bin/maturin" sdist --quiet --manifest-path "$root/crates/pydfo/Cargo.toml" --out "$out/dist"
+"$bin/python" -m venv "$out/venv"
+cd "$out"
+"$out/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$out"/dist/*.tar.gz
+"$out/venv/bin/python" "$root/crates/pydfo/tests/smoke.py"
