@@ -33,7 +33,7 @@ lint: $(VENV)/.tools  ## formatting, clippy, docs with warnings denied, the gate
 test-rust:  ## unit tests, black-box tests, doctests, examples
 	$(call suite,cargo test,cargo test --workspace --quiet)
 	$(call suite,rust examples,for e in $(basename $(notdir $(wildcard examples/*.rs))); do \
-		cargo run --quiet --release --example $$e >/dev/null || exit 1; done)
+		cargo run --quiet --example $$e >/dev/null || exit 1; done)
 
 test-python: build  ## pytest, stub check, examples
 	$(call suite,pytest,$(BIN)/python -m pytest -q crates/pydfo/tests)
