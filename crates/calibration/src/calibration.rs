@@ -108,10 +108,11 @@ impl CalibrationBuilder {
                 return Err(CalibrationError::Parameter { name, message: "stands there twice".to_owned() });
             }
         }
+        let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
         let experiments = experiments
             .into_iter()
-            .map(|e| Prepared::new(&fmu, e, &names, &settings))
+            .map(|e| Prepared::new(&fmu, e, (&names, &start), &settings))
             .collect::<Result<Vec<_>, _>>()?;
         let n_residuals = experiments.iter().map(|e| e.comparison.n_residuals()).sum();
         Ok(Calibration { fmu, parameters, experiments, n_residuals })
@@ -122,7 +123,7 @@ impl Prepared {
     fn new(
         fmu: &Fmu,
         experiment: Experiment,
-        parameters: &[String],
+        (parameters, start): (&[String], &[f64]),
         settings: &SimulationSettings,
     ) -> Result<Self, CalibrationError> {
         let (times, columns) = experiment.measurements()?;
@@ -154,7 +155,7 @@ impl Prepared {
             timeout: settings.timeout,
             ..SimulateOptions::default()
         };
-        let pool = Pool::new(Arc::new(SimulationPlan::new(fmu, &options)?));
+        let pool = Pool::with_reference(Arc::new(SimulationPlan::new(fmu, &options)?), start)?;
         let outputs = experiment.outputs.into_iter().map(|o| (o.variable, o.column)).collect();
         Ok(Self { pool, comparison, options, data: experiment.data, outputs })
     }

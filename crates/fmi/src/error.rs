@@ -74,7 +74,9 @@ pub enum FmiError {
         version: String,
     },
     /// `modelDescription.xml` is well formed but leaves the standard, and strict reading was asked for.
-    #[error("the model description departs from the FMI standard in {count} places, first (line {line}): {first}")]
+    #[error(
+        "the model description departs from the FMI standard in {count} places, first (line {line}): {first}"
+    )]
     NotConforming {
         /// Number of quirks.
         count: usize,

@@ -34,8 +34,6 @@ struct Inner {
     library: Mutex<Option<Arc<Library>>>,
     reuse: AtomicU8,
     description: ModelDescription,
-    /// URI of the resources folder.
-    resources: CString,
     path: PathBuf,
     archive: Archive,
 }
@@ -73,14 +71,12 @@ impl Fmu {
         let path = path.as_ref();
         let archive = Archive::open(path)?;
         let description = ModelDescription::read(&archive)?;
-        let resources = resource_uri(&archive.root().join("resources"));
         Ok(Fmu {
             inner: Arc::new(Inner {
                 idle: Mutex::new(Vec::new()),
                 library: Mutex::new(None),
                 reuse: AtomicU8::new(UNCHECKED),
                 description,
-                resources,
                 path: path.to_owned(),
                 archive,
             }),
@@ -113,7 +109,7 @@ impl Fmu {
     /// Options that do not fit the model, and everything that can go wrong in a simulation.
     pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
         let plan = Arc::new(SimulationPlan::new(self, options)?);
-        Simulator::new(plan)?.trajectory(&[])
+        Simulator::new(Arc::clone(&plan))?.trajectory(plan.parameter_starts())
     }
 
     /// Makes a model-exchange instance. **This loads the library and runs its code.**
@@ -138,10 +134,11 @@ impl Fmu {
         };
         let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
         let guid = text("guid", &description.guid)?;
+        let resources = self.root().join("resources");
         let request = Request {
             name: &name,
             guid: &guid,
-            resources: &self.inner.resources,
+            resources: &resources,
             visible: options.visible,
             logging: options.logging,
         };
@@ -272,23 +269,6 @@ impl Fmu {
     }
 }
 
-/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 2.0 asks.
-fn resource_uri(path: &Path) -> CString {
-    let mut uri = String::from("file://");
-    let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
-    if !text.starts_with('/') {
-        uri.push('/');
-    }
-    for byte in text.bytes() {
-        if byte.is_ascii_alphanumeric() || b"/-._~:".contains(&byte) {
-            uri.push(char::from(byte));
-        } else {
-            uri.push_str(&format!("%{byte:02X}"));
-        }
-    }
-    CString::new(uri).unwrap_or_default()
-}
-
 /// Opens each file once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`].
 ///
 /// A file counts as unchanged while its path, identity on the disk, size and time of modification are the same; it is
@@ -368,16 +348,4 @@ fn key_of(path: &Path) -> Result<Key, FmiError> {
         None
     };
     Ok((canonical, platform::file_identity(&metadata), inner))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn uris_are_percent_encoded() {
-        let uri = |path: &str| resource_uri(Path::new(path)).into_string().unwrap();
-        assert_eq!(uri("/tmp/a-b_c.d/resources"), "file:///tmp/a-b_c.d/resources");
-        assert_eq!(uri("/tmp/a b/{\u{e4}}"), "file:///tmp/a%20b/%7B%C3%A4%7D");
-    }
 }

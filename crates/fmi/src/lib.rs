@@ -3,6 +3,7 @@
 
 pub mod archive;
 mod assign;
+mod binary;
 pub mod description;
 pub mod error;
 mod examples;

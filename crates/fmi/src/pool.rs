@@ -19,6 +19,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 #[derive(Debug)]
 pub struct Pool {
     plan: Arc<SimulationPlan>,
+    /// Parameters of the test.
+    reference: Vec<f64>,
     state: Mutex<State>,
     returned: Condvar,
 }
@@ -46,9 +48,20 @@ pub struct Lease<'a> {
 }
 
 impl Pool {
-    /// A pool of simulators of this plan. Nothing is loaded or run yet.
+    /// A pool of simulators of this plan. Nothing is loaded or run yet. The test is made with the values that the
+    /// parameters have in the model.
     pub fn new(plan: Arc<SimulationPlan>) -> Self {
-        Self { plan, state: Mutex::default(), returned: Condvar::new() }
+        let reference = plan.parameter_starts().to_vec();
+        Self { plan, reference, state: Mutex::default(), returned: Condvar::new() }
+    }
+
+    /// The same, with the test made at other values of the parameters: where the model can be simulated at all.
+    ///
+    /// # Errors
+    /// A value is not finite, or there are not as many as parameters.
+    pub fn with_reference(plan: Arc<SimulationPlan>, reference: &[f64]) -> Result<Self, FmiError> {
+        plan.check_parameters(reference)?;
+        Ok(Self { reference: reference.to_vec(), ..Self::new(plan) })
     }
 
     /// The plan.
@@ -112,17 +125,17 @@ impl Pool {
             return Ok(tested);
         }
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
-        let tested = examine(&self.plan, &mut simulator)?;
+        let tested = examine(&self.plan, &self.reference, &mut simulator)?;
         self.plan.fmu().set_reuse(tested.reuse);
         if tested.reuse == Reuse::Reinstantiate {
             log::warn!(
-                "{}: reset does not restore everything; every simulation gets a new instance",
+                "{}: reset cannot be relied on; every simulation gets a new instance",
                 self.plan.fmu().description().model_name
             );
         }
         if !tested.independent {
             log::warn!(
-                "{}: instances disturb each other; simulations run one at a time",
+                "{}: several instances at once cannot be relied on; simulations run one at a time",
                 self.plan.fmu().description().model_name
             );
         }
@@ -133,28 +146,30 @@ impl Pool {
 }
 
 /// The test; see [`Pool`].
-fn examine(plan: &Arc<SimulationPlan>, simulator: &mut Simulator) -> Result<Tested, FmiError> {
-    let base = plan.parameter_starts().to_vec();
-    let other = other_parameters(plan, &base);
+fn examine(plan: &Arc<SimulationPlan>, base: &[f64], simulator: &mut Simulator) -> Result<Tested, FmiError> {
+    let other = other_parameters(plan, base);
     let fmu = plan.fmu();
     let only_one = fmu.check_runnable()?.capabilities.can_be_instantiated_only_once_per_process;
-    let truth = simulator.probe_new(&base, &mut Ignore)?;
+    let truth = simulator.probe_new(base, &mut Ignore)?;
     if truth == Probe::Nothing {
-        // The model cannot be simulated at its own start values (or not in time): there is nothing to compare, so the safe
-        // ways are taken.
-        return Ok(Tested { reuse: Reuse::Reinstantiate, independent: !only_one });
+        // The model cannot be started there (or not in time): there is nothing to compare, so the safe ways are taken.
+        log::warn!(
+            "{}: the model cannot be simulated at {base:?}, so that reset and concurrency cannot be tested",
+            fmu.description().model_name
+        );
+        return Ok(Tested { reuse: Reuse::Reinstantiate, independent: false });
     }
     // A run with other parameters in between shows whether reset leaves any behind.
     let after_other = match simulator.probe_reset(&other, true, &mut Ignore)? {
-        Some(_) => simulator.probe_reset(&base, false, &mut Ignore)?,
+        Some(_) => simulator.probe_reset(base, false, &mut Ignore)?,
         None => None,
     };
     // A run that fails leaves no instance to reset: then at least the same run twice.
     let reset = match after_other {
         Some(probe) => probe == truth,
         None => {
-            simulator.probe_new(&base, &mut Ignore)? == truth
-                && simulator.probe_reset(&base, false, &mut Ignore)? == Some(truth)
+            simulator.probe_new(base, &mut Ignore)? == truth
+                && simulator.probe_reset(base, false, &mut Ignore)? == Some(truth)
         }
     };
     let reuse =
@@ -163,7 +178,7 @@ fn examine(plan: &Arc<SimulationPlan>, simulator: &mut Simulator) -> Result<Test
         return Ok(Tested { reuse, independent: false });
     }
     let mut interleaved = Interleave { plan, parameters: &other, begun: false, refused: false };
-    let independent = simulator.probe_new(&base, &mut interleaved)? == truth && !interleaved.refused;
+    let independent = simulator.probe_new(base, &mut interleaved)? == truth && !interleaved.refused;
     Ok(Tested { reuse, independent })
 }
 

@@ -21,6 +21,11 @@ const PROBE_STEPS: u64 = 50;
 /// Before an FMU's reset function is relied on for the first time, it is put to the test: the first steps on the reset
 /// instance must have the same bits as on a new one, or from then on every run gets a new instance
 /// (see [`Fmu::reuse`]).
+///
+/// ```compile_fail
+/// fn shared_between_threads<T: Sync>() {}
+/// shared_between_threads::<fmi::Simulator>();
+/// ```
 #[derive(Debug)]
 pub struct Simulator {
     plan: Arc<SimulationPlan>,

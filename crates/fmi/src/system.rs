@@ -175,10 +175,8 @@ impl System {
 
     /// Value of a variable at the point last committed.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value, FmiError> {
-        let (time, states) = (self.last_time, std::mem::take(&mut self.last_states));
-        let result = self.set_point(time, &states);
-        self.last_states = states;
-        match result {
+        let (time, states) = (self.last_time, self.last_states.clone());
+        match self.set_point(time, &states) {
             Ok(()) => {}
             Err(CallError::Failed(error)) => return Err(unbox(error)),
             // The point was good when the step was completed; the value there is the best there is.

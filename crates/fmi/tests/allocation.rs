@@ -6,40 +6,9 @@ mod support;
 
 use fmi::ode::{Ignore, Observer, Sample};
 use fmi::{Fmu, Inputs, SimulateOptions, SimulationPlan, Simulator};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use support::model;
-
-thread_local! {
-    static COUNT: Cell<u64> = const { Cell::new(0) };
-}
-
-/// Counts the allocations of each thread.
-struct Counting;
-
-// SAFETY: hands everything on to the system's allocator.
-#[allow(unsafe_code)]
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _ = COUNT.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: as above.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        // SAFETY: as above.
-        unsafe { System.dealloc(block, layout) }
-    }
-    unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        let _ = COUNT.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: as above.
-        unsafe { System.realloc(block, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 struct Sum(f64);
 
@@ -58,11 +27,12 @@ fn count(fmu: &Fmu, options: &SimulateOptions, end: f64, parameters: &[f64]) -> 
         simulator.run(parameters, &mut Ignore).unwrap();
     }
     let mut sum = Sum(0.0);
-    let before = COUNT.with(Cell::get);
-    let report = simulator.run(parameters, &mut sum).unwrap();
-    let after = COUNT.with(Cell::get);
+    let mut steps = 0;
+    let counted = allocation_counter::measure(|| {
+        steps = simulator.run(parameters, &mut sum).unwrap().stats.accepted_steps;
+    });
     assert!(sum.0.is_finite());
-    (after - before, report.stats.accepted_steps)
+    (counted.count_total, steps)
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! Model descriptions: what the standard allows is understood, what the wild brings is tolerated and reported, what is
 //! hostile is refused with the line.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
+
 use fmi::description::{
     BaseUnit, Causality, DependencyKind, Initial, ModelDescription, QuirkKind, Variability, VariableKind,
 };
@@ -84,7 +86,10 @@ fn document(variables: &str, structure: &str) -> String {
 
 /// The quirks of a description with one variable, made from attributes and a type element.
 fn quirks_of(attributes: &str, kind: &str) -> Vec<(QuirkKind, String)> {
-    let text = document(&format!("<ScalarVariable name=\"v\" valueReference=\"1\" {attributes}>{kind}</ScalarVariable>"), "");
+    let text = document(
+        &format!("<ScalarVariable name=\"v\" valueReference=\"1\" {attributes}>{kind}</ScalarVariable>"),
+        "",
+    );
     parse(&text).quirks.iter().map(|quirk| (quirk.kind, quirk.to_string())).collect()
 }
 
@@ -95,7 +100,10 @@ fn kinds_of(attributes: &str, kind: &str) -> Vec<QuirkKind> {
 #[test]
 fn the_header_and_the_interfaces_are_complete() {
     let model = parse(FULL);
-    assert_eq!((model.fmi_version.major, model.fmi_version.minor, model.fmi_version.text.as_str()), (2, 0, "2.0"));
+    assert_eq!(
+        (model.fmi_version.major, model.fmi_version.minor, model.fmi_version.text.as_str()),
+        (2, 0, "2.0")
+    );
     assert_eq!(model.model_name, "Full & good");
     assert_eq!(model.guid, "{8c4e810f-3df3-4a00-8276-176fa3c9f013}");
     let texts = [&model.description, &model.author, &model.version, &model.copyright, &model.license];
@@ -113,12 +121,15 @@ fn the_header_and_the_interfaces_are_complete() {
     assert!(can.can_get_and_set_state && can.can_serialize_state && can.provides_directional_derivative);
     let cs = model.co_simulation.as_ref().unwrap();
     assert_eq!((cs.model_identifier.as_str(), cs.capabilities.max_output_derivative_order), ("full_cs", 3));
-    assert!(cs.capabilities.can_handle_variable_communication_step_size && cs.capabilities.can_interpolate_inputs);
+    assert!(
+        cs.capabilities.can_handle_variable_communication_step_size && cs.capabilities.can_interpolate_inputs
+    );
     assert!(cs.capabilities.can_run_asynchronuously && !cs.capabilities.can_get_and_set_state);
     let experiment = model.default_experiment;
     assert_eq!((experiment.start_time, experiment.stop_time), (Some(0.5), Some(10.0)));
     assert_eq!((experiment.tolerance, experiment.step_size), (Some(1e-6), Some(0.25)));
-    let categories: Vec<_> = model.log_categories.iter().map(|c| (c.name.as_str(), c.description.as_deref())).collect();
+    let categories: Vec<_> =
+        model.log_categories.iter().map(|c| (c.name.as_str(), c.description.as_deref())).collect();
     assert_eq!(categories, [("logEvents", Some("e")), ("logAll", None)]);
     assert_eq!(model.quirks, []);
     model.require_conforming().unwrap();
@@ -145,9 +156,15 @@ fn variables_have_all_their_attributes() {
     assert_eq!((w.variability, w.initial), (Variability::Continuous, Some(Initial::Exact)));
     assert_eq!((w.description.as_deref(), w.start.clone()), (Some("speed"), Some(Value::Real(-3.5))));
     assert!(w.reinit && !w.can_handle_multiple_set_per_time_instant);
-    assert_eq!(w.line, FULL[..FULL.find("<ScalarVariable name=\"w\"").unwrap()].matches('\n').count() as u32 + 1);
+    assert_eq!(
+        w.line,
+        FULL[..FULL.find("<ScalarVariable name=\"w\"").unwrap()].matches('\n').count() as u32 + 1
+    );
     let derivative = model.variable("der(w)").unwrap();
-    assert_eq!((derivative.derivative, derivative.causality, derivative.initial), (Some(1), Causality::Local, Some(Initial::Calculated)));
+    assert_eq!(
+        (derivative.derivative, derivative.causality, derivative.initial),
+        (Some(1), Causality::Local, Some(Initial::Calculated))
+    );
     assert_eq!(model.variable("k2").unwrap().initial, Some(Initial::Calculated));
     assert_eq!(model.variable("u").unwrap().initial, None);
     assert_eq!(model.variable("c").unwrap().initial, Some(Initial::Exact));
@@ -165,8 +182,14 @@ fn types_supply_what_variables_leave_open() {
     let (w, k) = (model.variable("w").unwrap(), model.variable("k").unwrap());
     for variable in [w, k] {
         assert_eq!(variable.quantity.as_deref(), Some("AngularVelocity"));
-        assert_eq!((variable.unit.as_deref(), variable.display_unit.as_deref()), (Some("rad/s"), Some("rpm")));
-        assert_eq!((variable.min, variable.nominal, variable.relative_quantity), (Some(-1e3), Some(10.0), true));
+        assert_eq!(
+            (variable.unit.as_deref(), variable.display_unit.as_deref()),
+            (Some("rad/s"), Some("rpm"))
+        );
+        assert_eq!(
+            (variable.min, variable.nominal, variable.relative_quantity),
+            (Some(-1e3), Some(10.0), true)
+        );
     }
     assert_eq!((w.max, k.max), (Some(1000.0), Some(5.0)));
     assert_eq!((w.unbounded, k.unbounded), (false, true)); // w says so itself
@@ -181,10 +204,16 @@ fn types_supply_what_variables_leave_open() {
 #[test]
 fn the_structure_counts_from_zero_and_keeps_its_dependencies() {
     let structure = parse(FULL).structure;
-    assert_eq!((structure.outputs[0].index, structure.outputs[0].dependencies.as_deref()), (1, Some(&[][..])));
+    assert_eq!(
+        (structure.outputs[0].index, structure.outputs[0].dependencies.as_deref()),
+        (1, Some(&[][..]))
+    );
     let derivative = &structure.derivatives[0];
     assert_eq!((derivative.index, derivative.dependencies.as_deref()), (2, Some(&[1, 3, 5][..])));
-    assert_eq!(derivative.kinds, [DependencyKind::Dependent, DependencyKind::Fixed, DependencyKind::Constant]);
+    assert_eq!(
+        derivative.kinds,
+        [DependencyKind::Dependent, DependencyKind::Fixed, DependencyKind::Constant]
+    );
     assert_eq!(structure.initial_unknowns[0].dependencies, None);
     assert_eq!(structure.initial_unknowns[1].dependencies.as_deref(), Some(&[3][..]));
 }
@@ -201,7 +230,8 @@ fn names_are_found_and_missed_names_get_suggestions() {
 #[test]
 fn versions_are_recognised_by_their_numbers() {
     for (text, major, minor) in [("2.0", 2, 0), ("2.0.4", 2, 0), ("2", 2, 0), ("2.1-beta", 2, 1)] {
-        let version = parse(&FULL.replace("fmiVersion=\"2.0\"", &format!("fmiVersion=\"{text}\""))).fmi_version;
+        let version =
+            parse(&FULL.replace("fmiVersion=\"2.0\"", &format!("fmiVersion=\"{text}\""))).fmi_version;
         assert_eq!((version.major, version.minor, version.text.as_str()), (major, minor, text));
     }
     let four = ModelDescription::parse(b"<fmiModelDescription fmiVersion='4.0'/>").unwrap_err();
@@ -229,7 +259,10 @@ fn descriptions_of_fmi_1_are_read_as_far_as_they_go() {
     assert_eq!(model.model_exchange.as_ref().unwrap().model_identifier, "ball");
     assert!(model.co_simulation.is_none());
     let (h, g) = (model.variable("h").unwrap(), model.variable("g").unwrap());
-    assert_eq!((h.initial, h.unit.as_deref(), h.causality), (Some(Initial::Exact), Some("rad"), Causality::Local));
+    assert_eq!(
+        (h.initial, h.unit.as_deref(), h.causality),
+        (Some(Initial::Exact), Some("rad"), Causality::Local)
+    );
     assert_eq!((g.causality, g.variability), (Causality::Parameter, Variability::Fixed));
     assert_eq!(model.variable("n").unwrap().variability, Variability::Discrete);
     assert_eq!(model.quirks.iter().map(|quirk| quirk.kind).collect::<Vec<_>>(), [QuirkKind::Unsupported]);
@@ -255,21 +288,28 @@ fn descriptions_of_fmi_3_are_read_as_far_as_they_go() {
              <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>
              <Float64 name="x" valueReference="7" declaredType="T" start="1" initial="exact"/>
              <Float64 name="der(x)" valueReference="8" derivative="7"/>
-             <UInt16 name="n" valueReference="9" causality="parameter" start="3"/>
+             <UInt16 name="n" valueReference="9" causality="output" start="3"/>
              <String name="s" valueReference="10" causality="parameter"><Start value="text"/></String>
              <Float32 name="a" valueReference="11" start="1 2 3"><Dimension start="3"/></Float32>
              <Binary name="b" valueReference="12" causality="input"/>
            </ModelVariables>
            <ModelStructure>
              <ContinuousStateDerivative valueReference="8" dependencies="7" dependenciesKind="constant"/>
+             <Output valueReference="12"/><Output valueReference="9" dependencies="12 7" dependenciesKind="fixed fixed"/>
              <InitialUnknown valueReference="8"/><EventIndicator valueReference="8"/>
            </ModelStructure></fmiModelDescription>"#,
     );
-    assert_eq!((model.fmi_version.major, model.fmi_version.text.as_str(), model.guid.as_str()), (3, "3.0.1", "{t}"));
+    assert_eq!(
+        (model.fmi_version.major, model.fmi_version.text.as_str(), model.guid.as_str()),
+        (3, "3.0.1", "{t}")
+    );
     assert_eq!((model.n_states(), model.n_event_indicators, model.variables.len()), (1, 1, 6));
     assert_eq!(model.variable("der(x)").unwrap().derivative, Some(1));
     assert_eq!(model.variable("x").unwrap().unit.as_deref(), Some("m"));
-    assert_eq!(model.variable("n").unwrap().variability, Variability::Fixed);
+    assert_eq!(model.variable("n").unwrap().variability, Variability::Discrete);
+    assert_eq!(model.variable("s").unwrap().variability, Variability::Fixed);
+    assert_eq!(model.structure.outputs.len(), 1);
+    assert_eq!(model.structure.outputs[0].dependencies, None); // one of them is left out
     assert_eq!(model.variable("s").unwrap().start, Some("text".into()));
     assert_eq!(model.structure.derivatives[0].dependencies.as_deref(), Some(&[1][..]));
     assert!(model.model_exchange.as_ref().unwrap().capabilities.can_get_and_set_state);
@@ -297,15 +337,17 @@ fn values_that_are_not_understood_become_quirks_with_their_lines() {
             (QuirkKind::Attribute, "line 3: <Real>: min=\"1,5\" is not a number; ignored".to_owned()),
             (
                 QuirkKind::Attribute,
-                "line 3: <ScalarVariable>: causality=\"sideways\" is not a word the standard knows; ignored".to_owned()
+                "line 3: <ScalarVariable>: causality=\"sideways\" is not a word the standard knows; ignored"
+                    .to_owned()
             ),
             (QuirkKind::Start, "line 3: \"v\" has a start value without use".to_owned()),
         ]
     );
-    let error = parse(&document("<ScalarVariable name='v' valueReference='1'><Real unit='?'/></ScalarVariable>", ""))
-        .require_conforming()
-        .unwrap_err()
-        .to_string();
+    let error =
+        parse(&document("<ScalarVariable name='v' valueReference='1'><Real unit='?'/></ScalarVariable>", ""))
+            .require_conforming()
+            .unwrap_err()
+            .to_string();
     assert!(error.contains("1 places, first (line 3): unit \"?\" is not defined"), "{error}");
 }
 
@@ -330,7 +372,8 @@ fn odd_combinations_are_tolerated_and_reported() {
     ] {
         assert_eq!(kinds_of(attributes, kind), [expected], "{attributes} {kind}");
     }
-    let variable = |name, kind| format!("<ScalarVariable name='{name}' valueReference='1'>{kind}</ScalarVariable>");
+    let variable =
+        |name, kind| format!("<ScalarVariable name='{name}' valueReference='1'>{kind}</ScalarVariable>");
     let model = parse(&document(&(variable("a", "<Real/>") + &variable("a", "<Boolean/>")), ""));
     assert_eq!(model.quirks[0].kind, QuirkKind::Duplicate);
     assert_eq!(model.variable("a").unwrap().kind, VariableKind::Real);
@@ -458,7 +501,8 @@ fn large(n: usize) -> String {
             )
         })
         .collect();
-    let unknowns: String = (1..=n / 2).map(|i| format!("<Unknown index=\"{i}\" dependencies=\"{i} 1\"/>\n")).collect();
+    let unknowns: String =
+        (1..=n / 2).map(|i| format!("<Unknown index=\"{i}\" dependencies=\"{i} 1\"/>\n")).collect();
     document(&variables, &format!("<Derivatives>{unknowns}</Derivatives>"))
 }
 

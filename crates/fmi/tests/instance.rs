@@ -247,3 +247,25 @@ fn many_simulations_leave_nothing_behind() {
         fmu.simulate(&options).unwrap();
     }
 }
+
+#[test]
+fn an_fmu_without_a_binary_is_compiled_from_its_sources() {
+    let folder = tempfile::tempdir().unwrap();
+    let models = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    let sources = folder.path().join("sources");
+    std::fs::create_dir(&sources).unwrap();
+    std::fs::copy(models.join("dahlquist/modelDescription.xml"), folder.path().join("modelDescription.xml"))
+        .unwrap();
+    for file in [
+        "dahlquist/model.c",
+        "frontend/model.h",
+        "frontend/instance.h",
+        "frontend/fmi2.h",
+        "frontend/fmi2_me.c",
+    ] {
+        let from = models.join(file);
+        std::fs::copy(&from, sources.join(from.file_name().unwrap())).unwrap();
+    }
+    let result = Fmu::open(folder.path()).unwrap().simulate(&SimulateOptions::new().final_time(1.0)).unwrap();
+    assert!((result.final_value("x").unwrap().unwrap() - (-1f64).exp()).abs() < 1e-5);
+}

@@ -281,3 +281,40 @@ fn bad_requests_are_typed_errors_with_names() {
     assert!(matches!(simulator.run(&[f64::NAN, 0.0], &mut Ignore), Err(FmiError::NotFinite { .. })));
     assert!(matches!(plan(new().relative_tolerance(-1.0)), Err(FmiError::Options(_))));
 }
+
+#[test]
+fn bad_tables_name_variable_row_and_number() {
+    let folder = model("switched_input");
+    let fmu = folder.open();
+    let problem = |inputs: Inputs| {
+        let options = SimulateOptions::new().final_time(1.0).inputs(inputs);
+        SimulationPlan::new(&fmu, &options).unwrap_err().to_string()
+    };
+    let new = Inputs::new;
+    for (inputs, text) in [
+        (
+            new().series("u", vec![0.0, 2.0, 1.0], vec![0.0; 3]),
+            "input u: times must ascend: row 3 has 1 after 2",
+        ),
+        (new().series("u", vec![0.0, 1.0], vec![0.0; 3]), "input u: 3 values for 2 times"),
+        (new().series("u", vec![0.0, 1.0], vec![0.0, f64::NAN]), "row 2 (time 1, value NaN)"),
+        (new().series("u", vec![], vec![]), "no rows"),
+        (new().series("gear", vec![0.0, 1.0], vec![1.0, 1.5]), "input gear: 1.5 in row 2 is not an integer"),
+        (new().series("enabled", vec![0.0, 1.0], vec![1.0, 2.0]), "input enabled: 2 in row 2 is not 0 or 1"),
+        (new().function("gear", |t| t), "continuous real inputs only"),
+        (new().function("u", |t| t).function("u", |t| t), "input u: it is given twice"),
+        (new().function("K", |t| t), "input K: it is not an input"),
+        (new().function("uu", |t| t), "did you mean u"),
+    ] {
+        let problem = problem(inputs);
+        assert!(problem.contains(text), "{problem}");
+    }
+    // A function that is not defined everywhere ends the run where it stops being so.
+    let inputs = new().function("u", |t| if t < 0.5 { 1.0 } else { f64::NAN });
+    let error = fmu.simulate(&SimulateOptions::new().final_time(1.0).inputs(inputs)).unwrap_err();
+    let FmiError::Simulation(error) = error else { panic!("{error}") };
+    assert!(error.time <= 0.5 && error.time > 0.4, "{error}");
+    let inputs = new().function("u", |_| f64::NAN);
+    let error = fmu.simulate(&SimulateOptions::new().final_time(1.0).inputs(inputs)).unwrap_err();
+    assert!(matches!(error, FmiError::NotFinite { .. }), "{error}");
+}

@@ -1,26 +1,20 @@
-//! The one mapping of errors to Python exceptions. The exception classes themselves are defined, and documented, in
-//! `pydfo/_errors.py`.
+//! Errors of optimisers and calibrations as Python exceptions, and how a run ends for the user. (Errors of models:
+//! `fmu_error`.) The exception classes themselves are defined, and documented, in `pydfo/_errors.py`.
 
+use crate::fmu_error;
 use crate::interrupt::Stop;
-use fmi::{CallFailure, FmiError};
-use ode::ErrorKind;
 use pyo3::exceptions::{PyKeyboardInterrupt, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::error::Error;
 use std::io;
 use std::path::Path;
 
 pyo3::import_exception!(pydfo._errors, AllStartsFailed);
 pyo3::import_exception!(pydfo._errors, BadCalibrationError);
-pyo3::import_exception!(pydfo._errors, BadModelValueError);
 pyo3::import_exception!(pydfo._errors, CalibrationError);
-pyo3::import_exception!(pydfo._errors, FmuError);
 pyo3::import_exception!(pydfo._errors, Interrupted);
-pyo3::import_exception!(pydfo._errors, ModelTypeError);
 pyo3::import_exception!(pydfo._errors, NoResult);
 pyo3::import_exception!(pydfo._errors, SimulationError);
-pyo3::import_exception!(pydfo._errors, UnknownVariableError);
 
 /// An error of the optimiser: bad options are ValueErrors, a run that found nothing carries what it saw.
 pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
@@ -43,75 +37,6 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
     attach().err().unwrap_or(exception)
 }
 
-/// An error of the importer.
-pub(crate) fn model(py: Python<'_>, error: &FmiError) -> PyErr {
-    let message = error.to_string();
-    match error {
-        FmiError::Io { action, path, source } => file(&format!("cannot {action}"), path, source),
-        FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => UnknownVariableError::new_err(message),
-        FmiError::WrongType { .. } => ModelTypeError::new_err(message),
-        FmiError::NotSettable { .. }
-        | FmiError::NotFinite { .. }
-        | FmiError::NotAnOutput { .. }
-        | FmiError::BadInput { .. }
-        | FmiError::BadSetting { .. }
-        | FmiError::Length { .. }
-        | FmiError::Options(_)
-        | FmiError::UnknownExample { .. }
-        | FmiError::CannotPack { .. } => BadModelValueError::new_err(message),
-        FmiError::Simulation(e) if is_argument(&e.kind) => BadModelValueError::new_err(message),
-        FmiError::Call(_) | FmiError::EventIteration { .. } | FmiError::Simulation(_) => {
-            simulation(py, message, Some(error))
-        }
-        _ => FmuError::new_err(message),
-    }
-}
-
-/// Whether a simulation was refused for what it was asked to do.
-fn is_argument(kind: &ErrorKind) -> bool {
-    matches!(kind, ErrorKind::Span { .. } | ErrorKind::SampleTimes { .. } | ErrorKind::ToleranceCount { .. })
-}
-
-/// `SimulationError` with status, time and log.
-fn simulation(py: Python<'_>, message: String, error: Option<&FmiError>) -> PyErr {
-    let exception = SimulationError::new_err(message);
-    let (mut time, mut call) = (None, None);
-    match error {
-        Some(FmiError::Simulation(e)) => {
-            time = Some(e.time);
-            if let ErrorKind::Model(inner) = &e.kind {
-                call = failed_call(inner.as_ref());
-            }
-        }
-        Some(FmiError::EventIteration { time: t, .. }) => time = Some(*t),
-        Some(e) => call = failed_call(e),
-        None => {}
-    }
-    let attach = || -> PyResult<()> {
-        let value = exception.value(py);
-        value.setattr("time", call.and_then(|c| c.time).or(time))?;
-        value.setattr("status", call.map(|c| c.status.to_string()))?;
-        let log: Vec<String> = call.map(|c| c.log.iter().map(|l| l.to_string()).collect()).unwrap_or_default();
-        value.setattr("log", log)
-    };
-    attach().err().unwrap_or(exception)
-}
-
-/// The call that failed, somewhere down the chain of causes.
-fn failed_call<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a CallFailure> {
-    let mut next = Some(error);
-    while let Some(error) = next {
-        if let Some(call) = error.downcast_ref::<CallFailure>() {
-            return Some(call);
-        }
-        if let Some(FmiError::Call(call)) = error.downcast_ref::<FmiError>() {
-            return Some(call);
-        }
-        next = error.source();
-    }
-    None
-}
-
 /// An error of a calibration.
 pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError) -> PyErr {
     use calibration::CalibrationError as E;
@@ -119,8 +44,14 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
     match error {
         E::DataFile { path, source } => file("cannot read", path, source),
         E::Data { .. } | E::Parameter { .. } | E::Setup(_) | E::Length { .. } => BadCalibrationError::new_err(message),
-        E::Model(e) => model(py, e),
-        E::Simulation { source, .. } => simulation(py, message, source.as_deref()),
+        E::Model(e) => fmu_error::raise(py, e),
+        E::Simulation { source: None, .. } => SimulationError::new_err(message),
+        E::Simulation { source: Some(e), .. } => {
+            // Of the class and with the numbers of the cause, but it also says at which parameters.
+            let exception = fmu_error::raise(py, e);
+            let said = exception.value(py).setattr("args", (message,));
+            said.err().unwrap_or(exception)
+        }
         E::Optimiser(e) => optimiser(py, e),
         _ => CalibrationError::new_err(message),
     }

@@ -1,38 +1,43 @@
-//! FMUs as files: opened once and kept, the bundled models, packing.
+//! Opening FMUs, each file once as long as it does not change; packing folders; the bundled examples.
 
-use crate::error;
-use fmi::{Fmu, FmuCache};
+use crate::{fmu_error, logs};
+use fmi::FmuCache;
 use pyo3::prelude::*;
 use std::path::PathBuf;
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
-/// FMUs kept open: scripts open the same file again for every evaluation.
-const KEPT: usize = 16;
+/// FMUs that stay open for whoever opens them next: scripts open their model at every evaluation.
+const KEPT_OPEN: usize = 32;
 
-/// The cache, and the process it belongs to.
-static OPEN: OnceLock<(u32, FmuCache)> = OnceLock::new();
+static OPEN: LazyLock<FmuCache> = LazyLock::new(|| FmuCache::new(KEPT_OPEN));
 
-/// The FMU of a path; the same one for as long as the file does not change.
-pub(crate) fn open(py: Python<'_>, path: PathBuf) -> PyResult<Fmu> {
-    let opened = py.detach(|| OPEN.get_or_init(|| (std::process::id(), FmuCache::new(KEPT))).1.open(path));
-    opened.map_err(|e| error::model(py, &e))
+/// The FMU at `path`, opened now or before.
+pub(crate) fn open(py: Python<'_>, path: PathBuf) -> PyResult<fmi::Fmu> {
+    let opened = py.detach(|| OPEN.open(path));
+    logs::pass_on(py)?;
+    opened.map_err(|e| fmu_error::raise(py, &e))
 }
 
-/// Closes the FMUs kept open, so that their private folders go; called when the interpreter ends.
+/// Forgets the FMUs that were kept open; called when the interpreter ends, so that no unpacked folder stays behind.
 #[pyfunction]
-pub(crate) fn close_fmus(py: Python<'_>) {
-    if let Some((process, cache)) = OPEN.get()
-        // The folders of a forked child are those of its parent.
-        && *process == std::process::id()
-    {
-        py.detach(|| cache.clear());
-    }
+pub(crate) fn close_unused(py: Python<'_>) {
+    py.detach(|| OPEN.clear());
 }
 
-/// Path of a bundled model.
+/// Packs a folder into an FMU.
+#[pyfunction]
+pub(crate) fn build_fmu(py: Python<'_>, folder: PathBuf, out: PathBuf) -> PyResult<()> {
+    let done = py.detach(|| fmi::pack(&folder, &out));
+    logs::pass_on(py)?;
+    done.map_err(|e| fmu_error::raise(py, &e))
+}
+
+/// Path of the FMU of a bundled model.
 #[pyfunction]
 pub(crate) fn example_fmu(py: Python<'_>, name: &str) -> PyResult<PathBuf> {
-    py.detach(|| fmi::example_fmu(name)).map_err(|e| error::model(py, &e))
+    let path = py.detach(|| fmi::example_fmu(name));
+    logs::pass_on(py)?;
+    path.map_err(|e| fmu_error::raise(py, &e))
 }
 
 /// Names of the bundled models.
@@ -41,8 +46,12 @@ pub(crate) fn example_names() -> Vec<&'static str> {
     fmi::example_names().collect()
 }
 
-/// Packs a folder into an `.fmu`.
+/// Removes built libraries and packed examples from the disk, and forgets the FMUs that were kept open.
 #[pyfunction]
-pub(crate) fn build_fmu(py: Python<'_>, folder: PathBuf, out: PathBuf) -> PyResult<()> {
-    py.detach(|| fmi::pack(&folder, &out)).map_err(|e| error::model(py, &e))
+pub(crate) fn clear_caches(py: Python<'_>) -> PyResult<()> {
+    let done = py.detach(|| {
+        OPEN.clear();
+        fmi::clear_caches()
+    });
+    done.map_err(|e| fmu_error::raise(py, &e))
 }

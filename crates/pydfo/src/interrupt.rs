@@ -5,22 +5,19 @@
 //! one on KeyboardInterrupt is raised, as always. A handler of the user's is left in place. Work that runs inside of
 //! other work (a simulation inside of an objective) stops with it.
 
+use crate::helper;
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use std::cell::RefCell;
-use std::panic::resume_unwind;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard};
-use std::thread;
 use std::time::Duration;
 
 /// How long the calling thread waits at most before it looks for signals.
 const PATIENCE: Duration = Duration::from_millis(20);
-
-/// Stack of a thread that runs native work: compiled models put large arrays there.
-const STACK_SIZE: usize = 16 << 20;
 
 /// The wish to end one piece of work.
 #[derive(Default)]
@@ -171,14 +168,7 @@ impl<'py> Watch<'py> {
         &self,
         work: impl FnOnce(&Desk) -> T + Send + 'static,
     ) -> PyResult<Option<T>> {
-        let (sender, mut jobs) = channel();
-        let desk = Desk { sender };
-        // The desk goes with the end of the work, panics included; that is how this thread notices.
-        let worker = thread::Builder::new()
-            .name("pydfo-run".to_owned())
-            .stack_size(STACK_SIZE)
-            .spawn(move || work(&desk))?;
-        self.serve(worker, jobs, |stop, py| stop.look(py))
+        self.serve(work, Stop::look)
     }
 
     /// As [`run`](Self::run), for work that cannot be told to end: the first Ctrl-C does not wait for it.
@@ -186,7 +176,23 @@ impl<'py> Watch<'py> {
         &self,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> PyResult<Option<T>> {
-        XX
+        self.serve(move |_| work(), Stop::poll)
+    }
+
+    fn serve<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Desk) -> T + Send + 'static,
+        leave: fn(&Stop, Python<'_>) -> bool,
+    ) -> PyResult<Option<T>> {
+        let (sender, mut jobs) = channel();
+        let (give, result) = channel();
+        let desk = Desk { sender };
+        helper::run(Box::new(move || {
+            let end = catch_unwind(AssertUnwindSafe(|| work(&desk)));
+            // Nobody takes it if the user has lost patience. The desk goes last: that is how the caller notices.
+            let _ = give.send(end);
+            Box::new(move || drop(desk))
+        }))?;
         loop {
             let job;
             (job, jobs) = self.py.detach(move || (jobs.recv_timeout(PATIENCE), jobs));
@@ -194,11 +200,14 @@ impl<'py> Watch<'py> {
                 Ok(job) => job(self.py),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    let result = self.py.detach(|| worker.join());
-                    return result.map(Some).or_else(|panic| resume_unwind(panic));
+                    return match result.recv() {
+                        Ok(Ok(result)) => Ok(Some(result)),
+                        Ok(Err(panic)) => resume_unwind(panic),
+                        Err(_) => Ok(None),
+                    };
                 }
             }
-            if self.stop.look(self.py) {
+            if leave(&self.stop, self.py) {
                 return Ok(None);
             }
         }

@@ -2,12 +2,23 @@
 //! `python/pydfo`.
 #![deny(unsafe_code)]
 
+mod calibration;
+mod description;
 mod error;
+mod files;
 mod fmin;
+mod fmu_error;
+mod helper;
+mod inputs;
 mod interrupt;
+mod logs;
+mod model;
 mod objective;
+mod quad_err;
 mod report;
 mod settings;
+mod trajectory;
+mod values;
 
 use pyo3::prelude::*;
 
@@ -16,10 +27,21 @@ mod core_module {
     use pyo3::prelude::*;
 
     #[pymodule_export]
+    use super::calibration::{PyCalibration, check_parameter};
+    #[pymodule_export]
+    use super::description::Fmu;
+    #[pymodule_export]
+    use super::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
+    #[pymodule_export]
     use super::fmin::minimize;
+    #[pymodule_export]
+    use super::model::Model;
+    #[pymodule_export]
+    use super::quad_err::quad_err;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        super::logs::install();
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

@@ -93,7 +93,10 @@ impl Directory {
         }
         let room = (directory.end - directory.start) / HEADER_BYTES;
         if directory.n_entries > room {
-            return damaged(format!("its directory has room for {room} entries, not {}", directory.n_entries));
+            return damaged(format!(
+                "its directory has room for {room} entries, not {}",
+                directory.n_entries
+            ));
         }
         Ok(directory)
     }
@@ -365,6 +368,9 @@ mod tests {
         header.extend(5_000_000_000_u64.to_le_bytes());
         header.extend(6_000_000_000_u64.to_le_bytes());
         let record = Record::read(&mut &header[..]).unwrap();
-        assert_eq!((record.size, record.compressed_size, record.header_start), (5_000_000_000, 6_000_000_000, 0));
+        assert_eq!(
+            (record.size, record.compressed_size, record.header_start),
+            (5_000_000_000, 6_000_000_000, 0)
+        );
     }
 }

@@ -178,8 +178,8 @@ fn check_local_headers(
 ) -> Result<(), FmiError> {
     let mut extents = Vec::with_capacity(records.len());
     for (position, record) in records.iter().enumerate() {
-        let data_start = check_local_header(archive, record)
-            .map_err(|problem| refused(path, &record.name, problem))?;
+        let data_start =
+            check_local_header(archive, record).map_err(|problem| refused(path, &record.name, problem))?;
         listed[position].data_start = data_start;
         let end = data_start.saturating_add(record.compressed_size);
         extents.push(Extent { start: record.header_start, end, position });

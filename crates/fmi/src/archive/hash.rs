@@ -52,7 +52,12 @@ pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBu
             let kind = entry.file_type().map_err(FmiError::io("inspect", entry.path()))?;
             seen += 1;
             if seen > limit {
-                return Err(FmiError::ArchiveLimit { path: root.to_owned(), what: "files", found: seen, limit });
+                return Err(FmiError::ArchiveLimit {
+                    path: root.to_owned(),
+                    what: "files",
+                    found: seen,
+                    limit,
+                });
             }
             if kind.is_dir() {
                 folders.push((name + "/", entry.path()));

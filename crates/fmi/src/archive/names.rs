@@ -105,7 +105,15 @@ mod tests {
 
     #[test]
     fn ordinary_names_pass() {
-        for name in ["modelDescription.xml", "binaries/", "a/b c/\u{e4}.txt", "...", "a..b", "10:30.txt", "sources/a.c"] {
+        for name in [
+            "modelDescription.xml",
+            "binaries/",
+            "a/b c/\u{e4}.txt",
+            "...",
+            "a..b",
+            "10:30.txt",
+            "sources/a.c",
+        ] {
             assert_eq!(check(name), Ok(()), "{name}");
         }
     }

@@ -58,12 +58,7 @@ enum Failure {
 }
 
 /// Copies the contents of an entry; stops as soon as there are more bytes than declared.
-fn copy(
-    source: &mut impl Read,
-    entry: &Listed,
-    out: &mut File,
-    buffer: &mut [u8],
-) -> Result<(), Failure> {
+fn copy(source: &mut impl Read, entry: &Listed, out: &mut File, buffer: &mut [u8]) -> Result<(), Failure> {
     let mut found = 0;
     let mut checksum = crc32fast::Hasher::new();
     loop {

@@ -144,13 +144,20 @@ fn resolve_dependencies(unknown: &mut Unknown, n_variables: usize, quirks: &mut 
     if !in_range {
         *dependencies = None;
         quirks.add(QuirkKind::Structure, 0, || {
-            format!("variable number {} depends on variables that do not exist; taken as dependent on all", *index + 1)
+            format!(
+                "variable number {} depends on variables that do not exist; taken as dependent on all",
+                *index + 1
+            )
         });
     }
     if !kinds.is_empty() && dependencies.as_ref().map(Vec::len) != Some(kinds.len()) {
         if in_range {
             quirks.add(QuirkKind::Structure, 0, || {
-                format!("variable number {} has {} kinds of dependencies, not one for each", *index + 1, kinds.len())
+                format!(
+                    "variable number {} has {} kinds of dependencies, not one for each",
+                    *index + 1,
+                    kinds.len()
+                )
             });
         }
         kinds.clear();
@@ -158,14 +165,19 @@ fn resolve_dependencies(unknown: &mut Unknown, n_variables: usize, quirks: &mut 
 }
 
 fn check_header(model: &ModelDescription, quirks: &mut Quirks) {
-    if model.model_exchange.is_none() && model.co_simulation.is_none() {
-        quirks.add(QuirkKind::Missing, 0, || "neither model exchange nor co-simulation is offered".to_owned());
+    // FMI 3.0 has a third interface, which has its own quirk.
+    let has_interface = model.model_exchange.is_some() || model.co_simulation.is_some();
+    if !has_interface && model.fmi_version.major < 3 {
+        quirks
+            .add(QuirkKind::Missing, 0, || "neither model exchange nor co-simulation is offered".to_owned());
     }
     let experiment = &model.default_experiment;
     if let (Some(start), Some(stop)) = (experiment.start_time, experiment.stop_time)
         && stop < start
     {
-        quirks.add(QuirkKind::Range, 0, || format!("the default experiment ends at {stop}, before its start {start}"));
+        quirks.add(QuirkKind::Range, 0, || {
+            format!("the default experiment ends at {stop}, before its start {start}")
+        });
     }
 }
 
@@ -202,7 +214,9 @@ fn check_structure(model: &ModelDescription, quirks: &mut Quirks) {
     for unknown in &model.structure.derivatives {
         let variable = &model.variables[unknown.index];
         let mut complain = |what: &str| {
-            quirks.add(QuirkKind::Structure, variable.line, || format!("derivative \"{}\" {what}", variable.name));
+            quirks.add(QuirkKind::Structure, variable.line, || {
+                format!("derivative \"{}\" {what}", variable.name)
+            });
         };
         if !listed.insert(unknown.index) {
             complain("is listed twice in the model structure");
@@ -225,7 +239,10 @@ fn check_structure(model: &ModelDescription, quirks: &mut Quirks) {
         if is_output != outputs.contains(&position) {
             quirks.add(QuirkKind::Structure, variable.line, || {
                 let not = if is_output { "not " } else { "" };
-                format!("{} \"{}\" is {not}listed as output in the model structure", variable.causality, variable.name)
+                format!(
+                    "{} \"{}\" is {not}listed as output in the model structure",
+                    variable.causality, variable.name
+                )
             });
         }
     }

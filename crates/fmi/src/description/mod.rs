@@ -13,6 +13,8 @@ pub use model::{
     ModelStructure, Quirk, QuirkKind, Unknown,
 };
 pub use unit::{BaseUnit, DisplayUnit, Unit};
-pub use variable::{Causality, EnumerationItem, Initial, TypeDefinition, Value, Variability, Variable, VariableKind};
+pub use variable::{
+    Causality, EnumerationItem, Initial, TypeDefinition, Value, Variability, Variable, VariableKind,
+};
 
 pub(crate) use parse::{BUILD_DESCRIPTION, BuildSet, build_sets};

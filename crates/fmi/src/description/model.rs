@@ -1,11 +1,11 @@
 //! The model description as a whole: header, interfaces, structure, quirks, lookup by name.
 
 use super::names::NameIndex;
-use super::{checks, names, parse};
-use crate::error::FmiError;
 use super::unit::Unit;
 use super::variable::{TypeDefinition, Variable};
+use super::{checks, names, parse};
 use crate::archive::MODEL_DESCRIPTION;
+use crate::error::FmiError;
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
@@ -110,7 +110,9 @@ impl ModelDescription {
         let path = root.as_ref().join(MODEL_DESCRIPTION);
         let file = File::open(&path).map_err(FmiError::io("open", &path))?;
         let mut bytes = Vec::new();
-        file.take(parse::LARGEST_DOCUMENT + 1).read_to_end(&mut bytes).map_err(FmiError::io("read", &path))?;
+        file.take(parse::LARGEST_DOCUMENT + 1)
+            .read_to_end(&mut bytes)
+            .map_err(FmiError::io("read", &path))?;
         ModelDescription::parse(&bytes)
     }
 

@@ -130,7 +130,8 @@ impl Search {
             row[0] = i;
             let mut smallest = i;
             for j in 1..=b.len() {
-                let mut edits = (last[j] + 1).min(row[j - 1] + 1).min(last[j - 1] + usize::from(a[i - 1] != b[j - 1]));
+                let mut edits =
+                    (last[j] + 1).min(row[j - 1] + 1).min(last[j - 1] + usize::from(a[i - 1] != b[j - 1]));
                 if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
                     edits = edits.min(before[j - 2] + 1);
                 }

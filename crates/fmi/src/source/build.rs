@@ -12,7 +12,55 @@ use std::path::{Path, PathBuf};
 const HEADERS: &[&str] = &["h", "hpp", "hh", "inc"];
 
 /// Raised when libraries built by earlier versions must not be used any more.
-const RECIPE_VERSION: &str = "1";
+const RECIPE_VERSION: &str = "2";
+
+/// The functions of FMI 2.0 (specification 2.0.4, 2.1, 3.2, 4.2).
+const FMI2_FUNCTIONS: &[&str] = &[
+    "fmi2GetTypesPlatform",
+    "fmi2GetVersion",
+    "fmi2SetDebugLogging",
+    "fmi2Instantiate",
+    "fmi2FreeInstance",
+    "fmi2SetupExperiment",
+    "fmi2EnterInitializationMode",
+    "fmi2ExitInitializationMode",
+    "fmi2Terminate",
+    "fmi2Reset",
+    "fmi2GetReal",
+    "fmi2GetInteger",
+    "fmi2GetBoolean",
+    "fmi2GetString",
+    "fmi2SetReal",
+    "fmi2SetInteger",
+    "fmi2SetBoolean",
+    "fmi2SetString",
+    "fmi2GetFMUstate",
+    "fmi2SetFMUstate",
+    "fmi2FreeFMUstate",
+    "fmi2SerializedFMUstateSize",
+    "fmi2SerializeFMUstate",
+    "fmi2DeSerializeFMUstate",
+    "fmi2GetDirectionalDerivative",
+    "fmi2EnterEventMode",
+    "fmi2NewDiscreteStates",
+    "fmi2EnterContinuousTimeMode",
+    "fmi2CompletedIntegratorStep",
+    "fmi2SetTime",
+    "fmi2SetContinuousStates",
+    "fmi2GetDerivatives",
+    "fmi2GetEventIndicators",
+    "fmi2GetContinuousStates",
+    "fmi2GetNominalsOfContinuousStates",
+    "fmi2SetRealInputDerivatives",
+    "fmi2GetRealOutputDerivatives",
+    "fmi2DoStep",
+    "fmi2CancelStep",
+    "fmi2GetStatus",
+    "fmi2GetRealStatus",
+    "fmi2GetIntegerStatus",
+    "fmi2GetBooleanStatus",
+    "fmi2GetStringStatus",
+];
 
 /// How to build one library.
 #[derive(Debug, PartialEq)]
@@ -21,8 +69,10 @@ pub(super) struct Recipe {
     /// Where the compiler runs; all other paths are relative to it, so that nothing in the library depends on where
     /// the FMU was unpacked.
     folder: PathBuf,
-    /// Sorted out of the arguments because their order is that of the command line.
+    /// Options and files, in the order of the command line.
     arguments: Vec<String>,
+    /// A header included before everything else.
+    plain_names: String,
 }
 
 impl Recipe {
@@ -35,8 +85,9 @@ impl Recipe {
         let folder = root.join("sources");
         let sources = Sources { folder: &folder, model_identifier: &interface.model_identifier };
         let set = sources.build_set(description, interface)?;
-        let mut arguments: Vec<String> = platform::shared_library_options().iter().map(|&s| s.into()).collect();
-        // The standard's headers paste the model identifier before all names unless told not to.
+        let mut arguments: Vec<String> =
+            platform::shared_library_options().iter().map(|&s| s.into()).collect();
+        // Newer headers of the standard do not put the model identifier before all names when told so.
         arguments.push(format!("-DFMI{}_OVERRIDE_FUNCTION_PREFIX", description.fmi_version.major));
         arguments.push("-I.".to_owned());
         for include in &set.include_folders {
@@ -54,25 +105,34 @@ impl Recipe {
                 arguments.push(file);
             }
         }
-        Ok(Recipe { model_identifier: interface.model_identifier.clone(), folder, arguments })
+        let plain_names = plain_names(&interface.model_identifier);
+        Ok(Recipe { model_identifier: interface.model_identifier.clone(), folder, arguments, plain_names })
     }
 
     /// A key that differs whenever the library could.
     pub(super) fn key(&self, compiler: &Compiler, content_hash: &str) -> String {
         let identity = compiler.identity();
         let platform = format!("{} {}", std::env::consts::OS, std::env::consts::ARCH);
-        let fixed =
-            [RECIPE_VERSION, content_hash, self.model_identifier.as_str(), identity.as_str(), platform.as_str()];
+        let fixed = [
+            RECIPE_VERSION,
+            content_hash,
+            self.model_identifier.as_str(),
+            identity.as_str(),
+            platform.as_str(),
+        ];
         hash_of_texts(fixed.into_iter().chain(self.arguments.iter().map(String::as_str)))
     }
 
     /// Compiles and links into `target`.
     pub(super) fn build(&self, compiler: &Compiler, target: &Path) -> Result<(), FmiError> {
-        let mut arguments = self.arguments.clone();
-        arguments.push("-o".to_owned());
-        arguments.push(target.to_string_lossy().into_owned());
+        let header = target.with_file_name("plain_names.h");
+        fs::write(&header, &self.plain_names).map_err(FmiError::io("write", &header))?;
+        let mut arguments = vec!["-include".to_owned(), header.to_string_lossy().into_owned()];
+        arguments.extend_from_slice(&self.arguments);
+        arguments.extend(["-o".to_owned(), target.to_string_lossy().into_owned()]);
         arguments.extend(platform::system_libraries().iter().map(|&library| library.to_owned()));
         compiler.run(&self.model_identifier, &self.folder, &arguments)?;
+        fs::remove_file(&header).map_err(FmiError::io("remove", &header))?;
         match BinaryHeader::read(target).map_err(FmiError::io("read", target))? {
             Some(header) if header.runs_here() => Ok(()),
             header => Err(FmiError::CompileFailed {
@@ -86,6 +146,19 @@ impl Recipe {
             }),
         }
     }
+}
+
+/// Definitions that turn the names in source-code FMUs into those in libraries.
+///
+/// In sources the standard puts the model identifier before each name (`Model_fmi2GetReal`), so that several models can
+/// be linked into one program; in libraries there is none. The headers of FMI 2.0.0 to 2.0.3 put the names together by
+/// pasting, and what a macro has pasted is looked up as a macro again.
+fn plain_names(model_identifier: &str) -> String {
+    let is_identifier = model_identifier.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    if !is_identifier {
+        return String::new();
+    }
+    FMI2_FUNCTIONS.iter().map(|name| format!("#define {model_identifier}_{name} {name}\n")).collect()
 }
 
 /// The folder with the sources of one interface.
@@ -165,7 +238,10 @@ impl Sources<'_> {
 }
 
 fn is_header(name: &str) -> bool {
-    Path::new(name).extension().and_then(|ending| ending.to_str()).is_some_and(|ending| HEADERS.contains(&ending))
+    Path::new(name)
+        .extension()
+        .and_then(|ending| ending.to_str())
+        .is_some_and(|ending| HEADERS.contains(&ending))
 }
 
 #[cfg(test)]
@@ -216,6 +292,14 @@ mod tests {
     }
 
     #[test]
+    fn names_lose_their_prefix() {
+        let header = plain_names("Model");
+        assert_eq!(header.lines().count(), 44);
+        assert!(header.contains("#define Model_fmi2GetReal fmi2GetReal\n"));
+        assert_eq!(plain_names("not an identifier"), "");
+    }
+
+    #[test]
     fn a_build_description_is_used() {
         let root = sources(&["a.c", "b.c", "inc/x.h"]);
         fs::write(
@@ -226,7 +310,8 @@ mod tests {
         )
         .unwrap();
         let description = description(&[]);
-        let found = Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap()).unwrap();
+        let found =
+            Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap()).unwrap();
         assert!(found.arguments.ends_with(&["-I./inc".into(), "-DN=2".into(), "./a.c".into()]), "{found:?}");
     }
 

@@ -91,7 +91,8 @@ fn evict(libraries: &Path, spared: &Path, most_entries: usize, most_bytes: u64) 
     for path in fs::read_dir(libraries).into_iter().flatten().flatten().map(|entry| entry.path()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         if name.starts_with(UNFINISHED) {
-            let age = path.metadata().and_then(|found| found.modified()).ok().and_then(|time| time.elapsed().ok());
+            let age =
+                path.metadata().and_then(|found| found.modified()).ok().and_then(|time| time.elapsed().ok());
             if age.is_some_and(|age| age > ABANDONED) {
                 remove(&path);
             }

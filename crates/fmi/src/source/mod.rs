@@ -6,7 +6,7 @@ mod compiler;
 mod pack;
 
 pub use cache::clear_caches;
-#[allow(unused_imports)] // for the example models
+
 pub(crate) use cache::folder as cache_folder;
 pub use pack::pack;
 

@@ -4,7 +4,8 @@ use super::callbacks::{Environment, fmufit_allocate, fmufit_fmi2_log, fmufit_fre
 use super::library::Symbols;
 use super::{Binding, Call, Component, Created, EventInfo, Request, StatePointer, Status};
 use crate::error::FmiError;
-use std::ffi::{c_char, c_int, c_void};
+use std::ffi::{CString, c_char, c_int, c_void};
+use std::path::Path;
 use std::sync::Arc;
 
 /// `fmi2Boolean`.
@@ -234,6 +235,7 @@ impl Binding for Fmi2 {
             step_finished: None,
             component_environment: std::ptr::from_ref(environment).cast_mut().cast(),
         });
+        let resources = resource_uri(request.resources);
         // SAFETY: the strings end in NUL; the callbacks are on the heap and kept with the component, the environment by the
         // caller.
         let component = unsafe {
@@ -241,7 +243,7 @@ impl Binding for Fmi2 {
                 request.name.as_ptr(),
                 MODEL_EXCHANGE,
                 request.guid.as_ptr(),
-                request.resources.as_ptr(),
+                resources.as_ptr(),
                 Arc::as_ptr(&callbacks),
                 request.visible.into(),
                 request.logging.into(),
@@ -442,5 +444,34 @@ impl Binding for Fmi2 {
 
     unsafe fn get_nominals(&self, component: Component, nominals: &mut [f64]) -> Status {
         call!(self.get_nominals, component, nominals.as_mut_ptr(), nominals.len())
+    }
+}
+
+/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 2.0 asks.
+fn resource_uri(path: &Path) -> CString {
+    let mut uri = String::from("file://");
+    let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
+    if !text.starts_with('/') {
+        uri.push('/');
+    }
+    for byte in text.bytes() {
+        if byte.is_ascii_alphanumeric() || b"/-._~:".contains(&byte) {
+            uri.push(char::from(byte));
+        } else {
+            uri.push_str(&format!("%{byte:02X}"));
+        }
+    }
+    CString::new(uri).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn uris_are_percent_encoded() {
+        let uri = |path: &str| resource_uri(Path::new(path)).into_string().unwrap();
+        assert_eq!(uri("/tmp/a-b_c.d/resources"), "file:///tmp/a-b_c.d/resources");
+        assert_eq!(uri("/tmp/a b/{\u{e4}}"), "file:///tmp/a%20b/%7B%C3%A4%7D");
     }
 }

@@ -44,6 +44,7 @@ use callbacks::Environment;
 use std::any::Any;
 use std::ffi::{CStr, c_char, c_void};
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Pointer to a component of an FMU.
@@ -151,7 +152,7 @@ struct Created {
 pub(crate) struct Request<'a> {
     pub(crate) name: &'a CStr,
     pub(crate) guid: &'a CStr,
-    pub(crate) resources: &'a CStr,
+    pub(crate) resources: &'a Path,
     pub(crate) visible: bool,
     pub(crate) logging: bool,
 }

@@ -1,5 +1,7 @@
 """Fit the parameters of Functional Mock-up Units to measurements, without derivatives.
 
+`FMUModel` is a model to set, simulate and get values of; `example_fmu` has some to try.
+`Calibration` puts a model, measurements and `Parameter` objects together, and fits without the interpreter lock.
 `fmin` minimises a Python function, with the signature of the tool of the paper; `pydfo.dfo` has it together with
 `quad_err` for scripts written for that tool.
 """
@@ -7,7 +9,9 @@
 from __future__ import annotations
 
 from . import dfo
+from ._calibration import Calibration
 from ._core import __version__
+from ._description import Description, Variable, read_description
 from ._errors import (
     AllStartsFailed,
     BadCalibrationError,
@@ -22,27 +26,44 @@ from ._errors import (
     SimulationError,
     UnknownVariableError,
 )
+from ._files import build_fmu, clear_caches, example_fmu
+from ._fit import Fit
 from ._fmin import fmin
+from ._model import FMUModel, load_fmu
+from ._parameter import Parameter
 from ._progress import Progress
 from ._result import OptimizeResult, Trace
+from ._trajectory import SimulationResult
 
 __all__ = [
     "AllStartsFailed",
     "BadCalibrationError",
     "BadModelValueError",
+    "Calibration",
     "CalibrationError",
+    "Description",
+    "FMUModel",
+    "Fit",
     "FmuError",
     "Interrupted",
     "MethodNotAvailable",
     "ModelTypeError",
     "NoResult",
     "OptimizeResult",
+    "Parameter",
     "Progress",
     "PydfoError",
     "SimulationError",
+    "SimulationResult",
     "Trace",
     "UnknownVariableError",
+    "Variable",
     "__version__",
+    "build_fmu",
+    "clear_caches",
     "dfo",
+    "example_fmu",
     "fmin",
+    "load_fmu",
+    "read_description",
 ]

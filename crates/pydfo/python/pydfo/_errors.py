@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ._result import Fit, OptimizeResult, Trace
+    from ._result import OptimizeResult, Trace
 
 __all__ = [
     "AllStartsFailed",
@@ -117,8 +117,8 @@ class Interrupted(KeyboardInterrupt):
 
     Attributes
     ----------
-    result : OptimizeResult or Fit or None
-        The result up to the interrupt; None if no point had a finite cost yet.
+    result : OptimizeResult or None
+        The result up to the interrupt (of a fit: a `Fit`); None if no point had a finite cost yet.
     """
 
-    result: OptimizeResult | Fit | None = None
+    result: OptimizeResult | None = None

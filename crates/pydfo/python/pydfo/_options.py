@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import operator
 import os
 from collections.abc import Sequence
@@ -12,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+
+_log = logging.getLogger("pydfo")
 
 
 @dataclass(frozen=True)
@@ -129,3 +132,11 @@ def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | No
         f"initial_simplex of shape {array.shape}: either vertices, shape ({n + 1}, {n}), or one step per parameter, "
         f"shape ({n},), is needed"
     )
+
+
+def solver(name: str) -> str:
+    """The name of an integration method; ``CVode``, which other tools have, stands for "auto"."""
+    if choice("solver", name).lower() == "cvode":
+        _log.info("there is no CVode here: solver='auto' is used instead")
+        return "auto"
+    return name

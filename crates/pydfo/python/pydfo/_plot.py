@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ._errors import SimulationError
 from ._progress import Progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from ._calibration import Calibration
+    from ._fit import Fit
     from ._result import OptimizeResult
 
 FloatArray = npt.NDArray[np.float64]
+
+#: Points of a drawn response.
+CURVE_POINTS = 2001
+
+_log = logging.getLogger("pydfo")
 
 
 def pyplot() -> Any:
@@ -117,3 +126,51 @@ def convergence(result: OptimizeResult) -> Figure:
     axes.set_title(f"{result.method}: {result.termination} at {result.fun:.6g}")
     axes.legend(loc="best")
     return figure
+
+
+def fit(fit: Fit, calibration: Calibration) -> Figure:
+    """Measurements, the response at the start and the fitted one per output; below, the residuals of both."""
+    plt = pyplot()
+    measured = calibration.measurements()
+    figure, axes = plt.subplots(
+        2, len(measured), sharex="col", squeeze=False, figsize=(6.4 * len(measured), 6.0), height_ratios=[2, 1],
+        layout="constrained",
+    )
+    start = _response(calibration, fit.start)
+    fitted = _response(calibration, fit.x)
+    for column, (name, (time, values)) in enumerate(measured.items()):
+        upper, lower = axes[0, column], axes[1, column]
+        upper.plot(time, values, ".", color="0.6", markersize=3, label="measured")
+        for response, colour, style, label in ((start, "tab:orange", "--", "start"), (fitted, "tab:blue", "-", "fitted")):
+            if response is None:
+                continue
+            curve, at_measured = response
+            upper.plot(curve["time"], curve[name], style, color=colour, linewidth=1.0, label=label)
+            # a row for every measured time that counts; not every output was measured at each of them
+            rows = np.flatnonzero(np.isin(at_measured["time"], time))
+            times = at_measured["time"][rows]
+            residual = at_measured[name][rows] - values[np.searchsorted(time, times)]
+            rms = float(np.sqrt(np.mean(residual**2)))
+            lower.plot(times, residual, style, color=colour, linewidth=0.8, label=f"{label}: RMS {rms:.4g}")
+        upper.set_ylabel(name)
+        upper.legend(loc="best", fontsize="small")
+        lower.axhline(0.0, color="0.3", linewidth=0.5)
+        lower.set_ylabel("simulated - measured")
+        lower.set_xlabel("time [s]")
+        lower.legend(loc="best", fontsize="small")
+    title = ", ".join(f"{name} = {value:.5g}" for name, value in fit.parameters.items())
+    figure.suptitle(title, fontsize="medium")
+    return figure
+
+
+def _response(calibration: Calibration, x: FloatArray) -> tuple[dict[str, FloatArray], dict[str, FloatArray]] | None:
+    """A smooth curve and the values at the measured times; None if the simulation fails at `x`."""
+    try:
+        at_measured = calibration.simulate(x)
+        time = at_measured["time"]
+        if len(time) < 2:
+            return at_measured, at_measured
+        return calibration.simulate(x, np.linspace(time[0], time[-1], CURVE_POINTS)), at_measured
+    except SimulationError as e:
+        _log.warning("nothing to draw at %s: %s", x, e)
+        return None

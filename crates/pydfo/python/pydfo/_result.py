@@ -11,8 +11,6 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ._fit import Fit as Fit
-
 FloatArray = npt.NDArray[np.float64]
 
 #: Numbers for the ways in which a run can end. Zero and multiples of ten are successes.

@@ -3,5 +3,6 @@
 from __future__ import annotations
 
 from ._fmin import fmin
+from ._quad_err import quad_err, quad_err_simple
 
-__all__ = ["fmin"]
+__all__ = ["fmin", "quad_err", "quad_err_simple"]

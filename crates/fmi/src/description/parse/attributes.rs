@@ -16,7 +16,12 @@ pub(super) struct Attributes<'e> {
 
 impl<'e> Attributes<'e> {
     pub(super) fn of(element: &'e Element<'_>) -> Result<Self, FmiError> {
-        Ok(Attributes { file: element.file, element: element.name(), line: element.line, pairs: element.attributes()? })
+        Ok(Attributes {
+            file: element.file,
+            element: element.name(),
+            line: element.line,
+            pairs: element.attributes()?,
+        })
     }
 
     /// The value as it stands.
@@ -159,7 +164,13 @@ mod tests {
 
     #[test]
     fn numbers_are_read_as_xml_schema_writes_them() {
-        for (text, value) in [("1e3", 1000.0), ("-.5", -0.5), ("+1.", 1.0), ("INF", f64::INFINITY), ("-INF", f64::NEG_INFINITY)] {
+        for (text, value) in [
+            ("1e3", 1000.0),
+            ("-.5", -0.5),
+            ("+1.", 1.0),
+            ("INF", f64::INFINITY),
+            ("-INF", f64::NEG_INFINITY),
+        ] {
             assert_eq!(parse_real(text), Some(value), "{text}");
         }
         assert!(parse_real("NaN").unwrap().is_nan());
@@ -170,7 +181,15 @@ mod tests {
 
     #[test]
     fn integers_and_booleans_are_read_as_tools_write_them() {
-        for (text, value) in [("3", Some(3)), ("-3", Some(-3)), ("+3", Some(3)), ("3.0", Some(3)), ("3.5", None), ("3000000000", None), ("NaN", None)] {
+        for (text, value) in [
+            ("3", Some(3)),
+            ("-3", Some(-3)),
+            ("+3", Some(3)),
+            ("3.0", Some(3)),
+            ("3.5", None),
+            ("3000000000", None),
+            ("NaN", None),
+        ] {
             assert_eq!(parse_integer(text), value, "{text}");
         }
         assert_eq!(parse_boolean("1"), Some(true));

@@ -119,7 +119,9 @@ fn variable(
     }
     let Some((mut variable, flags)) = typed else {
         let name = attributes.get("name").unwrap_or_default();
-        return Err(attributes.error(format!("variable \"{}\" has no type", super::attributes::shortened(name))));
+        return Err(
+            attributes.error(format!("variable \"{}\" has no type", super::attributes::shortened(name)))
+        );
     };
     shared::roles(&attributes, &mut variable, draft);
     variable.can_handle_multiple_set_per_time_instant =
@@ -181,11 +183,9 @@ fn structure(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
 fn unknown(attributes: &Attributes<'_>, draft: &mut Draft) -> Result<Unknown, FmiError> {
     let quirks = &mut draft.quirks;
     let index = attributes.required("index")?;
-    let index = index
-        .trim()
-        .parse()
-        .map(shared::position)
-        .map_err(|_| attributes.error(format!("index=\"{}\" is not a position", super::attributes::shortened(index))))?;
+    let index = index.trim().parse().map(shared::position).map_err(|_| {
+        attributes.error(format!("index=\"{}\" is not a position", super::attributes::shortened(index)))
+    })?;
     let dependencies = attributes.counts("dependencies", quirks);
     Ok(Unknown {
         index,

@@ -9,8 +9,9 @@ use crate::description::variable::{Value, Variable, VariableKind};
 use crate::error::FmiError;
 use std::collections::HashMap;
 
-/// Positions of variables by value reference, which FMI 3.0 uses where FMI 2.0 has positions.
-type Positions = HashMap<u32, usize>;
+/// Positions of variables by value reference, which FMI 3.0 uses where FMI 2.0 has positions; `None` for variables
+/// left out.
+type Positions = HashMap<u32, Option<usize>>;
 
 pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
     shared::header(&Attributes::of(root)?, "instantiationToken", draft)?;
@@ -84,6 +85,7 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
         let attributes = Attributes::of(&element)?;
         let Some(kind) = kind(element.name()) else {
             let name = attributes.get("name").unwrap_or_default();
+            positions.entry(attributes.value_reference()?).or_insert(None);
             unsupported(draft, &element, &format!("variable \"{name}\" of type {}", element.name()));
             continue;
         };
@@ -94,12 +96,12 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
         if let Some(state) = attributes.count("derivative", &mut draft.quirks) {
             derivatives.push((position, state));
         }
-        positions.entry(variable.value_reference).or_insert(position);
+        positions.entry(variable.value_reference).or_insert(Some(position));
         draft.model.variables.push(variable);
         draft.flags.push(flags);
     }
     for (position, state) in derivatives {
-        let state = positions.get(&state).copied().unwrap_or(NOWHERE);
+        let state = positions.get(&state).copied().flatten().unwrap_or(NOWHERE);
         draft.model.variables[position].derivative = Some(state);
     }
     Ok(positions)
@@ -146,7 +148,11 @@ fn variable_children(
     while let Some(child) = xml.child(element.level)? {
         match child.name() {
             "Dimension" => {
-                unsupported(draft, &child, &format!("\"{}\" is an array; all but its first element", variable.name));
+                unsupported(
+                    draft,
+                    &child,
+                    &format!("\"{}\" is an array; all but its first element", variable.name),
+                );
             }
             "Start" if variable.start.is_none() && variable.kind == VariableKind::String => {
                 variable.start = Attributes::of(&child)?.text("value").map(Value::String);
@@ -175,15 +181,15 @@ fn structure(
             _ => continue,
         };
         let attributes = Attributes::of(&element)?;
-        let position = |reference: u32| positions.get(&reference).copied().unwrap_or(NOWHERE);
-        let dependencies = attributes.counts("dependencies", &mut draft.quirks);
+        let position = |reference: &u32| positions.get(reference).copied().unwrap_or(Some(NOWHERE));
+        let Some(index) = position(&attributes.value_reference()?) else { continue };
+        let references = attributes.counts("dependencies", &mut draft.quirks);
+        // One that is left out makes the list incomplete, and what depends on an unknown set depends on all.
+        let dependencies: Option<Vec<usize>> =
+            references.and_then(|list| list.iter().map(position).collect());
         let kinds = attributes.choices("dependenciesKind", shared::DEPENDENCY_KINDS, &mut draft.quirks);
-        let unknown = Unknown {
-            index: position(attributes.value_reference()?),
-            dependencies: dependencies.map(|list| list.into_iter().map(position).collect()),
-            kinds: kinds.unwrap_or_default(),
-        };
-        draft.add_unknown(list, unknown, element.line);
+        let kinds = kinds.filter(|_| dependencies.is_some()).unwrap_or_default();
+        draft.add_unknown(list, Unknown { index, dependencies, kinds }, element.line);
     }
     Ok(())
 }

@@ -51,7 +51,9 @@ pub(super) fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
     let mut xml = Xml::new(&text, MODEL_DESCRIPTION)?;
     let root = xml.root()?;
     if root.name() != "fmiModelDescription" {
-        return Err(xml.error(format!("<{}> is the outermost element, not <fmiModelDescription>", root.name())));
+        return Err(
+            xml.error(format!("<{}> is the outermost element, not <fmiModelDescription>", root.name()))
+        );
     }
     let version = version(&Attributes::of(&root)?)?;
     let major = version.major;

@@ -174,7 +174,10 @@ pub(super) fn log_categories(
         if element.name() == "Category" {
             let attributes = Attributes::of(&element)?;
             let name = attributes.expected("name", &mut draft.quirks);
-            draft.model.log_categories.push(LogCategory { name, description: attributes.text("description") });
+            draft
+                .model
+                .log_categories
+                .push(LogCategory { name, description: attributes.text("description") });
         }
     }
     Ok(())
@@ -232,7 +235,11 @@ pub(super) fn plain_type(name: String, description: Option<String>, kind: Variab
 }
 
 /// Fills in the attributes that say what values a type has.
-pub(super) fn type_attributes(attributes: &Attributes<'_>, definition: &mut TypeDefinition, draft: &mut Draft) {
+pub(super) fn type_attributes(
+    attributes: &Attributes<'_>,
+    definition: &mut TypeDefinition,
+    draft: &mut Draft,
+) {
     let quirks = &mut draft.quirks;
     definition.quantity = attributes.text("quantity");
     definition.unit = attributes.text("unit");

@@ -40,7 +40,7 @@ impl<'a> Xml<'a> {
         reader.config_mut().expand_empty_elements = true;
         let mut xml = Xml { reader, file, text, depth: 0, counted: 0, line: 1 };
         // Not allowed in XML, and a trap for everything that goes to C later.
-        match text.bytes().position(|byte| byte == 0) {
+        match text.find('\0') {
             Some(at) => Err(xml.error_at(at as u64, "a NUL character")),
             None => Ok(xml),
         }
@@ -63,10 +63,17 @@ impl<'a> Xml<'a> {
                 Ok(Event::Start(start)) => {
                     self.depth += 1;
                     if self.depth > DEEPEST {
-                        return Err(self.error_at(before, format!("more than {DEEPEST} elements inside each other")));
+                        return Err(
+                            self.error_at(before, format!("more than {DEEPEST} elements inside each other"))
+                        );
                     }
                     if self.depth == level + 1 {
-                        return Ok(Some(Element { start, file: self.file, line: self.line_at(before), level: self.depth }));
+                        return Ok(Some(Element {
+                            start,
+                            file: self.file,
+                            line: self.line_at(before),
+                            level: self.depth,
+                        }));
                     }
                 }
                 Ok(Event::End(_)) => {
@@ -76,11 +83,15 @@ impl<'a> Xml<'a> {
                     }
                 }
                 Ok(Event::DocType(_)) => {
-                    return Err(self.error_at(before, "a document type definition; entities are not accepted"));
+                    return Err(
+                        self.error_at(before, "a document type definition; entities are not accepted")
+                    );
                 }
                 Ok(Event::Eof) if self.depth == 0 => return Ok(None),
                 Ok(Event::Eof) => {
-                    return Err(self.error_at(before, format!("the file ends with {} elements open", self.depth)));
+                    return Err(
+                        self.error_at(before, format!("the file ends with {} elements open", self.depth))
+                    );
                 }
                 Ok(_) => {}
                 Err(error) => {
@@ -185,7 +196,10 @@ mod tests {
     #[test]
     fn depth_and_attributes_are_bounded() {
         let deep = format!("{}{}", "<a>\n".repeat(1000), "</a>".repeat(1000));
-        assert_eq!(refusal(&deep), "modelDescription.xml, line 129: more than 128 elements inside each other");
+        assert_eq!(
+            refusal(&deep),
+            "modelDescription.xml, line 129: more than 128 elements inside each other"
+        );
         let many: String = (0..300).map(|i| format!(" a{i}='1'")).collect();
         assert!(refusal(&format!("<r><a{many}/></r>")).contains("more than 64 attributes"));
     }
@@ -203,7 +217,10 @@ mod tests {
             ("<a>\n\0</a>", 2, "NUL"),
         ] {
             let message = refusal(text);
-            assert!(message.contains(&format!("line {line}:")) && message.contains(part), "{text:?}: {message}");
+            assert!(
+                message.contains(&format!("line {line}:")) && message.contains(part),
+                "{text:?}: {message}"
+            );
         }
     }
 

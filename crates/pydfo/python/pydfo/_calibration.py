@@ -1,0 +1,398 @@
+"""`Calibration`: a model, measurements and parameters."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, SupportsFloat, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core, _data, _options
+from ._errors import BadCalibrationError, MethodNotAvailable
+from ._fit import Fit
+from ._fmin import Callback, combine, listen
+from ._parameter import Parameter
+from ._progress import Printer
+from ._result import OptimizeResult
+
+FloatArray = npt.NDArray[np.float64]
+
+_log = logging.getLogger("pydfo")
+
+_LATER = ("barrier", "de", "ga", "least-squares", "cma-es", "quadratic-model", "multistart")
+
+
+@dataclass(frozen=True)
+class ExperimentFields:
+    """A recording and how it is simulated, as the native code reads it."""
+
+    path: str | None
+    columns: _data.Columns
+    outputs: list[tuple[str, str, float]]
+    inputs: list[tuple[str, str]]
+    start_values: list[tuple[str, bool | int | float | str]]
+    window: tuple[float, float] | None
+    start_time: float | None
+    timeout: float | None
+    relative_tolerance: float | None
+    solver: str
+    step_size: float | None
+    max_step: float | None
+
+
+def _pairs(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> list[tuple[str, str]]:
+    """Pairs of variable and column; of a list, columns that are named like the variables."""
+    if value is None:
+        return []
+    if isinstance(value, str):
+        value = [value]
+    if isinstance(value, Mapping):
+        return [(_options.choice(name, variable), _options.choice(name, column)) for variable, column in value.items()]
+    if isinstance(value, Iterable):
+        return [(_options.choice(name, variable), variable) for variable in value]
+    raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {value!r}")
+
+
+def _weights(
+    outputs: list[tuple[str, str]], weights: Mapping[str, float] | Sequence[float] | None
+) -> list[tuple[str, str, float]]:
+    if weights is None:
+        return [(variable, column, 1.0) for variable, column in outputs]
+    if isinstance(weights, Mapping):
+        known = [variable for variable, _ in outputs]
+        for name in weights:
+            if name not in known:
+                raise BadCalibrationError(f"weights: there is no output '{name}'; there are: {', '.join(known)}")
+        return [(v, c, _options.number("weights", weights.get(v, 1.0))) for v, c in outputs]
+    numbers = [_options.number("weights", w) for w in weights]
+    if len(numbers) != len(outputs):
+        raise BadCalibrationError(f"{len(numbers)} weights for {len(outputs)} outputs")
+    return [(variable, column, weight) for (variable, column), weight in zip(outputs, numbers)]
+
+
+def _path(model: Any) -> str:
+    if isinstance(model, (str, os.PathLike)):
+        return os.fspath(model)
+    path = getattr(model, "path", None)
+    if isinstance(path, (str, os.PathLike)):
+        return os.fspath(path)
+    raise TypeError(f"model must be the path of an FMU or an FMUModel, not {model!r}")
+
+
+class Calibration:
+    """A model, measurements and parameters to be fitted.
+
+    The cost is the sum of the squared weighted residuals (simulated minus measured, times weight) over all outputs and
+    measured times. It is added up while the simulation runs; simulations run without the interpreter lock, and stop early
+    in a fit when their cost can no longer matter. The same parameters give the same bits, always.
+
+    Parameters
+    ----------
+    model : path or FMUModel
+        The FMU. Values that were set in an FMUModel do not count; give them as `start_values`.
+    data : path, dict of arrays, DataFrame or structured array
+        The recording: a column ``time`` (in s, ascending, intervals as they come) and what was measured. NaN, None and
+        empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate.
+    outputs : dict of str to str, or list of str
+        Which output of the model was measured by which column; a list if they have the same names.
+    parameters : sequence of Parameter
+        What is fitted.
+    inputs : dict of str to str, or list of str, optional
+        Which input of the model is driven by which column: linearly between the rows if the input is continuous, else
+        held. A time that stands there twice is a jump.
+    window : (float, float), optional
+        Only measurements at times in this interval count, in s; the simulation still starts at its start time.
+    timeout : float, optional
+        Wall-clock limit of one simulation in s. One that reaches it counts as failed.
+    weights : dict of str to float, or sequence of float, optional
+        Per output, what its residuals are multiplied with (default 1): the inverse of the standard deviation of its noise,
+        if that is known.
+    start_values : dict, optional
+        Values of other parameters and start values of variables, by name.
+    relative_tolerance : float, optional
+        Of the integration; default: that of the model's default experiment, else 1e-6.
+    solver : str
+        "auto", "tsit5", "rk4" or "euler".
+    step_size, max_step : float, optional
+        Step of the fixed-step methods; largest step of the others; in s.
+    start_time : float, optional
+        Where simulations start, in s; default: the model's default experiment, else 0.
+
+    Raises
+    ------
+    OSError
+        A file cannot be read.
+    FmuError
+        The FMU cannot be used.
+    KeyError
+        The model has no such variable; the nearest names are offered.
+    ValueError, TypeError
+        Data, parameters or settings that do not fit together; the message says which, where, and with which numbers.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        outputs: Mapping[str, str] | Sequence[str] | str,
+        parameters: Sequence[Parameter] | Parameter,
+        inputs: Mapping[str, str] | Sequence[str] | str | None = None,
+        window: tuple[float, float] | None = None,
+        timeout: SupportsFloat | None = None,
+        weights: Mapping[str, float] | Sequence[float] | None = None,
+        start_values: Mapping[str, bool | int | float | str] | None = None,
+        relative_tolerance: SupportsFloat | None = None,
+        solver: str = "auto",
+        step_size: SupportsFloat | None = None,
+        max_step: SupportsFloat | None = None,
+        start_time: SupportsFloat | None = None,
+    ) -> None:
+        self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
+        for parameter in self._parameters:
+            if not isinstance(parameter, Parameter):
+                raise TypeError(f"parameters must be Parameters, not {parameter!r}")
+        pairs = _pairs("outputs", outputs)
+        driven = _pairs("inputs", inputs)
+        path, columns = _data.read(data, [column for _, column in pairs + driven])
+        span = None
+        if window is not None:
+            if len(window) != 2:
+                raise ValueError(f"window must be two times, not {window!r}")
+            span = (_options.number("window", window[0]), _options.number("window", window[1]))
+        experiment = ExperimentFields(
+            path=path,
+            columns=columns,
+            outputs=_weights(pairs, weights),
+            inputs=driven,
+            start_values=list((start_values or {}).items()),
+            window=span,
+            start_time=_options.optional_number("start_time", start_time),
+            timeout=_options.optional_number("timeout", timeout),
+            relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
+            solver=_options.solver(solver),
+            step_size=_options.optional_number("step_size", step_size),
+            max_step=_options.optional_number("max_step", max_step),
+        )
+        self._model = _path(model)
+        self._native = _core.Calibration(self._model, experiment, list(self._parameters))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters, in the order of every vector of values."""
+        return self._parameters
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the parameters."""
+        return [parameter.name for parameter in self._parameters]
+
+    @property
+    def start(self) -> FloatArray:
+        """Start values of the parameters, shape (n,)."""
+        return np.array([parameter.start for parameter in self._parameters])
+
+    @property
+    def n_residuals(self) -> int:
+        """Length of the residual vector: how many measurements count."""
+        return self._native.n_residuals
+
+    def _values(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
+        if x is None:
+            return self.start.tolist()
+        if isinstance(x, Mapping):
+            for name in x:
+                if name not in self.names:
+                    raise BadCalibrationError(f"there is no parameter '{name}'; there are: {', '.join(self.names)}")
+            return [_options.number(p.name, x.get(p.name, p.start)) for p in self._parameters]
+        return _options.vector("x", x).tolist()
+
+    def cost(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> float:
+        """The sum of the squared weighted residuals.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,), or dict, optional
+            Values of the parameters, in their order or by name (those left out: start values); default: all start values.
+
+        Raises
+        ------
+        SimulationError
+            The simulation failed; says where and why.
+        ValueError
+            The wrong number of values, or values that are not finite.
+        """
+        return self._native.cost(self._values(x))
+
+    def residuals(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> FloatArray:
+        """The residuals: simulated minus measured, times weight.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+
+        Returns
+        -------
+        ndarray, shape (n_residuals,)
+            Output by output in the order given, each in the order of time, missing values left out: always the same length
+            and order.
+
+        Raises
+        ------
+        SimulationError, ValueError
+            As `cost`.
+        """
+        return self._native.residuals(self._values(x))
+
+    def simulate(
+        self, x: npt.ArrayLike | Mapping[str, float] | None = None, times: npt.ArrayLike | None = None
+    ) -> dict[str, FloatArray]:
+        """Simulates once.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+        times : array_like, optional
+            Times of the rows in s, ascending; default: the measured times that count.
+
+        Returns
+        -------
+        dict of str to ndarray
+            ``"time"`` and the compared outputs by their names in the model.
+
+        Raises
+        ------
+        SimulationError, ValueError
+            As `cost`.
+        """
+        rows = None if times is None else _options.vector("times", times).tolist()
+        return self._native.simulate(self._values(x), rows)
+
+    def measurements(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """What was measured, as it was read: by output, its times in s and its values, missing ones left out."""
+        time, columns = self._native.measurements()
+        return {variable: (time[~np.isnan(v)], v[~np.isnan(v)]) for variable, _, v in columns}
+
+    def fit(
+        self,
+        method: Literal["nelder-mead"] = "nelder-mead",
+        workers: SupportsIndex | None = None,
+        x_tol: float = 1e-4,
+        f_tol: float = 1e-4,
+        max_evaluations: SupportsFloat | None = None,
+        max_iterations: SupportsFloat | None = None,
+        max_time: SupportsFloat | None = None,
+        target: SupportsFloat | None = None,
+        stop: Literal["any", "all"] = "all",
+        batch: Literal["auto", "serial", "two", "four"] = "auto",
+        disp: bool = False,
+        callback: Callback | None = None,
+        *,
+        start: npt.ArrayLike | Mapping[str, float] | None = None,
+        initial_simplex: npt.ArrayLike | None = None,
+    ) -> Fit:
+        """Fits the parameters, without the interpreter lock.
+
+        Parameters
+        ----------
+        method : {"nelder-mead"}
+            The optimiser.
+        workers : int, optional
+            Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.
+        x_tol : float
+            Tolerance of the x test: extent of the simplex in units of the parameters' sizes (see `Parameter`). For a log
+            scale: of the logarithm.
+        f_tol : float
+            Tolerance of the f test: difference between the worst and the best vertex as a fraction of the best cost.
+        max_evaluations, max_iterations : int, optional
+            Exact limits of simulations and of iterations.
+        max_time : float, optional
+            Limit of wall-clock time in s.
+        target : float, optional
+            End the fit as soon as the cost is at or below this.
+        stop : {"all", "any"}
+            Whether both tests must hold, or one ends the fit.
+        batch : {"auto", "serial", "two", "four"}
+            How many trial points are simulated at once in an iteration; see `fmin`.
+        disp : bool
+            Print a line per iteration.
+        callback : callable, optional
+            Called after each iteration with a `Progress`, on the calling thread; StopIteration or True end the fit.
+        start : array_like or dict, optional
+            Another start than that of the parameters.
+        initial_simplex : array_like, optional
+            Vertices or steps; see `fmin`. Steps of parameters on a log scale are steps of the logarithm.
+
+        Returns
+        -------
+        Fit
+            However the fit ends, with the best point that was seen.
+
+        Raises
+        ------
+        AllStartsFailed
+            The simulation failed at every starting point; the reasons are counted in its ``failures``.
+        Interrupted
+            Ctrl-C: a KeyboardInterrupt with the fit so far in ``result``.
+        ValueError, TypeError
+            Arguments that cannot be used.
+
+        Notes
+        -----
+        Without any of the three limits a fit ends after 1000 (n + 1) iterations or 5000 (n + 1) evaluations.
+        """
+        self._check_method(method)
+        if callback is not None and not callable(callback):
+            raise TypeError(f"callback must be callable, not {callback!r}")
+        vertices, steps = _options.simplex(initial_simplex, len(self._parameters))
+        options = _options.Options(
+            x_tol=_options.number("x_tol", x_tol),
+            f_tol=_options.number("f_tol", f_tol),
+            stop=_options.choice("stop", stop),
+            batch=_options.choice("batch", batch),
+            max_evaluations=_options.limit("max_evaluations", max_evaluations, 1),
+            max_iterations=_options.limit("max_iterations", max_iterations, 0),
+            max_time=_options.optional_number("max_time", max_time),
+            target=_options.optional_number("target", target),
+            workers=_options.worker_count("workers", workers, None),
+            vertices=vertices,
+            steps=steps,
+        )
+        begin = self._values(start)
+        printer = Printer(self.names)
+        listeners: list[Callback] = [printer] if disp else []
+        if callback is not None:
+            listeners.append(listen(callback))
+        try:
+            result = self._native.fit(options, start=begin, observer=combine(listeners))
+        except BaseException as e:
+            # What the native code attached becomes a fit, too.
+            for name in ("result", "partial_result"):
+                attached = getattr(e, name, None)
+                if isinstance(attached, OptimizeResult) and not isinstance(attached, Fit):
+                    setattr(e, name, self._fit(attached, begin))
+            raise
+        fit = self._fit(result, begin)
+        _log.info("fit: %s; cost %r after %d evaluations", fit.message, fit.cost, fit.nfev)
+        if disp:
+            printer.end(fit.message, fit.x, fit.cost, fit.nit, fit.nfev, fit.solve_time)
+        return fit
+
+    def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
+        return Fit(self, result, np.array(start))
+
+    @staticmethod
+    def _check_method(method: str) -> None:
+        name = _options.choice("method", method).lower().replace("_", "-")
+        if name in _LATER:
+            raise MethodNotAvailable(f"method = {method!r} is not in this version; 'nelder-mead' is")
+        if name != "nelder-mead":
+            raise ValueError(f"method = {method!r} is none of 'nelder-mead'")
+
+    def __repr__(self) -> str:
+        return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_residuals} measurements>"

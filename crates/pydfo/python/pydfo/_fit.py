@@ -1,0 +1,128 @@
+"""The result of a fit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ._result import OptimizeResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ._calibration import Calibration
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Fit(OptimizeResult):
+    """The result of a fit: all that an `OptimizeResult` has, with names and in terms of the measurements.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+        The fitted values, in the order of the parameters; fixed ones included.
+    parameters : dict of str to float
+        The same by name.
+    cost : float
+        Sum of the squared weighted residuals there (the same as ``fun``).
+    rms : float
+        Root of the mean squared weighted residual there.
+    start : ndarray, shape (n,)
+        Where the fit started.
+    start_cost, start_rms : float or None
+        The same as `cost` and `rms` at the start; None if the simulation failed there.
+    """
+
+    def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray) -> None:
+        vars(self).update(vars(result))
+        self._calibration = calibration
+        self.start = start
+        self.start_cost: float | None = None
+        if result.trace is not None:
+            at_start = np.flatnonzero((result.trace.x == start).all(axis=1) & np.isfinite(result.trace.fun))
+            if len(at_start) > 0:
+                self.start_cost = float(result.trace.fun[at_start[0]])
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The fitted values by name."""
+        return dict(zip(self._calibration.names, np.asarray(self.x).tolist()))
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared weighted residuals at the fitted values."""
+        return self.fun
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean squared weighted residual at the fitted values."""
+        return self._rms(self.fun)
+
+    @property
+    def start_rms(self) -> float | None:
+        """Root of the mean squared weighted residual at the start."""
+        return None if self.start_cost is None else self._rms(self.start_cost)
+
+    def _rms(self, cost: float) -> float:
+        return float(np.sqrt(cost / self._calibration.n_residuals))
+
+    def simulate(self, x: npt.ArrayLike | None = None, times: npt.ArrayLike | None = None) -> dict[str, FloatArray]:
+        """Simulates at the fitted values; see `Calibration.simulate`.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,), optional
+            Other values of the parameters.
+        times : array_like, optional
+            Times of the rows in s; default: the measured times.
+
+        Returns
+        -------
+        dict of str to ndarray
+            ``"time"`` and the compared outputs by their names in the model.
+        """
+        return self._calibration.simulate(self.x if x is None else x, times)
+
+    def residuals(self) -> FloatArray:
+        """The residuals at the fitted values, simulated minus measured times weight; see `Calibration.residuals`."""
+        return self._calibration.residuals(self.x)
+
+    def plot(self) -> Figure:
+        """Draws measurements, the response at the start and the fitted one, and below the residuals.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            One column per output. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
+
+        Raises
+        ------
+        ImportError
+            matplotlib is not installed.
+        """
+        from . import _plot
+
+        return _plot.fit(self, self._calibration)
+
+    def __getitem__(self, key: Any) -> Any:
+        if key in ("parameters", "cost", "rms", "start_rms"):
+            return getattr(self, key)
+        return super().__getitem__(key)
+
+    def __repr__(self) -> str:
+        width = max(10, *(len(name) for name in self._calibration.names))
+        lines = [f"{name:>{width}}: {value:.8g}" for name, value in self.parameters.items()]
+        lines.append(f"{'cost':>{width}}: {self.cost:.8g}" + self._was(self.start_cost))
+        lines.append(f"{'rms':>{width}}: {self.rms:.8g}" + self._was(self.start_rms))
+        for line in super().__repr__().splitlines():
+            name, _, text = line.partition(": ")
+            if name.strip() not in ("fun", "x"):
+                lines.append(f"{name.strip():>{width}}: {text}")
+        return "\n".join(lines)
+
+    @staticmethod
+    def _was(value: float | None) -> str:
+        return "" if value is None else f" ({value:.8g} at the start)"

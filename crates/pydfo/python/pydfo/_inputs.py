@@ -1,0 +1,123 @@
+"""The many forms in which inputs may be given, brought into two: tables and functions of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns and their times, as the native code reads them."""
+
+    times: FloatArray
+    columns: list[tuple[str, FloatArray]]
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function of time that returns the values of some inputs, as the native code reads it."""
+
+    names: list[str]
+    function: Callable[[float], Any]
+
+
+def normalize(given: object, inputs: list[str]) -> tuple[list[Table], list[Function]]:
+    """Tables and functions from the argument ``input``; `inputs` are the names of the model's inputs."""
+    if given is None:
+        return [], []
+    if isinstance(given, Mapping):
+        return _mapping(given)
+    if isinstance(given, np.ndarray) and given.dtype.names is not None:
+        return [_table(given.dtype.names, lambda name: given[name].ravel(), "the structured array")], []
+    if hasattr(given, "columns") and hasattr(given, "to_numpy"):
+        return [_frame(given)], []
+    if callable(given):
+        if len(inputs) != 1:
+            raise ValueError(
+                f"a function alone can drive a model with one input; this one has {len(inputs)} "
+                f"({', '.join(inputs[:10]) or 'none'}): give (names, function) or a dict of functions"
+            )
+        return [], [Function(inputs, given)]
+    if isinstance(given, (tuple, list)) and len(given) == 2 and isinstance(given[0], (str, Sequence, np.ndarray)):
+        return _pair(given[0], given[1])
+    raise TypeError(
+        "input must be a dict or a DataFrame with 'time', a structured array, a function, (names, matrix) or "
+        f"(names, function), not {type(given).__name__}"
+    )
+
+
+def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
+    for name in given:
+        if not isinstance(name, str):
+            raise TypeError(f"names of inputs must be strings, not {name!r}")
+    functions = [Function([name], value) for name, value in given.items() if callable(value)]
+    constants = [
+        (name, _column(name, [value])) for name, value in given.items() if not callable(value) and np.ndim(value) == 0
+    ]
+    names = [name for name, value in given.items() if not callable(value) and np.ndim(value) > 0]
+    # The only row of a table holds at all times.
+    tables = [Table(np.zeros(1), constants)] if constants else []
+    if names and names != ["time"]:
+        tables.append(_table(names, lambda name: given[name], "the dict"))
+    return tables, functions
+
+
+def _frame(given: Any) -> Table:
+    names = [str(name) for name in given.columns]
+    if "time" in names:
+        return _table(names, lambda name: given[name].to_numpy(), "the DataFrame")
+    index = getattr(given, "index", None)
+    if getattr(index, "name", None) != "time":
+        raise ValueError(f"the DataFrame has no column 'time', and no index of that name; it has: {', '.join(names)}")
+    times = _column("time", np.asarray(index))
+    return Table(times, [(name, _column(name, given[name].to_numpy())) for name in names])
+
+
+def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Table:
+    if "time" not in names:
+        raise ValueError(f"{what} of inputs has no 'time'; it has: {', '.join(names)}")
+    return Table(
+        _column("time", column("time")), [(name, _column(name, column(name))) for name in names if name != "time"]
+    )
+
+
+def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:
+    names = [names] if isinstance(names, str) else list(names)
+    for name in names:
+        if not isinstance(name, str):
+            raise TypeError(f"names of inputs must be strings, not {name!r}")
+    names = [str(name) for name in names]
+    if callable(data):
+        return [], [Function(names, data)]
+    try:
+        matrix = np.asarray(data, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"the matrix of inputs must be numbers, not {data!r}") from None
+    if matrix.ndim != 2 or matrix.shape[1] != len(names) + 1:
+        raise ValueError(
+            f"the matrix of inputs has the shape {matrix.shape}: time and {len(names)} inputs need {len(names) + 1} columns"
+        )
+    columns = [np.ascontiguousarray(matrix[:, k]) for k in range(len(names) + 1)]
+    return [Table(columns[0], list(zip(names, columns[1:])))], []
+
+
+def _column(name: str, values: Any) -> FloatArray:
+    array = np.asarray(values)
+    if array.dtype.kind not in "biufO":
+        raise TypeError(f"input {name} must be numbers, not of type {array.dtype}")
+    try:
+        array = np.ascontiguousarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as e:
+        raise TypeError(f"input {name} must be numbers: {e}") from None
+    if array.ndim == 2 and 1 in array.shape:
+        array = array.ravel()
+    if array.ndim != 1:
+        raise ValueError(f"input {name} must be one-dimensional, not of shape {array.shape}")
+    return array

@@ -1,0 +1,341 @@
+"""Models as scripts use them: open, set, simulate, get."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any, SupportsFloat, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core, _inputs, _options
+from ._description import Description
+from ._errors import FmuError
+from ._files import PathLike
+from ._trajectory import SimulationResult
+
+_log = logging.getLogger("pydfo")
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a simulation is told, as the native code reads it; None leaves it to the model."""
+
+    start_time: float | None
+    final_time: float | None
+    times: FloatArray | None
+    output_interval: float | None
+    ncp: int | None
+    start_values: list[tuple[str, Any]]
+    outputs: list[str] | None
+    tables: list[_inputs.Table]
+    functions: list[_inputs.Function]
+    relative_tolerance: float | None
+    solver: str
+    step_size: float | None
+    max_step: float | None
+    timeout: float | None
+    record_events: bool
+
+
+def load_fmu(path: PathLike, kind: str = "auto") -> FMUModel:
+    """Opens an FMU.
+
+    Parameters
+    ----------
+    path : path
+        An ``.fmu`` file or an unpacked folder.
+    kind : {"auto", "ME", "CS"}
+        How to run it. This version runs model exchange.
+
+    Returns
+    -------
+    FMUModel
+
+    Raises
+    ------
+    OSError, FmuError
+        As `FMUModel`; FmuError for ``kind="CS"``.
+    """
+    known = str(kind).upper()
+    if known not in ("AUTO", "ME", "CS"):
+        raise ValueError(f"kind = {kind!r} is none of 'auto', 'ME', 'CS'")
+    if known == "CS":
+        raise FmuError("kind='CS': co-simulation is not in this version; 'ME' (model exchange) and 'auto' are")
+    return FMUModel(path)
+
+
+class FMUModel:
+    """A model in an FMU (FMI 2.0, model exchange).
+
+    Opening reads the file (the second time, as long as it does not change, next to nothing is done); the FMU's code is
+    loaded, or built from its sources, when it is first needed. As a context manager the model is closed at the end.
+
+    Values are `set` for all simulations that follow, until `reset`; each simulation starts from a fresh model with these
+    values, so that the same values give the same bits.
+
+    Parameters
+    ----------
+    path : path
+        An ``.fmu`` file or an unpacked folder.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read (FileNotFoundError if there is none).
+    FmuError
+        The archive or its ``modelDescription.xml`` is damaged or not safe to unpack; the FMU is of a kind or version
+        that cannot be simulated (`read_description` still describes it).
+
+    Examples
+    --------
+    >>> from pydfo import FMUModel, example_fmu
+    >>> model = FMUModel(example_fmu("dahlquist"))
+    >>> model.set("k", 2.0)
+    >>> res = model.simulate(final_time=1.0)
+    >>> round(res.final("x"), 5)
+    0.13534
+    """
+
+    def __init__(self, path: PathLike) -> None:
+        self._fmu = _core.Fmu(path)
+        self._fmu.check_runnable()
+        self._model = _core.Model(self._fmu)
+
+    @property
+    def path(self) -> Path:
+        """The file, as it was given."""
+        return self._fmu.path
+
+    @cached_property
+    def description(self) -> Description:
+        """What the FMU says about itself."""
+        return Description(self._fmu)
+
+    @overload
+    def get(self, name: str) -> float | int | bool | str: ...
+    @overload
+    def get(self, name: Iterable[str]) -> list[float | int | bool | str]: ...
+    def get(self, name: str | Iterable[str]) -> float | int | bool | str | list[float | int | bool | str]:
+        """Values of variables: after a simulation the final ones, before it those set, else the initial ones.
+
+        Parameters
+        ----------
+        name : str or iterable of str
+
+        Returns
+        -------
+        float, int, bool or str, or a list of them
+            A scalar for a name, a list for a list. Enumerations are int.
+
+        Raises
+        ------
+        KeyError
+            There is no such variable; the message offers the nearest names.
+        SimulationError
+            Initial values were needed, and the model cannot be initialized.
+        """
+        if isinstance(name, str):
+            return self._model.get([name])[0]
+        return self._model.get(_names("name", name))
+
+    def set(self, name: str | Iterable[str], value: object) -> None:
+        """Sets parameters, start values, or constant values of inputs, for all simulations from now on.
+
+        Parameters
+        ----------
+        name : str or iterable of str
+        value : float, int, bool or str, or a sequence of them
+            A scalar for a name, as many as names for a list: all are set, or none. NumPy scalars and arrays of one element
+            are scalars, too. Items of enumerations are given as int or by their names.
+
+        Raises
+        ------
+        KeyError
+            There is no such variable; the message offers the nearest names.
+        TypeError
+            The value is not of the type of the variable.
+        ValueError
+            The variable cannot be set (the message says why), the value is not finite, or there are not as many values as
+            names.
+        """
+        if isinstance(name, str):
+            self._model.set([name], [value])
+            return
+        names = _names("name", name)
+        if isinstance(value, np.ndarray):
+            values = list(np.atleast_1d(value))
+        elif isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
+            values = list(value)
+        else:
+            values = [value]
+        if len(values) != len(names):
+            raise ValueError(f"{len(values)} values are given for {len(names)} names")
+        self._model.set(names, values)
+
+    def reset(self) -> None:
+        """Forgets all values set and the last simulation."""
+        self._model.reset()
+
+    def simulate(
+        self,
+        start_time: SupportsFloat | None = None,
+        final_time: SupportsFloat | None = None,
+        *,
+        stop_time: SupportsFloat | None = None,
+        input: object = None,
+        output: str | Iterable[str] | None = None,
+        times: npt.ArrayLike | None = None,
+        output_interval: SupportsFloat | None = None,
+        ncp: SupportsFloat | None = None,
+        start_values: Mapping[str, object] | None = None,
+        relative_tolerance: SupportsFloat | None = None,
+        solver: str = "auto",
+        step_size: SupportsFloat | None = None,
+        max_step: SupportsFloat | None = None,
+        timeout: SupportsFloat | None = None,
+        record_events: bool = False,
+    ) -> SimulationResult:
+        """Simulates from a freshly reset model with all values that were `set`.
+
+        The interpreter lock is released meanwhile. Times are in s.
+
+        Parameters
+        ----------
+        start_time : float, optional
+            Default: that of the model's default experiment, else 0.
+        final_time : float, optional
+            Default: that of the default experiment, else the last of `times`.
+        stop_time : float, optional
+            The same as `final_time`.
+        input : optional
+            What drives the inputs:
+
+            - a dict of arrays with "time", or a DataFrame with a column or an index "time", or a structured array;
+            - ``(names, matrix)`` with the times in the first column;
+            - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
+
+            Tables are linear between rows for continuous Real inputs, and held for all others; a time listed twice is a
+            jump. Jumps are events. Functions can drive continuous Real inputs and should be smooth.
+        output : str or iterable of str, optional
+            Variables to record, or "all". Default: the outputs and the states.
+        times : array_like, optional
+            The times of the rows, ascending. A time listed twice gives the limit from the left, then the value after the
+            events of that time.
+        output_interval : float, optional
+            Distance of the rows; the last one is at the final time.
+        ncp : int, optional
+            Number of intervals between the rows; default 500. At most one of `times`, `output_interval` and `ncp` may be
+            given.
+        start_values : dict of str to value, optional
+            Values for this simulation only, on top of those set.
+        relative_tolerance : float, optional
+            Default: that of the default experiment, else 1e-6.
+        solver : {"auto", "tsit5", "rk4", "euler"}
+            The method; the last two have a fixed step. "CVode" is taken as "auto".
+        step_size : float, optional
+            Step of the methods with a fixed step; default: a 500th of the span.
+        max_step : float, optional
+            Largest step of the others.
+        timeout : float, optional
+            Limit of wall-clock time in s; it acts between calls into the FMU.
+        record_events : bool
+            Add rows for both sides of every event.
+
+        Returns
+        -------
+        SimulationResult
+
+        Raises
+        ------
+        KeyError
+            A name that is not known.
+        ValueError, TypeError
+            Arguments that make no sense, alone or together.
+        FmuError
+            The FMU cannot be loaded or built.
+        SimulationError
+            The simulation failed or took longer than `timeout`; with ``status``, ``time`` and ``log``.
+        Interrupted
+            Ctrl-C (a KeyboardInterrupt).
+        Exception
+            Whatever an input function raises comes out as it is.
+        """
+        if stop_time is not None:
+            if final_time is not None:
+                raise ValueError("final_time and stop_time mean the same; give one of them")
+            final_time = stop_time
+        if not isinstance(solver, str):
+            raise TypeError(f"solver must be a string, not {solver!r}")
+        if solver.lower() == "cvode":
+            _log.info("solver %r is taken as 'auto'", solver)
+            solver = "auto"
+        tables, functions = _inputs.normalize(input, self.description.inputs) if input is not None else ([], [])
+        request = Request(
+            start_time=_options.optional_number("start_time", start_time),
+            final_time=_options.optional_number("final_time", final_time),
+            times=None if times is None else np.ascontiguousarray(_options.vector("times", times)),
+            output_interval=_options.optional_number("output_interval", output_interval),
+            ncp=_options.limit("ncp", ncp, 1),
+            start_values=_pairs(start_values),
+            outputs=self._outputs(output),
+            tables=tables,
+            functions=functions,
+            relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
+            solver=solver,
+            step_size=_options.optional_number("step_size", step_size),
+            max_step=_options.optional_number("max_step", max_step),
+            timeout=_options.optional_number("timeout", timeout),
+            record_events=bool(record_events),
+        )
+        return SimulationResult(**self._model.simulate(request))
+
+    def _outputs(self, output: str | Iterable[str] | None) -> list[str] | None:
+        if output is None:
+            return None
+        if output == "all":
+            return self._fmu.recordable()
+        return [output] if isinstance(output, str) else _names("output", output)
+
+    def close(self) -> None:
+        """Frees the instance of the model; only `description` and `path` can be used afterwards."""
+        self._model.close()
+
+    def __enter__(self) -> FMUModel:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        d = self.description
+        closed = ", closed" if self._model.closed else ""
+        return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} ME, {d.n_states} states, {str(self.path)!r}{closed}>"
+
+
+def _names(argument: str, names: Iterable[str]) -> list[str]:
+    if isinstance(names, (bytes, Mapping)) or not isinstance(names, Iterable):
+        raise TypeError(f"{argument} must be a name or a list of names, not {names!r}")
+    listed = list(names)
+    for name in listed:
+        if not isinstance(name, str):
+            raise TypeError(f"{argument} must be a name or a list of names; {name!r} is not a name")
+    return listed
+
+
+def _pairs(values: Mapping[str, object] | None) -> list[tuple[str, object]]:
+    if values is None:
+        return []
+    if not isinstance(values, Mapping):
+        raise TypeError(f"start_values must be a dict of names and values, not {values!r}")
+    _names("start_values", list(values))
+    return list(values.items())

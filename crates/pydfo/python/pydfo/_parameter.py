@@ -1,0 +1,86 @@
+"""What is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from . import _core
+from ._options import choice, number, optional_number
+
+
+@dataclass(frozen=True, init=False)
+class Parameter:
+    """A parameter of the model to be fitted.
+
+    Parameters
+    ----------
+    name : str
+        Its name in the model.
+    start : float
+        Where the fit starts, in the model's unit.
+    lower, upper : float, optional
+        Bounds; None where there is none.
+    scale : {"linear", "log"}
+        Whether the search runs over the value or over its logarithm (for positive parameters known only to an order of
+        magnitude). Values and bounds are in the model's unit either way.
+    nominal : float, optional
+        A typical size, from which steps and tolerances are taken. Default: the nominal value in the model, else the width
+        of the bounds, else the start value.
+    fixed : bool
+        Hold the parameter at `start`.
+
+    Raises
+    ------
+    ValueError
+        Numbers that do not fit together: bounds that cross, a start outside of them, a log scale with values that are
+        not positive.
+
+    Examples
+    --------
+    >>> Parameter("armFriction", 0.012, 0, 0.022)
+    Parameter('armFriction', 0.012, 0.0, 0.022)
+    """
+
+    name: str
+    start: float
+    lower: float
+    upper: float
+    scale: str
+    nominal: float | None
+    fixed: bool
+
+    def __init__(
+        self,
+        name: str,
+        start: float,
+        lower: float | None = None,
+        upper: float | None = None,
+        *,
+        scale: Literal["linear", "log"] = "linear",
+        nominal: float | None = None,
+        fixed: bool = False,
+    ) -> None:
+        put = object.__setattr__
+        put(self, "name", choice("name", name))
+        put(self, "start", number("start", start))
+        put(self, "lower", -np.inf if lower is None else number("lower", lower))
+        put(self, "upper", np.inf if upper is None else number("upper", upper))
+        put(self, "scale", choice("scale", scale))
+        put(self, "nominal", optional_number("nominal", nominal))
+        put(self, "fixed", bool(fixed))
+        _core.check_parameter(self)
+
+    def __repr__(self) -> str:
+        said = [repr(self.name), repr(self.start)]
+        said.append("None" if self.lower == -np.inf else repr(self.lower))
+        said.append("None" if self.upper == np.inf else repr(self.upper))
+        if self.scale != "linear":
+            said.append(f"scale={self.scale!r}")
+        if self.nominal is not None:
+            said.append(f"nominal={self.nominal!r}")
+        if self.fixed:
+            said.append("fixed=True")
+        return f"Parameter({', '.join(said)})"

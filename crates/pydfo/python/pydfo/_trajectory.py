@@ -1,0 +1,191 @@
+"""Recorded simulations."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from ._errors import UnknownVariableError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FloatArray = npt.NDArray[np.float64]
+
+_DTYPES: dict[str, type] = {"Real": np.float64, "Integer": np.int32, "Enumeration": np.int32, "Boolean": np.bool_}
+
+
+@dataclass(frozen=True)
+class SimulationStats:
+    """What a simulation cost.
+
+    Attributes
+    ----------
+    accepted_steps, rejected_steps : int
+    right_hand_sides, event_indicators : int
+        Evaluations.
+    samples : int
+        Rows.
+    events : int
+        Visits of event mode after the start; the four counts that follow tell their causes, of which one visit may have
+        several.
+    state_events, time_events, step_events, input_events : int
+    restarts : int
+        Restarts of the method after events that changed something.
+    """
+
+    accepted_steps: int
+    rejected_steps: int
+    right_hand_sides: int
+    event_indicators: int
+    samples: int
+    events: int
+    state_events: int
+    time_events: int
+    step_events: int
+    input_events: int
+    restarts: int
+
+
+class SimulationResult(Mapping[str, FloatArray]):
+    """The result of a simulation: columns of numbers by name, ``res["time"]`` among them.
+
+    A mapping of names to arrays of shape (rows,); Integers and Booleans are numbers, too (`to_structured` and
+    `to_dataframe` give them their types). At the time of an event a row holds the values after it. A time that was asked
+    for twice, and with ``record_events=True`` every event, has two rows: the limit from the left, then the values after
+    the event.
+
+    Attributes
+    ----------
+    time : ndarray, shape (rows,)
+        Times in s.
+    left_limit : ndarray of bool, shape (rows,)
+        Whether a row holds the limit from the left.
+    events : recarray
+        The events after the start, with fields ``time`` and ``kind``: "state", "time", "step", "input", or several of
+        them with a plus between.
+    stats : SimulationStats
+        What it cost.
+    termination : {"finished", "stopped-by-model"}
+        Whether the final time was reached, or the model asked for the end.
+    end_time : float
+        When it ended.
+    """
+
+    def __init__(
+        self,
+        *,
+        time: FloatArray,
+        names: list[str],
+        columns: list[FloatArray],
+        types: list[str],
+        units: list[str | None],
+        left: npt.NDArray[np.bool_],
+        event_times: FloatArray,
+        event_kinds: list[str],
+        stats: dict[str, int],
+        termination: str,
+        end_time: float,
+    ) -> None:
+        self.time = time
+        self.left_limit = left
+        self.events = np.rec.fromarrays(
+            [event_times, np.asarray(event_kinds, dtype="U21")], names=["time", "kind"]
+        )
+        self.stats = SimulationStats(**stats)
+        self.termination = termination
+        self.end_time = end_time
+        self._columns = {"time": time} | dict(zip(names, columns))
+        self._types = {"time": "Real"} | dict(zip(names, types))
+        self._units = {"time": "s"} | dict(zip(names, units))
+
+    def __getitem__(self, name: str) -> FloatArray:
+        try:
+            return self._columns[name]
+        except KeyError:
+            raise UnknownVariableError(self._missing(name)) from None
+
+    def _missing(self, name: object) -> str:
+        nearest = difflib.get_close_matches(str(name), self._columns, n=3)
+        hint = f"; did you mean {', '.join(nearest)}?" if nearest else ""
+        names = list(self._columns)
+        shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+        return f'"{name}" was not recorded{hint} There are: {shown} (simulate(output=[...]) chooses)'
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def __repr__(self) -> str:
+        ended = "" if self.termination == "finished" else ", stopped by the model"
+        return (
+            f"<SimulationResult: {len(self.time)} rows of {len(self) - 1} variables up to {self.end_time:g} s{ended}, "
+            f"{len(self.events)} events>"
+        )
+
+    @overload
+    def final(self, name: str) -> float: ...
+    @overload
+    def final(self, name: Sequence[str]) -> list[float]: ...
+    def final(self, name: str | Sequence[str]) -> float | list[float]:
+        """The value in the last row; a list of values for a list of names."""
+        if not isinstance(name, str):
+            return [self.final(one) for one in name]
+        column = self[name]
+        return float(column[-1]) if len(column) else float("nan")
+
+    def to_structured(self) -> npt.NDArray[np.void]:
+        """A structured array of shape (rows,) with a field per column, ``time`` first; Integers and Booleans have
+        their types."""
+        array = np.empty(len(self.time), dtype=[(name, _DTYPES[self._types[name]]) for name in self])
+        for name, column in self.items():
+            array[name] = column
+        return array
+
+    def to_dataframe(self) -> Any:
+        """A pandas.DataFrame with a column per variable, ``time`` first; Integers and Booleans have their types.
+        Needs pandas."""
+        try:
+            import pandas as pd
+        except ImportError as e:
+            raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
+        return pd.DataFrame({name: column.astype(_DTYPES[self._types[name]]) for name, column in self.items()})
+
+    def plot(self, names: str | Sequence[str] | None = None) -> Figure:
+        """Draws columns over time, those of one unit in one plot. Needs matplotlib.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            The columns; default: all.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from ._plot import pyplot
+
+        plt = pyplot()
+        chosen = [name for name in self if name != "time"] if names is None else names
+        chosen = [chosen] if isinstance(chosen, str) else list(chosen)
+        groups: dict[str | None, list[str]] = {}
+        for name in chosen:
+            self[name]
+            groups.setdefault(self._units[name], []).append(name)
+        figure, plots = plt.subplots(max(len(groups), 1), 1, sharex=True, squeeze=False, layout="constrained")
+        for axes, (unit, members) in zip(plots[:, 0], groups.items()):
+            for name in members:
+                held = self._types[name] != "Real"
+                axes.plot(self.time, self[name], label=name, drawstyle="steps-post" if held else "default")
+            axes.set_ylabel(unit or "")
+            axes.grid(alpha=0.3)
+            axes.legend(loc="best", fontsize="small")
+        plots[-1, 0].set_xlabel("time [s]")
+        return figure

@@ -1,0 +1,61 @@
+//! Errors of models as Python exceptions: a class for each sort of mistake, and numbers to work with where there are any.
+
+use fmi::FmiError;
+use pyo3::exceptions::PyOSError;
+use pyo3::prelude::*;
+use std::io;
+use std::path::Path;
+
+pyo3::import_exception!(pydfo._errors, BadModelValueError);
+pyo3::import_exception!(pydfo._errors, FmuError);
+pyo3::import_exception!(pydfo._errors, MethodNotAvailable);
+pyo3::import_exception!(pydfo._errors, ModelTypeError);
+pyo3::import_exception!(pydfo._errors, SimulationError);
+pyo3::import_exception!(pydfo._errors, UnknownVariableError);
+
+/// The exception for an error of a model.
+pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
+    let message = error.to_string();
+    match error {
+        FmiError::Io { path, source, .. } => os_error(py, path, source, message),
+        FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => UnknownVariableError::new_err(message),
+        FmiError::WrongType { .. } => ModelTypeError::new_err(message),
+        FmiError::Options(ode::OptionsError::MethodNotYet(_)) => MethodNotAvailable::new_err(message),
+        FmiError::NotSettable { .. }
+        | FmiError::NotFinite { .. }
+        | FmiError::NotAnOutput { .. }
+        | FmiError::BadInput { .. }
+        | FmiError::BadSetting { .. }
+        | FmiError::Options(_)
+        | FmiError::UnknownExample { .. } => BadModelValueError::new_err(message),
+        FmiError::Call(failure) => simulation(py, error, message, failure.time),
+        FmiError::EventIteration { time, .. } => simulation(py, error, message, Some(*time)),
+        FmiError::Simulation(inner) => simulation(py, error, message, Some(inner.time)),
+        _ => FmuError::new_err(message),
+    }
+}
+
+/// `FileNotFoundError` and its like, with number and path as Python's own functions raise them.
+fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) -> PyErr {
+    let Some(number) = source.raw_os_error() else { return PyOSError::new_err(message) };
+    let make = || -> PyResult<PyErr> {
+        let reason = py.import("os")?.call_method1("strerror", (number,))?;
+        // Called, not raised by class: OSError picks the subclass that fits the number when it is called.
+        let exception = py.get_type::<PyOSError>().call1((number, reason, path.as_os_str()))?;
+        Ok(PyErr::from_value(exception))
+    };
+    make().unwrap_or_else(|e| e)
+}
+
+fn simulation(py: Python<'_>, error: &FmiError, message: String, time: Option<f64>) -> PyErr {
+    let exception = SimulationError::new_err(message);
+    let attach = || -> PyResult<()> {
+        let value = exception.value(py);
+        let failure = error.call_failure();
+        value.setattr("status", failure.map(|f| f.status.to_string()))?;
+        value.setattr("time", time)?;
+        let log: Vec<String> = failure.map(|f| f.log.iter().map(ToString::to_string).collect()).unwrap_or_default();
+        value.setattr("log", log)
+    };
+    attach().err().unwrap_or(exception)
+}

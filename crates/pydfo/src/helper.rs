@@ -1,0 +1,61 @@
+//! Threads with large stacks that native work is handed to; idle ones wait for the next piece, which is faster than
+//! starting one for each simulation of a few microseconds.
+
+use crate::interrupt::lock;
+use std::io;
+use std::process;
+use std::sync::Mutex;
+use std::sync::mpsc::{Sender, channel};
+use std::thread;
+
+/// Stack of a thread: compiled models put large arrays there.
+const STACK_SIZE: usize = 16 << 20;
+
+/// Idle threads beyond this end.
+const MOST_IDLE: usize = 4;
+
+/// A piece of work. It returns what is to be done once its thread waits for more: tell somebody that it is done.
+pub(crate) type Work = Box<dyn FnOnce() -> Box<dyn FnOnce()> + Send>;
+
+struct Helper {
+    /// The process that started the thread: a forked child has the value, but not the thread.
+    process: u32,
+    work: Sender<Work>,
+}
+
+static IDLE: Mutex<Vec<Helper>> = Mutex::new(Vec::new());
+
+/// Runs `work` on a thread of its own. `work` must catch its panics.
+pub(crate) fn run(mut work: Work) -> io::Result<()> {
+    loop {
+        let idle = lock(&IDLE).pop();
+        match idle {
+            Some(helper) if helper.process != process::id() => {}
+            Some(helper) => match helper.work.send(work) {
+                Ok(()) => return Ok(()),
+                Err(refused) => work = refused.0,
+            },
+            None => return start(work),
+        }
+    }
+}
+
+fn start(work: Work) -> io::Result<()> {
+    let (sender, queue) = channel::<Work>();
+    let body = move || {
+        let mut work = Some(work);
+        while let Some(announce) = work.take().map(|work| work()) {
+            let mut idle = lock(&IDLE);
+            let stay = idle.len() < MOST_IDLE;
+            if stay {
+                idle.push(Helper { process: process::id(), work: sender.clone() });
+            }
+            drop(idle);
+            announce();
+            if stay {
+                work = queue.recv().ok();
+            }
+        }
+    };
+    thread::Builder::new().name("pydfo-run".to_owned()).stack_size(STACK_SIZE).spawn(body).map(|_| ())
+}

@@ -1,0 +1,62 @@
+//! What the libraries have to say (warnings about models, mostly) goes to Python's `logging`, logger "pydfo".
+//!
+//! Lines are kept until the next return to Python: the threads that simulate must not wait for the interpreter lock.
+
+use crate::interrupt::lock;
+use log::{Level, LevelFilter, Log, Metadata, Record};
+use pyo3::prelude::*;
+use std::sync::Mutex;
+
+/// More lines than this between two returns to Python are not kept.
+const MOST_LINES: usize = 1000;
+
+struct Keeper {
+    lines: Mutex<Vec<(Level, String)>>,
+}
+
+static KEEPER: Keeper = Keeper { lines: Mutex::new(Vec::new()) };
+
+impl Log for Keeper {
+    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+        metadata.level() <= Level::Info
+    }
+
+    fn log(&self, record: &Record<'_>) {
+        if !self.enabled(record.metadata()) {
+            return;
+        }
+        let line = record.args().to_string();
+        let mut lines = lock(&self.lines);
+        if lines.len() < MOST_LINES {
+            lines.push((record.level(), line));
+        }
+    }
+
+    fn flush(&self) {}
+}
+
+/// Starts to listen to the libraries.
+pub(crate) fn install() {
+    // Fails if somebody listens already, which in this extension module can only be ourselves.
+    if log::set_logger(&KEEPER).is_ok() {
+        log::set_max_level(LevelFilter::Info);
+    }
+}
+
+/// Hands over what has been said since the last time.
+pub(crate) fn pass_on(py: Python<'_>) -> PyResult<()> {
+    let lines = std::mem::take(&mut *lock(&KEEPER.lines));
+    if lines.is_empty() {
+        return Ok(());
+    }
+    let logger = py.import("logging")?.call_method1("getLogger", ("pydfo",))?;
+    for (level, line) in lines {
+        let method = match level {
+            Level::Error => "error",
+            Level::Warn => "warning",
+            _ => "info",
+        };
+        logger.call_method1(method, ("%s", line))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,239 @@
+//! A model as scripts use it: values set and read, simulations on a thread of their own without the interpreter lock.
+
+use crate::description::Fmu;
+use crate::inputs::{self, Callbacks, Function, Table};
+use crate::interrupt::{Stop, Watch, lock};
+use crate::trajectory::Record;
+use crate::{fmu_error, logs, values};
+use fmi::description::{Causality, VariableKind};
+use fmi::{ModelDescription, Session, SimulateOptions, Value, Variable};
+use numpy::PyReadonlyArray1;
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+pyo3::import_exception!(pydfo._errors, Interrupted);
+
+/// A model with the values set since it was opened or reset.
+#[pyclass(frozen, module = "pydfo._core")]
+pub(crate) struct Model {
+    fmu: fmi::Fmu,
+    slot: Arc<Mutex<Slot>>,
+}
+
+/// Where the session is. A simulation takes it away, so that nobody waits for a lock that a simulation holds.
+enum Slot {
+    Here(Box<Session>),
+    Simulating,
+    Closed,
+}
+
+/// A session on loan; goes back when it is dropped.
+struct Loan {
+    session: Option<Box<Session>>,
+    slot: Arc<Mutex<Slot>>,
+}
+
+impl Drop for Loan {
+    fn drop(&mut self) {
+        let Some(session) = self.session.take() else { return };
+        let mut slot = lock(&self.slot);
+        if matches!(*slot, Slot::Simulating) {
+            *slot = Slot::Here(session);
+        }
+    }
+}
+
+/// `pydfo._model.Request`, field by field.
+#[derive(FromPyObject)]
+pub(crate) struct Request<'py> {
+    start_time: Option<f64>,
+    final_time: Option<f64>,
+    times: Option<PyReadonlyArray1<'py, f64>>,
+    output_interval: Option<f64>,
+    ncp: Option<usize>,
+    start_values: Vec<(String, Bound<'py, PyAny>)>,
+    /// None: the variables of causality output and the states.
+    outputs: Option<Vec<String>>,
+    tables: Vec<Table<'py>>,
+    functions: Vec<Function>,
+    relative_tolerance: Option<f64>,
+    solver: String,
+    step_size: Option<f64>,
+    max_step: Option<f64>,
+    timeout: Option<f64>,
+    record_events: bool,
+}
+
+#[pymethods]
+impl Model {
+    #[new]
+    fn new(fmu: &Bound<'_, Fmu>) -> Self {
+        let fmu = fmu.get().fmu.clone();
+        let session = Box::new(Session::new(fmu.clone()));
+        Self { fmu, slot: Arc::new(Mutex::new(Slot::Here(session))) }
+    }
+
+    /// Values of variables.
+    fn get<'py>(&self, py: Python<'py>, names: Vec<String>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        // Initial values may need the model to be initialized, and for that to be built and loaded.
+        let found = py.detach(|| {
+            self.with_session(|session| names.iter().map(|name| session.get(name)).collect::<Result<Vec<_>, _>>())
+        });
+        logs::pass_on(py)?;
+        let found = found?.map_err(|e| fmu_error::raise(py, &e))?;
+        found.into_iter().map(|value| values::to_python(py, value)).collect()
+    }
+
+    /// Sets variables: all of them, or none if one of them cannot be set.
+    fn set(&self, py: Python<'_>, names: Vec<String>, given: Vec<Bound<'_, PyAny>>) -> PyResult<()> {
+        let pairs = self.pairs(py, names.into_iter().zip(given))?;
+        let set_all = |session: &mut Session| pairs.iter().try_for_each(|(name, value)| session.set(name, value.clone()));
+        set_all(&mut Session::new(self.fmu.clone())).map_err(|e| fmu_error::raise(py, &e))?;
+        self.with_session(set_all)?.map_err(|e| fmu_error::raise(py, &e))
+    }
+
+    fn reset(&self) -> PyResult<()> {
+        self.with_session(Session::reset)
+    }
+
+    /// Frees the instance; everything but the description is refused afterwards.
+    fn close(&self) {
+        let left = std::mem::replace(&mut *lock(&self.slot), Slot::Closed);
+        drop(left);
+    }
+
+    #[getter]
+    fn closed(&self) -> bool {
+        matches!(*lock(&self.slot), Slot::Closed)
+    }
+
+    fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Record<'py>> {
+        let watch = Watch::new(py)?;
+        let stop = Arc::clone(watch.stop());
+        let (options, callbacks) = self.options(py, request, &stop)?;
+        let mut loan = self.lend()?;
+        let releasing = callbacks.clone();
+        let outcome = watch.run(move |_| {
+            let outcome = loan.session.as_mut().map(|session| session.simulate(&options));
+            releasing.release();
+            drop(loan);
+            outcome
+        });
+        logs::pass_on(py)?;
+        let outcome = outcome?;
+        if let Some(e) = callbacks.take_raised().or_else(|| stop.take_raised()) {
+            return Err(e);
+        }
+        match outcome.flatten() {
+            Some(Ok(trajectory)) if !stop.is_asked() => Ok(Record::new(py, self.fmu.description(), trajectory)),
+            Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),
+            outcome => Err(interrupted(outcome.and_then(Result::err).as_ref())),
+        }
+    }
+}
+
+impl Model {
+    fn with_session<T>(&self, work: impl FnOnce(&mut Session) -> T) -> PyResult<T> {
+        match &mut *lock(&self.slot) {
+            Slot::Here(session) => Ok(work(session)),
+            Slot::Simulating => Err(busy()),
+            Slot::Closed => Err(closed()),
+        }
+    }
+
+    fn lend(&self) -> PyResult<Loan> {
+        let mut slot = lock(&self.slot);
+        match std::mem::replace(&mut *slot, Slot::Simulating) {
+            Slot::Here(session) => Ok(Loan { session: Some(session), slot: Arc::clone(&self.slot) }),
+            Slot::Simulating => Err(busy()),
+            Slot::Closed => {
+                *slot = Slot::Closed;
+                Err(closed())
+            }
+        }
+    }
+
+    fn pairs<'py>(
+        &self,
+        py: Python<'py>,
+        given: impl Iterator<Item = (String, Bound<'py, PyAny>)>,
+    ) -> PyResult<Vec<(String, Value)>> {
+        let description = self.fmu.description();
+        given
+            .map(|(name, value)| {
+                let variable = find(py, description, &name)?;
+                let value = values::from_python(description, variable, &value)?;
+                Ok((name, value))
+            })
+            .collect()
+    }
+
+    fn options(
+        &self,
+        py: Python<'_>,
+        request: Request<'_>,
+        stop: &Arc<Stop>,
+    ) -> PyResult<(SimulateOptions, Callbacks)> {
+        let flag = stop.flag();
+        let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &flag)?;
+        let mut options = SimulateOptions::new().inputs(inputs).cancel(flag).record_events(request.record_events);
+        options.start_time = request.start_time;
+        options.final_time = request.final_time;
+        options.times = request.times.map(|times| times.as_slice().map(<[f64]>::to_vec)).transpose()?;
+        options.output_interval = request.output_interval;
+        options.ncp = request.ncp;
+        options.start_values = self.pairs(py, request.start_values.into_iter())?;
+        options.outputs = Some(request.outputs.unwrap_or_else(|| default_outputs(self.fmu.description())));
+        options.relative_tolerance = request.relative_tolerance;
+        options.method = request.solver.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
+        options.step_size = request.step_size;
+        options.max_step = request.max_step;
+        options.timeout = match request.timeout {
+            None => None,
+            Some(f64::INFINITY) => None,
+            Some(seconds) => Some(Duration::try_from_secs_f64(seconds).map_err(|_| {
+                PyValueError::new_err(format!("timeout = {seconds} must be a number of seconds, at least 0"))
+            })?),
+        };
+        Ok((options, callbacks))
+    }
+}
+
+fn find<'a>(py: Python<'_>, description: &'a ModelDescription, name: &str) -> PyResult<&'a Variable> {
+    description.variable(name).ok_or_else(|| {
+        let nearest = description.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
+        fmu_error::raise(py, &fmi::FmiError::UnknownVariable { name: name.to_owned(), nearest })
+    })
+}
+
+/// Outputs and states, each name once.
+fn default_outputs(description: &ModelDescription) -> Vec<String> {
+    let is_output = |v: &&Variable| v.causality == Causality::Output && v.kind != VariableKind::String;
+    let derivatives = description.structure.derivatives.iter().map(|unknown| &description.variables[unknown.index]);
+    let states = derivatives.filter_map(|derivative| derivative.derivative).map(|state| &description.variables[state]);
+    let others = states.filter(|state| state.causality != Causality::Output);
+    description.variables.iter().filter(is_output).chain(others).map(|v| v.name.clone()).collect()
+}
+
+fn busy() -> PyErr {
+    PyRuntimeError::new_err(
+        "the model is being simulated, by another thread or around this call; \
+         open it once for each thread, that costs next to nothing",
+    )
+}
+
+fn closed() -> PyErr {
+    PyValueError::new_err("the model has been closed")
+}
+
+/// Ctrl-C; `at` is the error with which the simulation ended, which knows the time.
+fn interrupted(at: Option<&fmi::FmiError>) -> PyErr {
+    match at {
+        Some(fmi::FmiError::Simulation(e)) => {
+            Interrupted::new_err(format!("the simulation was interrupted at t = {}", e.time))
+        }
+        _ => Interrupted::new_err("the simulation was interrupted"),
+    }
+}
