@@ -57,7 +57,10 @@ fn a_wrong_number_of_values_is_an_error_with_both_numbers() {
     assert!(e.contains("2 values given for 1 parameters (k)"), "{e}");
     assert!(c.cost(&[f64::NAN]).is_err());
     let e = c.fit(FitOptions { start: Some(vec![20.0]), ..FitOptions::default() }).unwrap_err().to_string();
-    assert!(e.contains("20"), "{e}");
+    assert!(e.contains("'k'") && e.contains("start 20 is outside of the bounds 0.1 and 10"), "{e}");
+    // Trajectories at times beyond the model's default experiment, which ends at 10.
+    let times = [0.0, 5.0, 50.0];
+    assert_eq!(c.simulate(&[0.1], Some(&times)).unwrap()[0].time, times);
 }
 
 #[test]

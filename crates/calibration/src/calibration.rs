@@ -132,7 +132,8 @@ impl Prepared {
         let (times, comparison) = Comparison::new(&times, &columns, &weights);
         let start_time =
             experiment.start_time.or(fmu.description().default_experiment.start_time).unwrap_or(0.0);
-        if times[0] < start_time {
+        let rounding = 100.0 * f64::EPSILON / 2.0 * start_time.abs().max(times[times.len() - 1].abs());
+        if times[0] < start_time - rounding {
             return Err(CalibrationError::Setup(format!(
                 "the first measurement of {} is at {}, before the simulation starts at {start_time}; \
                  set a start time or a window",
@@ -250,14 +251,14 @@ impl Calibration {
             options.start_values.extend(values);
             if let Some(times) = times {
                 options.times = Some(times.to_vec());
-                options.final_time = None;
+                options.final_time = times.last().copied();
             }
             self.fmu.simulate(&options)
         };
         Ok(self.experiments.iter().map(at).collect::<Result<Vec<_>, _>>()?)
     }
 
-    fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
+    pub(crate) fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
         if x.len() == self.parameters.len() {
             return Ok(());
         }
