@@ -16,6 +16,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 /// `pydfo.Parameter`, field by field.
@@ -153,20 +154,24 @@ pub(crate) struct PyCalibration {
 }
 
 impl PyCalibration {
-    /// Computes something on another thread, without the lock; Ctrl-C does not wait for it.
+    /// Computes something on another thread, without the lock; Ctrl-C sets the flag that it is given.
     fn compute<T: Send + 'static>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&calibration::Calibration) -> Result<T, CalibrationError> + Send + 'static,
+        work: impl FnOnce(&calibration::Calibration, Arc<AtomicBool>) -> Result<T, CalibrationError>
+        + Send
+        + 'static,
     ) -> PyResult<T> {
         let watch = Watch::new(py)?;
         let inner = Arc::clone(&self.inner);
-        let result = watch.run_briefly(move || work(&inner))?;
+        let flag = watch.stop().flag();
+        let result = watch.run_briefly(move || work(&inner, flag))?;
         logs::pass_on(py)?;
         if let Some(e) = watch.stop().take_raised() {
             return Err(e);
         }
         match result {
+            _ if watch.stop().is_asked() => Err(error::interrupted(py, None, None)),
             Some(result) => result.map_err(|e| error::calibration(py, &e)),
             None => Err(error::interrupted(py, None, None)),
         }
@@ -202,11 +207,12 @@ impl PyCalibration {
     }
 
     fn cost(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<f64> {
-        self.compute(py, move |calibration| calibration.cost(&x))
+        self.compute(py, move |calibration, cancel| calibration.cost_until(&x, &cancel))
     }
 
     fn residuals<'py>(&self, py: Python<'py>, x: Vec<f64>) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let residuals = self.compute(py, move |calibration| calibration.residuals(&x))?;
+        let residuals =
+            self.compute(py, move |calibration, cancel| calibration.residuals_until(&x, &cancel))?;
         Ok(PyArray1::from_vec(py, residuals))
     }
 
@@ -218,7 +224,9 @@ impl PyCalibration {
         x: Vec<f64>,
         times: Option<Vec<f64>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let trajectories = self.compute(py, move |calibration| calibration.simulate(&x, times.as_deref()))?;
+        let trajectories = self.compute(py, move |calibration, cancel| {
+            calibration.simulate_until(&x, times.as_deref(), cancel)
+        })?;
         let columns = PyDict::new(py);
         for trajectory in trajectories {
             columns.set_item("time", PyArray1::from_vec(py, trajectory.time))?;

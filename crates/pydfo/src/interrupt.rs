@@ -171,7 +171,7 @@ impl<'py> Watch<'py> {
         self.serve(work, Stop::look)
     }
 
-    /// As [`run`](Self::run), for work that cannot be told to end: the first Ctrl-C does not wait for it.
+    /// As [`run`](Self::run), but the first Ctrl-C does not wait for the work to notice.
     pub(crate) fn run_briefly<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
