@@ -171,6 +171,18 @@ pub enum FmiError {
         /// The library.
         library: PathBuf,
     },
+    /// An instance of the library answered `Fatal`: the standard lets none of its instances be used after that.
+    #[error("{} is unusable in this process since one of its calls returned fatal", library.display())]
+    LibraryUnusable {
+        /// The library.
+        library: PathBuf,
+    },
+    /// The values of an instance are gone, because another one was made of a library whose instances disturb each other.
+    #[error("{}: instances disturb each other, and another one has been used since", library.display())]
+    Disturbed {
+        /// The library.
+        library: PathBuf,
+    },
     /// A call into the FMU failed.
     #[error(transparent)]
     Call(Box<CallFailure>),

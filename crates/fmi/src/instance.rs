@@ -96,6 +96,7 @@ impl Core {
         let failed = match fault {
             Fault::Discard(call) => self.raw.failed(call, Status::Discard),
             Fault::Failed(failed) => *failed,
+            Fault::Unusable(library) => return FmiError::LibraryUnusable { library },
             Fault::Missing(function) => return FmiError::MissingFunction { function },
             Fault::Length { call, expected, found } => return FmiError::Length { call, expected, found },
         };
@@ -188,6 +189,11 @@ impl<P> Instance<P> {
     /// The same instance in another phase; the caller has made the call that leads there.
     pub(crate) fn into_phase<Q>(self) -> Instance<Q> {
         Instance { core: self.core, _phase: PhantomData }
+    }
+
+    /// Whether it is not to be used any more: see [`RawInstance::is_stale`].
+    pub(crate) fn is_stale(&self) -> bool {
+        self.core.raw.is_stale()
     }
 
     /// Gives up the wrapping.

@@ -58,8 +58,18 @@ fn errors_name_the_call_the_time_and_the_log() {
 #[test]
 fn after_fatal_the_instance_is_abandoned() {
     // Freeing it would abort this process.
-    let error = fails(&["FATAL_LATE"]);
+    let folder = evil(&["FATAL_LATE"]);
+    let error = Simulator::new(plan(&folder)).unwrap().run(&[1.0], &mut Ignore).unwrap_err();
     assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
+}
+
+#[test]
+fn after_an_error_there_are_no_values() {
+    let folder = evil(&["ERROR_LATE"]);
+    let mut simulator = Simulator::new(plan(&folder)).unwrap();
+    simulator.run(&[1.0], &mut Ignore).unwrap_err();
+    let error = simulator.value("x").unwrap_err();
+    assert!(error.call_failure().is_none() && error.to_string().contains("no running instance"), "{error}");
 }
 
 #[test]
