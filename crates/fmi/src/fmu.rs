@@ -1,7 +1,7 @@
 //! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
 
 use crate::archive::Archive;
-use crate::description::{Interface, ModelDescription};
+use crate::description::{Interface, ModelDescription, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{Instance, Instantiated};
 use crate::options::SimulateOptions;
@@ -13,7 +13,7 @@ use crate::sys::{FloatEnvironment, Library, RawInstance, Request, Shared, Sizes,
 use crate::trajectory::Trajectory;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
 /// Instances kept for later, per FMU.
 const MAX_IDLE: usize = 4;
@@ -31,6 +31,8 @@ pub struct Fmu {
 struct Inner {
     idle: Arc<Idle>,
     library: Mutex<Option<Arc<Library>>>,
+    /// Value references of the variables of type Real, sorted; made when first needed.
+    real_references: OnceLock<Vec<u32>>,
     description: ModelDescription,
     path: PathBuf,
     archive: Archive,
@@ -92,6 +94,7 @@ impl Fmu {
             inner: Arc::new(Inner {
                 idle: Arc::default(),
                 library: Mutex::new(None),
+                real_references: OnceLock::new(),
                 description,
                 path: path.to_owned(),
                 archive,
@@ -102,6 +105,25 @@ impl Fmu {
     /// The model description.
     pub fn description(&self) -> &ModelDescription {
         &self.inner.description
+    }
+
+    /// Refuses value references that no variable of type Real has: FMUs use them as indices without looking.
+    pub(crate) fn check_real_references(
+        &self,
+        call: &'static str,
+        references: &[u32],
+    ) -> Result<(), FmiError> {
+        let known = self.inner.real_references.get_or_init(|| {
+            let reals = self.description().variables.iter().filter(|v| v.kind == VariableKind::Real);
+            let mut known: Vec<u32> = reals.map(|v| v.value_reference).collect();
+            known.sort_unstable();
+            known.dedup();
+            known
+        });
+        match references.iter().find(|reference| known.binary_search(reference).is_err()) {
+            Some(&reference) => Err(FmiError::UnknownReference { call, reference }),
+            None => Ok(()),
+        }
     }
 
     /// The path it was opened by.

@@ -73,6 +73,22 @@ fn after_an_error_there_are_no_values() {
 }
 
 #[test]
+fn references_of_no_variable_are_not_shown_to_the_fmu() {
+    let folder = evil(&["TRUSTS_REFERENCES"]);
+    let mut instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let (far, mut value) = (0xf000_0000, [0.0]);
+    for error in [
+        instance.get_reals(&[far], &mut value).unwrap_err(),
+        instance.directional_derivative(&[far], &[0], &[1.0], &mut value).unwrap_err(),
+        instance.directional_derivative(&[1], &[far], &[1.0], &mut value).unwrap_err(),
+    ] {
+        assert!(matches!(error, FmiError::UnknownReference { reference, .. } if reference == far), "{error}");
+    }
+    instance.get_reals(&[2], &mut value).unwrap();
+    assert_eq!(value, [1.0]);
+}
+
+#[test]
 fn an_unknown_status_is_an_error() {
     assert_eq!(fails(&["ODD_STATUS"]).call_failure().unwrap().status, Status::Unknown(77));
 }

@@ -128,6 +128,13 @@ EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference *vr, siz
     Model *m = c;
     size_t i;
     for (i = 0; i < n; i++) {
+#ifdef TRUSTS_REFERENCES
+        static double table[7];
+        if (vr[i] > 6) {
+            value[i] = table[vr[i]];
+            continue;
+        }
+#endif
         switch (vr[i]) {
         case 0: case 3: value[i] = m->x; break;
         case 1: value[i] = -K(m) * m->x; break;
