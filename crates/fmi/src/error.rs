@@ -171,6 +171,18 @@ pub enum FmiError {
         /// The library.
         library: PathBuf,
     },
+    /// An instance of the library answered `Fatal`: the standard lets none of its instances be used after that.
+    #[error("{} is unusable in this process since one of its calls returned fatal", library.display())]
+    LibraryUnusable {
+        /// The library.
+        library: PathBuf,
+    },
+    /// The values of an instance are gone, because another one was made of a library whose instances disturb each other.
+    #[error("{}: instances disturb each other, and another one has been used since", library.display())]
+    Disturbed {
+        /// The library.
+        library: PathBuf,
+    },
     /// A call into the FMU failed.
     #[error(transparent)]
     Call(Box<CallFailure>),
@@ -192,9 +204,17 @@ pub enum FmiError {
         /// Rounds allowed.
         limit: u32,
     },
-    /// A saved state of another instance.
+    /// A saved state of another instance, or written by an instance of another FMU.
     #[error("the saved state belongs to another instance")]
     ForeignState,
+    /// A saved state of another phase: the instance would be in one and its type would say another.
+    #[error("the state was saved in {saved}, the instance is in {now}")]
+    StateOfAnotherPhase {
+        /// The phase of the saved state.
+        saved: &'static str,
+        /// The phase of the instance.
+        now: &'static str,
+    },
     /// The model has no variable of this name.
     #[error("the model has no variable \"{name}\"{}", did_you_mean(nearest))]
     UnknownVariable {
@@ -202,6 +222,14 @@ pub enum FmiError {
         name: String,
         /// Names that resemble it, the most similar first.
         nearest: Vec<String>,
+    },
+    /// A value reference that no variable of type Real has; the FMU was not called.
+    #[error("{call}: the model has no variable of type Real with the value reference {reference}")]
+    UnknownReference {
+        /// The call.
+        call: &'static str,
+        /// The reference.
+        reference: u32,
     },
     /// A value of the wrong type.
     #[error("{name} is of type {kind}, {value} ({given}) does not fit")]

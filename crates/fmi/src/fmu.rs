@@ -1,20 +1,19 @@
 //! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
 
 use crate::archive::Archive;
-use crate::description::{Interface, ModelDescription};
+use crate::description::{Interface, ModelDescription, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{Instance, Instantiated};
 use crate::options::SimulateOptions;
-use crate::plan::SimulationPlan;
+use crate::plan::{Setting, SimulationPlan};
 use crate::platform;
 use crate::simulation::Simulator;
 use crate::source;
-use crate::sys::{FloatEnvironment, Library, RawInstance, Request, Sizes};
+use crate::sys::{FloatEnvironment, Library, RawInstance, Request, Shared, Sizes, Spares};
 use crate::trajectory::Trajectory;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU8, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
 /// Instances kept for later, per FMU.
 const MAX_IDLE: usize = 4;
@@ -30,16 +29,36 @@ pub struct Fmu {
 /// Fields are dropped in this order: instances, library, folder.
 #[derive(Debug)]
 struct Inner {
-    idle: Mutex<Vec<RawInstance>>,
+    idle: Arc<Idle>,
     library: Mutex<Option<Arc<Library>>>,
-    reuse: AtomicU8,
+    /// Value references of the variables of type Real, sorted; made when first needed.
+    real_references: OnceLock<Vec<u32>>,
     description: ModelDescription,
     path: PathBuf,
     archive: Archive,
 }
 
+/// Instances that nobody uses at present, each with everything that was ever set in it. Resetting may leave what was set
+/// (the first-use test does not see variables that its plan does not set), so an instance goes only to plans that set all
+/// of it again.
+#[derive(Debug, Default)]
+struct Idle(Mutex<Vec<(RawInstance, Arc<[Setting]>)>>);
+
+impl Idle {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Vec<(RawInstance, Arc<[Setting]>)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Spares for Idle {
+    fn free_all(&self) {
+        let idle = std::mem::take(&mut *self.lock());
+        drop(idle);
+    }
+}
+
 /// How the instances of an FMU are brought back to their beginning between simulations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Reuse {
     /// By the FMU's reset function: it was seen to restore everything, bit for bit.
     Reset,
@@ -47,7 +66,7 @@ pub enum Reuse {
     Reinstantiate,
 }
 
-const UNCHECKED: u8 = 0;
+// Verdicts as the library stores them; 0: none.
 const RESET: u8 = 1;
 const REINSTANTIATE: u8 = 2;
 
@@ -73,9 +92,9 @@ impl Fmu {
         let description = ModelDescription::read(&archive)?;
         Ok(Fmu {
             inner: Arc::new(Inner {
-                idle: Mutex::new(Vec::new()),
+                idle: Arc::default(),
                 library: Mutex::new(None),
-                reuse: AtomicU8::new(UNCHECKED),
+                real_references: OnceLock::new(),
                 description,
                 path: path.to_owned(),
                 archive,
@@ -86,6 +105,25 @@ impl Fmu {
     /// The model description.
     pub fn description(&self) -> &ModelDescription {
         &self.inner.description
+    }
+
+    /// Refuses value references that no variable of type Real has: FMUs use them as indices without looking.
+    pub(crate) fn check_real_references(
+        &self,
+        call: &'static str,
+        references: &[u32],
+    ) -> Result<(), FmiError> {
+        let known = self.inner.real_references.get_or_init(|| {
+            let reals = self.description().variables.iter().filter(|v| v.kind == VariableKind::Real);
+            let mut known: Vec<u32> = reals.map(|v| v.value_reference).collect();
+            known.sort_unstable();
+            known.dedup();
+            known
+        });
+        match references.iter().find(|reference| known.binary_search(reference).is_err()) {
+            Some(&reference) => Err(FmiError::UnknownReference { call, reference }),
+            None => Ok(()),
+        }
     }
 
     /// The path it was opened by.
@@ -144,8 +182,9 @@ impl Fmu {
         };
         let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
         let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
-        if only_one {
-            self.drop_idle();
+        if only_one || library.shared().is_dependent() {
+            library.shared().set_dependent();
+            library.shared().free_spares();
         }
         // The FMU may change the floating-point mode of this thread and shall not.
         let _guard = FloatEnvironment::standard();
@@ -202,6 +241,8 @@ impl Fmu {
             }
         };
         let library = Arc::new(Library::open(&path, &description.fmi_version)?);
+        let idle: Weak<Idle> = Arc::downgrade(&self.inner.idle);
+        library.shared().add_spares(idle);
         *slot = Some(Arc::clone(&library));
         Ok(library)
     }
@@ -216,38 +257,41 @@ impl Fmu {
         }
     }
 
-    /// An instance that was used before and is not needed at present; to be reset before use.
-    pub(crate) fn take_idle(&self) -> Option<RawInstance> {
-        self.idle().pop()
+    /// An instance that was used before, in which nothing was set but what `settings` set again; to be reset before use.
+    pub(crate) fn take_idle(&self, settings: &[Setting]) -> Option<RawInstance> {
+        let mut idle = self.inner.idle.lock();
+        let covered = |set: &[Setting]| set.iter().all(|one| settings.binary_search(one).is_ok());
+        let place = idle.iter().rposition(|(_, set)| covered(set))?;
+        Some(idle.remove(place).0)
     }
 
-    /// Keeps an instance for later, or frees it if there are enough.
-    pub(crate) fn put_idle(&self, raw: RawInstance) {
+    /// Keeps an instance, in which `settings` were set, for later; frees another one if there are many.
+    pub(crate) fn put_idle(&self, raw: RawInstance, settings: &Arc<[Setting]>) {
+        if raw.is_dead() || raw.is_stale() {
+            return;
+        }
         let surplus = {
-            let mut idle = self.idle();
-            if raw.is_dead() || idle.len() >= MAX_IDLE {
-                Some(raw)
-            } else {
-                idle.push(raw);
-                None
-            }
+            let mut idle = self.inner.idle.lock();
+            idle.push((raw, Arc::clone(settings)));
+            (idle.len() > MAX_IDLE).then(|| idle.remove(0))
         };
         drop(surplus);
     }
 
-    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<RawInstance>> {
-        self.inner.idle.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Frees the idle instances.
     pub(crate) fn drop_idle(&self) {
-        let idle = std::mem::take(&mut *self.idle());
-        drop(idle);
+        self.inner.idle.free_all();
+    }
+
+    /// What all users of the library share; `None` before it is loaded.
+    pub(crate) fn shared(&self) -> Option<Arc<Shared>> {
+        let slot = self.inner.library.lock().unwrap_or_else(PoisonError::into_inner);
+        slot.as_ref().map(|library| Arc::clone(library.shared()))
     }
 
     /// What is known about reset; `None` before it was tried.
     pub fn reuse(&self) -> Option<Reuse> {
-        match self.inner.reuse.load(Ordering::Acquire) {
+        match self.shared()?.reuse() {
             RESET => Some(Reuse::Reset),
             REINSTANTIATE => Some(Reuse::Reinstantiate),
             _ => None,
@@ -255,13 +299,12 @@ impl Fmu {
     }
 
     pub(crate) fn set_reuse(&self, reuse: Reuse) {
-        let value = match reuse {
-            Reuse::Reset => RESET,
-            Reuse::Reinstantiate => REINSTANTIATE,
-        };
-        // Once found out, a broken reset stays broken.
-        if self.inner.reuse.load(Ordering::Acquire) != REINSTANTIATE {
-            self.inner.reuse.store(value, Ordering::Release);
+        if let Some(shared) = self.shared() {
+            // Once found out, a broken reset stays broken.
+            shared.worsen_reuse(match reuse {
+                Reuse::Reset => RESET,
+                Reuse::Reinstantiate => REINSTANTIATE,
+            });
         }
         if reuse == Reuse::Reinstantiate {
             self.drop_idle();

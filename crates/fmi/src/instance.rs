@@ -76,7 +76,28 @@ phase!(Terminated, |v| Err(assign::not_settable(v, "the simulation has ended")))
 /// A saved state of an instance, to be brought back by the same instance. When it is dropped, its memory is used for the
 /// next saved state; the instance frees it at its end.
 #[derive(Debug)]
-pub struct SavedState(SavedSlot);
+pub struct SavedState {
+    slot: SavedSlot,
+    /// Name of the phase it was saved in.
+    phase: &'static str,
+}
+
+/// The bytes of a saved state, for any instance of the same FMU. Only [`Instance::serialize`] makes them: FMUs read
+/// them without looking.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SerializedState {
+    bytes: Vec<u8>,
+    /// Hash of the FMU's content.
+    fmu: String,
+    phase: &'static str,
+}
+
+impl SerializedState {
+    /// The bytes.
+    pub fn as_bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+}
 
 /// The part of an instance that does not change with the phase. The component is dropped before the FMU it is of.
 #[derive(Debug)]
@@ -96,6 +117,7 @@ impl Core {
         let failed = match fault {
             Fault::Discard(call) => self.raw.failed(call, Status::Discard),
             Fault::Failed(failed) => *failed,
+            Fault::Unusable(library) => return FmiError::LibraryUnusable { library },
             Fault::Missing(function) => return FmiError::MissingFunction { function },
             Fault::Length { call, expected, found } => return FmiError::Length { call, expected, found },
         };
@@ -176,6 +198,12 @@ impl Core {
     }
 }
 
+/// The last part of the type's name.
+fn phase_name<P>() -> &'static str {
+    let path = std::any::type_name::<P>();
+    path.rsplit("::").next().unwrap_or(path)
+}
+
 fn is_integer(kind: VariableKind) -> bool {
     matches!(kind, VariableKind::Integer | VariableKind::Enumeration)
 }
@@ -188,6 +216,11 @@ impl<P> Instance<P> {
     /// The same instance in another phase; the caller has made the call that leads there.
     pub(crate) fn into_phase<Q>(self) -> Instance<Q> {
         Instance { core: self.core, _phase: PhantomData }
+    }
+
+    /// Whether it is not to be used any more: see [`RawInstance::is_stale`].
+    pub(crate) fn is_stale(&self) -> bool {
+        self.core.raw.is_stale()
     }
 
     /// Gives up the wrapping.
@@ -232,28 +265,34 @@ impl<P> Instance<P> {
     /// # Errors
     /// The FMU cannot, or refuses.
     pub fn save_state(&mut self) -> Result<SavedState, FmiError> {
-        self.core.call(RawInstance::save_state).map(SavedState)
+        let slot = self.core.call(RawInstance::save_state)?;
+        Ok(SavedState { slot, phase: phase_name::<P>() })
     }
 
     /// The bytes of a saved state.
     ///
     /// # Errors
     /// [`FmiError::ForeignState`] for a state of another instance; the FMU cannot, or refuses.
-    pub fn serialize(&mut self, state: &SavedState) -> Result<Vec<u8>, FmiError> {
+    pub fn serialize(&mut self, state: &SavedState) -> Result<SerializedState, FmiError> {
         self.check_own(state)?;
-        self.core.call(|raw| raw.serialize(&state.0))
+        let bytes = self.core.call(|raw| raw.serialize(&state.slot))?;
+        Ok(SerializedState { bytes, fmu: self.core.fmu.content_hash().to_owned(), phase: state.phase })
     }
 
     /// Makes a saved state of bytes that an instance of the same FMU has written.
     ///
     /// # Errors
-    /// The FMU cannot, or refuses.
-    pub fn deserialize(&mut self, bytes: &[u8]) -> Result<SavedState, FmiError> {
-        self.core.call(|raw| raw.deserialize(bytes)).map(SavedState)
+    /// [`FmiError::ForeignState`] for a state of another FMU; the FMU cannot, or refuses.
+    pub fn deserialize(&mut self, state: &SerializedState) -> Result<SavedState, FmiError> {
+        if state.fmu != self.core.fmu.content_hash() {
+            return Err(FmiError::ForeignState);
+        }
+        let slot = self.core.call(|raw| raw.deserialize(&state.bytes))?;
+        Ok(SavedState { slot, phase: state.phase })
     }
 
     fn check_own(&self, state: &SavedState) -> Result<(), FmiError> {
-        if self.core.raw.owns(&state.0) { Ok(()) } else { Err(FmiError::ForeignState) }
+        if self.core.raw.owns(&state.slot) { Ok(()) } else { Err(FmiError::ForeignState) }
     }
 
     /// Brings the instance back to its beginning. Whether the FMU really does so is another matter: see
@@ -282,8 +321,9 @@ impl<P: Readable> Instance<P> {
     /// Reads real variables by value reference, in one call.
     ///
     /// # Errors
-    /// The slices differ in length, or the FMU refuses.
+    /// The slices differ in length, a reference is not that of a variable of type Real, or the FMU refuses.
     pub fn get_reals(&mut self, references: &[u32], values: &mut [f64]) -> Result<(), FmiError> {
+        self.core.fmu.check_real_references("get_reals", references)?;
         self.core
             .raw
             .get_real(references, values)
@@ -293,7 +333,7 @@ impl<P: Readable> Instance<P> {
     /// The derivative of `unknowns` in the direction `seed` of the space of `knowns` (value references of reals).
     ///
     /// # Errors
-    /// The slices differ in length; the FMU cannot, or refuses.
+    /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or refuses.
     pub fn directional_derivative(
         &mut self,
         unknowns: &[u32],
@@ -301,6 +341,8 @@ impl<P: Readable> Instance<P> {
         seed: &[f64],
         sensitivity: &mut [f64],
     ) -> Result<(), FmiError> {
+        self.core.fmu.check_real_references("directional_derivative", unknowns)?;
+        self.core.fmu.check_real_references("directional_derivative", knowns)?;
         self.core.call(|raw| raw.directional_derivative(unknowns, knowns, seed, sensitivity))
     }
 }
@@ -324,10 +366,15 @@ impl<P: Phase> Instance<P> {
     /// Brings back a state saved by this instance **in the same phase**.
     ///
     /// # Errors
-    /// [`FmiError::ForeignState`] for a state of another instance; the FMU cannot, or refuses.
+    /// [`FmiError::ForeignState`] for a state of another instance, [`FmiError::StateOfAnotherPhase`]; the FMU cannot, or
+    /// refuses.
     pub fn restore_state(&mut self, state: &SavedState) -> Result<(), FmiError> {
         self.check_own(state)?;
-        self.core.call(|raw| raw.restore_state(&state.0))
+        let now = phase_name::<P>();
+        if state.phase != now {
+            return Err(FmiError::StateOfAnotherPhase { saved: state.phase, now });
+        }
+        self.core.call(|raw| raw.restore_state(&state.slot))
     }
 }
 

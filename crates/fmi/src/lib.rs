@@ -32,7 +32,7 @@ pub use fmu::{Fmu, FmuCache, InstanceOptions, Reuse};
 pub use input::{InputFunction, Inputs};
 pub use instance::{
     ContinuousTime, EventMode, Initialization, Instance, Instantiated, Phase, Readable, SavedState,
-    Terminated,
+    SerializedState, Terminated,
 };
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use ode;

@@ -217,12 +217,15 @@ impl SimulateOptions {
             );
             return Err(setting(problem));
         }
+        if !(end - start).is_finite() {
+            return Err(setting(format!("the span from {start} to {end} is too long for a number")));
+        }
         let same = 100.0 * U * start.abs().max(end.abs()).max(end - start);
         let times = match (&self.times, self.output_interval, self.ncp) {
             (Some(times), ..) => snap(times, start, end, same)?,
             (_, Some(interval), _) => intervals(start, end, same, interval)?,
             (_, _, Some(0)) => return Err(setting("ncp = 0: at least one interval is needed".to_owned())),
-            (_, _, ncp) => uniform(start, end, ncp.unwrap_or(DEFAULT_INTERVALS))?,
+            (_, _, ncp) => uniform(start, end, same, ncp.unwrap_or(DEFAULT_INTERVALS))?,
         };
         Ok(Grid { start, end, same, times })
     }
@@ -242,8 +245,8 @@ fn setting(problem: String) -> FmiError {
     FmiError::BadSetting { problem }
 }
 
-/// `n` equal intervals: `start + k h`, never a sum, and the end itself.
-fn uniform(start: f64, end: f64, n: usize) -> Result<Vec<f64>, FmiError> {
+/// `n` equal intervals: `start + k h`, never a sum, and the end itself; fewer where the rows could not be told apart.
+fn uniform(start: f64, end: f64, same: f64, n: usize) -> Result<Vec<f64>, FmiError> {
     if start == end {
         return Ok(vec![start]);
     }
@@ -251,7 +254,16 @@ fn uniform(start: f64, end: f64, n: usize) -> Result<Vec<f64>, FmiError> {
         return Err(setting(format!("{n} intervals are more than the limit of {MAX_ROWS}")));
     }
     let h = (end - start) / n as f64;
-    Ok((0..n).map(|k| start + k as f64 * h).chain([end]).collect())
+    let mut times = vec![start];
+    let mut last = start;
+    for t in (1..n).map(|k| start + k as f64 * h) {
+        if t - last > same && end - t > same {
+            times.push(t);
+            last = t;
+        }
+    }
+    times.push(end);
+    Ok(times)
 }
 
 /// Rows `interval` apart, and one at the end.
@@ -333,6 +345,18 @@ mod tests {
         let one = grid(&SimulateOptions::new().start_time(0.1).final_time(1.1).ncp(1));
         assert_eq!(one.times, [0.1, 1.1]);
         assert_eq!(grid(&SimulateOptions::new().final_time(0.0)).times, [0.0]);
+    }
+
+    #[test]
+    fn rows_that_cannot_be_told_apart_are_one() {
+        let g = grid(&SimulateOptions::new().start_time(1e9).final_time(1e9 + 1e-5));
+        assert_eq!((g.times[0], *g.times.last().unwrap()), (1e9, 1e9 + 1e-5));
+        assert!(g.times.windows(2).all(|pair| pair[1] > pair[0]), "{:?}", g.times);
+        let g = grid(&SimulateOptions::new().start_time(1e9).final_time(1e9 + 1.0));
+        assert!(g.times.len() > 400 && g.times.windows(2).all(|pair| pair[1] - pair[0] > g.same));
+        assert!(
+            problem(&SimulateOptions::new().start_time(-1.5e308).final_time(1.5e308)).contains("too long")
+        );
     }
 
     #[test]

@@ -6,8 +6,10 @@ use crate::error::FmiError;
 use crate::fmu::Fmu;
 use crate::input::{InputPlan, Inputs};
 use crate::options::SimulateOptions;
+use crate::pool::nudge;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A simulation of one model with everything resolved and checked. It does not change and can be shared by workers;
@@ -27,6 +29,8 @@ pub struct SimulationPlan {
     pub(crate) parameter_starts: Vec<f64>,
     pub(crate) inputs: InputPlan,
     pub(crate) outputs: OutputPlan,
+    /// Everything that a run sets, sorted.
+    pub(crate) settings: Arc<[Setting]>,
     output_names: Vec<String>,
     pub(crate) n_states: usize,
     pub(crate) n_indicators: usize,
@@ -35,6 +39,10 @@ pub struct SimulationPlan {
     pub(crate) completed_step_not_needed: bool,
     warned_of_nominals: AtomicBool,
 }
+
+/// A variable that a run sets: whether before the initialization (or in it, and later), a number for its type, its
+/// reference.
+pub(crate) type Setting = (bool, u8, u32);
 
 /// Where an output comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -116,6 +124,7 @@ impl SimulationPlan {
             parameter_starts: Vec::new(),
             inputs,
             outputs: OutputPlan::default(),
+            settings: Arc::default(),
             output_names: Vec::new(),
             n_states: description.n_states(),
             n_indicators: description.n_event_indicators,
@@ -130,7 +139,54 @@ impl SimulationPlan {
             plan.start_values.push(&description.variables[*index], value)?;
         }
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
+        plan.settings = plan.all_settings();
         Ok(plan)
+    }
+
+    fn all_settings(&self) -> Arc<[Setting]> {
+        let Assignments { reals, integers, booleans, strings } = &self.start_values;
+        let inputs = &self.inputs;
+        let lists = [
+            (true, 0, &reals.0),
+            (true, 0, &self.parameters),
+            (true, 1, &integers.0),
+            (true, 2, &booleans.0),
+            (true, 3, &strings.0),
+            (false, 0, &inputs.continuous),
+            (false, 0, &inputs.held_reals),
+            (false, 1, &inputs.held_integers),
+            (false, 2, &inputs.held_booleans),
+        ];
+        let mut settings: Vec<Setting> = lists
+            .into_iter()
+            .flat_map(|(before, kind, list)| list.iter().map(move |reference| (before, kind, *reference)))
+            .collect();
+        settings.sort_unstable();
+        settings.dedup();
+        settings.into()
+    }
+
+    /// Start values and parameters a little off, within their bounds: for trial runs whose traces must not be found
+    /// again in the next run. Integers and the like stay as they are: they may choose another model altogether.
+    pub(crate) fn other_values(&self, parameters: &[f64]) -> (Assignments, Vec<f64>) {
+        let description = self.fmu.description();
+        let mut others = self.start_values.clone();
+        if !others.reals.0.is_empty() {
+            let variables: HashMap<u32, &Variable> = description
+                .variables
+                .iter()
+                .filter(|v| v.kind == VariableKind::Real && check_settable_at_start(v).is_ok())
+                .map(|v| (v.value_reference, v))
+                .collect();
+            for (reference, value) in others.reals.0.iter().zip(&mut others.reals.1) {
+                *value = variables.get(reference).map_or(*value, |variable| nudge(variable, *value));
+            }
+        }
+        let parameters = self.parameter_names.iter().zip(parameters);
+        let parameters = parameters
+            .map(|(name, &value)| description.variable(name).map_or(value, |variable| nudge(variable, value)))
+            .collect();
+        (others, parameters)
     }
 
     fn take_parameters(

@@ -280,6 +280,28 @@ pub(crate) struct FileIdentity {
     changed: (i64, i64),
 }
 
+/// Where a file lies: device and inode, or the path on systems that have none.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub(crate) enum FilePlace {
+    Inode(u64, u64),
+    Path(PathBuf),
+}
+
+impl FileIdentity {
+    /// The place of the file that is found at `path`.
+    pub(crate) fn place(&self, path: &Path) -> FilePlace {
+        match self.place {
+            (0, 0) => FilePlace::Path(path.canonicalize().unwrap_or_else(|_| path.to_owned())),
+            (device, inode) => FilePlace::Inode(device, inode),
+        }
+    }
+
+    /// Whether the file has not been written since.
+    pub(crate) fn same_content(&self, other: &Self) -> bool {
+        (self.size, self.modified) == (other.size, other.modified)
+    }
+}
+
 /// The identity of a file from its metadata; nothing is read.
 pub(crate) fn file_identity(metadata: &fs::Metadata) -> FileIdentity {
     #[cfg(unix)]

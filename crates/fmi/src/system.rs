@@ -1,5 +1,6 @@
 //! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
 
+use crate::assign::Assignments;
 use crate::description::Variable;
 use crate::error::FmiError;
 use crate::input::InputState;
@@ -128,13 +129,24 @@ impl System {
     /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
     pub(crate) fn initialize(
         &mut self,
+        instance: Instance<Instantiated>,
+        parameters: &[f64],
+    ) -> Result<(), FmiError> {
+        let plan = Arc::clone(&self.plan);
+        self.initialize_with(instance, &plan.start_values, parameters)
+    }
+
+    /// The same with other start values for the variables that have some in the plan.
+    pub(crate) fn initialize_with(
+        &mut self,
         mut instance: Instance<Instantiated>,
+        start_values: &Assignments,
         parameters: &[f64],
     ) -> Result<(), FmiError> {
         let plan = Arc::clone(&self.plan);
         self.mode = Mode::Gone;
         self.broken = false;
-        instance.core().apply(&plan.start_values)?;
+        instance.core().apply(start_values)?;
         instance.core().set_reals(&plan.parameters, parameters)?;
         let mut instance = instance.enter_initialization(
             plan.start,
@@ -175,6 +187,13 @@ impl System {
 
     /// Value of a variable at the point last committed.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value, FmiError> {
+        if self.broken {
+            return Err(no_instance());
+        }
+        let raw = &self.core()?.raw;
+        if raw.is_stale() {
+            return Err(FmiError::Disturbed { library: raw.library_path() });
+        }
         let (time, states) = (self.last_time, self.last_states.clone());
         match self.set_point(time, &states) {
             Ok(()) => {}

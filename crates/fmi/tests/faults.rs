@@ -58,8 +58,34 @@ fn errors_name_the_call_the_time_and_the_log() {
 #[test]
 fn after_fatal_the_instance_is_abandoned() {
     // Freeing it would abort this process.
-    let error = fails(&["FATAL_LATE"]);
+    let folder = evil(&["FATAL_LATE"]);
+    let error = Simulator::new(plan(&folder)).unwrap().run(&[1.0], &mut Ignore).unwrap_err();
     assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
+}
+
+#[test]
+fn after_an_error_there_are_no_values() {
+    let folder = evil(&["ERROR_LATE"]);
+    let mut simulator = Simulator::new(plan(&folder)).unwrap();
+    simulator.run(&[1.0], &mut Ignore).unwrap_err();
+    let error = simulator.value("x").unwrap_err();
+    assert!(error.call_failure().is_none() && error.to_string().contains("no running instance"), "{error}");
+}
+
+#[test]
+fn references_of_no_variable_are_not_shown_to_the_fmu() {
+    let folder = evil(&["TRUSTS_REFERENCES"]);
+    let mut instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let (far, mut value) = (0xf000_0000, [0.0]);
+    for error in [
+        instance.get_reals(&[far], &mut value).unwrap_err(),
+        instance.directional_derivative(&[far], &[0], &[1.0], &mut value).unwrap_err(),
+        instance.directional_derivative(&[1], &[far], &[1.0], &mut value).unwrap_err(),
+    ] {
+        assert!(matches!(error, FmiError::UnknownReference { reference, .. } if reference == far), "{error}");
+    }
+    instance.get_reals(&[2], &mut value).unwrap();
+    assert_eq!(value, [1.0]);
 }
 
 #[test]

@@ -318,3 +318,13 @@ fn bad_tables_name_variable_row_and_number() {
     let error = fmu.simulate(&SimulateOptions::new().final_time(1.0).inputs(inputs)).unwrap_err();
     assert!(matches!(error, FmiError::NotFinite { .. }), "{error}");
 }
+
+#[test]
+fn a_short_span_at_a_large_time_is_simulated() {
+    let folder = model("dahlquist");
+    for span in [1e-5, 1e-3] {
+        let options = SimulateOptions::new().start_time(1e9).final_time(1e9 + span);
+        let result = folder.open().simulate(&options).unwrap();
+        assert!(result.time[0] == 1e9 && result.time.windows(2).all(|pair| pair[0] < pair[1]));
+    }
+}

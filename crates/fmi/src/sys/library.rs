@@ -1,21 +1,20 @@
-//! A loaded shared library of an FMU with its function table; it stays open as long as anything of it lives.
+//! A loaded shared library of an FMU with its function table; what all users of the library share is in `shared.rs`.
 
 use super::platform::{self, FloatEnvironment, Handle};
-use super::{Binding, fmi2};
+use super::{Binding, Shared, fmi2};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicUsize;
+use std::sync::Arc;
 
 /// An open library and the functions found in it.
 pub(crate) struct Library {
     /// Holds pointers into `handle`, so it is declared, and dropped, before it.
     binding: Box<dyn Binding>,
-    /// Instances alive, for FMUs that allow only one.
-    pub(super) live: AtomicUsize,
+    shared: Arc<Shared>,
     path: PathBuf,
-    /// Last: closed when the table is gone (invariant 1).
+    /// Last: closed, if at all, when the table is gone (invariant 1).
     _handle: Handle,
 }
 
@@ -42,18 +41,21 @@ impl Library {
         Self::check_version(version)?;
         // Loading code linked with -ffast-math changes the floating-point mode of this thread.
         let _guard = FloatEnvironment::standard();
+        let shared = Shared::of(path)?;
+        if shared.is_fatal() {
+            return Err(FmiError::LibraryUnusable { library: path.to_owned() });
+        }
         // SAFETY: the user asked to run this FMU, and running its constructors is part of that.
-        let handle = unsafe { platform::open(path) }
-            .map_err(|error| FmiError::LoadFailed { library: path.to_owned(), message: message(&error) })?;
+        let handle = unsafe { platform::open(path) }.map_err(|error| {
+            if Arc::strong_count(&shared) <= 2 {
+                Shared::forget(path);
+            }
+            FmiError::LoadFailed { library: path.to_owned(), message: message(&error) }
+        })?;
         let symbols = Symbols { handle: &handle, path };
         // SAFETY: the description says that the library follows this version of the standard.
         let binding = unsafe { fmi2::Fmi2::load(&symbols)? };
-        Ok(Self {
-            binding: Box::new(binding),
-            live: AtomicUsize::new(0),
-            path: path.to_owned(),
-            _handle: handle,
-        })
+        Ok(Self { binding: Box::new(binding), shared, path: path.to_owned(), _handle: handle })
     }
 
     /// The function table.
@@ -61,8 +63,13 @@ impl Library {
         &*self.binding
     }
 
+    /// What all users of the library share.
+    pub(crate) fn shared(&self) -> &Arc<Shared> {
+        &self.shared
+    }
+
     /// The file.
-    pub(super) fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 }

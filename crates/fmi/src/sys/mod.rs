@@ -3,8 +3,8 @@
 //! # Invariants
 //!
 //! 1. **A library outlives its instances.** A [`RawInstance`] holds an `Arc` of the [`Library`] its functions come
-//!    from, and [`Library`] keeps the shared object open until the last one is gone. The function pointers of a
-//!    binding are only called through a `Library` that is alive.
+//!    from. The function pointers of a binding are only called through a `Library` that is alive, and where threads
+//!    may have destructors of the library to run at their end, it is never closed.
 //! 2. **One owner per component.** A component pointer lives in exactly one `RawInstance`, is never copied out of
 //!    it, and is freed once, on drop. `RawInstance` may move to another thread (`Send`): FMI functions of one
 //!    instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1); so it is not
@@ -17,8 +17,8 @@
 //!    A mismatch is a typed error and the FMU is not called.
 //! 5. **The state machine of FMI is kept one floor up**: [`Instance`](crate::Instance) makes calls in a wrong phase
 //!    a compile-time error. This room relies on it for the FMU's sake, not for memory safety of its own.
-//! 6. **After `Fatal` an instance is dead.** No function is called on it again, not even the one that frees it
-//!    (FMI 2.0.x, section 2.1.3). What the FMU might still reach (callbacks, environment, library) is leaked.
+//! 6. **After `Fatal` an instance is dead, and with it all others of its library.** No function is called on any of
+//!    them again, not even the one that frees it (FMI 2.0.x, section 2.1.3: all instances are corrupted). What the FMU might still reach (callbacks, environment, library) is leaked.
 //! 7. **No panic crosses into C.** The sink of the logger catches unwinding; the rest of the callbacks are C.
 //! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`; the outside holds
 //!    tokens that say whose they are. The table is freed with the instance.
@@ -34,11 +34,13 @@ mod fmi2;
 mod library;
 mod platform;
 mod raw_instance;
+mod shared;
 
 pub use callbacks::LogLine;
 pub(crate) use library::Library;
 pub(crate) use platform::FloatEnvironment;
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
+pub(crate) use shared::{Loan, Shared, Spares};
 
 use callbacks::Environment;
 use std::any::Any;

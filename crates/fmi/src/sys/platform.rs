@@ -2,8 +2,11 @@
 
 use std::path::Path;
 
+/// Never closed: a thread that has called the FMU may hold data of its own for it (thread-specific data, `thread_local`
+/// of C++) whose destructor is code of the library and runs when the thread ends. An open library also keeps its file's
+/// place on the disk from being given to another file, for which the loader would take that one's code.
 #[cfg(unix)]
-pub(super) type Handle = libloading::os::unix::Library;
+pub(super) type Handle = std::mem::ManuallyDrop<libloading::os::unix::Library>;
 #[cfg(not(unix))]
 pub(super) type Handle = libloading::Library;
 
@@ -15,7 +18,8 @@ pub(super) type Handle = libloading::Library;
 pub(super) unsafe fn open(path: &Path) -> Result<Handle, libloading::Error> {
     use libloading::os::unix::{RTLD_LOCAL, RTLD_NOW};
     // SAFETY: handed on to the caller.
-    unsafe { Handle::open(Some(path), RTLD_NOW | RTLD_LOCAL) }
+    unsafe { libloading::os::unix::Library::open(Some(path), RTLD_NOW | RTLD_LOCAL) }
+        .map(std::mem::ManuallyDrop::new)
 }
 
 /// Opens a shared library.

@@ -6,6 +6,7 @@ use crate::error::FmiError;
 use std::any::Any;
 use std::ffi::{CStr, CString, c_char};
 use std::mem::ManuallyDrop;
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Weak};
 
@@ -28,6 +29,8 @@ pub(crate) enum Fault {
     Failed(Box<Failed>),
     /// The library has no such function.
     Missing(&'static str),
+    /// After a `Fatal` of another instance; the FMU was not called.
+    Unusable(PathBuf),
     /// A slice of the wrong length; the FMU was not called.
     Length { call: &'static str, expected: usize, found: usize },
 }
@@ -61,6 +64,8 @@ pub(crate) struct RawInstance {
     component: Component,
     /// After `Fatal`: nothing is called any more.
     dead: bool,
+    /// The library's count of instances made and freed, when this one was made.
+    epoch: u64,
     sizes: Sizes,
     /// For messages: the time last set.
     time: Option<f64>,
@@ -97,8 +102,13 @@ impl RawInstance {
         only_one: bool,
     ) -> Result<Self, FmiError> {
         // The count is taken before the call, so that of two threads only one gets the single instance.
-        if library.live.fetch_add(1, Ordering::Relaxed) > 0 && only_one {
-            library.live.fetch_sub(1, Ordering::Relaxed);
+        let shared = Arc::clone(library.shared());
+        let _turn = shared.turn_if_dependent();
+        if shared.is_fatal() {
+            return Err(FmiError::LibraryUnusable { library: library.path().to_owned() });
+        }
+        if shared.live.fetch_add(1, Ordering::Relaxed) > 0 && only_one {
+            shared.live.fetch_sub(1, Ordering::Relaxed);
             return Err(FmiError::OnlyOneInstance { library: library.path().to_owned() });
         }
         let log = Arc::new(Log::new());
@@ -106,7 +116,7 @@ impl RawInstance {
         // SAFETY: the environment and the log it points to are on the heap and kept until the component is gone.
         let created = unsafe { library.binding().instantiate(request, &environment) };
         let Some(created) = created else {
-            library.live.fetch_sub(1, Ordering::Relaxed);
+            shared.live.fetch_sub(1, Ordering::Relaxed);
             let (log, dropped) = log.last(LINES_IN_ERRORS);
             return Err(FmiError::from(Failed {
                 call: library.binding().name(Call::Instantiate),
@@ -119,6 +129,7 @@ impl RawInstance {
         Ok(Self {
             component: created.component,
             dead: false,
+            epoch: shared.epoch.fetch_add(1, Ordering::Relaxed) + 1,
             sizes,
             time: None,
             saved: Vec::new(),
@@ -131,9 +142,21 @@ impl RawInstance {
         })
     }
 
-    /// Whether a call returned `Fatal`.
+    /// Whether a call of this instance, or of another of the same library, returned `Fatal`.
     pub(crate) fn is_dead(&self) -> bool {
-        self.dead
+        self.dead || self.library.shared().is_fatal()
+    }
+
+    /// Whether instances of this library disturb each other and one has been made or freed since this one was made: it
+    /// is not to be used again.
+    pub(crate) fn is_stale(&self) -> bool {
+        let shared = self.library.shared();
+        shared.is_dependent() && shared.epoch.load(Ordering::Relaxed) != self.epoch
+    }
+
+    /// The file of its library.
+    pub(crate) fn library_path(&self) -> PathBuf {
+        self.library.path().to_owned()
     }
 
     /// The time last set.
@@ -174,6 +197,7 @@ impl RawInstance {
             Status::Missing => Err(Fault::Missing(name)),
             Status::Fatal => {
                 self.dead = true;
+                self.library.shared().set_fatal();
                 Err(Fault::Failed(Box::new(self.failed(name, status))))
             }
             Status::Error | Status::Pending | Status::Unknown(_) => {
@@ -182,12 +206,15 @@ impl RawInstance {
         }
     }
 
-    /// Refuses calls on a dead component.
+    /// Refuses calls on a dead component, or into a library that is not to be trusted any more.
     fn alive(&self, call: Call) -> Outcome {
         if self.dead {
             return Err(Fault::Failed(Box::new(
                 self.failed(self.library.binding().name(call), Status::Fatal),
             )));
+        }
+        if self.library.shared().is_fatal() {
+            return Err(Fault::Unusable(self.library_path()));
         }
         Ok(())
     }
@@ -469,8 +496,11 @@ impl RawInstance {
 
 impl Drop for RawInstance {
     fn drop(&mut self) {
-        self.library.live.fetch_sub(1, Ordering::Relaxed);
-        if self.dead {
+        let shared = Arc::clone(self.library.shared());
+        let _turn = shared.turn_if_dependent();
+        shared.live.fetch_sub(1, Ordering::Relaxed);
+        shared.epoch.fetch_add(1, Ordering::Relaxed);
+        if self.is_dead() {
             // Invariant 6: no further call, and what the component may still reach is leaked: library, callbacks, log.
             return;
         }

@@ -1,0 +1,227 @@
+//! What instances of one library do to each other, and what they leave behind.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use fmi::ode::Ignore;
+use fmi::{FmiError, Fmu, Pool, Reuse, Session, SimulateOptions, SimulationPlan, Simulator, Status};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use support::{Folder, evil, evil_with};
+
+fn pool(fmu: &Fmu, options: &SimulateOptions) -> Pool {
+    Pool::new(Arc::new(SimulationPlan::new(fmu, options).unwrap()))
+}
+
+fn with_k() -> SimulateOptions {
+    SimulateOptions::new().parameters(["k"])
+}
+
+fn run(pool: &Pool, k: f64) -> f64 {
+    pool.lend().unwrap().trajectory(&[k]).unwrap().final_value("y").unwrap().unwrap()
+}
+
+fn only_once() -> Folder {
+    evil_with(&[], |xml| xml.replace("\"evil\"/>", "\"evil\" canBeInstantiatedOnlyOncePerProcess=\"true\"/>"))
+}
+
+/// Both pools at once, from two threads, against their results one after the other.
+fn run_both(pools: &[(f64, Pool)]) {
+    let truths: Vec<f64> = pools.iter().map(|(k, pool)| run(pool, *k)).collect();
+    std::thread::scope(|scope| {
+        for ((k, pool), truth) in pools.iter().zip(truths) {
+            scope.spawn(move || {
+                for _ in 0..50 {
+                    assert_eq!(run(pool, *k), truth);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn a_reset_that_keeps_parameters_leaves_nothing_to_the_next_session() {
+    let folder = evil(&["RESET_KEEPS_PARAMETERS"]);
+    let options = SimulateOptions::new();
+    let truth = folder.open().simulate(&options).unwrap();
+    let mut session = Session::new(folder.open());
+    session.set("k", 2.0).unwrap();
+    let first = session.simulate(&options).unwrap();
+    assert_eq!(session.simulate(&options).unwrap(), first);
+    session.reset();
+    assert_eq!(session.simulate(&options).unwrap(), truth);
+    // Nor to other plans of the same FMU.
+    let pool = pool(session.fmu(), &with_k());
+    pool.lend().unwrap().trajectory(&[3.0]).unwrap();
+    drop(pool);
+    assert_eq!(session.fmu().simulate(&options).unwrap(), truth);
+}
+
+#[test]
+fn one_instance_per_process_however_often_the_library_is_opened() {
+    let folder = only_once();
+    let (a, b) = (folder.open(), folder.open());
+    let first = a.instantiate().unwrap();
+    assert!(matches!(b.instantiate(), Err(FmiError::OnlyOneInstance { .. })));
+    drop(first);
+    // Idle instances of one make place for the other.
+    let options = SimulateOptions::new();
+    let truth = a.simulate(&options).unwrap();
+    assert_eq!(b.simulate(&options).unwrap(), truth);
+    assert_eq!(a.simulate(&options).unwrap(), truth);
+    run_both(&[(1.0, pool(&a, &with_k())), (3.0, pool(&b, &with_k()))]);
+}
+
+#[test]
+fn what_is_found_out_about_a_library_holds_for_all_who_open_it() {
+    let folder = evil(&["LYING_RESET"]);
+    let (a, b) = (folder.open(), folder.open());
+    assert_eq!(pool(&a, &SimulateOptions::new()).reuse().unwrap(), Reuse::Reinstantiate);
+    b.instantiate().unwrap();
+    assert_eq!(b.reuse(), Some(Reuse::Reinstantiate));
+}
+
+#[test]
+fn two_pools_of_a_library_with_globals_do_not_run_at_once() {
+    let folder = evil(&["SHARED_GLOBALS"]);
+    let fmu = folder.open();
+    let pools = [(1.0, pool(&fmu, &with_k())), (3.0, pool(&folder.open(), &with_k()))];
+    assert!(pools.iter().all(|(_, pool)| !pool.is_concurrent().unwrap()));
+    run_both(&pools);
+    // Values of a run are gone when another one was made.
+    let plan =
+        |k: f64| Arc::new(SimulationPlan::new(&fmu, &SimulateOptions::new().start_value("k", k)).unwrap());
+    let mut first = Simulator::new(plan(1.0)).unwrap();
+    first.run(&[], &mut Ignore).unwrap();
+    let value = first.get("x").unwrap();
+    let mut second = Simulator::new(plan(2.0)).unwrap();
+    second.run(&[], &mut Ignore).unwrap();
+    assert!(matches!(first.get("x"), Err(FmiError::Disturbed { .. })));
+    first.run(&[], &mut Ignore).unwrap();
+    assert_eq!(first.get("x").unwrap(), value);
+}
+
+#[test]
+fn where_only_the_last_instance_is_right_there_is_only_one() {
+    let folder = evil(&["LAST_ONLY"]);
+    let truth = folder.open().simulate(&SimulateOptions::new().start_value("k", 2.0)).unwrap();
+    let fmu = folder.open();
+    let pool = pool(&fmu, &with_k());
+    assert!(!pool.is_concurrent().unwrap());
+    for _ in 0..3 {
+        assert_eq!(Some(run(&pool, 2.0)), truth.final_value("y").unwrap());
+    }
+}
+
+#[test]
+fn concurrency_is_tested_also_where_no_step_is_made() {
+    let folder = evil(&["SHARED_GLOBALS"]);
+    let options = with_k().final_time(0.0).outputs(["twice_k"]);
+    assert!(!pool(&folder.open(), &options).is_concurrent().unwrap());
+    // Nor is it missed where the plan has start values only.
+    let folder = evil(&["SHARED_GLOBALS"]);
+    let options = SimulateOptions::new().start_value("k", 2.0);
+    assert!(!pool(&folder.open(), &options).is_concurrent().unwrap());
+}
+
+#[test]
+fn static_variables_inside_a_call_are_found_by_two_threads() {
+    let folder = evil(&["STATIC_SCRATCH"]);
+    let fmu = folder.open();
+    let pool = pool(&fmu, &with_k());
+    assert!(!pool.is_concurrent().unwrap());
+    assert_eq!(pool.reuse().unwrap(), Reuse::Reset);
+    run_both(&[(1.0, pool), (3.0, self::pool(&fmu, &with_k()))]);
+}
+
+#[test]
+fn an_honest_model_passes() {
+    let folder = evil(&[]);
+    let pool = pool(&folder.open(), &with_k());
+    assert!(pool.is_concurrent().unwrap());
+    assert_eq!(pool.reuse().unwrap(), Reuse::Reset);
+}
+
+#[test]
+fn after_fatal_nothing_of_the_library_is_called() {
+    let folder = evil(&["FATAL_LATE"]);
+    let fmu = folder.open();
+    let mut other = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let error = fmu.simulate(&SimulateOptions::new()).unwrap_err();
+    assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
+    assert!(matches!(other.get("x"), Err(FmiError::LibraryUnusable { .. })));
+    assert!(matches!(fmu.instantiate(), Err(FmiError::LibraryUnusable { .. })));
+    assert!(matches!(folder.open().instantiate(), Err(FmiError::LibraryUnusable { .. })));
+}
+
+#[test]
+fn a_thread_may_outlive_the_library_it_has_called() {
+    let folder = evil(&["THREAD_DATA"]);
+    let (sender, receiver) = std::sync::mpsc::channel::<()>();
+    let (done, ready) = std::sync::mpsc::channel::<()>();
+    let fmu = folder.open();
+    let thread = std::thread::spawn(move || {
+        fmu.simulate(&SimulateOptions::new()).unwrap();
+        drop(fmu);
+        done.send(()).unwrap();
+        receiver.recv().unwrap();
+    });
+    ready.recv().unwrap();
+    drop(folder);
+    sender.send(()).unwrap();
+    thread.join().unwrap();
+}
+
+#[test]
+fn a_library_written_over_while_it_is_loaded_is_refused() {
+    let folder = evil(&[]);
+    folder.open().simulate(&SimulateOptions::new()).unwrap();
+    let library = fmi::platform::find_binary(folder.path(), "evil", 2).unwrap().path;
+    let file = std::fs::File::options().append(true).open(&library).unwrap();
+    std::io::Write::write_all(&mut &file, b"more").unwrap();
+    let error = folder.open().simulate(&SimulateOptions::new()).unwrap_err();
+    assert!(error.to_string().contains("written over"), "{error}");
+    // A new file in its place is fine.
+    let bytes = std::fs::read(&library).unwrap();
+    let aside = library.with_extension("new");
+    std::fs::write(&aside, bytes).unwrap();
+    std::fs::rename(aside, library).unwrap();
+    folder.open().simulate(&SimulateOptions::new()).unwrap();
+}
+
+#[test]
+fn a_cancelled_test_is_no_verdict() {
+    let folder = evil(&["STATIC_SCRATCH"]);
+    let options = with_k().max_step(1e-3);
+    let begin = std::time::Instant::now();
+    folder.open().simulate(&options).unwrap();
+    let one = begin.elapsed();
+    let fmu = folder.open();
+    for halves in [0, 1, 3, 5, 9] {
+        let flag = Arc::new(AtomicBool::new(halves == 0));
+        let pool = pool(&fmu, &options.clone().cancel(Arc::clone(&flag)));
+        let reuse = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                std::thread::sleep(one * halves / 2);
+                flag.store(true, Ordering::Relaxed);
+            });
+            pool.reuse()
+        });
+        if reuse.is_err() {
+            flag.store(false, Ordering::Relaxed);
+            assert_eq!(pool.reuse().unwrap(), Reuse::Reset);
+        }
+        assert_ne!(fmu.reuse(), Some(Reuse::Reinstantiate));
+    }
+}
+
+#[test]
+fn a_test_that_times_out_binds_only_its_pool() {
+    let folder = evil(&["STATIC_SCRATCH"]);
+    let fmu = folder.open();
+    let short = with_k().max_step(1e-5).timeout(Duration::from_millis(1));
+    assert!(!pool(&fmu, &short).is_concurrent().unwrap());
+    assert_eq!(fmu.reuse(), None);
+}
