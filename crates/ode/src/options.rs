@@ -14,6 +14,8 @@ pub enum Method {
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.
     Tsit5,
+    /// Radau IIA of order 5, implicit, adaptive: for stiff systems and systems with a mass matrix.
+    Radau5,
     /// The classical Runge-Kutta method of order 4 with a fixed step.
     Rk4,
     /// The explicit Euler method with a fixed step.
@@ -22,13 +24,14 @@ pub enum Method {
 
 impl Method {
     /// All methods by the names that [`FromStr`] understands.
-    pub const NAMES: [&'static str; 4] = ["auto", "tsit5", "rk4", "euler"];
+    pub const NAMES: [&'static str; 5] = ["auto", "tsit5", "radau5", "rk4", "euler"];
 
     /// The name that [`FromStr`] understands.
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
             Self::Tsit5 => "tsit5",
+            Self::Radau5 => "radau5",
             Self::Rk4 => "rk4",
             Self::Euler => "euler",
         }
@@ -47,9 +50,10 @@ impl FromStr for Method {
         match name.to_ascii_lowercase().as_str() {
             "auto" => Ok(Self::Auto),
             "tsit5" => Ok(Self::Tsit5),
+            "radau5" => Ok(Self::Radau5),
             "rk4" => Ok(Self::Rk4),
             "euler" => Ok(Self::Euler),
-            "dop853" | "radau5" | "bdf" => Err(OptionsError::MethodNotYet(name.to_owned())),
+            "dop853" | "bdf" => Err(OptionsError::MethodNotYet(name.to_owned())),
             _ => Err(OptionsError::UnknownMethod(name.to_owned())),
         }
     }
@@ -182,9 +186,9 @@ pub enum OptionsError {
         range: &'static str,
     },
     /// No method has this name.
-    #[error("unknown solver '{0}'; there are: auto, tsit5, rk4, euler")]
+    #[error("unknown solver '{0}'; there are: auto, tsit5, radau5, rk4, euler")]
     UnknownMethod(String),
     /// The name is reserved for a method that is not there yet.
-    #[error("solver '{0}' is not available in this version; there are: auto, tsit5, rk4, euler")]
+    #[error("solver '{0}' is not available in this version; there are: auto, tsit5, radau5, rk4, euler")]
     MethodNotYet(String),
 }
