@@ -111,7 +111,6 @@ impl Controller {
     }
 
     /// For methods of order 8: no memory, growth at most 6, reduction at most to a third.
-    #[expect(dead_code, reason = "for the method of order 8, which comes next")]
     pub(crate) fn of_high_order(order: u32) -> Self {
         Self {
             exponent: 1.0 / f64::from(order),

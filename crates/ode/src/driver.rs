@@ -1,6 +1,8 @@
 //! The only loop: limit, step, locate, sample inside, commit, event, restart.
 
+use crate::bdf::Bdf;
 use crate::control::{Weights, initial_step, probe_step};
+use crate::dop853::Dop853;
 use crate::error::{ErrorKind, Report, SimulationError, Termination};
 use crate::event::{ChatteringGuard, Domains};
 use crate::explicit_rk::ExplicitRk;
@@ -71,6 +73,8 @@ pub struct Driver {
 enum MethodState {
     Tsit5(ExplicitRk<7>),
     Radau5(Box<Radau5>),
+    Dop853(Box<Dop853>),
+    Bdf(Box<Bdf>),
     Rk4(ExplicitRk<5>),
     Euler(ExplicitRk<2>),
 }
@@ -98,6 +102,8 @@ impl Driver {
         let method = match options.method {
             Method::Auto | Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
             Method::Radau5 => MethodState::Radau5(Box::default()),
+            Method::Dop853 => MethodState::Dop853(Box::default()),
+            Method::Bdf => MethodState::Bdf(Box::default()),
             Method::Rk4 => MethodState::Rk4(ExplicitRk::new(&RK4)),
             Method::Euler => MethodState::Euler(ExplicitRk::new(&EULER)),
         };
@@ -133,6 +139,12 @@ impl Driver {
         match method {
             MethodState::Tsit5(s) => Run::new(options, s, space, system, (start, end), times, observer).run(),
             MethodState::Radau5(s) => {
+                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
+            }
+            MethodState::Dop853(s) => {
+                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
+            }
+            MethodState::Bdf(s) => {
                 Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
             }
             MethodState::Rk4(s) => Run::new(options, s, space, system, (start, end), times, observer).run(),

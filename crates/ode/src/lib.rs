@@ -1,7 +1,10 @@
 //! An event-aware stepper for hybrid ordinary differential equations (state, time, step and input events).
 #![forbid(unsafe_code)]
 
+mod bdf;
 mod control;
+mod dop853;
+mod dop853_tableau;
 mod driver;
 mod error;
 mod event;

@@ -14,8 +14,13 @@ pub enum Method {
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.
     Tsit5,
+    /// Dormand, Prince and Hairer 8(5,3), explicit, adaptive: for tight tolerances.
+    Dop853,
     /// Radau IIA of order 5, implicit, adaptive: for stiff systems and systems with a mass matrix.
     Radau5,
+    /// Backward differentiation of order 1 to 5, implicit, adaptive: for stiff systems whose right-hand side is expensive
+    /// and whose events are rare.
+    Bdf,
     /// The classical Runge-Kutta method of order 4 with a fixed step.
     Rk4,
     /// The explicit Euler method with a fixed step.
@@ -24,14 +29,16 @@ pub enum Method {
 
 impl Method {
     /// All methods by the names that [`FromStr`] understands.
-    pub const NAMES: [&'static str; 5] = ["auto", "tsit5", "radau5", "rk4", "euler"];
+    pub const NAMES: [&'static str; 7] = ["auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"];
 
     /// The name that [`FromStr`] understands.
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
             Self::Tsit5 => "tsit5",
+            Self::Dop853 => "dop853",
             Self::Radau5 => "radau5",
+            Self::Bdf => "bdf",
             Self::Rk4 => "rk4",
             Self::Euler => "euler",
         }
@@ -50,10 +57,11 @@ impl FromStr for Method {
         match name.to_ascii_lowercase().as_str() {
             "auto" => Ok(Self::Auto),
             "tsit5" => Ok(Self::Tsit5),
+            "dop853" => Ok(Self::Dop853),
             "radau5" => Ok(Self::Radau5),
+            "bdf" => Ok(Self::Bdf),
             "rk4" => Ok(Self::Rk4),
             "euler" => Ok(Self::Euler),
-            "dop853" | "bdf" => Err(OptionsError::MethodNotYet(name.to_owned())),
             _ => Err(OptionsError::UnknownMethod(name.to_owned())),
         }
     }
@@ -186,9 +194,11 @@ pub enum OptionsError {
         range: &'static str,
     },
     /// No method has this name.
-    #[error("unknown solver '{0}'; there are: auto, tsit5, radau5, rk4, euler")]
+    #[error("unknown solver '{0}'; there are: auto, tsit5, dop853, radau5, bdf, rk4, euler")]
     UnknownMethod(String),
     /// The name is reserved for a method that is not there yet.
-    #[error("solver '{0}' is not available in this version; there are: auto, tsit5, radau5, rk4, euler")]
+    #[error(
+        "solver '{0}' is not available in this version; there are: auto, tsit5, dop853, radau5, bdf, rk4, euler"
+    )]
     MethodNotYet(String),
 }

@@ -18,8 +18,8 @@ fn meets(method: Method, problem: &Problem, bars: [f64; 2]) {
 /// Over tolerances from 1e-4 to 1e-10 the error goes with a power of the tolerance of at least one half, and no run is
 /// more than ten times worse than that line; errors near rounding are left out.
 fn follows_the_tolerance(method: Method, problem: &Problem) {
-    let points: Vec<(f64, f64)> = (8..=20)
-        .map(|k| -f64::from(k) / 2.0)
+    let points: Vec<(f64, f64)> = (4..=10)
+        .map(|k| -f64::from(k))
         .map(|k| (k, -problem.run(method, 10f64.powf(k)).0))
         .filter(|p| p.1 > -11.0)
         .collect();
@@ -41,8 +41,21 @@ fn radau5_has_its_digits() {
 }
 
 #[test]
+fn bdf_has_its_digits() {
+    for p in stiff::all() {
+        meets(Method::Bdf, &p, [3.5, 7.0]);
+        follows_the_tolerance(Method::Bdf, &p);
+    }
+}
+
+#[test]
 fn tsit5_has_its_digits() {
     explicit(Method::Tsit5);
+}
+
+#[test]
+fn dop853_has_its_digits() {
+    explicit(Method::Dop853);
 }
 
 fn explicit(method: Method) {
@@ -61,8 +74,10 @@ fn explicit(method: Method) {
 #[test]
 #[ignore = "a table to read"]
 fn table() {
-    for (methods, problems) in [(vec![Method::Radau5], stiff::all()), (vec![Method::Tsit5], nonstiff::all())]
-    {
+    for (methods, problems) in [
+        (vec![Method::Radau5, Method::Bdf], stiff::all()),
+        (vec![Method::Tsit5, Method::Dop853], nonstiff::all()),
+    ] {
         for method in methods {
             for p in &problems {
                 print!("{:8} {:12}", method.name(), p.name);

@@ -64,7 +64,7 @@ impl Problem {
     /// Runs it; correct digits and what they cost.
     pub fn solve(&self, options: Options) -> Result<(f64, Stats), Box<SimulationError>> {
         let mut last = Last(Vec::new());
-        let mut driver = Driver::new(options).expect("options");
+        let mut driver = Driver::new(options).unwrap();
         let report = driver.run(&mut self.clone(), 0.0, self.end, &[self.end], &mut last)?;
         Ok((self.digits(&last.0), report.stats))
     }
