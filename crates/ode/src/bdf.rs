@@ -363,7 +363,7 @@ impl Bdf {
         self.predict();
         self.coefficients = Coefficients::new(self.order, self.h, &self.past);
         let gamma = self.h / self.coefficients.l[1];
-        let mut must_set_up = self.wants_jacobian;
+        let mut must_set_up = self.wants_jacobian || self.error_failures > 0;
         loop {
             stats.right_hand_sides += 1;
             system.derivatives(end, &self.z_new[0], &mut self.rhs)?;

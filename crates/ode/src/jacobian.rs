@@ -138,6 +138,18 @@ impl Jacobian {
         }
     }
 
+    /// How many evaluations it takes.
+    pub(crate) fn cost(&self) -> usize {
+        match self.source {
+            Source::User => 1,
+            Source::Directional | Source::Differences => self.n_groups(),
+        }
+    }
+
+    fn n_groups(&self) -> usize {
+        if self.pattern.is_some() { self.groups.starts.len() - 1 } else { self.n }
+    }
+
     /// Evaluates it at `(t, x)`, where the right-hand side is `f`. [`CallError::Discard`]: it cannot be had there.
     pub(crate) fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
@@ -155,8 +167,7 @@ impl Jacobian {
             self.values.fill(0.0);
             self.source = Source::Directional;
         }
-        let n_groups = if self.pattern.is_some() { self.groups.starts.len() - 1 } else { self.n };
-        for g in 0..n_groups {
+        for g in 0..self.n_groups() {
             if self.source == Source::Directional && !self.directional(system, t, x, g, stats)? {
                 self.source = Source::Differences;
             }

@@ -45,6 +45,9 @@ const E: [f64; 3] = [-(13.0 + 7.0 * SQRT_6) / 3.0, (-13.0 + 7.0 * SQRT_6) / 3.0,
 const MAX_NEWTON: u32 = 7;
 /// Below this rate of convergence the Jacobian is good enough for the next step too.
 const KEEP_JACOBIAN: f64 = 1e-3;
+/// A Jacobian of so few evaluations is made anew as soon as convergence slows down or a step fails; a dearer one only
+/// when the slow convergence costs iterations.
+const CHEAP_JACOBIAN: usize = 4;
 const SAFETY: f64 = 0.9;
 
 /// What the last collocation polynomial looked like: `x_new + s (p0 + (s - C2 + 1) (p1 + (s - C1 + 1) p2))` with
@@ -458,7 +461,7 @@ impl Stepper for Radau5 {
         if self.error_norm >= 1.0 {
             let h_new = if self.first { 0.1 * h } else { self.wanted(h).min(0.9 * h) };
             self.after_rejection = true;
-            self.wants_jacobian = !self.jacobian_is_fresh;
+            self.wants_jacobian = !self.jacobian_is_fresh && self.jacobian.cost() <= CHEAP_JACOBIAN;
             return Ok(Attempt::TooInexact { h: h_new });
         }
         stats.right_hand_sides += 1;
@@ -525,7 +528,8 @@ impl Stepper for Radau5 {
         self.first = false;
         self.after_rejection = false;
         self.jacobian_is_fresh = false;
-        self.wants_jacobian = self.theta > KEEP_JACOBIAN;
+        let slow = self.newton_count > 2 || self.jacobian.cost() <= CHEAP_JACOBIAN;
+        self.wants_jacobian = slow && self.theta > KEEP_JACOBIAN;
         if theta == 1.0 {
             std::mem::swap(&mut self.f, &mut self.f_new);
             std::mem::swap(&mut self.trial, &mut self.last);
