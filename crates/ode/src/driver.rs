@@ -1,5 +1,6 @@
 //! The only loop: limit, step, locate, sample inside, commit, event, restart.
 
+use crate::auto::Auto;
 use crate::bdf::Bdf;
 use crate::control::{Weights, initial_step, probe_step};
 use crate::dop853::Dop853;
@@ -71,6 +72,7 @@ pub struct Driver {
 /// The stepper behind [`Method`].
 #[derive(Debug)]
 enum MethodState {
+    Auto(Box<Auto>),
     Tsit5(ExplicitRk<7>),
     Radau5(Box<Radau5>),
     Dop853(Box<Dop853>),
@@ -100,7 +102,8 @@ impl Driver {
     pub fn new(options: Options) -> Result<Self, OptionsError> {
         options.check()?;
         let method = match options.method {
-            Method::Auto | Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
+            Method::Auto => MethodState::Auto(Box::default()),
+            Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
             Method::Radau5 => MethodState::Radau5(Box::default()),
             Method::Dop853 => MethodState::Dop853(Box::default()),
             Method::Bdf => MethodState::Bdf(Box::default()),
@@ -137,6 +140,9 @@ impl Driver {
     {
         let Self { options, method, space } = self;
         match method {
+            MethodState::Auto(s) => {
+                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
+            }
             MethodState::Tsit5(s) => Run::new(options, s, space, system, (start, end), times, observer).run(),
             MethodState::Radau5(s) => {
                 Run::new(options, &mut **s, space, system, (start, end), times, observer).run()

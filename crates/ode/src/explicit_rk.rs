@@ -30,6 +30,21 @@ impl<const S: usize> ExplicitRk<S> {
     }
 }
 
+impl<const S: usize> ExplicitRk<S> {
+    /// How strongly the right-hand side answers to a change of the state, from the last two stages, which lie at the end
+    /// of the step both: an estimate of the largest eigenvalue. For methods whose last but one abscissa is 1.
+    pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &Weights) -> f64 {
+        let apart = weights.distance(x, x_new, &self.stage);
+        if apart > 0.0 { weights.distance(x, &self.k[S - 1], &self.k[S - 2]) / apart } else { 0.0 }
+    }
+
+    /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
+    pub(crate) fn take_over(&mut self, f: &[f64]) {
+        self.k[0].copy_from_slice(f);
+        self.forget();
+    }
+}
+
 /// `out = x + h * sum_j weights[j] k[j]` over the first `weights.len()` stages.
 fn combine(out: &mut [f64], x: &[f64], h: f64, weights: &[f64], k: &[Vec<f64>]) {
     for (i, (o, x)) in out.iter_mut().zip(x).enumerate() {

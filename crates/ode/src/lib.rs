@@ -1,6 +1,7 @@
 //! An event-aware stepper for hybrid ordinary differential equations (state, time, step and input events).
 #![forbid(unsafe_code)]
 
+mod auto;
 mod bdf;
 mod control;
 mod dop853;

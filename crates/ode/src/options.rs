@@ -9,7 +9,7 @@ use std::time::Duration;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Method {
-    /// The driver's choice; at present [`Tsit5`](Self::Tsit5).
+    /// [`Tsit5`](Self::Tsit5), and [`Radau5`](Self::Radau5) where a test made at every step finds the system stiff.
     #[default]
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.

@@ -107,7 +107,6 @@ pub(crate) struct Radau5 {
 
 impl Radau5 {
     /// Weighted norm of the Jacobian times `h`, an upper bound of the spectral radius; `None` without a Jacobian.
-    #[expect(dead_code, reason = "for the switching method, which comes next")]
     pub(crate) fn stiffness(&self, h: f64) -> Option<f64> {
         if !self.has_jacobian || self.mass.is_some() {
             return None;
@@ -122,8 +121,47 @@ impl Radau5 {
         Some(h * largest_row)
     }
 
+    /// How many evaluations a Jacobian takes.
+    pub(crate) fn jacobian_cost(&self) -> usize {
+        self.jacobian.cost()
+    }
+
+    /// The spectral radius of the Jacobian at `(t, x)`, where the right-hand side is `f`, by vector iteration: mean growth
+    /// over the last half of twenty products, so that complex pairs count with their modulus.
+    pub(crate) fn spectral_radius<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        point: (f64, &[f64], &[f64]),
+        weights: &Weights,
+        stats: &mut Stats,
+    ) -> CallResult<f64> {
+        const HALF: i32 = 10;
+        self.has_jacobian = false;
+        self.jacobian.evaluate(system, point, weights, stats)?;
+        weights.inverse_at(point.1, 1.0, &mut self.inverse);
+        let Self { jacobian, inverse, stage_x: v, error: product, .. } = self;
+        for (i, (v, inverse)) in v.iter_mut().zip(&*inverse).enumerate() {
+            *v = (1.0 + 0.1 * i as f64) / inverse;
+        }
+        let mut growth = 1.0;
+        for count in 0..2 * HALF {
+            product.fill(0.0);
+            for (column, v) in jacobian.values.chunks_exact(v.len()).zip(&*v) {
+                product.iter_mut().zip(column).for_each(|(p, j)| *p += j * v);
+            }
+            let (before, after) = (scaled_norm(v, inverse), scaled_norm(product, inverse));
+            if after == 0.0 || !after.is_finite() {
+                return Ok(0.0);
+            }
+            if count >= HALF {
+                growth *= (after / before).powf(1.0 / f64::from(HALF));
+            }
+            v.iter_mut().zip(&*product).for_each(|(v, p)| *v = p / after);
+        }
+        Ok(growth)
+    }
+
     /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
-    #[expect(dead_code, reason = "for the switching method, which comes next")]
     pub(crate) fn take_over(&mut self, f: &[f64]) {
         self.f.copy_from_slice(f);
         self.has_jacobian = false;

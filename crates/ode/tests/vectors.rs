@@ -48,6 +48,34 @@ fn bdf_has_its_digits() {
     }
 }
 
+/// `auto` must notice stiffness at every tolerance: it never takes the hundreds of
+/// thousands of right-hand sides that Tsit5 alone would, and what is not
+/// stiff it solves by Tsit5 alone.
+#[test]
+fn auto_switches() {
+    for p in stiff::all() {
+        let bars = match p.name {
+            "E5 1e5" => [3.0, 6.0],
+            "Brusselator" => [5.0, 9.0],
+            _ => [5.0, 8.0],
+        };
+        meets(Method::Auto, &p, bars);
+        follows_the_tolerance(Method::Auto, &p);
+        for k in 4..=10 {
+            let rtol = 10f64.powi(-k);
+            let (auto, radau) = (p.run(Method::Auto, rtol).1, p.run(Method::Radau5, rtol).1);
+            let most = 4 * radau.right_hand_sides + 1500;
+            assert!(auto.right_hand_sides < most, "{} at {rtol:e}: {auto:?}\n{radau:?}", p.name);
+        }
+    }
+    explicit(Method::Auto);
+    for p in nonstiff::all() {
+        let (auto, tsit5) = (p.run(Method::Auto, 1e-8).1, p.run(Method::Tsit5, 1e-8).1);
+        assert_eq!(auto.accepted_steps, tsit5.accepted_steps, "{}", p.name);
+        assert!(auto.right_hand_sides * 20 <= tsit5.right_hand_sides * 21, "{}: {auto:?}", p.name);
+    }
+}
+
 #[test]
 fn tsit5_has_its_digits() {
     explicit(Method::Tsit5);
@@ -75,7 +103,7 @@ fn explicit(method: Method) {
 #[ignore = "a table to read"]
 fn table() {
     for (methods, problems) in [
-        (vec![Method::Radau5, Method::Bdf], stiff::all()),
+        (vec![Method::Radau5, Method::Bdf, Method::Auto], stiff::all()),
         (vec![Method::Tsit5, Method::Dop853], nonstiff::all()),
     ] {
         for method in methods {
