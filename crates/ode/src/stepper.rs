@@ -53,7 +53,6 @@ pub(crate) trait Stepper {
     }
 
     /// Whether its steps are so long that a crossing and its return may hide in one.
-    #[expect(dead_code, reason = "for crossings that hide in a step, which come next")]
     fn takes_long_steps(&self) -> bool {
         false
     }
