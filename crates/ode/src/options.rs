@@ -67,7 +67,7 @@ impl FromStr for Method {
     }
 }
 
-/// What ends a run before its time; `None` means no limit.
+/// What ends a run before its time; `None` means no limit. Limits are looked at before each trial step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
     /// Accepted and rejected steps together.
@@ -119,6 +119,14 @@ pub struct Options {
     pub initial_step: Option<f64>,
     /// Also sample both sides of every event.
     pub record_events: bool,
+    /// Points inside each step at which the event indicators are looked at too, so that a crossing and its return do not
+    /// hide in one step. Default: one for methods that take long steps (DOP853, Radau5, BDF) and where a step is more
+    /// than three times as long as the one before, else none. Whatever this is, the turning point of a parabola through
+    /// the last three values is looked at where it lies near zero.
+    pub interior_samples: Option<u32>,
+    /// Locate indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead of to rounding:
+    /// a fifth of the evaluations less, for models that have many such. Default `false`.
+    pub loose_jump_indicators: bool,
     /// Limits; default none.
     pub limits: Limits,
     /// Answer to chattering; default an error.
@@ -137,6 +145,8 @@ impl Default for Options {
             max_step: None,
             initial_step: None,
             record_events: false,
+            interior_samples: None,
+            loose_jump_indicators: false,
             limits: Limits::default(),
             chattering: ChatteringPolicy::Error,
             cancel: None,

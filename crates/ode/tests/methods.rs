@@ -102,6 +102,51 @@ fn coincident_events_are_one_visit() {
     }
 }
 
+/// sin(2 pi t) dips below -0.99 for 0.045 only.
+#[test]
+fn a_crossing_and_its_return_within_a_step_are_found() {
+    for &method in ADAPTIVE {
+        let mut turning = Turning { also: |_| vec![], seen: vec![], announced: None };
+        let relative_tolerance = if method == Method::Bdf { 1e-13 } else { 1e-12 };
+        let options = Options { method, relative_tolerance, max_step: Some(0.1), ..Options::default() };
+        Driver::new(options).unwrap().run(&mut turning, 0.0, 1.0, &[], &mut Ignore).unwrap();
+        let expected = [(0.72747329317779394807, -1), (0.77252670682220605193, 1)];
+        assert_eq!(turning.seen.len(), 2, "{}: {:?}", method.name(), turning.seen);
+        for ((t, crossings), (e, direction)) in turning.seen.iter().zip(expected) {
+            assert!((t - e).abs() < 1e-10, "{}: {t}: {:e}", method.name(), t - e);
+            assert_eq!(crossings[0], direction);
+        }
+        for interior_samples in [None, Some(0), Some(10)] {
+            let mut turning = Turning { also: |_| vec![], seen: vec![], announced: None };
+            let options = Options { method, interior_samples, ..Options::default() };
+            Driver::new(options).unwrap().run(&mut turning, 0.0, 1.0, &[], &mut Ignore).unwrap();
+            assert!(turning.seen.len().is_multiple_of(2), "{}: {:?}", method.name(), turning.seen);
+            if interior_samples == Some(10) {
+                assert_eq!(turning.seen.len(), 2, "{}", method.name());
+            }
+        }
+    }
+}
+
+#[test]
+fn indicators_that_only_jump_are_located_as_loosely_as_allowed() {
+    for &method in ADAPTIVE {
+        let run = |loose_jump_indicators: bool| {
+            let also = |t: f64| vec![if t < 0.3 { 1.0 } else { -1.0 }];
+            let mut turning = Turning { also, seen: vec![], announced: None };
+            let options = Options { method, loose_jump_indicators, ..Options::default() };
+            let report = Driver::new(options).unwrap().run(&mut turning, 0.0, 0.5, &[], &mut Ignore).unwrap();
+            (turning.seen[0].0, report.stats.event_indicators)
+        };
+        let ((tight, many), (loose, few)) = (run(false), run(true));
+        // Radau5 repeats its step, and is content with a thousandth of its tolerance.
+        let bar = if method == Method::Radau5 { 1e-9 } else { 1e-14 };
+        assert!((0.0..bar).contains(&(tight - 0.3)), "{}: {tight}", method.name());
+        assert!((0.0..1e-9).contains(&(loose - 0.3)), "{}: {loose}", method.name());
+        assert!(few < many, "{}: {few} {many}", method.name());
+    }
+}
+
 #[test]
 fn a_second_run_gives_the_same_bits() {
     let times: Vec<f64> = (0..=400).map(|k| f64::from(k) * 0.01).collect();

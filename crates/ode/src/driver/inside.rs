@@ -40,19 +40,69 @@ where
     /// Looks for the first crossing in the trial step and makes ready to sample in it; the state where the step is cut
     /// is in `x_new`, the indicators there are in `domains.end`.
     pub(super) fn look_inside(&mut self, end: f64, h: f64) -> Step<Inside> {
-        let changed = self.space.domains.changed();
-        if changed || self.space.sampler.due_before(self.times, end - self.same).is_some() {
-            let Space { x, x_new, .. } = &*self.space;
-            let trial = Trial { t: self.t, end, h, x };
-            match self.stepper.prepare_interpolation(self.system, trial, x_new, &mut self.stats) {
-                Ok(()) => {}
-                Err(error) => return self.cannot_stand(h, error),
+        let mut ready = false;
+        let mut bracket = self.space.domains.changed().then_some(end);
+        let points = if bracket.is_none() { self.interior_points(end) } else { 0 };
+        for i in 0..points + self.space.domains.len() {
+            if bracket.is_some() {
+                break;
+            }
+            let at = if i < points {
+                Some(self.t + h * (i + 1) as f64 / (points + 1) as f64)
+            } else {
+                self.space.domains.turning_point(i - points, self.t, end)
+            };
+            if let Some(at) = at.filter(|at| *at > self.t && *at < end) {
+                match self.changed_at(at, end, h, &mut ready) {
+                    Ok(changed) => bracket = changed.then_some(at),
+                    Err(error) => return self.cannot_stand(h, error),
+                }
             }
         }
-        if !changed {
-            return Ok(Inside::Nothing);
+        let sampled = self.space.sampler.due_before(self.times, end - self.same).is_some();
+        if (bracket.is_some() || sampled)
+            && let Err(error) = self.make_ready(end, h, &mut ready)
+        {
+            return self.cannot_stand(h, error);
         }
-        self.locate(end, h)
+        match bracket {
+            Some(at) => self.locate(at, end, h),
+            None => Ok(Inside::Nothing),
+        }
+    }
+
+    /// At how many points inside the step the indicators are looked at whatever they were.
+    fn interior_points(&self, end: f64) -> usize {
+        let domains = &self.space.domains;
+        if domains.len() == 0 {
+            return 0;
+        }
+        let long = || {
+            !self.space.x.is_empty()
+                && (self.stepper.takes_long_steps()
+                    || (self.fixed_step.is_none() && domains.growth(self.t, end).is_some_and(|g| g > 3.0)))
+        };
+        self.options.interior_samples.map_or_else(|| usize::from(long()), |k| k as usize)
+    }
+
+    /// Has the method interpolate inside the trial, once.
+    fn make_ready(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
+        if !std::mem::replace(ready, true) {
+            let Space { x, x_new, .. } = &*self.space;
+            let trial = Trial { t: self.t, end, h, x };
+            self.stepper.prepare_interpolation(self.system, trial, x_new, &mut self.stats)?;
+        }
+        Ok(())
+    }
+
+    /// Whether an indicator is in another domain at a point inside the trial than at its start.
+    fn changed_at(&mut self, at: f64, end: f64, h: f64, ready: &mut bool) -> CallResult<bool> {
+        self.make_ready(end, h, ready)?;
+        let Space { x, x_mid, domains, .. } = &mut *self.space;
+        let trial = Trial { t: self.t, end, h, x };
+        self.stepper.interpolate(trial, (at - self.t) / h, x_mid);
+        self.stats.event_indicators += 1;
+        domains.changed_at(at, |t, z| read_indicators(self.system, t, x_mid, z))
     }
 
     fn cannot_stand(&mut self, h: f64, error: CallError) -> Step<Inside> {
@@ -62,13 +112,14 @@ where
         }
     }
 
-    /// Finds the first crossing in the step.
-    fn locate(&mut self, end: f64, h: f64) -> Step<Inside> {
+    /// Finds the first crossing up to `hi`, where `domains.end` was read.
+    fn locate(&mut self, hi: f64, end: f64, h: f64) -> Step<Inside> {
         let Space { x, x_new, x_mid, domains, .. } = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x };
         let tolerance = (100.0 * U * (self.t.abs() + h)).max(4.0 * U * end.abs());
+        let for_jumps = if self.options.loose_jump_indicators { 1e-10 * self.t.abs().max(h) } else { 0.0 };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
-        let found = domains.locate(self.t, end, tolerance, |t, z| {
+        let found = domains.locate(self.t, hi, (tolerance, for_jumps), |t, z| {
             stepper.interpolate(trial, (t - trial.t) / h, x_mid);
             read_indicators(system, t, x_mid, z)
         });
@@ -83,10 +134,11 @@ where
                 self.stats.event_indicators += 1;
                 read_indicators(system, end, x_new, &mut domains.end).map_err(no_retreat)?;
             }
-            return Ok(Inside::Crossing(Found { at: end, end, h, crossed: true }));
+            let crossed = domains.changed();
+            return Ok(Inside::Crossing(Found { at: end, end, h, crossed }));
         }
         if self.stepper.repeats_step_at_event() {
-            return self.polish(located.time, end, tolerance);
+            return self.polish(located.time, hi, tolerance);
         }
         stepper.interpolate(trial, (located.time - trial.t) / h, x_new);
         Ok(Inside::Crossing(Found { at: located.time, end, h, crossed: true }))
@@ -151,7 +203,7 @@ where
         let Space { x, x_mid, domains, .. } = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
-        let located = domains.locate(lo, hi, tight, |t, z| {
+        let located = domains.locate(lo, hi, (tight, 0.0), |t, z| {
             stepper.interpolate(trial, (t - trial.t) / h, x_mid);
             read_indicators(system, t, x_mid, z)
         })?;
