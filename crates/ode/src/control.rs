@@ -7,6 +7,7 @@ use crate::options::AbsoluteTolerance;
 pub(crate) struct Weights {
     rtol: f64,
     atol: Vec<f64>,
+    scale: Vec<f64>,
 }
 
 impl Weights {
@@ -22,6 +23,29 @@ impl Weights {
             })),
             AbsoluteTolerance::Scalar(v) => self.atol.resize(nominals.len(), *v),
             AbsoluteTolerance::PerState(list) => self.atol.extend_from_slice(list),
+        }
+        self.scale.clear();
+        self.scale.extend(nominals.iter().zip(&self.atol).map(|(nominal, atol)| {
+            let n = nominal.abs();
+            (if n > 0.0 && n.is_finite() { n } else { 1.0 }).min(atol / (0.01 * rtol))
+        }));
+    }
+
+    /// The relative tolerance.
+    pub(crate) fn rtol(&self) -> f64 {
+        self.rtol
+    }
+
+    /// The size below which a state counts as small: its nominal value, or less if the absolute tolerance says so (by
+    /// the rule that makes absolute tolerances of nominal values).
+    pub(crate) fn scale(&self, i: usize) -> f64 {
+        self.scale[i]
+    }
+
+    /// Fills in the inverse weights at the state `x`, times `factor`.
+    pub(crate) fn inverse_at(&self, x: &[f64], factor: f64, inverse: &mut [f64]) {
+        for (i, v) in inverse.iter_mut().enumerate() {
+            *v = factor / self.weight(i, x[i], x[i]);
         }
     }
 
@@ -53,24 +77,47 @@ impl Weights {
     }
 }
 
-/// The PI controller of DOPRI5 (Hairer, Norsett, Wanner I, II.4 and IV.2 of volume II): `beta = 0.04`, safety 0.9,
-/// growth at most 10, reduction at most to a fifth.
+/// Root mean square of `v` times inverse weights.
+pub(crate) fn scaled_norm(v: &[f64], inverse_weights: &[f64]) -> f64 {
+    let sum: f64 = v.iter().zip(inverse_weights).map(|(v, w)| (v * w) * (v * w)).sum();
+    (sum / v.len().max(1) as f64).sqrt()
+}
+
+/// The PI controllers of DOPRI5 and DOP853 (Hairer, Norsett, Wanner I, II.4 and II.5, and IV.2 of volume II).
 #[derive(Debug)]
 pub(crate) struct Controller {
     exponent: f64,
+    beta: f64,
+    growth: f64,
+    reduction: f64,
     previous_error: f64,
     just_rejected: bool,
 }
 
 impl Controller {
-    const BETA: f64 = 0.04;
     const SAFETY: f64 = 0.9;
 
+    /// For methods of order 5: `beta = 0.04`, growth at most 10, reduction at most to a fifth.
     pub(crate) fn new(order: u32) -> Self {
+        let beta = 0.04;
         Self {
-            exponent: 1.0 / f64::from(order) - 0.75 * Self::BETA,
+            exponent: 1.0 / f64::from(order) - 0.75 * beta,
+            beta,
+            growth: 10.0,
+            reduction: 0.2,
             previous_error: 1e-4,
             just_rejected: false,
+        }
+    }
+
+    /// For methods of order 8: no memory, growth at most 6, reduction at most to a third.
+    pub(crate) fn of_high_order(order: u32) -> Self {
+        Self {
+            exponent: 1.0 / f64::from(order),
+            beta: 0.0,
+            growth: 6.0,
+            reduction: 1.0 / 3.0,
+            ..Self::new(order)
         }
     }
 
@@ -81,17 +128,17 @@ impl Controller {
 
     /// Factor for the step size after a step accepted with this error norm.
     pub(crate) fn accepted(&mut self, error: f64) -> f64 {
-        let factor = error.powf(self.exponent) / self.previous_error.powf(Self::BETA) / Self::SAFETY;
-        let growth = if self.just_rejected { 1.0 } else { 10.0 };
+        let factor = error.powf(self.exponent) / self.previous_error.powf(self.beta) / Self::SAFETY;
+        let growth = if self.just_rejected { 1.0 } else { self.growth };
         self.previous_error = error.max(1e-4);
         self.just_rejected = false;
-        (1.0 / factor).clamp(0.2, growth)
+        (1.0 / factor).clamp(self.reduction, growth)
     }
 
     /// Factor for the step size after a step rejected with this error norm.
     pub(crate) fn rejected(&mut self, error: f64) -> f64 {
         self.just_rejected = true;
-        (Self::SAFETY / error.powf(self.exponent)).clamp(0.2, 0.9)
+        (Self::SAFETY / error.powf(self.exponent)).clamp(self.reduction, 0.9)
     }
 
     /// Factor for the step size after a point that the model refused.

@@ -1,19 +1,27 @@
 //! The only loop: limit, step, locate, sample inside, commit, event, restart.
 
-use crate::control::{Controller, Weights, initial_step, probe_step};
+use crate::auto::Auto;
+use crate::bdf::Bdf;
+use crate::control::{Weights, initial_step, probe_step};
+use crate::dop853::Dop853;
 use crate::error::{ErrorKind, Report, SimulationError, Termination};
 use crate::event::{ChatteringGuard, Domains};
 use crate::explicit_rk::ExplicitRk;
 use crate::observer::{EventRecord, Observer};
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
+use crate::radau5::Radau5;
 use crate::sampling::{Here, Sampler};
 use crate::stats::Stats;
-use crate::stepper::{Stepper, Trial};
+use crate::stepper::{Attempt, Stepper, Trial};
 use crate::system::{CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop};
 use crate::tableau::{EULER, RK4, TSIT5};
 use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
+
+mod inside;
+
+use inside::{Found, Inside};
 
 /// Unit round-off of double precision.
 const U: f64 = f64::EPSILON / 2.0;
@@ -64,7 +72,11 @@ pub struct Driver {
 /// The stepper behind [`Method`].
 #[derive(Debug)]
 enum MethodState {
+    Auto(Box<Auto>),
     Tsit5(ExplicitRk<7>),
+    Radau5(Box<Radau5>),
+    Dop853(Box<Dop853>),
+    Bdf(Box<Bdf>),
     Rk4(ExplicitRk<5>),
     Euler(ExplicitRk<2>),
 }
@@ -90,7 +102,11 @@ impl Driver {
     pub fn new(options: Options) -> Result<Self, OptionsError> {
         options.check()?;
         let method = match options.method {
-            Method::Auto | Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
+            Method::Auto => MethodState::Auto(Box::default()),
+            Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
+            Method::Radau5 => MethodState::Radau5(Box::default()),
+            Method::Dop853 => MethodState::Dop853(Box::default()),
+            Method::Bdf => MethodState::Bdf(Box::default()),
             Method::Rk4 => MethodState::Rk4(ExplicitRk::new(&RK4)),
             Method::Euler => MethodState::Euler(ExplicitRk::new(&EULER)),
         };
@@ -124,7 +140,19 @@ impl Driver {
     {
         let Self { options, method, space } = self;
         match method {
+            MethodState::Auto(s) => {
+                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
+            }
             MethodState::Tsit5(s) => Run::new(options, s, space, system, (start, end), times, observer).run(),
+            MethodState::Radau5(s) => {
+                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
+            }
+            MethodState::Dop853(s) => {
+                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
+            }
+            MethodState::Bdf(s) => {
+                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
+            }
             MethodState::Rk4(s) => Run::new(options, s, space, system, (start, end), times, observer).run(),
             MethodState::Euler(s) => Run::new(options, s, space, system, (start, end), times, observer).run(),
         }
@@ -147,12 +175,21 @@ type Step<T> = Result<T, Exit>;
 
 /// Outcome of one trial step.
 enum Tried {
-    /// Accepted up to its own end, or up to the event found inside.
-    Accepted { error: f64 },
-    /// Rejected by the error test.
-    Rejected { error: f64 },
+    /// Good up to its own end, or up to the event found inside.
+    Good,
+    /// Not good for this reason; to be tried again with this size.
+    Again { h: f64, why: Shrink },
+}
+
+/// Why a step is made smaller.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Shrink {
+    /// The error test wants it.
+    TooInexact,
+    /// The equations of an implicit method were not solved.
+    NotSolved,
     /// The model refused a point of it.
-    Discarded,
+    Refused,
 }
 
 /// One run: everything that changes between `start` and `end`.
@@ -172,7 +209,6 @@ struct Run<'a, S: ?Sized, M, O: ?Sized> {
     h: f64,
     h_tried: f64,
     fixed_step: Option<f64>,
-    controller: Controller,
     next_time_event: Option<f64>,
     input_stop: Option<InputStop>,
     guard: ChatteringGuard,
@@ -200,7 +236,6 @@ where
     ) -> Self {
         let span = end - start;
         let fixed_step = (!stepper.has_error_estimate()).then(|| options.step_size.unwrap_or(span / 500.0));
-        let controller = Controller::new(stepper.order());
         Self {
             options,
             stepper,
@@ -215,7 +250,6 @@ where
             h: 0.0,
             h_tried: 0.0,
             fixed_step,
-            controller,
             next_time_event: None,
             input_stop: None,
             guard: ChatteringGuard::new(span),
@@ -272,7 +306,15 @@ where
         }
         space.domains.resize(nz);
         space.sampler.begin(self.system.n_outputs());
-        self.stepper.resize(n);
+        self.stepper.begin(&*self.system);
+        if let Some(m) = self.system.mass_matrix() {
+            if m.len() != n * n || m.iter().any(|m| !m.is_finite()) {
+                return Err(ErrorKind::MassMatrix { given: m.len(), states: n }.into());
+            }
+            if !self.stepper.takes_mass_matrix() {
+                return Err(ErrorKind::MassMatrixNeedsRadau5.into());
+            }
+        }
 
         if let Some(step) = self.fixed_step
             && start < end
@@ -289,7 +331,7 @@ where
         }
         self.read_nominals()?;
         self.take_event_time(outcome.next_time)?;
-        self.input_stop = self.system.next_input_stop(self.t);
+        self.input_stop = self.input_stop_after(self.t);
         self.evaluate_here()?;
         // Events announced for the very start belong to it: samples there see them done.
         self.more_events_here()?;
@@ -310,25 +352,9 @@ where
         let end = if hits_target { target } else { self.t + h };
         self.h_tried = h;
         match self.attempt(end, h)? {
-            Tried::Accepted { error } => self.commit(end, h, error),
-            Tried::Rejected { error } => {
-                self.stats.rejected_steps += 1;
-                let (x, x_new) = (&self.space.x, &self.space.x_new);
-                self.worst_state = self.space.weights.worst(x, x_new, self.stepper.error());
-                let factor = self.controller.rejected(error);
-                self.shrink(h * factor, false)
-            }
-            Tried::Discarded => self.retry_after_discard(h),
+            Tried::Good => self.commit(end, h),
+            Tried::Again { h, why } => self.shrink(h, why),
         }
-    }
-
-    /// The model refused a point of the step: a smaller one.
-    fn retry_after_discard(&mut self, h: f64) -> Step<()> {
-        self.stats.rejected_steps += 1;
-        self.discards += 1;
-        self.worst_state = None;
-        let factor = self.controller.discarded();
-        self.shrink(h * factor, true)
     }
 
     fn check_limits(&mut self) -> Step<()> {
@@ -367,6 +393,20 @@ where
         target
     }
 
+    /// The first instant after `t` at which an input is not smooth enough to be stepped over.
+    fn input_stop_after(&mut self, mut t: f64) -> Option<InputStop> {
+        loop {
+            let stop = self.system.next_input_stop(t)?;
+            if stop.jump || !self.stepper.steps_over_kinks() {
+                return Some(stop);
+            }
+            if stop.time >= self.end || stop.time <= t {
+                return None;
+            }
+            t = stop.time;
+        }
+    }
+
     /// The step to try: what the controller proposes, cut or stretched so that no sliver is left before the target.
     fn step_towards(&self, target: f64) -> f64 {
         let remaining = target - self.t;
@@ -399,68 +439,84 @@ where
         let trial = Trial { t: self.t, end, h, x: &space.x };
         let tried =
             self.stepper.try_step(self.system, trial, &space.weights, &mut space.x_new, &mut self.stats);
-        let error = match tried {
-            Ok(error) if error.is_nan() => return Ok(Tried::Discarded),
-            Ok(error) if error > 1.0 => return Ok(Tried::Rejected { error }),
-            Ok(error) => error,
-            Err(CallError::Discard) => return Ok(Tried::Discarded),
-            Err(CallError::Failed(e)) => return Err(ErrorKind::Model(e).into()),
-        };
+        match tried {
+            Ok(Attempt::Good) => {}
+            Ok(Attempt::TooInexact { h }) => {
+                self.worst_state = space.weights.worst(&space.x, &space.x_new, self.stepper.error());
+                return Ok(Tried::Again { h, why: Shrink::TooInexact });
+            }
+            Ok(Attempt::NotSolved { h }) => return Ok(Tried::Again { h, why: Shrink::NotSolved }),
+            Err(error) => return self.refused(h, error),
+        }
         if space.domains.len() > 0 {
             self.stats.event_indicators += 1;
-            match read_indicators(self.system, end, &space.x_new, &mut space.domains.end) {
-                Ok(()) => {}
-                Err(CallError::Discard) => return Ok(Tried::Discarded),
-                Err(CallError::Failed(e)) => return Err(ErrorKind::Model(e).into()),
+            if let Err(error) = read_indicators(self.system, end, &space.x_new, &mut space.domains.end) {
+                return self.refused(h, error);
             }
         }
-        Ok(Tried::Accepted { error })
+        Ok(Tried::Good)
+    }
+
+    /// A point of a trial of size `h` could not be evaluated: a smaller step, unless the model has failed altogether.
+    fn refused(&mut self, h: f64, error: CallError) -> Step<Tried> {
+        match error {
+            CallError::Discard => Ok(Tried::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
+            CallError::Failed(e) => Err(ErrorKind::Model(e).into()),
+        }
     }
 
     /// Goes on with a smaller step, unless it would be too small to mean anything.
-    fn shrink(&mut self, h: f64, discarded: bool) -> Step<()> {
+    fn shrink(&mut self, h: f64, why: Shrink) -> Step<()> {
+        self.stats.rejected_steps += 1;
+        let discarded = why == Shrink::Refused;
+        if why != Shrink::TooInexact {
+            self.worst_state = None;
+        }
+        self.discards += u32::from(discarded);
         let span = self.end - self.start;
         let least = 16.0 * U * self.t.abs().max(1e-6 * span);
         let hopeless = self.fixed_step.is_some() || (discarded && self.discards > MAX_DISCARDS);
         if h < least || hopeless {
-            return Err(ErrorKind::StepTooSmall { discarded }.into());
+            return Err(match why {
+                Shrink::NotSolved => ErrorKind::NoConvergence.into(),
+                _ => ErrorKind::StepTooSmall { discarded }.into(),
+            });
         }
         self.h = h;
         Ok(())
     }
 
     /// The step is good: locate an event inside, sample, complete it, handle events, go on.
-    fn commit(&mut self, end: f64, h: f64, error: f64) -> Step<()> {
-        let mut at = end;
-        let mut inside = false;
-        let mut cause = EventCause::default();
-        if self.space.domains.changed() {
-            match self.locate(end, h)? {
-                Some(time) => {
-                    inside = time != end;
-                    at = time;
-                }
-                // The model refused a point in between: as if the step had been refused.
-                None => return self.retry_after_discard(h),
-            }
-            cause.state = true;
-        }
+    fn commit(&mut self, end: f64, h: f64) -> Step<()> {
+        let found = match self.look_inside(end, h)? {
+            Inside::Nothing => Found { at: end, end, h, crossed: false },
+            Inside::Crossing(found) => found,
+            // As if the step had been refused.
+            Inside::Again { h, why } => return self.shrink(h, why),
+        };
+        let mut cause = EventCause { state: found.crossed, ..EventCause::default() };
+        let Found { at, end, h, .. } = found;
+        let inside = at != end;
         let crossed = self.space.domains.mark();
         if !self.sample_before(at, end, h)? {
-            return self.retry_after_discard(h);
+            let h = self.stepper.refused(h);
+            return self.shrink(h, Shrink::Refused);
         }
         self.discards = 0;
         self.worst_state = None;
 
         // Slopes at both sides of an event decide whether the method must be restarted.
         let theta = if inside { (at - self.t) / h } else { 1.0 };
-        self.stepper.interpolate_slope(theta, &mut self.space.slope);
-        std::mem::swap(&mut self.space.x, &mut self.space.x_new);
-        let h_next = if self.fixed_step.is_some() { h } else { self.next_step(h, error) };
-        if !inside {
-            self.stepper.accept();
+        if inside {
+            let Space { x, slope, .. } = &mut *self.space;
+            self.stepper.interpolate_slope(Trial { t: self.t, end, h, x }, theta, slope);
         }
-        self.t = at;
+        std::mem::swap(&mut self.space.x, &mut self.space.x_new);
+        let h_next = self.next_step(h, theta);
+        if !inside {
+            self.space.slope.copy_from_slice(self.stepper.derivative());
+        }
+        let began = std::mem::replace(&mut self.t, at);
         self.stats.accepted_steps += 1;
 
         let action = self.system.step_completed(at, &self.space.x).map_err(no_retreat)?;
@@ -481,12 +537,13 @@ where
             self.sample_left()?;
         }
         if let Some(stop) = stop {
-            self.input_stop = self.system.next_input_stop(at.max(stop.time));
+            self.stepper.kink();
+            self.input_stop = self.input_stop_after(at.max(stop.time));
         }
         if eventful {
             self.visit_event(cause)?;
         } else {
-            self.space.domains.advance();
+            self.space.domains.advance(began);
         }
         let eventful = self.more_events_here()? || eventful;
         self.sample_here(eventful)?;
@@ -496,42 +553,18 @@ where
         self.reached_end()
     }
 
-    /// The step size to propose after an accepted step; a step that was cut to hit a target does not make the next one
-    /// smaller than the one proposed before.
-    fn next_step(&mut self, h: f64, error: f64) -> f64 {
+    /// Accepts the step up to `theta`; returns the step size to propose. A step that was cut to hit a target does not
+    /// make the next one smaller than the one proposed before.
+    fn next_step(&mut self, h: f64, theta: f64) -> f64 {
         if self.space.x.is_empty() {
-            return self.h;
+            return if self.fixed_step.is_some() { h } else { self.h };
         }
-        let proposed = h * self.controller.accepted(error);
-        if h < self.h { proposed.max(self.h) } else { proposed }
-    }
-
-    /// Finds the first crossing in the step. `None`: the model refused a point inside.
-    fn locate(&mut self, end: f64, h: f64) -> Step<Option<f64>> {
-        let Space { x, x_new, x_mid, domains, .. } = &mut *self.space;
-        let trial = Trial { t: self.t, end, h, x };
-        let tolerance = (100.0 * U * (self.t.abs() + h)).max(4.0 * U * end.abs());
-        let (stepper, system) = (&*self.stepper, &mut *self.system);
-        let found = domains.locate(self.t, end, tolerance, |t, z| {
-            stepper.interpolate(trial, (t - trial.t) / h, x_mid);
-            read_indicators(system, t, x_mid, z)
-        });
-        let located = match found {
-            Ok(located) => located,
-            Err(CallError::Discard) => return Ok(None),
-            Err(CallError::Failed(e)) => return Err(ErrorKind::Model(e).into()),
-        };
-        self.stats.event_indicators += located.evaluations;
-        // An event this close to the end of the step is one with whatever happens there.
-        if end - located.time <= self.same {
-            if located.time != end {
-                self.stats.event_indicators += 1;
-                read_indicators(system, end, x_new, &mut domains.end).map_err(no_retreat)?;
-            }
-            return Ok(Some(end));
+        let proposed = self.stepper.accept(h, theta);
+        match self.fixed_step {
+            Some(_) => h,
+            None if h < self.h => proposed.max(self.h),
+            None => proposed,
         }
-        stepper.interpolate(trial, (located.time - trial.t) / h, x_new);
-        Ok(Some(located.time))
     }
 
     /// Lets the events at the current time happen, restarts the method where they changed something.
@@ -588,7 +621,7 @@ where
         let same_slope = before * weights.distance(x, self.stepper.derivative(), slope) < 0.1;
         if !(same_states && same_slope) || outcome.nominals_changed {
             self.stats.restarts += 1;
-            self.controller.restart();
+            self.stepper.forget();
             self.estimate_step()?;
             self.h = self.h.min(before);
         }
@@ -599,9 +632,10 @@ where
     fn evaluate_here(&mut self) -> Step<()> {
         let space = &mut *self.space;
         if !space.x.is_empty() {
-            self.stepper.restart(self.system, self.t, &space.x, &mut self.stats).map_err(no_retreat)?;
+            self.stepper.evaluate(self.system, self.t, &space.x, &mut self.stats).map_err(no_retreat)?;
         }
         if space.domains.len() > 0 {
+            space.domains.forget();
             self.stats.event_indicators += 1;
             read_indicators(self.system, self.t, &space.x, &mut space.domains.base).map_err(no_retreat)?;
         }
@@ -668,7 +702,8 @@ where
             let time = self.next_time_event.is_some_and(|next| next <= self.t + self.same);
             let stop = self.input_stop.filter(|stop| stop.time <= self.t + self.same);
             if let Some(stop) = stop {
-                self.input_stop = self.system.next_input_stop(stop.time);
+                self.stepper.kink();
+                self.input_stop = self.input_stop_after(stop.time);
             }
             let input = stop.is_some_and(|stop| stop.jump);
             if time || input {

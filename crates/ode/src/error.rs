@@ -56,6 +56,17 @@ pub enum ErrorKind {
         /// The model refused the last point that was tried (discard, NaN or infinity).
         discarded: bool,
     },
+    /// The equations of an implicit method could not be solved, down to steps that mean nothing.
+    NoConvergence,
+    /// The mass matrix has not one row and one column per state, or a number that is not finite.
+    MassMatrix {
+        /// Entries given.
+        given: usize,
+        /// States of the model.
+        states: usize,
+    },
+    /// The model has a mass matrix, which this method cannot take.
+    MassMatrixNeedsRadau5,
     /// The model refused its own starting point (or the point right after an event).
     DiscardedAtRestart,
     /// More steps than allowed.
@@ -96,6 +107,9 @@ impl ErrorKind {
                 "the error test wants steps that are too small".to_owned()
             }
             Self::StepTooSmall { discarded: true } => "the model cannot be evaluated any further".to_owned(),
+            Self::NoConvergence => "the equations of the implicit method do not converge".to_owned(),
+            Self::MassMatrix { .. } => "the mass matrix cannot be used".to_owned(),
+            Self::MassMatrixNeedsRadau5 => "the mass matrix needs solver radau5".to_owned(),
             Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
             Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
             Self::TooManyEvents(n) => format!("the limit of {n} events was reached"),
@@ -151,6 +165,22 @@ impl fmt::Display for SimulationError {
             }
             ErrorKind::StepTooSmall { discarded: true } => {
                 write!(f, "the model cannot be evaluated beyond t = {t}, down to steps of {:e}", self.step)?;
+            }
+            ErrorKind::NoConvergence => {
+                let h = self.step;
+                write!(
+                    f,
+                    "the equations of the implicit method do not converge at t = {t}, down to steps of {h:e}"
+                )?;
+            }
+            ErrorKind::MassMatrix { given, states } => {
+                return write!(
+                    f,
+                    "the mass matrix must have {states} x {states} finite entries by columns, {given} were given"
+                );
+            }
+            ErrorKind::MassMatrixNeedsRadau5 => {
+                return write!(f, "a system with a mass matrix can only be integrated by radau5 (or auto)");
             }
             ErrorKind::DiscardedAtRestart => {
                 write!(f, "the model cannot be evaluated at its own state at t = {t}")?

@@ -15,6 +15,9 @@ pub(crate) struct Domains {
     mid: Vec<f64>,
     lo: Vec<f64>,
     discarded: Vec<f64>,
+    /// Indicators at the start of the step before, and that time, if nothing has happened since.
+    before: Vec<f64>,
+    before_time: Option<f64>,
     /// +1, -1 or 0 per indicator, once [`crossings`](Self::mark) has been called.
     pub(crate) crossings: Vec<i8>,
 }
@@ -34,12 +37,20 @@ fn flipped(from: f64, to: f64) -> bool {
 
 impl Domains {
     pub(crate) fn resize(&mut self, n: usize) {
-        for v in [&mut self.base, &mut self.end, &mut self.mid, &mut self.lo, &mut self.discarded] {
+        for v in [
+            &mut self.base,
+            &mut self.end,
+            &mut self.mid,
+            &mut self.lo,
+            &mut self.discarded,
+            &mut self.before,
+        ] {
             v.clear();
             v.resize(n, 0.0);
         }
         self.crossings.clear();
         self.crossings.resize(n, 0);
+        self.before_time = None;
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -72,9 +83,61 @@ impl Domains {
         self.crossings.fill(0);
     }
 
-    /// The step is over without an event: its end is the next start.
-    pub(crate) fn advance(&mut self) {
+    /// The step that began at `start` is over without an event: its end is the next start.
+    pub(crate) fn advance(&mut self, start: f64) {
+        std::mem::swap(&mut self.before, &mut self.base);
         std::mem::swap(&mut self.base, &mut self.end);
+        self.before_time = Some(start);
+    }
+
+    /// The indicators go on from the current point without a past.
+    pub(crate) fn forget(&mut self) {
+        self.before_time = None;
+    }
+
+    /// How many times longer the step from `start` to `end` is than the one before; `None`: there is none.
+    pub(crate) fn growth(&self, start: f64, end: f64) -> Option<f64> {
+        self.before_time.map(|before| (end - start) / (start - before))
+    }
+
+    /// Where between `start` and `end` the parabola through the last three values of indicator `i` comes to its turning
+    /// point, if that lies in the other domain or near it: a crossing and its return may hide there.
+    pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
+        let before = self.before_time?;
+        let (z0, z1, z2) = (self.before[i], self.base[i], self.end[i]);
+        let (s1, s2) = ((z1 - z0) / (start - before), (z2 - z1) / (end - start));
+        let curvature = (s2 - s1) / (end - before);
+        let inward = if z1 > 0.0 { curvature } else { -curvature };
+        if inward.is_nan() || inward <= 0.0 {
+            return None;
+        }
+        let t = 0.5 * (start + end) - 0.5 * s2 / curvature;
+        let value = z1 + (t - start) * (s2 + curvature * (t - end));
+        let near = 0.25 * z1.abs().min(z2.abs());
+        let beyond = if z1 > 0.0 { value < near } else { value > -near };
+        (t > start && t < end && beyond).then_some(t)
+    }
+
+    /// Reads the indicators at a point inside the step. `true`: one has left the domain of the start; then they are taken
+    /// as the ones at the end of the bracket.
+    pub(crate) fn changed_at(
+        &mut self,
+        t: f64,
+        evaluate: impl FnOnce(f64, &mut [f64]) -> CallResult<()>,
+    ) -> CallResult<bool> {
+        evaluate(t, &mut self.mid)?;
+        let changed = self.base.iter().zip(&self.mid).any(|(b, m)| flipped(*b, *m));
+        if changed {
+            std::mem::swap(&mut self.end, &mut self.mid);
+        }
+        Ok(changed)
+    }
+
+    /// All indicators that change in the bracket only jump between a value and its negative: they tell nothing but the
+    /// domain.
+    fn only_jumps(&self) -> bool {
+        let all = self.base.iter().zip(&self.end).zip(&self.lo);
+        all.filter(|((b, e), _)| flipped(**b, **e)).all(|((b, e), lo)| *b == -*e && b == lo)
     }
 
     /// Finds the first change of domain in `(t_lo, t_hi]`, where `base` and `end` hold the indicators at both ends and
@@ -84,12 +147,12 @@ impl Domains {
     /// Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators; each iteration works
     /// on the changed indicator whose secant crosses first. Ends when the bracket is at most `tolerance` wide, whatever
     /// the values are, and returns its right end: there the change has really happened. `end` then holds the indicators
-    /// at that point.
+    /// at that point. Where all that changes are indicators that only jump, a bracket of `for_jumps` is narrow enough.
     pub(crate) fn locate(
         &mut self,
         t_lo: f64,
         t_hi: f64,
-        tolerance: f64,
+        (tolerance, for_jumps): (f64, f64),
         mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<Located> {
         self.lo.copy_from_slice(&self.base);
@@ -100,7 +163,7 @@ impl Domains {
         let mut active = usize::MAX;
         let mut evaluations = 0;
         let cap = 2 * (((hi - lo) / tolerance).log2().max(0.0) as u64) + 4;
-        while hi - lo > tolerance {
+        while hi - lo > tolerance && !(hi - lo <= for_jumps && self.only_jumps()) {
             let chosen = self.first_by_secant(lo, hi);
             if chosen != active {
                 active = chosen;
@@ -221,7 +284,7 @@ mod tests {
         d.end.copy_from_slice(&z(hi));
         assert!(d.changed());
         let found = d
-            .locate(lo, hi, tolerance, |t, out| {
+            .locate(lo, hi, (tolerance, tolerance), |t, out| {
                 out.copy_from_slice(&z(t));
                 Ok(())
             })
@@ -257,6 +320,40 @@ mod tests {
         let (t, n, _) = locate(|t| vec![if t < 0.7 { -1.0 } else { 1e-300 }], 0.0, 1.0, 1e-13);
         assert!((0.7..0.7 + 1e-13).contains(&t));
         assert!(n <= 140, "{n}");
+    }
+
+    #[test]
+    fn a_wider_bracket_does_for_jumps_alone() {
+        let found = |z: fn(f64) -> f64| {
+            let mut d = Domains::default();
+            d.resize(1);
+            (d.base[0], d.end[0]) = (z(0.0), z(1.0));
+            let read = |t: f64, out: &mut [f64]| {
+                out[0] = z(t);
+                Ok(())
+            };
+            d.locate(0.0, 1.0, (1e-14, 1e-3), read).unwrap().time
+        };
+        let jump = found(|t| if t < 0.7 { -1.0 } else { 1.0 });
+        assert!((1e-6..1e-3).contains(&(jump - 0.7)), "{jump}");
+        let smooth = found(|t| (t - 0.7) * 3.0);
+        assert!((smooth - 0.7).abs() < 1e-13, "{smooth}");
+    }
+
+    #[test]
+    fn a_parabola_shows_where_a_crossing_may_hide() {
+        let mut d = Domains::default();
+        d.resize(2);
+        let z = |t: f64| [(t - 2.4) * (t - 2.6), 1.0 + t];
+        d.before.copy_from_slice(&z(1.0));
+        d.before_time = Some(1.0);
+        d.base.copy_from_slice(&z(2.0));
+        d.end.copy_from_slice(&z(3.0));
+        assert!(!d.changed());
+        assert!((d.turning_point(0, 2.0, 3.0).unwrap() - 2.5).abs() < 1e-14);
+        assert_eq!(d.turning_point(1, 2.0, 3.0), None);
+        d.forget();
+        assert_eq!(d.turning_point(0, 2.0, 3.0), None);
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! Explicit Runge-Kutta methods: one implementation for every tableau, with or without an error estimate.
 
-use crate::control::Weights;
+use crate::control::{Controller, Weights};
 use crate::stats::Stats;
-use crate::stepper::{Stepper, Trial};
-use crate::system::{CallResult, HybridSystem};
+use crate::stepper::{Attempt, Stepper, Trial};
+use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::Tableau;
 
 /// An explicit method and its stages `k_i = f(t + c_i h, ...)`.
@@ -13,11 +13,35 @@ pub(crate) struct ExplicitRk<const S: usize> {
     k: [Vec<f64>; S],
     stage: Vec<f64>,
     error: Vec<f64>,
+    error_norm: f64,
+    controller: Controller,
 }
 
 impl<const S: usize> ExplicitRk<S> {
     pub(crate) fn new(tableau: &'static Tableau<S>) -> Self {
-        Self { tableau, k: std::array::from_fn(|_| Vec::new()), stage: Vec::new(), error: Vec::new() }
+        Self {
+            tableau,
+            k: std::array::from_fn(|_| Vec::new()),
+            stage: Vec::new(),
+            error: Vec::new(),
+            error_norm: 0.0,
+            controller: Controller::new(tableau.order),
+        }
+    }
+}
+
+impl<const S: usize> ExplicitRk<S> {
+    /// How strongly the right-hand side answers to a change of the state, from the last two stages, which lie at the end
+    /// of the step both: an estimate of the largest eigenvalue. For methods whose last but one abscissa is 1.
+    pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &Weights) -> f64 {
+        let apart = weights.distance(x, x_new, &self.stage);
+        if apart > 0.0 { weights.distance(x, &self.k[S - 1], &self.k[S - 2]) / apart } else { 0.0 }
+    }
+
+    /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
+    pub(crate) fn take_over(&mut self, f: &[f64]) {
+        self.k[0].copy_from_slice(f);
+        self.forget();
     }
 }
 
@@ -52,16 +76,18 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         self.tableau.error.is_some()
     }
 
-    fn resize(&mut self, n: usize) {
+    fn begin<M: HybridSystem + ?Sized>(&mut self, system: &M) {
+        let n = system.n_states();
         for k in &mut self.k {
             k.resize(n, 0.0);
         }
         self.stage.resize(n, 0.0);
         self.error.clear();
         self.error.resize(n, 0.0);
+        self.controller.restart();
     }
 
-    fn restart<M: HybridSystem + ?Sized>(
+    fn evaluate<M: HybridSystem + ?Sized>(
         &mut self,
         system: &mut M,
         t: f64,
@@ -70,6 +96,10 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
     ) -> CallResult<()> {
         stats.right_hand_sides += 1;
         system.derivatives(t, x, &mut self.k[0])
+    }
+
+    fn forget(&mut self) {
+        self.controller.restart();
     }
 
     fn derivative(&self) -> &[f64] {
@@ -83,10 +113,10 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         weights: &Weights,
         x_new: &mut [f64],
         stats: &mut Stats,
-    ) -> CallResult<f64> {
+    ) -> CallResult<Attempt> {
         let Trial { t, end, h, x } = trial;
         if x.is_empty() {
-            return Ok(0.0);
+            return Ok(Attempt::Good);
         }
         for s in 1..S {
             let (known, rest) = self.k.split_at_mut(s);
@@ -99,29 +129,44 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
             let time = if c == 1.0 { end } else { t + c * h };
             system.derivatives(time, point, &mut rest[0])?;
         }
-        match &self.tableau.error {
+        self.error_norm = match &self.tableau.error {
             Some(weights_of_error) => {
                 weighted_sum(&mut self.error, h, weights_of_error, &self.k);
-                Ok(weights.error_norm(x, x_new, &self.error))
+                weights.error_norm(x, x_new, &self.error)
             }
             // A sum is finite unless something in it is not; no need to look at each number.
-            None => Ok(if x_new.iter().sum::<f64>().is_finite() { 0.0 } else { f64::NAN }),
+            None if x_new.iter().sum::<f64>().is_finite() => 0.0,
+            None => f64::NAN,
+        };
+        if self.error_norm.is_nan() {
+            return Err(CallError::Discard);
         }
+        if self.error_norm > 1.0 {
+            return Ok(Attempt::TooInexact { h: h * self.controller.rejected(self.error_norm) });
+        }
+        Ok(Attempt::Good)
     }
 
     fn error(&self) -> &[f64] {
         &self.error
     }
 
+    fn refused(&mut self, h: f64) -> f64 {
+        h * self.controller.discarded()
+    }
+
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
         combine(x, trial.x, trial.h, &self.tableau.dense_weights(theta), &self.k);
     }
 
-    fn interpolate_slope(&self, theta: f64, dx: &mut [f64]) {
+    fn interpolate_slope(&self, _: Trial<'_>, theta: f64, dx: &mut [f64]) {
         weighted_sum(dx, 1.0, &self.tableau.dense_derivative_weights(theta), &self.k);
     }
 
-    fn accept(&mut self) {
-        self.k.swap(0, S - 1);
+    fn accept(&mut self, h: f64, theta: f64) -> f64 {
+        if theta == 1.0 {
+            self.k.swap(0, S - 1);
+        }
+        h * self.controller.accepted(self.error_norm)
     }
 }

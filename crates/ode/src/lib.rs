@@ -1,13 +1,20 @@
 //! An event-aware stepper for hybrid ordinary differential equations (state, time, step and input events).
 #![forbid(unsafe_code)]
 
+mod auto;
+mod bdf;
 mod control;
+mod dop853;
+mod dop853_tableau;
 mod driver;
 mod error;
 mod event;
 mod explicit_rk;
+mod jacobian;
+mod lu;
 mod observer;
 mod options;
+mod radau5;
 mod sampling;
 mod stats;
 mod stepper;
@@ -16,6 +23,7 @@ mod tableau;
 
 pub use driver::Driver;
 pub use error::{ErrorKind, Report, SimulationError, Termination};
+pub use jacobian::JacobianPattern;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
 pub use stats::Stats;

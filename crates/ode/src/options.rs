@@ -9,11 +9,18 @@ use std::time::Duration;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Method {
-    /// The driver's choice; at present [`Tsit5`](Self::Tsit5).
+    /// [`Tsit5`](Self::Tsit5), and [`Radau5`](Self::Radau5) where a test made at every step finds the system stiff.
     #[default]
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.
     Tsit5,
+    /// Dormand, Prince and Hairer 8(5,3), explicit, adaptive: for tight tolerances.
+    Dop853,
+    /// Radau IIA of order 5, implicit, adaptive: for stiff systems and systems with a mass matrix.
+    Radau5,
+    /// Backward differentiation of order 1 to 5, implicit, adaptive: for stiff systems whose right-hand side is expensive
+    /// and whose events are rare.
+    Bdf,
     /// The classical Runge-Kutta method of order 4 with a fixed step.
     Rk4,
     /// The explicit Euler method with a fixed step.
@@ -22,13 +29,16 @@ pub enum Method {
 
 impl Method {
     /// All methods by the names that [`FromStr`] understands.
-    pub const NAMES: [&'static str; 4] = ["auto", "tsit5", "rk4", "euler"];
+    pub const NAMES: [&'static str; 7] = ["auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"];
 
     /// The name that [`FromStr`] understands.
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
             Self::Tsit5 => "tsit5",
+            Self::Dop853 => "dop853",
+            Self::Radau5 => "radau5",
+            Self::Bdf => "bdf",
             Self::Rk4 => "rk4",
             Self::Euler => "euler",
         }
@@ -47,9 +57,11 @@ impl FromStr for Method {
         match name.to_ascii_lowercase().as_str() {
             "auto" => Ok(Self::Auto),
             "tsit5" => Ok(Self::Tsit5),
+            "dop853" => Ok(Self::Dop853),
+            "radau5" => Ok(Self::Radau5),
+            "bdf" => Ok(Self::Bdf),
             "rk4" => Ok(Self::Rk4),
             "euler" => Ok(Self::Euler),
-            "dop853" | "radau5" | "bdf" => Err(OptionsError::MethodNotYet(name.to_owned())),
             _ => Err(OptionsError::UnknownMethod(name.to_owned())),
         }
     }
@@ -107,6 +119,14 @@ pub struct Options {
     pub initial_step: Option<f64>,
     /// Also sample both sides of every event.
     pub record_events: bool,
+    /// Points inside each step at which the event indicators are looked at too, so that a crossing and its return do not
+    /// hide in one step. Default: one for methods that take long steps (DOP853, Radau5, BDF) and where a step is more
+    /// than three times as long as the one before, else none. Whatever this is, the turning point of a parabola through
+    /// the last three values is looked at where it lies near zero.
+    pub interior_samples: Option<u32>,
+    /// Locate indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead of to rounding:
+    /// a fifth of the evaluations less, for models that have many such. Default `false`.
+    pub loose_jump_indicators: bool,
     /// Limits; default none.
     pub limits: Limits,
     /// Answer to chattering; default an error.
@@ -125,6 +145,8 @@ impl Default for Options {
             max_step: None,
             initial_step: None,
             record_events: false,
+            interior_samples: None,
+            loose_jump_indicators: false,
             limits: Limits::default(),
             chattering: ChatteringPolicy::Error,
             cancel: None,
@@ -182,9 +204,11 @@ pub enum OptionsError {
         range: &'static str,
     },
     /// No method has this name.
-    #[error("unknown solver '{0}'; there are: auto, tsit5, rk4, euler")]
+    #[error("unknown solver '{0}'; there are: auto, tsit5, dop853, radau5, bdf, rk4, euler")]
     UnknownMethod(String),
     /// The name is reserved for a method that is not there yet.
-    #[error("solver '{0}' is not available in this version; there are: auto, tsit5, rk4, euler")]
+    #[error(
+        "solver '{0}' is not available in this version; there are: auto, tsit5, dop853, radau5, bdf, rk4, euler"
+    )]
     MethodNotYet(String),
 }

@@ -9,8 +9,16 @@ pub struct Stats {
     pub accepted_steps: u64,
     /// Rejected steps.
     pub rejected_steps: u64,
-    /// Evaluations of the right-hand side.
+    /// Evaluations of the right-hand side, those for differences of a Jacobian included.
     pub right_hand_sides: u64,
+    /// Jacobians.
+    pub jacobians: u64,
+    /// Directional derivatives asked from the model.
+    pub directional_derivatives: u64,
+    /// Decompositions of a matrix of the size of the system; the real and the complex one of Radau5 count as two.
+    pub decompositions: u64,
+    /// Iterations of Newton's method.
+    pub newton_iterations: u64,
     /// Evaluations of the event indicators.
     pub event_indicators: u64,
     /// Samples taken (each may evaluate the outputs).
@@ -34,6 +42,10 @@ impl AddAssign for Stats {
         self.accepted_steps += other.accepted_steps;
         self.rejected_steps += other.rejected_steps;
         self.right_hand_sides += other.right_hand_sides;
+        self.jacobians += other.jacobians;
+        self.directional_derivatives += other.directional_derivatives;
+        self.decompositions += other.decompositions;
+        self.newton_iterations += other.newton_iterations;
         self.event_indicators += other.event_indicators;
         self.samples += other.samples;
         self.state_events += other.state_events;

@@ -1,4 +1,4 @@
-//! What a one-step method offers the driver: try a step, look inside it, go on from its end, or start anew.
+//! What a method offers the driver: try a step, look inside it, go on from its end, or start anew.
 
 use crate::control::Weights;
 use crate::stats::Stats;
@@ -13,20 +13,56 @@ pub(crate) struct Trial<'a> {
     pub(crate) x: &'a [f64],
 }
 
-/// An integration method. The driver alone decides whether a step is accepted, where it ends and how long the next
-/// one is; the stepper keeps what the method remembers between steps.
+/// What became of a trial step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Attempt {
+    /// It meets the tolerance.
+    Good,
+    /// Its error is too large; a step of this size has a better chance.
+    TooInexact { h: f64 },
+    /// Its equations could not be solved; a step of this size has a better chance.
+    NotSolved { h: f64 },
+}
+
+/// An integration method. The driver decides where steps end, and whether a step that meets the tolerance stands; the
+/// stepper judges its own error, proposes step sizes, and keeps what the method remembers between steps.
+///
+/// The order of calls: [`begin`](Self::begin) once a run; [`evaluate`](Self::evaluate) and [`forget`](Self::forget) at
+/// its first point; trials, of which the last good one may be looked into and is then accepted; after an event
+/// [`evaluate`](Self::evaluate), and [`forget`](Self::forget) if it changed something.
 pub(crate) trait Stepper {
-    /// Order of the method, as the step-size controller needs it.
+    /// The order that decides how a first step is guessed: that of the solution whose error is estimated.
     fn order(&self) -> u32;
 
     /// Whether steps carry an error estimate.
     fn has_error_estimate(&self) -> bool;
 
-    /// Makes room for `n` states.
-    fn resize(&mut self, n: usize);
+    /// Whether it integrates systems with a mass matrix.
+    fn takes_mass_matrix(&self) -> bool {
+        false
+    }
 
-    /// Starts at `(t, x)`: evaluates the right-hand side there and forgets everything older.
-    fn restart<S: HybridSystem + ?Sized>(
+    /// Whether a step need not end where an input changes its slope.
+    fn steps_over_kinks(&self) -> bool {
+        false
+    }
+
+    /// Whether the state at an event inside a step must come from a new step that ends there.
+    fn repeats_step_at_event(&self) -> bool {
+        false
+    }
+
+    /// Whether its steps are so long that a crossing and its return may hide in one.
+    fn takes_long_steps(&self) -> bool {
+        false
+    }
+
+    /// Starts a run: makes room, forgets everything.
+    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S);
+
+    /// Takes `(t, x)` as the current point and evaluates the right-hand side there; the step sizes and the slow parts of
+    /// the past (Jacobians, differences) are kept.
+    fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
         system: &mut S,
         t: f64,
@@ -34,11 +70,20 @@ pub(crate) trait Stepper {
         stats: &mut Stats,
     ) -> CallResult<()>;
 
-    /// The right-hand side at the start of the current step.
+    /// The current point has nothing to do with the steps before it.
+    fn forget(&mut self);
+
+    /// An input changes its slope at the current point.
+    fn kink(&mut self) {}
+
+    /// The next trial is the last one, which was good, with an earlier end.
+    fn repeat(&mut self) {}
+
+    /// The right-hand side at the current point.
     fn derivative(&self) -> &[f64];
 
-    /// Tries a step; `x_new` receives its end. Returns the weighted norm of the error estimate (0 without one; NaN if
-    /// the step produced one).
+    /// Tries a step; `x_new` receives its end. A refused point, or a number that is not finite, is
+    /// [`Discard`](crate::CallError::Discard).
     fn try_step<S: HybridSystem + ?Sized>(
         &mut self,
         system: &mut S,
@@ -46,17 +91,33 @@ pub(crate) trait Stepper {
         weights: &Weights,
         x_new: &mut [f64],
         stats: &mut Stats,
-    ) -> CallResult<f64>;
+    ) -> CallResult<Attempt>;
 
     /// The error estimate of the last trial, per state.
     fn error(&self) -> &[f64];
+
+    /// A point of the last trial was refused, or it turned out of no use: returns the step size to go on with.
+    fn refused(&mut self, h: f64) -> f64;
+
+    /// Makes ready to look inside the last trial, which was good and ended at `x_new`.
+    fn prepare_interpolation<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        trial: Trial<'_>,
+        x_new: &[f64],
+        stats: &mut Stats,
+    ) -> CallResult<()> {
+        let _ = (system, trial, x_new, stats);
+        Ok(())
+    }
 
     /// The state at `trial.t + theta * trial.h` inside the last trial step.
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]);
 
     /// The slope of [`interpolate`](Self::interpolate).
-    fn interpolate_slope(&self, theta: f64, dx: &mut [f64]);
+    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]);
 
-    /// The last trial is accepted as a whole; the next step starts at its end.
-    fn accept(&mut self);
+    /// The last trial, of size `h`, is accepted up to `theta` (1: as a whole); the next step starts there. Returns the
+    /// step size to go on with.
+    fn accept(&mut self, h: f64, theta: f64) -> f64;
 }

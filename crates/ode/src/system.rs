@@ -1,5 +1,7 @@
 //! What the stepper needs to know of a model: a hybrid ODE as a trait.
 
+use crate::jacobian::JacobianPattern;
+
 /// Why a call into the model did not deliver.
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
@@ -113,6 +115,38 @@ pub trait HybridSystem {
     /// The right-hand side: fills in `dx = f(t, x)`.
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()>;
 
+    /// Which derivatives depend on which states, if the model knows; `None`: any may depend on any. Read once per run.
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        None
+    }
+
+    /// Fills in the Jacobian by columns: `j[i + n * k]` is the derivative of `dx[i]` with respect to `x[k]`. All
+    /// entries are zero when it is called. `Ok(false)`: the model has none (decided once per run).
+    fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
+        let _ = (t, x, j);
+        Ok(false)
+    }
+
+    /// Fills in the Jacobian times `seed`. `Ok(false)`: the model has no directional derivatives (decided once per
+    /// run). Asked where there is no [`jacobian`](Self::jacobian); without either the driver takes differences.
+    fn directional_derivative(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        seed: &[f64],
+        derivative: &mut [f64],
+    ) -> CallResult<bool> {
+        let _ = (t, x, seed, derivative);
+        Ok(false)
+    }
+
+    /// The constant matrix `M` of `M x' = f(t, x)`, by columns (`n * n` numbers); `None`: the identity. It may be
+    /// singular (a differential-algebraic system of index 1); then the states must be consistent at the start and
+    /// after each event. Only [`Method::Radau5`](crate::Method) and [`Method::Auto`](crate::Method) take it.
+    fn mass_matrix(&self) -> Option<&[f64]> {
+        None
+    }
+
     /// Fills in the event indicators.
     fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
         let _ = (t, x, z);
@@ -162,6 +196,24 @@ impl<S: HybridSystem + ?Sized> HybridSystem for &mut S {
     }
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
         (**self).derivatives(t, x, dx)
+    }
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        (**self).jacobian_pattern()
+    }
+    fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
+        (**self).jacobian(t, x, j)
+    }
+    fn directional_derivative(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        seed: &[f64],
+        derivative: &mut [f64],
+    ) -> CallResult<bool> {
+        (**self).directional_derivative(t, x, seed, derivative)
+    }
+    fn mass_matrix(&self) -> Option<&[f64]> {
+        (**self).mass_matrix()
     }
     fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
         (**self).event_indicators(t, x, z)

@@ -20,7 +20,9 @@ impl Observer for Sum {
 #[test]
 fn a_warm_driver_allocates_nothing() {
     let times: Vec<f64> = (0..=400).map(|k| f64::from(k) * 0.01).collect();
-    for method in [Method::Tsit5, Method::Rk4, Method::Euler] {
+    for method in
+        [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf, Method::Rk4, Method::Euler]
+    {
         let options = Options { method, record_events: true, ..Options::default() };
         let mut driver = Driver::new(options).unwrap();
         let mut ball = Ball { v_min: 0.1, resting: false };

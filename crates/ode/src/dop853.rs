@@ -1,0 +1,214 @@
+//! DOP853: an explicit Runge-Kutta method of order 8 for tight tolerances, whose dense output (three more evaluations) is
+//! made only for steps that somebody looks into.
+
+use crate::control::{Controller, Weights};
+use crate::dop853_tableau::{A, C, DENSE, ERROR_3, ERROR_5, STAGES};
+use crate::stats::Stats;
+use crate::stepper::{Attempt, Stepper, Trial};
+use crate::system::{CallError, CallResult, HybridSystem};
+
+/// The stage that is the right-hand side at the end of the step.
+const END: usize = 12;
+/// Terms of the continuous extension.
+const TERMS: usize = 7;
+
+#[derive(Debug)]
+pub(crate) struct Dop853 {
+    k: [Vec<f64>; STAGES],
+    stage: Vec<f64>,
+    error: Vec<f64>,
+    error_norm: f64,
+    /// `x + theta (d_0 + (1 - theta) (d_1 + theta (d_2 + ...)))`.
+    dense: [Vec<f64>; TERMS],
+    controller: Controller,
+}
+
+impl Default for Dop853 {
+    fn default() -> Self {
+        Self {
+            k: Default::default(),
+            stage: Vec::new(),
+            error: Vec::new(),
+            error_norm: 0.0,
+            dense: Default::default(),
+            controller: Controller::of_high_order(8),
+        }
+    }
+}
+
+/// `sum_j w_j k_j` of one component.
+fn sum(weights: &[(usize, f64)], k: &[Vec<f64>; STAGES], i: usize) -> f64 {
+    weights.iter().map(|(j, w)| w * k[*j][i]).sum()
+}
+
+/// The terms of the continuous extension, of one component of a step of size `h`.
+fn dense_terms(k: &[Vec<f64>; STAGES], h: f64, i: usize) -> [f64; TERMS] {
+    let (start, end, change) = (h * k[0][i], h * k[END][i], h * sum(A[END], k, i));
+    let [d3, d4, d5, d6] = DENSE.map(|weights| h * sum(weights, k, i));
+    [change, start - change, 2.0 * change - (start + end), d3, d4, d5, d6]
+}
+
+/// The factor of each term at `theta`, and its derivative.
+fn factors(theta: f64) -> [(f64, f64); TERMS] {
+    let mut product = (theta, 1.0);
+    std::array::from_fn(|term| {
+        let now = product;
+        let (f, df) = if term % 2 == 0 { (1.0 - theta, -1.0) } else { (theta, 1.0) };
+        product = (now.0 * f, now.1 * f + now.0 * df);
+        now
+    })
+}
+
+/// Weights of the stages in the continuous extension at `theta`.
+#[cfg(test)]
+pub(crate) fn dense_weights(theta: f64) -> [f64; STAGES] {
+    std::array::from_fn(|stage| {
+        let k = std::array::from_fn(|j| vec![f64::from(j == stage)]);
+        dense_terms(&k, 1.0, 0).iter().zip(factors(theta)).map(|(d, f)| d * f.0).sum()
+    })
+}
+
+impl Dop853 {
+    fn stage<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        s: usize,
+        Trial { t, end, h, x }: Trial<'_>,
+        stats: &mut Stats,
+    ) -> CallResult<()> {
+        for (i, (p, x)) in self.stage.iter_mut().zip(x).enumerate() {
+            *p = x + h * sum(A[s], &self.k, i);
+        }
+        stats.right_hand_sides += 1;
+        let time = if C[s] == 1.0 { end } else { t + C[s] * h };
+        system.derivatives(time, &self.stage, &mut self.k[s])
+    }
+}
+
+impl Stepper for Dop853 {
+    fn order(&self) -> u32 {
+        8
+    }
+
+    fn has_error_estimate(&self) -> bool {
+        true
+    }
+
+    fn takes_long_steps(&self) -> bool {
+        true
+    }
+
+    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) {
+        let n = system.n_states();
+        let Self { k, stage, error, dense, .. } = self;
+        for v in k.iter_mut().chain(dense).chain([stage, error]) {
+            v.clear();
+            v.resize(n, 0.0);
+        }
+        self.controller.restart();
+    }
+
+    fn evaluate<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        t: f64,
+        x: &[f64],
+        stats: &mut Stats,
+    ) -> CallResult<()> {
+        stats.right_hand_sides += 1;
+        system.derivatives(t, x, &mut self.k[0])
+    }
+
+    fn forget(&mut self) {
+        self.controller.restart();
+    }
+
+    fn derivative(&self) -> &[f64] {
+        &self.k[0]
+    }
+
+    fn try_step<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        trial: Trial<'_>,
+        weights: &Weights,
+        x_new: &mut [f64],
+        stats: &mut Stats,
+    ) -> CallResult<Attempt> {
+        let Trial { end, h, x, .. } = trial;
+        if x.is_empty() {
+            return Ok(Attempt::Good);
+        }
+        for s in 1..END {
+            self.stage(system, s, trial, stats)?;
+        }
+        for i in 0..x.len() {
+            x_new[i] = x[i] + h * sum(A[END], &self.k, i);
+            self.stage[i] = h * sum(ERROR_3, &self.k, i);
+            self.error[i] = h * sum(ERROR_5, &self.k, i);
+        }
+        // Of order 8 at a smooth place: the estimate of order 5, made smaller where that of order 3 is larger still.
+        let third = weights.error_norm(x, x_new, &self.stage);
+        let fifth = weights.error_norm(x, x_new, &self.error);
+        let both = fifth.hypot(0.1 * third);
+        self.error_norm = if both == 0.0 { 0.0 } else { fifth * (fifth / both) };
+        if self.error_norm.is_nan() {
+            return Err(CallError::Discard);
+        }
+        if self.error_norm > 1.0 {
+            return Ok(Attempt::TooInexact { h: h * self.controller.rejected(self.error_norm) });
+        }
+        stats.right_hand_sides += 1;
+        system.derivatives(end, x_new, &mut self.k[END])?;
+        Ok(Attempt::Good)
+    }
+
+    fn error(&self) -> &[f64] {
+        &self.error
+    }
+
+    fn refused(&mut self, h: f64) -> f64 {
+        h * self.controller.discarded()
+    }
+
+    fn prepare_interpolation<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        trial: Trial<'_>,
+        _: &[f64],
+        stats: &mut Stats,
+    ) -> CallResult<()> {
+        if trial.x.is_empty() {
+            return Ok(());
+        }
+        for s in END + 1..STAGES {
+            self.stage(system, s, trial, stats)?;
+        }
+        for i in 0..trial.x.len() {
+            let terms = dense_terms(&self.k, trial.h, i);
+            self.dense.iter_mut().zip(terms).for_each(|(d, term)| d[i] = term);
+        }
+        Ok(())
+    }
+
+    fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
+        let factors = factors(theta);
+        for (i, (out, x)) in x.iter_mut().zip(trial.x).enumerate() {
+            *out = x + self.dense.iter().zip(&factors).map(|(d, f)| d[i] * f.0).sum::<f64>();
+        }
+    }
+
+    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]) {
+        let factors = factors(theta);
+        for (i, out) in dx.iter_mut().enumerate() {
+            *out = self.dense.iter().zip(&factors).map(|(d, f)| d[i] * f.1).sum::<f64>() / trial.h;
+        }
+    }
+
+    fn accept(&mut self, h: f64, theta: f64) -> f64 {
+        if theta == 1.0 {
+            self.k.swap(0, END);
+        }
+        h * self.controller.accepted(self.error_norm)
+    }
+}

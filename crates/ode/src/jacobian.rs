@@ -1,0 +1,406 @@
+//! The Jacobian of the right-hand side: from the model, from directional derivatives, or from coloured differences.
+
+use crate::control::Weights;
+use crate::stats::Stats;
+use crate::system::{CallError, CallResult, HybridSystem};
+
+/// Shares of the usual increment that are tried, in this order, until the model can be evaluated.
+const LADDER: [f64; 8] = [1.0, -1.0, 0.1, -0.1, 0.01, -0.01, 0.001, -0.001];
+
+/// Which derivatives depend on which states: the places of a Jacobian that may differ from zero.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct JacobianPattern {
+    /// Column `k` has the rows `rows[starts[k]..starts[k + 1]]`, ascending.
+    starts: Vec<usize>,
+    rows: Vec<usize>,
+}
+
+impl JacobianPattern {
+    /// The pattern of `n` states from pairs `(i, k)`: the derivative of state `i` depends on state `k`. Pairs may repeat.
+    /// `None` if an index is not below `n`.
+    ///
+    /// ```
+    /// let tridiagonal = (0..5usize).flat_map(|k| (k.saturating_sub(1)..(k + 2).min(5)).map(move |i| (i, k)));
+    /// let pattern = ode::JacobianPattern::new(5, tridiagonal).ok_or("out of range")?;
+    /// assert_eq!(pattern.n_colours(), 3);
+    /// # Ok::<(), &str>(())
+    /// ```
+    pub fn new(n: usize, entries: impl IntoIterator<Item = (usize, usize)>) -> Option<Self> {
+        let mut columns = vec![Vec::new(); n];
+        for (i, k) in entries {
+            if i >= n {
+                return None;
+            }
+            columns.get_mut(k)?.push(i);
+        }
+        let mut pattern = Self { starts: vec![0], rows: Vec::new() };
+        for mut column in columns {
+            column.sort_unstable();
+            column.dedup();
+            pattern.rows.extend(column);
+            pattern.starts.push(pattern.rows.len());
+        }
+        Some(pattern)
+    }
+
+    /// Number of states.
+    pub fn n_states(&self) -> usize {
+        self.starts.len().saturating_sub(1)
+    }
+
+    /// Number of places that may differ from zero.
+    pub fn n_entries(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// The rows of column `k`, ascending.
+    fn column(&self, k: usize) -> &[usize] {
+        &self.rows[self.starts[k]..self.starts[k + 1]]
+    }
+
+    /// How many evaluations a Jacobian of this pattern takes.
+    pub fn n_colours(&self) -> usize {
+        Groups::new(self).starts.len() - 1
+    }
+}
+
+/// Columns that share no row, and can be had from one evaluation. A. R. Curtis, M. J. D. Powell, J. K. Reid, On the
+/// estimation of sparse Jacobian matrices, IMA Journal of Applied Mathematics 13 (1974) 117-119; greedy, the columns
+/// with most rows first.
+#[derive(Debug, Default)]
+struct Groups {
+    /// Group `g` has the columns `columns[starts[g]..starts[g + 1]]`.
+    starts: Vec<usize>,
+    columns: Vec<usize>,
+}
+
+impl Groups {
+    fn new(pattern: &JacobianPattern) -> Self {
+        let n = pattern.n_states();
+        let mut order: Vec<usize> = (0..n).collect();
+        order.sort_by_key(|&k| std::cmp::Reverse(pattern.column(k).len()));
+        let mut groups: Vec<(Vec<bool>, Vec<usize>)> = Vec::new();
+        for k in order {
+            let rows = pattern.column(k);
+            let free = groups.iter().position(|(taken, _)| rows.iter().all(|&i| !taken[i]));
+            let g = free.unwrap_or_else(|| {
+                groups.push((vec![false; n], Vec::new()));
+                groups.len() - 1
+            });
+            let (taken, columns) = &mut groups[g];
+            rows.iter().for_each(|&i| taken[i] = true);
+            columns.push(k);
+        }
+        let mut this = Self { starts: vec![0], columns: Vec::new() };
+        for (_, columns) in groups {
+            this.columns.extend(columns);
+            this.starts.push(this.columns.len());
+        }
+        this
+    }
+}
+
+/// Where the numbers come from; found out at the first evaluation of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Source {
+    #[default]
+    User,
+    Directional,
+    Differences,
+}
+
+/// A dense Jacobian by columns, and what is needed to make a new one without allocating.
+#[derive(Debug, Default)]
+pub(crate) struct Jacobian {
+    n: usize,
+    source: Source,
+    pattern: Option<JacobianPattern>,
+    groups: Groups,
+    /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`.
+    pub(crate) values: Vec<f64>,
+    point: Vec<f64>,
+    column: Vec<f64>,
+}
+
+impl Jacobian {
+    /// Makes room for the system and colours its pattern. A pattern of the wrong size is as good as none.
+    pub(crate) fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) {
+        let n = system.n_states();
+        self.n = n;
+        self.source = Source::User;
+        self.values.resize(n * n, 0.0);
+        self.point.resize(n, 0.0);
+        self.column.resize(n, 0.0);
+        let pattern = system.jacobian_pattern().filter(|p| p.n_states() == n);
+        if pattern != self.pattern.as_ref() {
+            self.pattern = pattern.cloned();
+            self.groups = self.pattern.as_ref().map(Groups::new).unwrap_or_default();
+        }
+    }
+
+    /// How many evaluations it takes.
+    pub(crate) fn cost(&self) -> usize {
+        match self.source {
+            Source::User => 1,
+            Source::Directional | Source::Differences => self.n_groups(),
+        }
+    }
+
+    fn n_groups(&self) -> usize {
+        if self.pattern.is_some() { self.groups.starts.len() - 1 } else { self.n }
+    }
+
+    /// Evaluates it at `(t, x)`, where the right-hand side is `f`. [`CallError::Discard`]: it cannot be had there.
+    pub(crate) fn evaluate<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        (t, x, f): (f64, &[f64], &[f64]),
+        weights: &Weights,
+        stats: &mut Stats,
+    ) -> CallResult<()> {
+        stats.jacobians += 1;
+        self.values.fill(0.0);
+        if self.source == Source::User {
+            if system.jacobian(t, x, &mut self.values)? {
+                return if all_finite(&self.values) { Ok(()) } else { Err(CallError::Discard) };
+            }
+            self.values.fill(0.0);
+            self.source = Source::Directional;
+        }
+        for g in 0..self.n_groups() {
+            if self.source == Source::Directional && !self.directional(system, t, x, g, stats)? {
+                self.source = Source::Differences;
+            }
+            if self.source == Source::Differences {
+                self.difference(system, (t, x, f), weights, g, stats)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// One group of columns from one directional derivative; `false`: the model has none.
+    fn directional<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        t: f64,
+        x: &[f64],
+        g: usize,
+        stats: &mut Stats,
+    ) -> CallResult<bool> {
+        let single = [g];
+        let columns = match &self.pattern {
+            Some(_) => &self.groups.columns[self.groups.starts[g]..self.groups.starts[g + 1]],
+            None => &single[..],
+        };
+        self.point.fill(0.0);
+        columns.iter().for_each(|&k| self.point[k] = 1.0);
+        if !system.directional_derivative(t, x, &self.point, &mut self.column)? {
+            return Ok(false);
+        }
+        stats.directional_derivatives += 1;
+        if !all_finite(&self.column) {
+            return Err(CallError::Discard);
+        }
+        for &k in columns {
+            let into = &mut self.values[k * self.n..(k + 1) * self.n];
+            match &self.pattern {
+                Some(pattern) => pattern.column(k).iter().for_each(|&i| into[i] = self.column[i]),
+                None => into.copy_from_slice(&self.column),
+            }
+        }
+        Ok(true)
+    }
+
+    /// One group of columns from one difference: forward along the flow, so that the point stays where the model is
+    /// defined; backward or shorter where it is refused there.
+    fn difference<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        (t, x, f): (f64, &[f64], &[f64]),
+        weights: &Weights,
+        g: usize,
+        stats: &mut Stats,
+    ) -> CallResult<()> {
+        let single = [g];
+        let columns = match &self.pattern {
+            Some(_) => &self.groups.columns[self.groups.starts[g]..self.groups.starts[g + 1]],
+            None => &single[..],
+        };
+        for share in LADDER {
+            self.point.copy_from_slice(x);
+            for &k in columns {
+                let delta = (f64::EPSILON / 2.0).sqrt() * x[k].abs().max(weights.scale(k));
+                self.point[k] += share * if f[k] < 0.0 { -delta } else { delta };
+            }
+            stats.right_hand_sides += 1;
+            match system.derivatives(t, &self.point, &mut self.column) {
+                Ok(()) if all_finite(&self.column) => {}
+                Ok(()) | Err(CallError::Discard) => continue,
+                Err(failed) => return Err(failed),
+            }
+            for &k in columns {
+                // The difference of the points as they are stored is exact.
+                let delta = self.point[k] - x[k];
+                let into = &mut self.values[k * self.n..(k + 1) * self.n];
+                match &self.pattern {
+                    Some(p) => p.column(k).iter().for_each(|&i| into[i] = (self.column[i] - f[i]) / delta),
+                    None => {
+                        for ((j, new), old) in into.iter_mut().zip(&self.column).zip(f) {
+                            *j = (new - old) / delta;
+                        }
+                    }
+                }
+            }
+            return Ok(());
+        }
+        Err(CallError::Discard)
+    }
+}
+
+fn all_finite(values: &[f64]) -> bool {
+    values.iter().all(|v| v.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::options::AbsoluteTolerance;
+    use crate::system::EventOutcome;
+
+    /// `f_i = x_{i-1} x_i - 2 x_i^2 + 3 x_{i+1}`, refused where some state is above its limit.
+    struct Chain {
+        n: usize,
+        pattern: Option<JacobianPattern>,
+        limit: f64,
+        own: bool,
+        directional: bool,
+    }
+
+    impl Chain {
+        fn exact(&self, x: &[f64]) -> Vec<f64> {
+            let n = self.n;
+            let mut j = vec![0.0; n * n];
+            for i in 0..n {
+                let left = if i > 0 { x[i - 1] } else { 0.0 };
+                j[i + n * i] = left - 4.0 * x[i];
+                if i > 0 {
+                    j[i + n * (i - 1)] = x[i];
+                }
+                if i + 1 < n {
+                    j[i + n * (i + 1)] = 3.0;
+                }
+            }
+            j
+        }
+    }
+
+    impl HybridSystem for Chain {
+        fn n_states(&self) -> usize {
+            self.n
+        }
+        fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
+            Ok(EventOutcome::default())
+        }
+        fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+            if x.iter().any(|x| *x > self.limit) {
+                return Err(CallError::Discard);
+            }
+            for i in 0..self.n {
+                let left = if i > 0 { x[i - 1] } else { 0.0 };
+                let right = if i + 1 < self.n { x[i + 1] } else { 0.0 };
+                dx[i] = left * x[i] - 2.0 * x[i] * x[i] + 3.0 * right;
+            }
+            Ok(())
+        }
+        fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+            self.pattern.as_ref()
+        }
+        fn jacobian(&mut self, _: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
+            if self.own {
+                j.copy_from_slice(&self.exact(x));
+            }
+            Ok(self.own)
+        }
+        fn directional_derivative(
+            &mut self,
+            _: f64,
+            x: &[f64],
+            seed: &[f64],
+            derivative: &mut [f64],
+        ) -> CallResult<bool> {
+            let j = self.exact(x);
+            for (i, d) in derivative.iter_mut().enumerate() {
+                *d = (0..self.n).map(|k| j[i + self.n * k] * seed[k]).sum();
+            }
+            Ok(self.directional)
+        }
+    }
+
+    fn tridiagonal(n: usize) -> JacobianPattern {
+        let entries = (0..n).flat_map(|k| (k.saturating_sub(1)..(k + 2).min(n)).map(move |i| (i, k)));
+        JacobianPattern::new(n, entries).unwrap()
+    }
+
+    fn evaluated(chain: &mut Chain, x: &[f64]) -> (CallResult<()>, f64, Stats) {
+        let mut weights = Weights::default();
+        weights.set(1e-6, &AbsoluteTolerance::FromNominals, &vec![1.0; chain.n]);
+        let mut f = vec![0.0; chain.n];
+        chain.derivatives(0.0, x, &mut f).unwrap();
+        let (mut jacobian, mut stats) = (Jacobian::default(), Stats::default());
+        jacobian.begin(chain);
+        let result = jacobian.evaluate(chain, (0.0, x, &f), &weights, &mut stats);
+        let exact = chain.exact(x);
+        let worst = exact.iter().zip(&jacobian.values).map(|(e, j)| (e - j).abs()).fold(0.0, f64::max);
+        (result, worst, stats)
+    }
+
+    #[test]
+    fn differences_take_one_evaluation_per_colour() {
+        let x: Vec<f64> = (0..10).map(|i| 0.3 + 0.1 * f64::from(i)).collect();
+        let mut chain = Chain { n: 10, pattern: None, limit: f64::INFINITY, own: false, directional: false };
+        let (result, worst, stats) = evaluated(&mut chain, &x);
+        assert!(result.is_ok() && worst < 1e-6, "{worst:e}");
+        assert_eq!((stats.right_hand_sides, stats.jacobians), (10, 1));
+        chain.pattern = Some(tridiagonal(10));
+        let (result, worst, stats) = evaluated(&mut chain, &x);
+        assert!(result.is_ok() && worst < 1e-6, "{worst:e}");
+        assert_eq!(stats.right_hand_sides, 3);
+    }
+
+    #[test]
+    fn the_model_s_own_derivatives_come_first() {
+        let x = [0.5, 0.6, 0.7, 0.8];
+        let pattern = Some(tridiagonal(4));
+        let mut chain = Chain { n: 4, pattern, limit: f64::INFINITY, own: true, directional: true };
+        let (_, worst, stats) = evaluated(&mut chain, &x);
+        assert_eq!((worst, stats.right_hand_sides, stats.directional_derivatives), (0.0, 0, 0));
+        chain.own = false;
+        let (_, worst, stats) = evaluated(&mut chain, &x);
+        assert_eq!((worst, stats.right_hand_sides, stats.directional_derivatives), (0.0, 0, 3));
+        chain.pattern = None;
+        let (_, worst, stats) = evaluated(&mut chain, &x);
+        assert_eq!((worst, stats.directional_derivatives), (0.0, 4));
+    }
+
+    #[test]
+    fn refused_points_are_left_backward() {
+        // All flow upward (f > 0) and sit at the limit: every forward difference is refused.
+        let x = [0.5; 3];
+        let mut chain = Chain { n: 3, pattern: None, limit: 0.5, own: false, directional: false };
+        let (result, worst, stats) = evaluated(&mut chain, &x);
+        assert!(result.is_ok() && worst < 1e-6, "{worst:e}");
+        // The last state flows downward: one evaluation; the others need two.
+        assert_eq!(stats.right_hand_sides, 5);
+    }
+
+    #[test]
+    fn patterns_are_checked_and_coloured() {
+        assert!(JacobianPattern::new(2, [(2, 0)]).is_none());
+        assert!(JacobianPattern::new(2, [(0, 2)]).is_none());
+        let arrow = (0..6).flat_map(|i| [(i, i), (0, i), (i, 0)]);
+        assert_eq!(JacobianPattern::new(6, arrow).unwrap().n_colours(), 6);
+        let diagonal = JacobianPattern::new(6, (0..6).map(|i| (i, i)).chain([(1, 1)])).unwrap();
+        assert_eq!((diagonal.n_colours(), diagonal.n_entries(), diagonal.n_states()), (1, 6, 6));
+        assert_eq!(JacobianPattern::new(0, []).unwrap().n_colours(), 0);
+    }
+}

@@ -1,0 +1,636 @@
+//! Radau IIA of order 5: three implicit stages, L-stable; for stiff systems and systems with a mass matrix.
+//!
+//! E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.8, and: Stiff differential equations
+//! solved by Radau methods, Journal of Computational and Applied Mathematics 111 (1999) 93-111.
+//!
+//! The stages are written as increments `z_i = X_i - x`, transformed by `T` to the variables `w` in which the Newton
+//! matrix falls apart into a real and a complex block of the size of the system.
+
+use crate::control::{Weights, scaled_norm};
+use crate::jacobian::Jacobian;
+use crate::lu::Lu;
+use crate::stats::Stats;
+use crate::stepper::{Attempt, Stepper, Trial};
+use crate::system::{CallError, CallResult, HybridSystem};
+use nalgebra::Complex;
+
+const U: f64 = f64::EPSILON / 2.0;
+const SQRT_6: f64 = 2.449_489_742_783_178_098_2;
+
+/// Abscissae of the first two stages; the third is 1.
+const C1: f64 = (4.0 - SQRT_6) / 10.0;
+const C2: f64 = (4.0 + SQRT_6) / 10.0;
+
+/// The inverse of the matrix of the method has this real eigenvalue and the complex pair `ALPHA +- i BETA`.
+const GAMMA: f64 = 3.637_834_252_744_495_732_2;
+const ALPHA: f64 = 2.681_082_873_627_752_133_9;
+const BETA: f64 = 3.050_430_199_247_410_569_4;
+
+/// Columns of `T`: the real eigenvector, real and imaginary part of the complex one (Hairer and Wanner, (IV.8.14)).
+const T: [[f64; 3]; 3] = [
+    [9.123_239_487_089_294_279_2e-2, -0.141_255_295_020_954_208_43, -3.002_919_410_514_742_449_2e-2],
+    [0.241_717_932_707_107_018_96, 0.204_129_352_293_799_931_99, 0.382_942_112_757_261_937_79],
+    [0.966_048_182_615_092_936_19, 1.0, 0.0],
+];
+const T_INVERSE: [[f64; 3]; 3] = [
+    [4.325_579_890_063_155_351_0, 0.339_199_251_815_809_869_54, 0.541_770_539_935_874_871_19],
+    [-4.178_718_591_551_904_727_3, -0.327_682_820_761_062_387_08, 0.476_623_554_500_550_451_96],
+    [-0.502_872_634_945_786_875_95, 2.571_926_949_855_605_429_2, -0.596_039_204_828_224_924_97],
+];
+
+/// Error estimate: `h^-1 (GAMMA^-1 ...)` of the embedded formula of order 3 (Hairer and Wanner, (IV.8.18)): weights of the
+/// stages.
+const E: [f64; 3] = [-(13.0 + 7.0 * SQRT_6) / 3.0, (-13.0 + 7.0 * SQRT_6) / 3.0, -1.0 / 3.0];
+
+const MAX_NEWTON: u32 = 7;
+/// Below this rate of convergence the Jacobian is good enough for the next step too.
+const KEEP_JACOBIAN: f64 = 1e-3;
+/// A Jacobian of so few evaluations is made anew as soon as convergence slows down or a step fails; a dearer one only
+/// when the slow convergence costs iterations.
+const CHEAP_JACOBIAN: usize = 4;
+const SAFETY: f64 = 0.9;
+
+/// What the last collocation polynomial looked like: `x_new + s (p0 + (s - C2 + 1) (p1 + (s - C1 + 1) p2))` with
+/// `s = theta - 1`.
+#[derive(Debug, Default)]
+struct Polynomial {
+    p: [Vec<f64>; 3],
+    h: f64,
+}
+
+/// How Newton's method ended.
+enum Newton {
+    Converged,
+    /// With a fresh Jacobian the step should be this share of its size.
+    Failed(f64),
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct Radau5 {
+    jacobian: Jacobian,
+    mass: Option<Vec<f64>>,
+    real: Lu<f64>,
+    complex: Lu<Complex<f64>>,
+    /// Size of the step whose matrices are decomposed; 0: none.
+    decomposed_h: f64,
+    /// There is a Jacobian; it was made at the current point; the last one converged too slowly.
+    has_jacobian: bool,
+    jacobian_is_fresh: bool,
+    wants_jacobian: bool,
+    f: Vec<f64>,
+    f_new: Vec<f64>,
+    z: [Vec<f64>; 3],
+    w: [Vec<f64>; 3],
+    stage_f: [Vec<f64>; 3],
+    stage_x: Vec<f64>,
+    complex_rhs: Vec<Complex<f64>>,
+    /// Inverse weights of the norm.
+    inverse: Vec<f64>,
+    error: Vec<f64>,
+    /// `GAMMA` times the filtered difference of slopes at the start of the step; makes the dense output one order better.
+    defect: Vec<f64>,
+    trial: Polynomial,
+    last: Polynomial,
+    can_extrapolate: bool,
+    /// The next trial is the last good one made shorter.
+    is_repetition: bool,
+    theta: f64,
+    fac_convergence: f64,
+    newton_count: u32,
+    error_norm: f64,
+    /// Error and size of the last accepted step, for the predictive controller.
+    last_error: f64,
+    last_h: f64,
+    after_rejection: bool,
+    first: bool,
+}
+
+impl Radau5 {
+    /// Weighted norm of the Jacobian times `h`, an upper bound of the spectral radius; `None` without a Jacobian.
+    pub(crate) fn stiffness(&self, h: f64) -> Option<f64> {
+        if !self.has_jacobian || self.mass.is_some() {
+            return None;
+        }
+        let n = self.f.len();
+        let largest_row = (0..n)
+            .map(|i| {
+                let row: f64 = (0..n).map(|k| self.jacobian.values[i + n * k].abs() / self.inverse[k]).sum();
+                row * self.inverse[i]
+            })
+            .fold(0.0, f64::max);
+        Some(h * largest_row)
+    }
+
+    /// How many evaluations a Jacobian takes.
+    pub(crate) fn jacobian_cost(&self) -> usize {
+        self.jacobian.cost()
+    }
+
+    /// The spectral radius of the Jacobian at `(t, x)`, where the right-hand side is `f`, by vector iteration: mean growth
+    /// over the last half of twenty products, so that complex pairs count with their modulus.
+    pub(crate) fn spectral_radius<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        point: (f64, &[f64], &[f64]),
+        weights: &Weights,
+        stats: &mut Stats,
+    ) -> CallResult<f64> {
+        const HALF: i32 = 10;
+        self.has_jacobian = false;
+        self.jacobian.evaluate(system, point, weights, stats)?;
+        weights.inverse_at(point.1, 1.0, &mut self.inverse);
+        let Self { jacobian, inverse, stage_x: v, error: product, .. } = self;
+        for (i, (v, inverse)) in v.iter_mut().zip(&*inverse).enumerate() {
+            *v = (1.0 + 0.1 * i as f64) / inverse;
+        }
+        let mut growth = 1.0;
+        for count in 0..2 * HALF {
+            product.fill(0.0);
+            for (column, v) in jacobian.values.chunks_exact(v.len()).zip(&*v) {
+                product.iter_mut().zip(column).for_each(|(p, j)| *p += j * v);
+            }
+            let (before, after) = (scaled_norm(v, inverse), scaled_norm(product, inverse));
+            if after == 0.0 || !after.is_finite() {
+                return Ok(0.0);
+            }
+            if count >= HALF {
+                growth *= (after / before).powf(1.0 / f64::from(HALF));
+            }
+            v.iter_mut().zip(&*product).for_each(|(v, p)| *v = p / after);
+        }
+        Ok(growth)
+    }
+
+    /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
+    pub(crate) fn take_over(&mut self, f: &[f64]) {
+        self.f.copy_from_slice(f);
+        self.has_jacobian = false;
+        self.decomposed_h = 0.0;
+        self.forget();
+    }
+
+    fn decompose(&mut self, h: f64, stats: &mut Stats) -> bool {
+        let n = self.f.len();
+        let (j, mass) = (&self.jacobian.values, self.mass.as_deref());
+        let m = |p: usize| match mass {
+            Some(m) => m[p],
+            None => f64::from(p.is_multiple_of(n + 1)),
+        };
+        let (gamma, eigen) = (GAMMA / h, Complex::new(ALPHA / h, BETA / h));
+        stats.decompositions += 2;
+        let good = self.real.decompose(|p| gamma * m(p) - j[p])
+            && self.complex.decompose(|p| eigen * m(p) - Complex::new(j[p], 0.0));
+        self.decomposed_h = if good { h } else { 0.0 };
+        good
+    }
+
+    /// Stage increments extrapolated from the last step, or zero.
+    fn guess_stages(&mut self, h: f64) {
+        let inside = std::mem::take(&mut self.is_repetition);
+        if !self.can_extrapolate && !inside {
+            self.z.iter_mut().chain(&mut self.w).for_each(|v| v.fill(0.0));
+            return;
+        }
+        // Counted from the end of the last step, or from the end of the longer step from the same point.
+        let (from, before) = if inside { (&self.trial, 1.0) } else { (&self.last, 0.0) };
+        let ratio = h / from.h;
+        let s = [C1 * ratio, C2 * ratio, ratio].map(|s| s - before);
+        let [p0, p1, p2] = &from.p;
+        for i in 0..self.f.len() {
+            let start = before * (p0[i] - C2 * (p1[i] - C1 * p2[i]));
+            let z = s.map(|s| start + s * (p0[i] + (s + 1.0 - C2) * (p1[i] + (s + 1.0 - C1) * p2[i])));
+            for r in 0..3 {
+                self.z[r][i] = z[r];
+                self.w[r][i] = T_INVERSE[r][0] * z[0] + T_INVERSE[r][1] * z[1] + T_INVERSE[r][2] * z[2];
+            }
+        }
+    }
+
+    /// Simplified Newton iterations on the transformed stages.
+    fn newton<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        Trial { t, end, h, x }: Trial<'_>,
+        tolerance: f64,
+        stats: &mut Stats,
+    ) -> CallResult<Newton> {
+        let n = x.len();
+        self.guess_stages(h);
+        self.fac_convergence = self.fac_convergence.max(U).powf(0.8);
+        self.theta = KEEP_JACOBIAN;
+        let (mut last_norm, mut last_quotient) = (0.0, 0.0);
+        for count in 1..=MAX_NEWTON {
+            stats.newton_iterations += 1;
+            for (r, time) in [t + C1 * h, t + C2 * h, end].into_iter().enumerate() {
+                for ((p, x), z) in self.stage_x.iter_mut().zip(x).zip(&self.z[r]) {
+                    *p = x + z;
+                }
+                stats.right_hand_sides += 1;
+                system.derivatives(time, &self.stage_x, &mut self.stage_f[r])?;
+            }
+            self.solve_for_increment(h);
+            let sum: f64 =
+                self.stage_f.iter().map(|v| scaled_norm(v, &self.inverse)).map(|norm| norm * norm).sum();
+            let norm = (sum / 3.0).sqrt();
+            if !norm.is_finite() {
+                return Err(CallError::Discard);
+            }
+            if count > 1 {
+                let quotient: f64 = norm / last_norm;
+                self.theta = if count == 2 { quotient } else { (quotient * last_quotient).sqrt() };
+                last_quotient = quotient;
+                if self.theta >= 0.99 {
+                    return Ok(Newton::Failed(0.5));
+                }
+                self.fac_convergence = self.theta / (1.0 - self.theta);
+                let left = (MAX_NEWTON - count) as i32;
+                let predicted = self.fac_convergence * norm * self.theta.powi(left) / tolerance;
+                if predicted >= 1.0 && self.fac_convergence * norm > tolerance {
+                    let excess = predicted.clamp(1e-4, 20.0);
+                    return Ok(Newton::Failed(0.8 * excess.powf(-1.0 / f64::from(4 + left))));
+                }
+            }
+            last_norm = norm.max(U);
+            for i in 0..n {
+                let w: [f64; 3] = std::array::from_fn(|r| self.w[r][i] + self.stage_f[r][i]);
+                for r in 0..3 {
+                    self.w[r][i] = w[r];
+                    self.z[r][i] = T[r][0] * w[0] + T[r][1] * w[1] + T[r][2] * w[2];
+                }
+            }
+            if self.fac_convergence * norm <= tolerance {
+                self.newton_count = count;
+                return Ok(Newton::Converged);
+            }
+        }
+        Ok(Newton::Failed(0.5))
+    }
+
+    /// Turns the right-hand sides of the stages into the increments of `w`, in place.
+    fn solve_for_increment(&mut self, h: f64) {
+        let n = self.f.len();
+        let (gamma, alpha, beta) = (GAMMA / h, ALPHA / h, BETA / h);
+        for i in 0..n {
+            let f: [f64; 3] = std::array::from_fn(|r| self.stage_f[r][i]);
+            for (r, stage) in self.stage_f.iter_mut().enumerate() {
+                stage[i] = T_INVERSE[r][0] * f[0] + T_INVERSE[r][1] * f[1] + T_INVERSE[r][2] * f[2];
+            }
+        }
+        for i in 0..n {
+            let [w0, w1, w2] = self.mass_times_w(i);
+            self.stage_f[0][i] -= gamma * w0;
+            self.complex_rhs[i] = Complex::new(
+                self.stage_f[1][i] - (alpha * w1 - beta * w2),
+                self.stage_f[2][i] - (alpha * w2 + beta * w1),
+            );
+        }
+        self.real.solve(&mut self.stage_f[0]);
+        self.complex.solve(&mut self.complex_rhs);
+        for i in 0..n {
+            self.stage_f[1][i] = self.complex_rhs[i].re;
+            self.stage_f[2][i] = self.complex_rhs[i].im;
+        }
+    }
+
+    fn mass_times_w(&self, i: usize) -> [f64; 3] {
+        match &self.mass {
+            None => std::array::from_fn(|r| self.w[r][i]),
+            Some(m) => {
+                let n = self.f.len();
+                std::array::from_fn(|r| (0..n).map(|k| m[i + n * k] * self.w[r][k]).sum())
+            }
+        }
+    }
+
+    /// The weighted error of the embedded formula; the second time from the point that the first estimate leads to.
+    fn estimate_error<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        Trial { t, h, x, .. }: Trial<'_>,
+        stats: &mut Stats,
+    ) -> CallResult<f64> {
+        let n = x.len();
+        for i in 0..n {
+            self.stage_x[i] = (E[0] * self.z[0][i] + E[1] * self.z[1][i] + E[2] * self.z[2][i]) / h;
+        }
+        let slopes = &mut self.stage_f[0];
+        match &self.mass {
+            None => slopes.copy_from_slice(&self.stage_x),
+            Some(m) => {
+                for (i, s) in slopes.iter_mut().enumerate() {
+                    *s = (0..n).map(|k| m[i + n * k] * self.stage_x[k]).sum();
+                }
+            }
+        }
+        for ((e, s), f) in self.error.iter_mut().zip(&*slopes).zip(&self.f) {
+            *e = s + f;
+        }
+        self.real.solve(&mut self.error);
+        for (d, e) in self.defect.iter_mut().zip(&self.error) {
+            *d = GAMMA * e;
+        }
+        let norm = scaled_norm(&self.error, &self.inverse);
+        if norm < 1.0 || !(self.first || self.after_rejection) {
+            return Ok(norm.max(1e-10));
+        }
+        for ((p, x), e) in self.stage_x.iter_mut().zip(x).zip(&self.error) {
+            *p = x + e;
+        }
+        stats.right_hand_sides += 1;
+        match system.derivatives(t, &self.stage_x, &mut self.stage_f[1]) {
+            Ok(()) => {}
+            // The first estimate stands.
+            Err(CallError::Discard) => return Ok(norm),
+            Err(failed) => return Err(failed),
+        }
+        for i in 0..n {
+            self.error[i] = self.stage_f[1][i] + self.stage_f[0][i];
+        }
+        self.real.solve(&mut self.error);
+        Ok(scaled_norm(&self.error, &self.inverse).max(1e-10))
+    }
+
+    /// The step size that the error alone asks for.
+    fn wanted(&self, h: f64) -> f64 {
+        let newton = f64::from(1 + 2 * MAX_NEWTON) / f64::from(self.newton_count + 2 * MAX_NEWTON);
+        h / (self.error_norm.powf(0.25) / (SAFETY * newton.min(1.0))).clamp(0.125, 5.0)
+    }
+}
+
+/// The correction polynomial of the dense output: zero at 0 and 1, slope 1 at 0, slope 0 at the abscissae.
+fn correction(theta: f64) -> f64 {
+    theta * (1.0 + theta * (-4.5 + theta * (6.0 - 2.5 * theta)))
+}
+
+impl Stepper for Radau5 {
+    fn order(&self) -> u32 {
+        3
+    }
+
+    fn has_error_estimate(&self) -> bool {
+        true
+    }
+
+    fn takes_mass_matrix(&self) -> bool {
+        true
+    }
+
+    fn repeats_step_at_event(&self) -> bool {
+        true
+    }
+
+    fn takes_long_steps(&self) -> bool {
+        true
+    }
+
+    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) {
+        let n = system.n_states();
+        self.jacobian.begin(system);
+        match (system.mass_matrix(), &mut self.mass) {
+            (None, mass) => *mass = None,
+            (Some(m), Some(mass)) => {
+                mass.clear();
+                mass.extend_from_slice(m);
+            }
+            (Some(m), mass) => *mass = Some(m.to_vec()),
+        }
+        self.real.resize(n);
+        self.complex.resize(n);
+        let Self { f, f_new, stage_x, inverse, error, defect, z, w, stage_f, trial, last, .. } = self;
+        let single = [f, f_new, stage_x, inverse, error, defect];
+        let triple = [z, w, stage_f, &mut trial.p, &mut last.p];
+        for v in single.into_iter().chain(triple.into_iter().flatten()) {
+            v.clear();
+            v.resize(n, 0.0);
+        }
+        self.complex_rhs.resize(n, Complex::new(0.0, 0.0));
+        self.decomposed_h = 0.0;
+        self.has_jacobian = false;
+        self.jacobian_is_fresh = false;
+        self.wants_jacobian = false;
+        self.forget();
+    }
+
+    fn evaluate<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        t: f64,
+        x: &[f64],
+        stats: &mut Stats,
+    ) -> CallResult<()> {
+        self.can_extrapolate = false;
+        self.jacobian_is_fresh = false;
+        stats.right_hand_sides += 1;
+        system.derivatives(t, x, &mut self.f)
+    }
+
+    fn forget(&mut self) {
+        self.is_repetition = false;
+        self.can_extrapolate = false;
+        self.fac_convergence = 1.0;
+        self.first = true;
+        self.after_rejection = false;
+        self.last_h = 0.0;
+        self.last_error = 1e-2;
+        self.theta = KEEP_JACOBIAN;
+    }
+
+    fn kink(&mut self) {
+        self.can_extrapolate = false;
+    }
+
+    fn repeat(&mut self) {
+        self.is_repetition = true;
+    }
+
+    fn derivative(&self) -> &[f64] {
+        &self.f
+    }
+
+    fn try_step<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        trial: Trial<'_>,
+        weights: &Weights,
+        x_new: &mut [f64],
+        stats: &mut Stats,
+    ) -> CallResult<Attempt> {
+        let Trial { t, end, h, x } = trial;
+        if x.is_empty() {
+            return Ok(Attempt::Good);
+        }
+        // The error estimate is of order 3, the solution of order 5: a larger tolerance for the estimate, so that the
+        // error of the solution is about what was asked for (radau5, "tolerance transform").
+        let rtol = 0.1 * weights.rtol().powf(2.0 / 3.0);
+        weights.inverse_at(x, weights.rtol() / rtol, &mut self.inverse);
+        let newton_tolerance = (10.0 * U / rtol).max(rtol.sqrt().min(0.03));
+        loop {
+            if !self.has_jacobian || self.wants_jacobian {
+                self.jacobian.evaluate(system, (t, x, &self.f), weights, stats)?;
+                self.has_jacobian = true;
+                self.jacobian_is_fresh = true;
+                self.wants_jacobian = false;
+                self.decomposed_h = 0.0;
+            }
+            if self.decomposed_h != h && !self.decompose(h, stats) {
+                if self.jacobian_is_fresh {
+                    self.after_rejection = true;
+                    return Ok(Attempt::NotSolved { h: 0.5 * h });
+                }
+                self.wants_jacobian = true;
+                continue;
+            }
+            match self.newton(system, trial, newton_tolerance, stats)? {
+                Newton::Converged => break,
+                Newton::Failed(_) if !self.jacobian_is_fresh => self.wants_jacobian = true,
+                Newton::Failed(share) => {
+                    self.after_rejection = true;
+                    return Ok(Attempt::NotSolved { h: share * h });
+                }
+            }
+        }
+        self.error_norm = self.estimate_error(system, trial, stats)?;
+        if !self.error_norm.is_finite() {
+            return Err(CallError::Discard);
+        }
+        for ((new, x), z) in x_new.iter_mut().zip(x).zip(&self.z[2]) {
+            *new = x + z;
+        }
+        if self.error_norm >= 1.0 {
+            let h_new = if self.first { 0.1 * h } else { self.wanted(h).min(0.9 * h) };
+            self.after_rejection = true;
+            self.wants_jacobian = !self.jacobian_is_fresh && self.jacobian.cost() <= CHEAP_JACOBIAN;
+            return Ok(Attempt::TooInexact { h: h_new });
+        }
+        stats.right_hand_sides += 1;
+        system.derivatives(end, x_new, &mut self.f_new)?;
+        if !self.f_new.iter().sum::<f64>().is_finite() {
+            return Err(CallError::Discard);
+        }
+        self.trial.h = h;
+        for i in 0..x.len() {
+            let [z1, z2, z3] = [self.z[0][i], self.z[1][i], self.z[2][i]];
+            let p0 = (z3 - z2) / (1.0 - C2);
+            let d12 = (z2 - z1) / (C2 - C1);
+            let p1 = (p0 - d12) / (1.0 - C1);
+            self.trial.p[0][i] = p0;
+            self.trial.p[1][i] = p1;
+            self.trial.p[2][i] = p1 - (d12 - z1 / C1) / C2;
+        }
+        Ok(Attempt::Good)
+    }
+
+    fn error(&self) -> &[f64] {
+        &self.error
+    }
+
+    fn refused(&mut self, h: f64) -> f64 {
+        self.after_rejection = true;
+        0.25 * h
+    }
+
+    fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
+        let s = theta - 1.0;
+        let (s1, s2, q) = (s + 1.0 - C2, s + 1.0 - C1, correction(theta));
+        let [p0, p1, p2] = &self.trial.p;
+        for (i, out) in x.iter_mut().enumerate() {
+            let end = trial.x[i] + self.z[2][i];
+            *out = end + s * (p0[i] + s1 * (p1[i] + s2 * p2[i])) + q * self.defect[i];
+        }
+    }
+
+    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]) {
+        let s = theta - 1.0;
+        let (s1, s2) = (s + 1.0 - C2, s + 1.0 - C1);
+        let q = 1.0 + theta * (-9.0 + theta * (18.0 - 10.0 * theta));
+        let [p0, p1, p2] = &self.trial.p;
+        for (i, out) in dx.iter_mut().enumerate() {
+            let inner = p1[i] + s2 * p2[i];
+            *out = (p0[i] + s1 * inner + s * (inner + s1 * p2[i]) + q * self.defect[i]) / trial.h;
+        }
+    }
+
+    fn accept(&mut self, h: f64, theta: f64) -> f64 {
+        let mut proposed = self.wanted(h);
+        if self.last_h > 0.0 {
+            // K. Gustafsson's predictive controller: Hairer and Wanner, (IV.8.27).
+            let ratio = self.error_norm * self.error_norm / self.last_error;
+            let quotient = self.last_h / h * ratio.powf(0.25) / SAFETY;
+            proposed = proposed.min(h / quotient.clamp(0.125, 5.0));
+        }
+        if self.after_rejection {
+            proposed = proposed.min(h);
+        }
+        self.last_h = h;
+        self.last_error = self.error_norm.max(1e-2);
+        self.first = false;
+        self.after_rejection = false;
+        self.jacobian_is_fresh = false;
+        let slow = self.newton_count > 2 || self.jacobian.cost() <= CHEAP_JACOBIAN;
+        self.wants_jacobian = slow && self.theta > KEEP_JACOBIAN;
+        if theta == 1.0 {
+            std::mem::swap(&mut self.f, &mut self.f_new);
+            std::mem::swap(&mut self.trial, &mut self.last);
+            self.can_extrapolate = true;
+        } else {
+            self.can_extrapolate = false;
+        }
+        // A little more is not worth a decomposition.
+        if !self.wants_jacobian && (1.0..=1.2).contains(&(proposed / h)) { h } else { proposed }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix3;
+
+    fn matrix(rows: [[f64; 3]; 3]) -> Matrix3<f64> {
+        Matrix3::from_fn(|i, j| rows[i][j])
+    }
+
+    /// The matrix of the method from its abscissae: `a_ij` integrates the Lagrange polynomial of `c_j` up to `c_i`.
+    fn method() -> Matrix3<f64> {
+        let c = [C1, C2, 1.0];
+        let powers = Matrix3::from_fn(|i, k| c[i].powi(k as i32));
+        let integrals = Matrix3::from_fn(|i, k| c[i].powi(k as i32 + 1) / (k as f64 + 1.0));
+        integrals * powers.try_inverse().unwrap()
+    }
+
+    #[test]
+    fn the_transformation_makes_two_blocks_of_the_inverse() {
+        let (t, t_inverse) = (matrix(T), matrix(T_INVERSE));
+        assert!((t * t_inverse - Matrix3::identity()).amax() < 1e-14);
+        let blocks = t_inverse * method().try_inverse().unwrap() * t;
+        let expected = Matrix3::new(GAMMA, 0.0, 0.0, 0.0, ALPHA, -BETA, 0.0, BETA, ALPHA);
+        assert!((blocks - expected).amax() < 1e-13, "{blocks}");
+    }
+
+    #[test]
+    fn the_method_has_order_five() {
+        let (a, c) = (method(), [C1, C2, 1.0]);
+        // Simplifying assumptions B(5) and C(3) give order 5 (Hairer, Wanner II, theorem IV.5.1).
+        for q in 1..=5 {
+            let sum: f64 = (0..3).map(|j| a[(2, j)] * c[j].powi(q - 1)).sum();
+            assert!((sum - 1.0 / f64::from(q)).abs() < 1e-15, "B({q}): {sum}");
+        }
+        // z = A (h f); the error weights are those of A^-1 and the embedded formula of order 3.
+        let e = Matrix3::from_fn(|i, j| if i == 0 { E[j] } else { 0.0 });
+        let on_slopes = e * a;
+        for q in 0..=2 {
+            let sum: f64 = (0..3).map(|j| on_slopes[(0, j)] * c[j].powi(q)).sum();
+            assert!((sum + f64::from(q == 0)).abs() < 1e-13, "error of degree {q}: {sum}");
+        }
+    }
+
+    #[test]
+    fn the_correction_keeps_ends_and_slopes() {
+        let slope = |s: f64| (correction(s + 1e-6) - correction(s - 1e-6)) / 2e-6;
+        assert_eq!(correction(0.0), 0.0);
+        assert!(correction(1.0).abs() < 1e-15);
+        assert!((slope(0.0) - 1.0).abs() < 1e-9);
+        for c in [C1, C2, 1.0] {
+            assert!(slope(c).abs() < 1e-9);
+        }
+    }
+}

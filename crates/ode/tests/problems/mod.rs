@@ -1,0 +1,78 @@
+//! Test problems with reference values: computed in quadruple precision with Radau IIA of order 19, two tolerances that
+//! agree in all digits shown; they agree with the published values of the test set of Bari and CWI (F. Mazzia,
+//! C. Magherini) in the digits those are good for.
+#![allow(dead_code, unreachable_pub)]
+
+pub mod hybrid;
+pub mod nonstiff;
+pub mod stiff;
+
+use ode::*;
+use std::ops::ControlFlow;
+
+/// A smooth initial value problem with the state at its end.
+#[derive(Debug, Clone)]
+pub struct Problem {
+    pub name: &'static str,
+    pub x0: Vec<f64>,
+    pub end: f64,
+    pub f: fn(&[f64], &mut [f64]),
+    pub reference: Vec<f64>,
+    /// Absolute tolerance per relative tolerance.
+    pub atol: f64,
+    /// The error is the largest one over the largest component, not the largest relative one.
+    pub by_largest: bool,
+}
+
+impl HybridSystem for Problem {
+    fn n_states(&self) -> usize {
+        self.x0.len()
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.copy_from_slice(&self.x0);
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        (self.f)(x, dx);
+        Ok(())
+    }
+}
+
+/// Keeps the last sample.
+struct Last(Vec<f64>);
+
+impl Observer for Last {
+    fn sample(&mut self, s: &Sample<'_>) -> ControlFlow<()> {
+        self.0.clear();
+        self.0.extend_from_slice(s.states);
+        ControlFlow::Continue(())
+    }
+}
+
+impl Problem {
+    pub fn options(&self, method: Method, rtol: f64) -> Options {
+        let absolute_tolerance = AbsoluteTolerance::Scalar(rtol * self.atol);
+        Options { method, relative_tolerance: rtol, absolute_tolerance, ..Options::default() }
+    }
+
+    pub fn digits(&self, x: &[f64]) -> f64 {
+        let largest = self.reference.iter().fold(0.0f64, |a, r| a.max(r.abs()));
+        let error = |(r, x): (&f64, &f64)| (x - r).abs() / if self.by_largest { largest } else { r.abs() };
+        -self.reference.iter().zip(x).map(error).fold(0.0, f64::max).max(1e-17).log10()
+    }
+
+    /// Runs it; correct digits and what they cost.
+    pub fn solve(&self, options: Options) -> Result<(f64, Stats), Box<SimulationError>> {
+        let mut last = Last(Vec::new());
+        let mut driver = Driver::new(options).unwrap();
+        let report = driver.run(&mut self.clone(), 0.0, self.end, &[self.end], &mut last)?;
+        Ok((self.digits(&last.0), report.stats))
+    }
+
+    pub fn run(&self, method: Method, rtol: f64) -> (f64, Stats) {
+        match self.solve(self.options(method, rtol)) {
+            Ok(done) => done,
+            Err(e) => panic!("{} by {} at {rtol:e}: {e} {:?}", self.name, method.name(), e.stats),
+        }
+    }
+}
