@@ -58,6 +58,7 @@ fn run<M: Method + ?Sized>(
                 fun: *fun,
                 operation,
                 simplex: method.simplex(),
+                population: method.population(),
                 tests: method.tests(),
                 seconds: gateway.elapsed(),
                 trace: &gateway.trace,
@@ -113,6 +114,8 @@ fn report<M: Method + ?Sized>(
         failures: gateway.failures(),
         trace: std::mem::take(&mut gateway.trace),
         final_simplex: method.simplex().map(|s| s.to_owned()),
+        final_population: method.population().map(|s| s.to_owned()),
+        seed: method.seed(),
         method: method.name(),
         batch: method.plan(),
         workers,
@@ -138,6 +141,7 @@ fn message<M: Method + ?Sized>(
         Termination::Collapsed => {
             with_tests("the search has no extent left that floating-point numbers resolve".to_owned())
         }
+        Termination::Stalled => with_tests("nothing new was found for long".to_owned()),
         Termination::AllFixed => "all parameters are fixed: their one point was evaluated".to_owned(),
         Termination::MaxEvaluations => {
             with_tests(format!("stopped at the limit of {} evaluations", gateway.n_evaluations))

@@ -99,6 +99,26 @@ pub enum Error {
         /// What it must be.
         range: &'static str,
     },
+    /// A method needs a finite range for each parameter.
+    #[error("{method} searches a box, but parameter {index} lies in [{lower}, {upper}]")]
+    NeedsBox {
+        /// The method.
+        method: &'static str,
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Lower bound.
+        lower: f64,
+        /// Upper bound.
+        upper: f64,
+    },
+    /// A method cannot search over a discrete parameter.
+    #[error("{method} cannot search over parameter {index}, which is discrete (of its kind)")]
+    NotContinuous {
+        /// The method.
+        method: &'static str,
+        /// Parameter, counted from 0.
+        index: usize,
+    },
     /// An initial simplex does not have one vertex more than there are free parameters.
     #[error("the initial simplex has {got} vertices; {expected} are needed (free parameters + 1)")]
     SimplexSize {
@@ -130,6 +150,12 @@ pub enum Error {
         rank: usize,
         /// Free parameters.
         n: usize,
+    },
+    /// The saved state of a method cannot be continued.
+    #[error("the saved state of the method cannot be continued: {message}")]
+    State {
+        /// Why not.
+        message: String,
     },
     /// `tell` was called although no batch was asked for.
     #[error("tell called, but no batch is waiting for an answer: ask first")]

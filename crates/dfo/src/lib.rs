@@ -26,23 +26,34 @@
 #![forbid(unsafe_code)]
 
 mod bounds;
+mod cost;
+mod differential_evolution;
 mod drive;
 mod error;
 mod evaluate;
 mod executor;
+mod genetic;
 mod method;
 mod minimize;
 mod nelder_mead;
 mod objective;
 mod observe;
+mod population;
 mod report;
+mod rng;
+mod rounds;
+mod sampling;
 mod scaling;
 mod termination;
 mod trace;
 
 pub use bounds::Bounds;
+pub use differential_evolution::{
+    Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
+};
 pub use error::{Error, NothingFound};
 pub use executor::{BatchView, WorkerPool};
+pub use genetic::{Genetic, GeneticState, Selection};
 pub use method::{Batch, Method, MethodOptions, Operation, Setup, Simplex, SimplexView, Status};
 pub use minimize::{Minimize, minimize, minimize_batches};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
@@ -52,6 +63,7 @@ pub use objective::{
 };
 pub use observe::Progress;
 pub use report::Report;
-pub use scaling::{BoundsHandling, Space, Transform};
-pub use termination::{Limits, Measure, Stop, Termination, Tests, Tolerances};
+pub use sampling::Sampling;
+pub use scaling::{BoundsHandling, Kind, Space, Transform};
+pub use termination::{Extent, Limits, Measure, Stop, Termination, Tests, Tolerances};
 pub use trace::{Trace, TraceEntry};

@@ -10,18 +10,13 @@ use crate::nelder_mead::NelderMead;
 use crate::objective::{Objective, Outcome};
 use crate::observe::Progress;
 use crate::report::Report;
-use crate::scaling::{Space, Transform};
+use crate::scaling::{Kind, Space, Transform};
 use crate::termination::{Limits, Measure, Stop, Tolerances};
 use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
-
-/// Default limit of iterations per free parameter (plus one).
-const ITERATIONS: usize = 1000;
-/// Default limit of evaluations per free parameter (plus one): above what any plan needs for the iterations.
-const EVALUATIONS: usize = 5000;
 
 /// Minimises an objective: a closure `Fn(&[f64]) -> f64 + Sync`, or anything that is an [`Objective`].
 ///
@@ -81,6 +76,8 @@ pub struct Minimize<'a, M> {
     sizes: Vec<f64>,
     tolerances: Tolerances,
     limits: Limits,
+    seed: Option<u64>,
+    kinds: Vec<Kind>,
     workers: usize,
     pool: Option<Arc<WorkerPool>>,
     cancel: Option<Arc<AtomicBool>>,
@@ -99,6 +96,8 @@ impl<'a> Minimize<'a, NelderMead> {
             sizes: Vec::new(),
             tolerances: Tolerances::default(),
             limits: Limits::default(),
+            seed: None,
+            kinds: Vec::new(),
             workers: 1,
             pool: None,
             cancel: None,
@@ -109,7 +108,7 @@ impl<'a> Minimize<'a, NelderMead> {
 }
 
 impl<'a, M> Minimize<'a, M> {
-    /// The start point; required. Must lie in the box.
+    /// The start point. Must lie in the box; required, unless the method samples its box.
     pub fn start(mut self, x0: &[f64]) -> Self {
         self.x0 = Some(x0.to_vec());
         self
@@ -126,7 +125,7 @@ impl<'a, M> Minimize<'a, M> {
 
     /// The method; default Nelder-Mead.
     pub fn method<N: MethodOptions>(self, method: N) -> Minimize<'a, N> {
-        let Self { source, x0, bounds, transforms, sizes, tolerances, limits, .. } = self;
+        let Self { source, x0, bounds, transforms, sizes, tolerances, limits, seed, kinds, .. } = self;
         let Self { workers, pool, cancel, observer, poll, .. } = self;
         Minimize {
             source,
@@ -137,6 +136,8 @@ impl<'a, M> Minimize<'a, M> {
             sizes,
             tolerances,
             limits,
+            seed,
+            kinds,
             workers,
             pool,
             cancel,
@@ -161,8 +162,9 @@ impl<'a, M> Minimize<'a, M> {
 
     /// Limit of evaluations, exact even inside a batch. At least 1; `usize::MAX` for none.
     ///
-    /// Without any of the three limits (evaluations, iterations, time) a run ends after `1000 (n + 1)` iterations or
-    /// `5000 (n + 1)` evaluations, `n` being the number of free parameters. Setting one lifts these defaults.
+    /// Without any of the three limits (evaluations, iterations, time) the method's defaults hold
+    /// ([`MethodOptions::default_limits`]), for Nelder-Mead `1000 (n + 1)` iterations or `5000 (n + 1)` evaluations, `n`
+    /// being the number of free parameters. Setting one lifts these defaults.
     pub fn max_evaluations(mut self, n: usize) -> Self {
         self.limits.max_evaluations = Some(n);
         self
@@ -224,6 +226,18 @@ impl<'a, M> Minimize<'a, M> {
         self
     }
 
+    /// Seed of the random numbers, for methods that draw them. Default: drawn, and reported.
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.seed = Some(seed);
+        self
+    }
+
+    /// Continuous, integer or categorical, per parameter. Default all continuous; not every method takes the others.
+    pub fn kinds(mut self, kinds: &[Kind]) -> Self {
+        self.kinds = kinds.to_vec();
+        self
+    }
+
     /// Linear or logarithmic, per parameter. Default all linear.
     pub fn transforms(mut self, transforms: &[Transform]) -> Self {
         self.transforms = transforms.to_vec();
@@ -259,21 +273,39 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// Options that cannot be used; an objective that failed at every starting point; a run that was ended before any
     /// point had a finite cost. Every other end is a [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
-        let x0 = self.x0.ok_or(Error::NoStart)?;
+        let start_given = self.x0.is_some();
+        let x0 = match (self.x0, &self.bounds) {
+            (Some(x0), _) => x0,
+            (None, Some(bounds)) if !self.method.needs_start() => {
+                middle(bounds, &self.transforms, &self.kinds).ok_or(Error::NoStart)?
+            }
+            (None, _) => return Err(Error::NoStart),
+        };
         let bounds = self.bounds.unwrap_or_else(|| Bounds::unbounded(x0.len()));
-        let space = Space::new(&x0, bounds, &self.transforms, &self.sizes)?;
+        let mut space = Space::new(&x0, bounds, &self.transforms, &self.sizes)?;
+        if !self.kinds.is_empty() {
+            space = space.with_kinds(&self.kinds)?;
+        }
         self.limits.check()?;
         if self.workers == 0 {
             return Err(Error::Option { name: "workers", value: 0.0, range: "at least 1" });
         }
         let Limits { max_evaluations, max_iterations, max_time, .. } = &mut self.limits;
         if (&*max_evaluations, &*max_iterations, &*max_time) == (&None, &None, &None) {
-            *max_evaluations = Some(EVALUATIONS.saturating_mul(space.n_free() + 1));
-            *max_iterations = Some(ITERATIONS.saturating_mul(space.n_free() + 1));
+            let (evaluations, iterations) = self.method.default_limits(space.n_free());
+            *max_evaluations = Some(evaluations);
+            *max_iterations = Some(iterations);
         }
         let n = space.n();
         let workers = self.pool.as_ref().map_or(self.workers, |p| p.workers());
-        let mut method = self.method.begin(&Setup { space, tolerances: self.tolerances, workers })?;
+        let mut method = self.method.begin(&Setup {
+            tolerances: self.tolerances,
+            workers,
+            seed: self.seed,
+            max_evaluations: self.limits.max_evaluations,
+            start_given,
+            ..Setup::new(space)
+        })?;
         let pool = match (self.pool, &self.source) {
             (Some(pool), _) => Some(pool),
             (None, Source::Objective(_)) if workers > 1 => Some(Arc::new(WorkerPool::new(workers)?)),
@@ -289,6 +321,22 @@ impl<M: MethodOptions> Minimize<'_, M> {
         let gateway = Gateway::new(executor, n, self.limits, &cancel, poll);
         drive(&mut method, gateway, &self.limits, workers, self.observer.as_deref_mut())
     }
+}
+
+/// The middle of a box, where no start was given; `None` if it has none.
+fn middle(bounds: &Bounds, transforms: &[Transform], kinds: &[Kind]) -> Option<Vec<f64>> {
+    (0..bounds.len())
+        .map(|i| {
+            let (lower, upper) = (bounds.lower()[i], bounds.upper()[i]);
+            let middle = match transforms.get(i) {
+                Some(Transform::Log) if lower > 0.0 => (0.5 * lower.ln() + 0.5 * upper.ln()).exp(),
+                _ => 0.5 * lower + 0.5 * upper,
+            };
+            let whole = lower != upper && kinds.get(i).is_some_and(|k| *k != Kind::Continuous);
+            let middle = if whole { middle.floor().max(lower.ceil()) } else { middle };
+            middle.is_finite().then(|| middle.clamp(lower, upper))
+        })
+        .collect()
 }
 
 impl<M: fmt::Debug> fmt::Debug for Minimize<'_, M> {

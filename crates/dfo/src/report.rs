@@ -41,6 +41,10 @@ pub struct Report {
     pub batch: &'static str,
     /// Evaluations that could run at once.
     pub workers: usize,
+    /// The population at the end, for methods that have one.
+    pub final_population: Option<Simplex>,
+    /// The seed of the random numbers, for methods that draw them: the one given, or the one drawn.
+    pub seed: Option<u64>,
     /// Wall-clock seconds.
     pub seconds: f64,
 }

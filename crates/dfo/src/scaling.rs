@@ -7,9 +7,10 @@
 
 use crate::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
+use serde::{Deserialize, Serialize};
 
 /// The scale on which a parameter is searched.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 pub enum Transform {
     /// As it is.
     #[default]
@@ -18,8 +19,20 @@ pub enum Transform {
     Log,
 }
 
+/// What values a parameter takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+pub enum Kind {
+    /// Any in its bounds.
+    #[default]
+    Continuous,
+    /// Whole numbers.
+    Integer,
+    /// Whole numbers that stand for choices: 3 is no closer to 2 than to 7.
+    Categorical,
+}
+
 /// How points outside of the box are brought back.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum BoundsHandling {
     /// Mirrored at the bound, repeatedly if need be.
@@ -30,12 +43,13 @@ pub enum BoundsHandling {
 }
 
 /// A checked start point with its box, scales and sizes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Space {
     x0: Vec<f64>,
     bounds: Bounds,
     free: Vec<usize>,
     transforms: Vec<Transform>,
+    kinds: Vec<Kind>,
     lower: Vec<f64>,
     upper: Vec<f64>,
     sizes: Vec<f64>,
@@ -68,6 +82,7 @@ impl Space {
             bounds,
             free: Vec::new(),
             transforms: Vec::new(),
+            kinds: Vec::new(),
             lower: Vec::new(),
             upper: Vec::new(),
             sizes: Vec::new(),
@@ -112,11 +127,71 @@ impl Space {
         let width = hi - lo;
         self.free.push(index);
         self.transforms.push(transform);
+        self.kinds.push(Kind::Continuous);
         self.lower.push(lo);
         self.upper.push(hi);
         self.sizes.push(size.unwrap_or(if width.is_finite() { width } else { default }));
         self.size_given.push(size.is_some());
         Ok(())
+    }
+
+    /// Makes parameters discrete, one kind per parameter. Working coordinates of discrete parameters stay real;
+    /// [`to_user`](Self::to_user) rounds, and a linear range reaches half a unit beyond its ends, so that each whole
+    /// number has the same share of it.
+    ///
+    /// # Errors
+    /// Another number of kinds than parameters; a discrete parameter whose start value is not whole.
+    pub fn with_kinds(mut self, kinds: &[Kind]) -> Result<Self, Error> {
+        if kinds.len() != self.n() {
+            return Err(Error::Length { what: "kinds", expected: self.n(), got: kinds.len() });
+        }
+        for (k, &index) in self.free.iter().enumerate() {
+            self.kinds[k] = kinds[index];
+            let value = self.x0[index];
+            if kinds[index] == Kind::Continuous {
+                continue;
+            }
+            if value != value.round() {
+                let range = "a whole number, for the parameter is discrete";
+                return Err(Error::ParameterOption { name: "start value", index, value, range });
+            }
+            if self.transforms[k] == Transform::Linear {
+                self.lower[k] = self.lower[k].ceil() - 0.5;
+                self.upper[k] = self.upper[k].floor() + 0.5;
+            }
+        }
+        Ok(self)
+    }
+
+    /// Kind of free parameter `k`.
+    pub fn kind(&self, k: usize) -> Kind {
+        self.kinds[k]
+    }
+
+    /// For methods that need continuous parameters.
+    ///
+    /// # Errors
+    /// The first parameter that is not.
+    pub fn require_continuous(&self, method: &'static str) -> Result<(), Error> {
+        match self.kinds.iter().position(|k| *k != Kind::Continuous) {
+            Some(k) => Err(Error::NotContinuous { method, index: self.free[k] }),
+            None => Ok(()),
+        }
+    }
+
+    /// For methods that search a box.
+    ///
+    /// # Errors
+    /// The first parameter without a finite range (or whose range has no finite width).
+    pub fn require_box(&self, method: &'static str) -> Result<(), Error> {
+        let endless = (0..self.n_free()).find(|&k| !(self.upper[k] - self.lower[k]).is_finite());
+        match endless.map(|k| self.free[k]) {
+            Some(index) => {
+                let (lower, upper) = (self.bounds.lower()[index], self.bounds.upper()[index]);
+                Err(Error::NeedsBox { method, index, lower, upper })
+            }
+            None => Ok(()),
+        }
     }
 
     /// Number of parameters, the fixed ones included.
@@ -188,6 +263,9 @@ impl Space {
                 Transform::Linear => u[k],
                 Transform::Log => u[k].exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
             };
+            if self.kinds[k] != Kind::Continuous {
+                x[i] = x[i].round().clamp(self.bounds.lower()[i].ceil(), self.bounds.upper()[i].floor());
+            }
         }
     }
 
@@ -237,6 +315,29 @@ mod tests {
         }
         let half_open = Space::new(&[0.3], Bounds::new(&[0.0], &[10.0])?, &[Transform::Log], &[])?;
         assert_eq!((half_open.width(0), half_open.size(0)), (None, 1.0));
+        Ok(())
+    }
+
+    #[test]
+    fn discrete_parameters_are_whole_and_share_their_range() -> Result<(), Error> {
+        let space = |x0: f64, kind| {
+            let bounds = Bounds::new(&[-0.2], &[3.7])?;
+            Space::new(&[x0], bounds, &[], &[])?.with_kinds(&[kind])
+        };
+        let integer = space(2.0, Kind::Integer)?;
+        assert_eq!(integer.working_bounds(0), (-0.5, 3.5));
+        let mut counts = [0; 4];
+        for k in 0..=4000 {
+            let mut x = [0.0];
+            integer.to_user(&[-0.5 + 4.0 * f64::from(k) / 4000.0], &mut x);
+            counts[x[0] as usize] += 1;
+        }
+        assert!(counts.iter().all(|c| (1000..=1001).contains(c)), "{counts:?}");
+        assert!(matches!(space(2.5, Kind::Categorical), Err(Error::ParameterOption { .. })));
+        assert!(space(2.5, Kind::Continuous)?.require_continuous("m").is_ok());
+        assert!(matches!(integer.require_continuous("m"), Err(Error::NotContinuous { index: 0, .. })));
+        let endless = Space::new(&[1.0, 1.0], Bounds::new(&[0.0; 2], &[2.0, INF])?, &[], &[])?;
+        assert!(matches!(endless.require_box("m"), Err(Error::NeedsBox { index: 1, .. })));
         Ok(())
     }
 

@@ -1,9 +1,10 @@
 //! The trace: every evaluation of a run, in request order, stored in columns.
 
 use crate::objective::Outcome;
+use serde::{Deserialize, Serialize};
 
 /// Every evaluation of a run, in request order.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Trace {
     n: usize,
     points: Vec<f64>,
@@ -11,7 +12,7 @@ pub struct Trace {
 }
 
 /// An evaluation without its point.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Record {
     pub(crate) outcome: Outcome,
     pub(crate) id: u64,

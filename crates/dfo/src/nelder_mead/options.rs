@@ -3,11 +3,12 @@
 use super::initial;
 use super::state::NelderMeadState;
 use crate::error::Error;
-use crate::method::{MethodOptions, Setup};
+use crate::method::{MethodOptions, Setup, restored};
 use crate::scaling::BoundsHandling;
+use serde::{Deserialize, Serialize};
 
 /// Which points an iteration asks for ahead of need. All plans give the same simplices.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum BatchPlan {
     /// By the number of workers: four or more: [`Four`](Self::Four); two or three: [`Two`](Self::Two); else
@@ -69,7 +70,7 @@ pub enum Coefficients {
 }
 
 /// Coefficients as numbers.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Numbers {
     pub(super) reflection: f64,
     pub(super) expansion: f64,
@@ -208,5 +209,9 @@ impl MethodOptions for NelderMead {
             self.bounds,
             simplex,
         ))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<NelderMeadState, Error> {
+        restored(state, |s: &NelderMeadState| s.is_sound(setup))
     }
 }

@@ -1,41 +1,13 @@
 //! The simplex itself: vertices, ranks, centroid, size. Knows nothing of batches.
 
+use crate::cost::Cost;
 use crate::method::SimplexView;
 use crate::scaling::{Space, Transform};
 use crate::termination::Measure;
-
-/// What is known about a vertex. The order of the variants is the order of rank.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Cost {
-    /// A finite cost.
-    Value(f64),
-    /// The objective failed there.
-    Failed,
-    /// Not evaluated yet.
-    Pending,
-}
-
-impl Cost {
-    /// The rule of rank, a total order because values are finite: is `self` strictly better?
-    pub(super) fn better_than(self, other: Self) -> bool {
-        match (self, other) {
-            (Self::Value(a), Self::Value(b)) => a < b,
-            (Self::Value(_), _) => true,
-            (Self::Failed, Self::Pending) => true,
-            (Self::Failed | Self::Pending, _) => false,
-        }
-    }
-
-    pub(super) fn value(self) -> Option<f64> {
-        match self {
-            Self::Value(v) => Some(v),
-            Self::Failed | Self::Pending => None,
-        }
-    }
-}
+use serde::{Deserialize, Serialize};
 
 /// Vertices in slots, and the slots by rank.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct SimplexData {
     n: usize,
     n_user: usize,
@@ -213,6 +185,18 @@ impl SimplexData {
         let mut costs: Vec<f64> = self.values.iter().flatten().map(|v| v.abs()).collect();
         costs.sort_by(f64::total_cmp);
         costs.get(costs.len() / 2).copied().unwrap_or(0.0)
+    }
+
+    /// Whether all lists have the lengths that belong together: what comes from a file may not.
+    pub(super) fn is_sound(&self, space: &Space) -> bool {
+        let mut slots = self.order.clone();
+        slots.sort_unstable();
+        let len = self.n + 1;
+        (self.n, self.n_user) == (space.n_free(), space.n())
+            && self.u.len() == len * self.n
+            && self.x.len() == len * self.n_user
+            && (self.costs.len(), self.values.len()) == (len, len)
+            && slots.into_iter().eq(0..len)
     }
 
     pub(super) fn view(&self) -> SimplexView<'_> {

@@ -5,15 +5,17 @@
 //! that more is known when the procedure runs, so all plans take the same path.
 
 use super::options::{BatchPlan, Numbers};
-use super::simplex::{Cost, SimplexData};
+use super::simplex::SimplexData;
+use crate::cost::Cost;
 use crate::error::Error;
-use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status};
+use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status, saved};
 use crate::objective::Outcome;
 use crate::scaling::{BoundsHandling, Space};
 use crate::termination::{Termination, Tests};
+use serde::{Deserialize, Serialize};
 
 /// The four trial points of an iteration; the number is the position in the tables below.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 enum Trial {
     Reflection = 0,
     Expansion = 1,
@@ -21,7 +23,7 @@ enum Trial {
     Inside = 3,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct TrialPoint {
     u: Vec<f64>,
     x: Vec<f64>,
@@ -31,7 +33,7 @@ struct TrialPoint {
 }
 
 /// What is known about a trial point.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 enum Seen {
     Unknown,
     Cost(f64),
@@ -40,13 +42,13 @@ enum Seen {
 }
 
 /// What a point of the last batch stands for.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 enum Role {
     Vertex(usize),
     Trial(Trial),
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 enum Phase {
     /// Vertices without a known outcome are asked for: the starting ones.
     Starting,
@@ -83,7 +85,7 @@ enum Phase {
 /// assert_eq!((x, f), (&report.x[..], report.fun));
 /// # Ok::<(), dfo::Error>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NelderMeadState {
     setup: Setup,
     plan: BatchPlan,
@@ -137,6 +139,15 @@ impl NelderMeadState {
             tests: None,
             f_0: 0.0,
         }
+    }
+
+    /// Whether this state fits to a problem and to itself.
+    pub(super) fn is_sound(&self, setup: &Setup) -> bool {
+        let space = &setup.space;
+        self.setup.space == *space
+            && self.simplex.is_sound(space)
+            && self.centroid.len() == space.n_free()
+            && self.trials.iter().all(|t| (t.u.len(), t.x.len()) == (space.n_free(), space.n()))
     }
 
     /// The trial points that a new iteration asks for, in request order.
@@ -442,6 +453,10 @@ impl Method for NelderMeadState {
             (Phase::Trying(_), Seen::Cost(r)) if best.is_none_or(|(_, b)| r < b) => Some((&reflection.x, r)),
             _ => best,
         }
+    }
+
+    fn save(&self) -> Option<Vec<u8>> {
+        saved(self)
     }
 
     fn simplex(&self) -> Option<SimplexView<'_>> {
