@@ -115,6 +115,7 @@ fn report<M: Method + ?Sized>(
         trace: std::mem::take(&mut gateway.trace),
         final_simplex: method.simplex().map(|s| s.to_owned()),
         final_population: method.population().map(|s| s.to_owned()),
+        schedule: method.schedule().to_vec(),
         seed: method.seed(),
         method: method.name(),
         batch: method.plan(),

@@ -111,6 +111,26 @@ pub enum Error {
         /// Upper bound.
         upper: f64,
     },
+    /// A barrier needs a start strictly inside of the bounds.
+    #[error(
+        "start value {value} of parameter {index} must lie strictly between its bounds {lower} and {upper}"
+    )]
+    StartNotInterior {
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Its start value.
+        value: f64,
+        /// Lower bound.
+        lower: f64,
+        /// Upper bound.
+        upper: f64,
+    },
+    /// A method is for bounded parameters, and there is no bound.
+    #[error("{method} needs at least one bound")]
+    NoBounds {
+        /// The method.
+        method: &'static str,
+    },
     /// A method cannot search over a discrete parameter.
     #[error("{method} cannot search over parameter {index}, which is discrete (of its kind)")]
     NotContinuous {

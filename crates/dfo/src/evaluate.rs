@@ -158,7 +158,8 @@ impl<'a> Gateway<'a> {
             let (Some(position), Some(true)) = (*position, used.get(k)) else { continue };
             self.trace.set_used(position);
             self.n_used += 1;
-            let Some(value) = self.outcomes[k].value() else { continue };
+            // What lies above its cutoff might as well have been given up, and must not make a difference.
+            let Some(value) = self.outcomes[k].value().filter(|v| *v <= batch.cutoff(k)) else { continue };
             match &mut self.best {
                 Some((x, best)) if value < *best => {
                     x.copy_from_slice(batch.point(k));

@@ -25,6 +25,7 @@
 //!   positive parameters can be searched by their logarithm ([`Transform`]).
 #![forbid(unsafe_code)]
 
+mod barrier;
 mod bounds;
 mod cost;
 mod differential_evolution;
@@ -47,6 +48,7 @@ mod scaling;
 mod termination;
 mod trace;
 
+pub use barrier::{Barrier, BarrierStage, BarrierState};
 pub use bounds::Bounds;
 pub use differential_evolution::{
     Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,

@@ -1,6 +1,7 @@
 //! Ask / tell: a method proposes a batch of points, is told their outcomes in request order, and never calls the
 //! objective.
 
+use crate::barrier::BarrierStage;
 use crate::error::Error;
 use crate::objective::{Evaluation, Outcome};
 use crate::scaling::Space;
@@ -40,6 +41,16 @@ impl Batch {
         debug_assert_eq!(x.len(), self.n, "a batch holds points of one length");
         self.points.extend_from_slice(x);
         self.cutoffs.push(cutoff);
+    }
+
+    /// For a method that wraps another: other numbers for the same points.
+    pub(crate) fn renumber(&mut self, index: u64, first_id: u64) {
+        (self.index, self.first_id) = (index, first_id + self.first_id);
+    }
+
+    /// For a method that wraps another: another cutoff for a point.
+    pub(crate) fn set_cutoff(&mut self, k: usize, cutoff: f64) {
+        self.cutoffs[k] = cutoff;
     }
 
     /// Number of points.
@@ -264,6 +275,11 @@ pub trait Method {
     /// The population, for methods that have one.
     fn population(&self) -> Option<SimplexView<'_>> {
         None
+    }
+
+    /// The stages of a sequential barrier search, complete ones only.
+    fn schedule(&self) -> &[BarrierStage] {
+        &[]
     }
 
     /// The whole state, for [`MethodOptions::restore`]; `None` for methods that cannot be continued. May be called

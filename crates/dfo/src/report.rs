@@ -1,5 +1,6 @@
 //! The result of a run: the best point, what it cost, and why the run ended.
 
+use crate::barrier::BarrierStage;
 use crate::method::Simplex;
 use crate::termination::{Termination, Tests};
 use crate::trace::Trace;
@@ -41,6 +42,8 @@ pub struct Report {
     pub batch: &'static str,
     /// Evaluations that could run at once.
     pub workers: usize,
+    /// The stages of a sequential barrier search: barrier parameter, barrier, point and cost of each.
+    pub schedule: Vec<BarrierStage>,
     /// The population at the end, for methods that have one.
     pub final_population: Option<Simplex>,
     /// The seed of the random numbers, for methods that draw them: the one given, or the one drawn.

@@ -114,11 +114,13 @@ impl Trace {
         })
     }
 
-    /// The first of the used points with the smallest cost.
+    /// The first of the used points with the smallest cost, among those not above their cutoffs (which only a barrier
+    /// makes possible: see [`Barrier`](crate::Barrier)).
     pub fn best(&self) -> Option<(&[f64], f64)> {
         let mut best: Option<(&[f64], f64)> = None;
         for entry in self.iter().filter(|e| e.used) {
-            if let Some(v) = entry.outcome.value().filter(|v| best.is_none_or(|(_, b)| *v < b)) {
+            let value = entry.outcome.value().filter(|v| *v <= entry.cutoff);
+            if let Some(v) = value.filter(|v| best.is_none_or(|(_, b)| *v < b)) {
                 best = Some((entry.x, v));
             }
         }

@@ -108,7 +108,7 @@ mod tests {
     fn tournaments_prefer_the_better() {
         use Cost::{Failed, Value};
         let p = population(&[Value(3.0), Failed, Value(1.0), Value(2.0)]);
-        let (mut counts, mut s) = ([0; 4], stream());
+        let (mut counts, mut s) = ([0i32; 4], stream());
         (0..16_000).for_each(|_| counts[tournament(&mut s, &p, 2)] += 1);
         // Of 16 ordered pairs 7, 5, 3, 1 are won by ranks 0, 1, 2, 3.
         for (slot, expected) in [(2, 7000), (3, 5000), (0, 3000), (1, 1000)] {

@@ -200,6 +200,7 @@ impl MethodOptions for NelderMead {
 
     fn begin(&self, setup: &Setup) -> Result<NelderMeadState, Error> {
         setup.tolerances.check()?;
+        setup.space.require_continuous("nelder-mead")?;
         let numbers = self.coefficients.resolve(setup.space.n_free())?;
         let simplex = initial::simplex(&setup.space, &self.initial)?;
         Ok(NelderMeadState::new(

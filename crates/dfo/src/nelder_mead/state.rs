@@ -141,8 +141,17 @@ impl NelderMeadState {
         }
     }
 
+    /// Batches and points told so far.
+    pub(crate) fn n_batches(&self) -> u64 {
+        self.n_batches
+    }
+
+    pub(crate) fn n_points(&self) -> u64 {
+        self.n_points
+    }
+
     /// Whether this state fits to a problem and to itself.
-    pub(super) fn is_sound(&self, setup: &Setup) -> bool {
+    pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
         self.setup.space == *space
             && self.simplex.is_sound(space)
