@@ -35,14 +35,19 @@ fn run<M: Method + ?Sized>(
     let mut observed: Option<usize> = None;
     let mut first_recent = 0;
     loop {
-        if let Some(termination) = gateway.exhausted() {
+        method.ask(&mut batch);
+        // What needs no evaluation needs no budget.
+        if let Some(termination) = gateway.exhausted().filter(|_| !batch.is_empty()) {
             return Ok(Some(termination));
         }
-        method.ask(&mut batch);
         let stopped = if batch.is_empty() { None } else { gateway.evaluate(&batch) };
         if !batch.is_empty() {
             method.tell(gateway.outcomes())?;
-            gateway.settle(&batch, method.used());
+            gateway.settle(method.used());
+        } else if method.status() == Status::Running {
+            // What comes next was seen ahead; points of the last batch turn out to be used.
+            method.tell(&[])?;
+            gateway.settle(method.used());
         }
         let mut broken = false;
         let n_iterations = method.n_iterations();

@@ -152,21 +152,25 @@ impl<'a> Gateway<'a> {
         }
     }
 
-    /// Marks which points of the last batch the method used. Only those can be best.
-    pub(crate) fn settle(&mut self, batch: &Batch, used: &[bool]) {
+    /// Marks which points of the last batch the method used. Only those can be best. May be called again when more of
+    /// them turn out to be used.
+    pub(crate) fn settle(&mut self, used: &[bool]) {
         for (k, position) in self.positions.iter().enumerate() {
             let (Some(position), Some(true)) = (*position, used.get(k)) else { continue };
-            self.trace.set_used(position);
+            if !self.trace.set_used(position) {
+                continue;
+            }
             self.n_used += 1;
+            let Some(entry) = self.trace.get(position) else { continue };
             // What lies above its cutoff might as well have been given up, and must not make a difference.
-            let Some(value) = self.outcomes[k].value().filter(|v| *v <= batch.cutoff(k)) else { continue };
+            let Some(value) = entry.outcome.value().filter(|v| *v <= entry.cutoff) else { continue };
             match &mut self.best {
                 Some((x, best)) if value < *best => {
-                    x.copy_from_slice(batch.point(k));
+                    x.copy_from_slice(entry.x);
                     *best = value;
                 }
                 Some(_) => {}
-                None => self.best = Some((batch.point(k).to_vec(), value)),
+                None => self.best = Some((entry.x.to_vec(), value)),
             }
         }
     }

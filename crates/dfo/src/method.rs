@@ -233,6 +233,9 @@ pub trait Method {
 
     /// Fills `batch` with the points to evaluate next; leaves it empty when the method has ended. Asking twice
     /// without telling gives the same batch.
+    ///
+    /// A method that looks ahead ([`BatchPlan::TwoAhead`](crate::BatchPlan::TwoAhead)) may leave the batch empty while
+    /// it is still running: then everything it needs next is known already, and it is told nothing (`&[]`).
     fn ask(&mut self, batch: &mut Batch);
 
     /// Takes the outcomes of the batch last asked, in request order. Points that were not evaluated
@@ -243,8 +246,8 @@ pub trait Method {
     /// Nothing was asked, or there are more outcomes than points.
     fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error>;
 
-    /// For each point of the batch last told: whether the path of the method went through it. False for
-    /// speculative points that were not needed.
+    /// For each point of the last batch that had any: whether the path of the method went through it. False for
+    /// speculative points that were not needed (yet: telling nothing after an empty batch may turn some to true).
     fn used(&self) -> &[bool];
 
     /// Where the method stands.

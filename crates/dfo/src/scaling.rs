@@ -40,6 +40,9 @@ pub enum BoundsHandling {
     Mirror,
     /// Set onto the bound.
     Clamp,
+    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds (over a
+    /// hyperbola for one bound). A start on a bound, where the sine has no slope, is drawn inside by 2 % of the range.
+    Sine,
 }
 
 /// A checked start point with its box, scales and sizes.
@@ -54,6 +57,10 @@ pub struct Space {
     upper: Vec<f64>,
     sizes: Vec<f64>,
     size_given: Vec<bool>,
+    /// Whether working coordinates are angles and the like, see [`BoundsHandling::Sine`].
+    sine: bool,
+    /// With it: the sizes of the coordinates themselves, the unit of the hyperbola at a single bound.
+    hyperbola: Vec<f64>,
 }
 
 impl Space {
@@ -87,6 +94,8 @@ impl Space {
             upper: Vec::new(),
             sizes: Vec::new(),
             size_given: Vec::new(),
+            sine: false,
+            hyperbola: Vec::new(),
         };
         for index in 0..n {
             let transform = transforms.get(index).copied().unwrap_or_default();
@@ -194,6 +203,11 @@ impl Space {
         }
     }
 
+    /// The same space with another start point inside of the box.
+    pub(crate) fn starting_at(&self, x0: &[f64]) -> Self {
+        Self { x0: x0.to_vec(), ..self.clone() }
+    }
+
     /// Number of parameters, the fixed ones included.
     pub fn n(&self) -> usize {
         self.x0.len()
@@ -226,7 +240,7 @@ impl Space {
 
     /// Bounds of working coordinate `k`.
     pub fn working_bounds(&self, k: usize) -> (f64, f64) {
-        (self.lower[k], self.upper[k])
+        if self.sine { (f64::NEG_INFINITY, f64::INFINITY) } else { (self.lower[k], self.upper[k]) }
     }
 
     /// Typical size of working coordinate `k`: the unit of a relative `x_tol`.
@@ -252,6 +266,9 @@ impl Space {
                 Transform::Linear => x[i],
                 Transform::Log => x[i].ln().clamp(self.lower[k], self.upper[k]),
             };
+            if self.sine {
+                u[k] = self.unfold(k, u[k]);
+            }
         }
     }
 
@@ -259,13 +276,70 @@ impl Space {
     pub fn to_user(&self, u: &[f64], x: &mut [f64]) {
         x.copy_from_slice(&self.x0);
         for (k, &i) in self.free.iter().enumerate() {
+            let u = if self.sine { self.fold_sine(k, u[k]) } else { u[k] };
             x[i] = match self.transforms[k] {
-                Transform::Linear => u[k],
-                Transform::Log => u[k].exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
+                Transform::Linear => u,
+                Transform::Log => u.exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
             };
             if self.kinds[k] != Kind::Continuous {
                 x[i] = x[i].round().clamp(self.bounds.lower()[i].ceil(), self.bounds.upper()[i].floor());
             }
+        }
+    }
+
+    /// The same problem over angles, and the start point drawn inside. Working coordinates of this space have no
+    /// bounds; their sizes are such that a distance in them is at least that of the point, in units of its size.
+    pub(crate) fn with_sine(&self) -> Self {
+        const INSIDE: f64 = 0.02;
+        let mut space = self.clone();
+        let mut u = vec![0.0; self.n_free()];
+        self.to_working(&self.x0, &mut u);
+        for (k, u) in u.iter_mut().enumerate() {
+            let (lower, upper) = (self.lower[k], self.upper[k]);
+            let margin = INSIDE * self.width(k).unwrap_or(self.sizes[k]);
+            let inside = u.max(lower + margin).min(upper - margin);
+            let i = self.free[k];
+            if inside != *u {
+                (*u, space.x0[i]) = (
+                    inside,
+                    match self.transforms[k] {
+                        Transform::Linear => inside,
+                        Transform::Log => inside.exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
+                    },
+                );
+            }
+            space.sizes[k] = match (self.width(k), lower.is_finite() || upper.is_finite()) {
+                (Some(width), _) => 2.0 * self.sizes[k] / width,
+                (None, true) => 1.0,
+                (None, false) => self.sizes[k],
+            };
+            space.size_given[k] = true;
+        }
+        space.hyperbola = self.sizes.clone();
+        space.sine = true;
+        space
+    }
+
+    /// The coordinate that an angle stands for.
+    fn fold_sine(&self, k: usize, v: f64) -> f64 {
+        let (lower, upper) = (self.lower[k], self.upper[k]);
+        match (lower.is_finite(), upper.is_finite()) {
+            (true, true) => (lower + 0.5 * (upper - lower) * (1.0 + v.sin())).clamp(lower, upper),
+            (true, false) => lower + self.hyperbola[k] * (v.hypot(1.0) - 1.0),
+            (false, true) => upper - self.hyperbola[k] * (v.hypot(1.0) - 1.0),
+            (false, false) => v,
+        }
+    }
+
+    /// The angle of a coordinate.
+    fn unfold(&self, k: usize, u: f64) -> f64 {
+        let (lower, upper) = (self.lower[k], self.upper[k]);
+        let arc = |distance: f64| ((distance / self.hyperbola[k] + 1.0).powi(2) - 1.0).max(0.0).sqrt();
+        match (lower.is_finite(), upper.is_finite()) {
+            (true, true) => (2.0 * (u - lower) / (upper - lower) - 1.0).clamp(-1.0, 1.0).asin(),
+            (true, false) => arc(u - lower),
+            (false, true) => arc(upper - u),
+            (false, false) => u,
         }
     }
 
@@ -274,6 +348,7 @@ impl Space {
         match handling {
             BoundsHandling::Mirror => fold(u, self.lower[k], self.upper[k], fallback),
             BoundsHandling::Clamp => clamp(u, self.lower[k], self.upper[k], fallback),
+            BoundsHandling::Sine => clamp(u, f64::NEG_INFINITY, f64::INFINITY, fallback),
         }
     }
 }
@@ -315,6 +390,25 @@ mod tests {
         }
         let half_open = Space::new(&[0.3], Bounds::new(&[0.0], &[10.0])?, &[Transform::Log], &[])?;
         assert_eq!((half_open.width(0), half_open.size(0)), (None, 1.0));
+        Ok(())
+    }
+
+    #[test]
+    fn angles_never_leave_the_box_and_come_back() -> Result<(), Error> {
+        let bounds = Bounds::new(&[-1.0, 0.0, -INF, -INF, 1e-3], &[3.0, INF, 2.0, INF, 1e3])?;
+        let log =
+            [Transform::Linear, Transform::Linear, Transform::Linear, Transform::Linear, Transform::Log];
+        let space = Space::new(&[3.0, 0.0, 2.0, 5.0, 1e-3], bounds, &log, &[])?.with_sine();
+        assert!((space.x0()[0] - 2.92).abs() < 1e-12 && space.x0()[1] == 0.02 && space.x0()[3] == 5.0);
+        assert!((space.x0()[2] - 1.96).abs() < 1e-12 && space.x0()[4] > 1.2e-3);
+        let (mut u, mut x) = ([0.0; 5], [0.0; 5]);
+        space.to_working(space.x0(), &mut u);
+        space.to_user(&u, &mut x);
+        assert!(x.iter().zip(space.x0()).all(|(a, b)| (a - b).abs() <= 1e-12 * b.abs()), "{x:?}");
+        for v in [-1e9, -7.0, -1.0, 0.0, 0.5, 1.6, 100.0, 1e9] {
+            space.to_user(&[v; 5], &mut x);
+            assert!(space.bounds().contains(&x), "{v}: {x:?}");
+        }
         Ok(())
     }
 

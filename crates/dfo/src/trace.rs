@@ -52,8 +52,9 @@ impl Trace {
         self.records.push(record);
     }
 
-    pub(crate) fn set_used(&mut self, position: usize) {
-        self.records[position].used = true;
+    /// Marks an evaluation; whether it was not marked before.
+    pub(crate) fn set_used(&mut self, position: usize) -> bool {
+        !std::mem::replace(&mut self.records[position].used, true)
     }
 
     /// Number of evaluations.

@@ -49,6 +49,16 @@ impl SimplexData {
         self.set_cost(slot, Cost::Pending);
     }
 
+    /// The same vertices in the working coordinates of another space.
+    pub(super) fn rewrite(&mut self, space: &Space) {
+        for slot in 0..=self.n {
+            space.to_working(
+                &self.x[slot * self.n_user..][..self.n_user],
+                &mut self.u[slot * self.n..][..self.n],
+            );
+        }
+    }
+
     pub(super) fn set_cost(&mut self, slot: usize, cost: Cost) {
         self.costs[slot] = cost;
         self.values[slot] = cost.value();
@@ -105,16 +115,24 @@ impl SimplexData {
         }
     }
 
-    /// Centroid of all vertices but the worst, failed ones left out; summed from the best on.
+    /// Centroid of all vertices but the worst, failed ones left out. Summed in the order of the slots, so that it can
+    /// be known before the ranks are.
     pub(super) fn centroid(&self, out: &mut [f64]) {
+        self.centroid_without(self.worst(), None, out);
+    }
+
+    /// Centroid of all vertices but one, failed ones left out; as if `replacement` stood in place of the worst.
+    pub(super) fn centroid_without(&self, left_out: usize, replacement: Option<&[f64]>, out: &mut [f64]) {
         out.fill(0.0);
         let mut count = 0.0;
-        for &slot in &self.order[..self.n] {
-            if self.costs[slot].value().is_some() {
+        for slot in (0..=self.n).filter(|s| *s != left_out) {
+            let (u, counts) = match replacement {
+                Some(u) if slot == self.worst() => (u, true),
+                _ => (self.u(slot), self.costs[slot].value().is_some()),
+            };
+            if counts {
                 count += 1.0;
-                for (c, u) in out.iter_mut().zip(self.u(slot)) {
-                    *c += u;
-                }
+                out.iter_mut().zip(u).for_each(|(c, u)| *c += u);
             }
         }
         out.iter_mut().for_each(|c| *c /= count);
@@ -155,6 +173,11 @@ impl SimplexData {
             }
         }
         size
+    }
+
+    /// The same, always in units of the sizes.
+    pub(super) fn relative_size(&self, space: &Space) -> f64 {
+        self.x_size(space, Measure::Relative)
     }
 
     /// Worst minus best cost; `None` while a vertex has none.
