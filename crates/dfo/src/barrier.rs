@@ -138,6 +138,10 @@ impl MethodOptions for Barrier {
         })
     }
 
+    fn describe(&self) -> String {
+        format!("{self:?}")
+    }
+
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<BarrierState, Error> {
         restored(state, |s: &BarrierState| s.is_sound(setup))
     }

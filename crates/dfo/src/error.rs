@@ -99,6 +99,14 @@ pub enum Error {
         /// What it must be.
         range: &'static str,
     },
+    /// There is no method of this name or number.
+    #[error(
+        "there is no method '{name}': known are nelder-mead (1), barrier (2), de, de-classic (3), ga (4)"
+    )]
+    UnknownMethod {
+        /// What was asked for.
+        name: String,
+    },
     /// A method needs a finite range for each parameter.
     #[error("{method} searches a box, but parameter {index} lies in [{lower}, {upper}]")]
     NeedsBox {
@@ -170,6 +178,32 @@ pub enum Error {
         rank: usize,
         /// Free parameters.
         n: usize,
+    },
+    /// A checkpoint cannot be read or written.
+    #[error("checkpoint {path}: {message}")]
+    Checkpoint {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// A checkpoint belongs to another run.
+    #[error("checkpoint {path} belongs to another run: its {what} is {stored}, not {given}")]
+    CheckpointMismatch {
+        /// The file, which is left as it is.
+        path: String,
+        /// What differs.
+        what: String,
+        /// In the file.
+        stored: String,
+        /// In this run.
+        given: String,
+    },
+    /// `tell` was given an id that is not waiting for an answer.
+    #[error("tell called for point {id}, which is not waiting for an answer")]
+    UnknownPoint {
+        /// The id.
+        id: u64,
     },
     /// The saved state of a method cannot be continued.
     #[error("the saved state of the method cannot be continued: {message}")]

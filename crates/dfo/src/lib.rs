@@ -25,8 +25,11 @@
 //!   positive parameters can be searched by their logarithm ([`Transform`]).
 #![forbid(unsafe_code)]
 
+mod any_method;
 mod barrier;
 mod bounds;
+mod cache;
+mod checkpoint;
 mod cost;
 mod differential_evolution;
 mod drive;
@@ -34,11 +37,13 @@ mod error;
 mod evaluate;
 mod executor;
 mod genetic;
+mod ledger;
 mod method;
 mod minimize;
 mod nelder_mead;
 mod objective;
 mod observe;
+mod optimizer;
 mod population;
 mod report;
 mod rng;
@@ -48,8 +53,10 @@ mod scaling;
 mod termination;
 mod trace;
 
+pub use any_method::{AnyMethod, BoxedMethod};
 pub use barrier::{Barrier, BarrierStage, BarrierState};
 pub use bounds::Bounds;
+pub use checkpoint::{Checkpoint, Resume};
 pub use differential_evolution::{
     Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
 };
@@ -64,6 +71,7 @@ pub use objective::{
     WithEvaluation, fallible, residuals, with_evaluation,
 };
 pub use observe::Progress;
+pub use optimizer::{Optimizer, Point};
 pub use report::Report;
 pub use sampling::Sampling;
 pub use scaling::{BoundsHandling, Kind, Space, Transform};

@@ -19,6 +19,7 @@ pub struct Batch {
     first_id: u64,
     points: Vec<f64>,
     cutoffs: Vec<f64>,
+    ids: Vec<u64>,
 }
 
 impl Batch {
@@ -34,18 +35,26 @@ impl Batch {
         self.first_id = first_id;
         self.points.clear();
         self.cutoffs.clear();
+        self.ids.clear();
     }
 
     /// For methods: adds a point (user's units) with its cutoff (`f64::INFINITY` for none).
     pub fn push(&mut self, x: &[f64], cutoff: f64) {
         debug_assert_eq!(x.len(), self.n, "a batch holds points of one length");
+        self.push_with_id(x, cutoff, self.first_id + self.cutoffs.len() as u64);
+    }
+
+    /// The same with a number of its own.
+    pub(crate) fn push_with_id(&mut self, x: &[f64], cutoff: f64, id: u64) {
         self.points.extend_from_slice(x);
         self.cutoffs.push(cutoff);
+        self.ids.push(id);
     }
 
     /// For a method that wraps another: other numbers for the same points.
     pub(crate) fn renumber(&mut self, index: u64, first_id: u64) {
         (self.index, self.first_id) = (index, first_id + self.first_id);
+        self.ids.iter_mut().for_each(|id| *id += first_id);
     }
 
     /// For a method that wraps another: another cutoff for a point.
@@ -75,7 +84,7 @@ impl Batch {
 
     /// Running number of point `k`.
     pub fn id(&self, k: usize) -> u64 {
-        self.first_id + k as u64
+        self.ids[k]
     }
 
     /// Point `k` in the user's units.
@@ -210,6 +219,16 @@ pub trait MethodOptions {
     /// Whether the method needs a start point; one that does not takes the middle of the box where none is given.
     fn needs_start(&self) -> bool {
         true
+    }
+
+    /// The options in words, so that a checkpoint of other options is recognised.
+    fn describe(&self) -> String {
+        String::new()
+    }
+
+    /// Whether the path depends on the limit of evaluations.
+    fn plans_with_budget(&self) -> bool {
+        false
     }
 
     /// Limits for users who set none: evaluations and iterations for `n` free parameters.

@@ -203,6 +203,12 @@ impl Space {
         }
     }
 
+    /// Scales, kinds and sizes in words, for a fingerprint.
+    pub(crate) fn describe(&self) -> String {
+        let Self { free, transforms, kinds, sizes, size_given, .. } = self;
+        format!("{free:?} {transforms:?} {kinds:?} {sizes:?} {size_given:?}")
+    }
+
     /// The same space with another start point inside of the box.
     pub(crate) fn starting_at(&self, x0: &[f64]) -> Self {
         Self { x0: x0.to_vec(), ..self.clone() }

@@ -81,6 +81,14 @@ pub struct Limits {
 }
 
 impl Limits {
+    /// Sets evaluations and iterations where there is no limit of any kind but the target.
+    pub(crate) fn fill(&mut self, (evaluations, iterations): (usize, usize)) {
+        if (self.max_evaluations, self.max_iterations, self.max_time) == (None, None, None) {
+            self.max_evaluations = Some(evaluations);
+            self.max_iterations = Some(iterations);
+        }
+    }
+
     pub(crate) fn check(&self) -> Result<(), Error> {
         if self.max_evaluations == Some(0) {
             return Err(Error::Option { name: "max_evaluations", value: 0.0, range: "at least 1" });

@@ -290,6 +290,14 @@ impl MethodOptions for DifferentialEvolution {
         false
     }
 
+    fn describe(&self) -> String {
+        format!("{self:?}")
+    }
+
+    fn plans_with_budget(&self) -> bool {
+        matches!(self.scheme, Scheme::Adaptive(_)) && self.budget.is_none()
+    }
+
     fn default_limits(&self, n: usize) -> (usize, usize) {
         match self.scheme {
             Scheme::Adaptive(_) => (2000usize.saturating_mul(n + 1), usize::MAX),

@@ -198,6 +198,10 @@ impl MethodOptions for Genetic {
         false
     }
 
+    fn describe(&self) -> String {
+        format!("{self:?}")
+    }
+
     fn default_limits(&self, n: usize) -> (usize, usize) {
         (5000usize.saturating_mul(n + 1), usize::MAX)
     }

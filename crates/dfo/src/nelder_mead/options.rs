@@ -253,6 +253,10 @@ impl MethodOptions for NelderMead {
         Ok(NelderMeadState::new(setup, plan, numbers, self.bounds, simplex, self.restarts))
     }
 
+    fn describe(&self) -> String {
+        format!("{self:?}")
+    }
+
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<NelderMeadState, Error> {
         let (setup, sine) = self.prepared(setup);
         let setup = Setup { space: sine.unwrap_or(setup.space), ..setup };
