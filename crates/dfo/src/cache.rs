@@ -11,6 +11,8 @@ pub(crate) struct Cache {
     known: HashMap<Box<[u64]>, Outcome>,
     /// Keys in the order in which they came.
     order: VecDeque<Box<[u64]>>,
+    /// Keys that stay.
+    pinned: Vec<Box<[u64]>>,
     key: Vec<u64>,
 }
 
@@ -18,15 +20,19 @@ pub(crate) struct Cache {
 #[derive(Clone, Serialize, Deserialize)]
 struct Stored {
     capacity: usize,
+    pinned: Vec<(Vec<u64>, Outcome)>,
     entries: Vec<(Vec<u64>, Outcome)>,
 }
 
 impl From<Stored> for Cache {
     fn from(stored: Stored) -> Self {
         let mut cache = Self::new(stored.capacity);
+        let point = |key: Vec<u64>| -> Vec<f64> { key.into_iter().map(f64::from_bits).collect() };
+        for (key, outcome) in stored.pinned {
+            cache.pin(&point(key), &outcome);
+        }
         for (key, outcome) in stored.entries {
-            let x: Vec<f64> = key.into_iter().map(f64::from_bits).collect();
-            cache.insert(&x, &outcome);
+            cache.insert(&point(key), &outcome);
         }
         cache
     }
@@ -35,7 +41,11 @@ impl From<Stored> for Cache {
 impl From<Cache> for Stored {
     fn from(cache: Cache) -> Self {
         let entry = |k: &[u64]| cache.known.get(k).map(|o| (k.to_vec(), o.clone()));
-        Self { capacity: cache.capacity, entries: cache.order.iter().filter_map(|k| entry(k)).collect() }
+        Self {
+            capacity: cache.capacity,
+            pinned: cache.pinned.iter().filter_map(|k| entry(k)).collect(),
+            entries: cache.order.iter().filter_map(|k| entry(k)).collect(),
+        }
     }
 }
 
@@ -48,9 +58,13 @@ impl Cache {
         self.capacity == 0
     }
 
-    /// Makes room for at least so many.
-    pub(crate) fn reserve(&mut self, capacity: usize) {
-        self.capacity = self.capacity.max(capacity);
+    /// Remembers an evaluation for good, whatever the capacity.
+    pub(crate) fn pin(&mut self, x: &[f64], outcome: &Outcome) {
+        self.key(x);
+        let key: Box<[u64]> = self.key.as_slice().into();
+        if self.known.insert(key.clone(), outcome.clone()).is_none() {
+            self.pinned.push(key);
+        }
     }
 
     fn key(&mut self, x: &[f64]) {
@@ -121,6 +135,11 @@ mod tests {
         assert_eq!(cache.get(&[1.0], f64::INFINITY), Some(&Outcome::Value(7.0)));
         cache.insert(&[2.0], &Outcome::cancelled());
         assert_eq!(cache.get(&[2.0], 1.0), None);
+        let mut pinned = Cache::new(0);
+        pinned.pin(&[5.0], &Outcome::Value(1.0));
+        pinned.insert(&[6.0], &Outcome::Value(2.0));
+        let mut back: Cache = postcard::from_bytes(&postcard::to_allocvec(&pinned).unwrap()).unwrap();
+        assert!(back.get(&[5.0], 1.0).is_some() && back.get(&[6.0], 1.0).is_none() && back.is_off());
         let mut off = Cache::new(0);
         off.insert(&[1.0], &Outcome::Value(1.0));
         assert!(off.is_off() && off.get(&[1.0], 1.0).is_none());

@@ -356,9 +356,8 @@ impl<M: MethodOptions> Minimize<'_, M> {
         };
         let begun = self.method.begin(&setup)?;
         let mut cache = Cache::new(capacity);
-        cache.reserve(if setup.prior.is_empty() { 0 } else { capacity + setup.prior.len() });
         for (x, value) in &setup.prior {
-            cache.insert(x, &Outcome::Value(*value));
+            cache.pin(x, &Outcome::Value(*value));
         }
         let mut desk = Desk::new(Ledger::new(n, self.trace_limit), cache);
         let (mut method, mut observed, mut first_recent, mut before) = (begun, None, 0, 0.0);
