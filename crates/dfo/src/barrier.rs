@@ -159,10 +159,11 @@ fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
             if width.is_finite() { MARGIN * width } else { MARGIN * bound.abs().max(space.size(k)) }
         };
         // A start that is nearer to the bound than the margin may be kept half that near.
-        if lower[i].is_finite() {
+        let (low, high) = space.ends(k);
+        if low.is_finite() {
             lower[i] = (lower[i] + step(lower[i])).min(0.5 * lower[i] + 0.5 * start[i]);
         }
-        if upper[i].is_finite() {
+        if high.is_finite() {
             upper[i] = (upper[i] - step(upper[i])).max(0.5 * upper[i] + 0.5 * start[i]);
         }
     }
@@ -223,7 +224,7 @@ impl BarrierState {
         space.to_working(x, &mut self.working);
         let mut sum = 0.0;
         for (k, u) in self.working.iter().enumerate() {
-            let (lower, upper) = space.working_bounds(k);
+            let (lower, upper) = space.ends(k);
             let size = space.size(k);
             if lower.is_finite() {
                 sum += size / (u - lower);

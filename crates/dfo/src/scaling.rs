@@ -61,7 +61,12 @@ pub struct Space {
     sine: bool,
     /// With it: the sizes of the coordinates themselves, the unit of the hyperbola at a single bound.
     hyperbola: Vec<f64>,
+    /// Whether the user's bounds are finite on both sides (in working coordinates).
+    boxed: Vec<bool>,
 }
+
+/// Logarithms of about the smallest and the largest normal number, with room for rounding.
+const LN_RANGE: (f64, f64) = (-708.0, 709.0);
 
 impl Space {
     /// Checks everything. `transforms` and `sizes` may be empty (all linear, all sizes by default); a size of a
@@ -96,6 +101,7 @@ impl Space {
             size_given: Vec::new(),
             sine: false,
             hyperbola: Vec::new(),
+            boxed: Vec::new(),
         };
         for index in 0..n {
             let transform = transforms.get(index).copied().unwrap_or_default();
@@ -134,6 +140,11 @@ impl Space {
             }
         };
         let width = hi - lo;
+        // An open side of a logarithmic parameter ends where exp(u) leaves the normal numbers.
+        let (lo, hi) = match transform {
+            Transform::Linear => (lo, hi),
+            Transform::Log => (lo.max(LN_RANGE.0).min(value.ln()), hi.min(LN_RANGE.1).max(value.ln())),
+        };
         self.free.push(index);
         self.transforms.push(transform);
         self.kinds.push(Kind::Continuous);
@@ -141,6 +152,7 @@ impl Space {
         self.upper.push(hi);
         self.sizes.push(size.unwrap_or(if width.is_finite() { width } else { default }));
         self.size_given.push(size.is_some());
+        self.boxed.push(width.is_finite());
         Ok(())
     }
 
@@ -193,7 +205,7 @@ impl Space {
     /// # Errors
     /// The first parameter without a finite range (or whose range has no finite width).
     pub fn require_box(&self, method: &'static str) -> Result<(), Error> {
-        let endless = (0..self.n_free()).find(|&k| !(self.upper[k] - self.lower[k]).is_finite());
+        let endless = (0..self.n_free()).find(|&k| self.width(k).is_none_or(|w| !w.is_finite()));
         match endless.map(|k| self.free[k]) {
             Some(index) => {
                 let (lower, upper) = (self.bounds.lower()[index], self.bounds.upper()[index]);
@@ -259,10 +271,9 @@ impl Space {
         self.size_given[k]
     }
 
-    /// Width of the box along working coordinate `k`, if it is finite.
+    /// Width of the box along working coordinate `k`, if the user's bounds make it finite.
     pub fn width(&self, k: usize) -> Option<f64> {
-        let width = self.upper[k] - self.lower[k];
-        width.is_finite().then_some(width)
+        self.boxed[k].then(|| self.upper[k] - self.lower[k])
     }
 
     /// Working coordinates of a point (`x` of length [`n`](Self::n), `u` of length [`n_free`](Self::n_free)).
@@ -301,7 +312,7 @@ impl Space {
         let mut u = vec![0.0; self.n_free()];
         self.to_working(&self.x0, &mut u);
         for (k, u) in u.iter_mut().enumerate() {
-            let (lower, upper) = (self.lower[k], self.upper[k]);
+            let (lower, upper) = self.ends(k);
             let margin = INSIDE * self.width(k).unwrap_or(self.sizes[k]);
             let inside = u.max(lower + margin).min(upper - margin);
             let i = self.free[k];
@@ -326,20 +337,33 @@ impl Space {
         space
     }
 
+    /// The user's bounds in the linear or logarithmic scale of a coordinate; infinite where there is none.
+    pub(crate) fn ends(&self, k: usize) -> (f64, f64) {
+        let i = self.free[k];
+        let (lower, upper) = (self.bounds.lower()[i], self.bounds.upper()[i]);
+        let open = match self.transforms[k] {
+            Transform::Linear => lower.is_infinite(),
+            Transform::Log => lower <= 0.0,
+        };
+        let lower = if open { f64::NEG_INFINITY } else { self.lower[k] };
+        (lower, if upper.is_infinite() { f64::INFINITY } else { self.upper[k] })
+    }
+
     /// The coordinate that an angle stands for.
     fn fold_sine(&self, k: usize, v: f64) -> f64 {
-        let (lower, upper) = (self.lower[k], self.upper[k]);
-        match (lower.is_finite(), upper.is_finite()) {
-            (true, true) => (lower + 0.5 * (upper - lower) * (1.0 + v.sin())).clamp(lower, upper),
+        let (lower, upper) = self.ends(k);
+        let u = match (lower.is_finite(), upper.is_finite()) {
+            (true, true) => lower + 0.5 * (upper - lower) * (1.0 + v.sin()),
             (true, false) => lower + self.hyperbola[k] * (v.hypot(1.0) - 1.0),
             (false, true) => upper - self.hyperbola[k] * (v.hypot(1.0) - 1.0),
             (false, false) => v,
-        }
+        };
+        u.clamp(self.lower[k], self.upper[k])
     }
 
     /// The angle of a coordinate.
     fn unfold(&self, k: usize, u: f64) -> f64 {
-        let (lower, upper) = (self.lower[k], self.upper[k]);
+        let (lower, upper) = self.ends(k);
         let arc = |distance: f64| ((distance / self.hyperbola[k] + 1.0).powi(2) - 1.0).max(0.0).sqrt();
         match (lower.is_finite(), upper.is_finite()) {
             (true, true) => (2.0 * (u - lower) / (upper - lower) - 1.0).clamp(-1.0, 1.0).asin(),

@@ -31,7 +31,8 @@ pub use failure::CallFailure;
 pub use fmu::{Fmu, FmuCache, InstanceOptions, Reuse};
 pub use input::{InputFunction, Inputs};
 pub use instance::{
-    ContinuousTime, EventMode, Initialization, Instance, Instantiated, Phase, Readable, SavedState, Terminated,
+    ContinuousTime, EventMode, Initialization, Instance, Instantiated, Phase, Readable, SavedState,
+    Terminated,
 };
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use ode;

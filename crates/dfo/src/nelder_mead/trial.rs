@@ -84,7 +84,7 @@ impl Frame<'_> {
         let raw = |k: usize| centroid[k] + self.factor * (centroid[k] - self.worst[k]);
         for (k, u) in point.u.iter_mut().enumerate() {
             *u = space.bring_inside(k, raw(k), self.fallback[k], self.handling);
-            if mirrored_onto(*u, raw(k), centroid[k]) {
+            if self.handling == BoundsHandling::Mirror && mirrored_onto(*u, raw(k), centroid[k]) {
                 *u = beside(space, k, raw(k), centroid[k]);
             }
         }
