@@ -50,10 +50,22 @@ pub(super) fn cross(stream: &mut Stream, a: &mut [bool], b: &mut [bool]) {
     }
 }
 
-/// Flips each bit with a probability.
+/// Flips each bit with a probability: by drawing how many bits stay between two that flip, which has the same
+/// distribution as a draw for each and is many times faster at small rates.
 pub(super) fn mutate(stream: &mut Stream, rate: f64, bits: &mut [bool]) {
-    for bit in bits {
-        *bit ^= stream.chance(rate);
+    if rate >= 1.0 {
+        return bits.iter_mut().for_each(|bit| *bit = !*bit);
+    }
+    if rate <= 0.0 {
+        return;
+    }
+    let scale = (-rate).ln_1p();
+    let mut at = 0.0;
+    loop {
+        at += ((1.0 - stream.uniform()).ln() / scale).floor();
+        let Some(bit) = bits.get_mut(at as usize) else { return };
+        *bit = !*bit;
+        at += 1.0;
     }
 }
 
@@ -139,5 +151,15 @@ mod tests {
         assert!((flipped - 1000.0).abs() <= 3.0 * (50_000.0f64 * 0.02 * 0.98).sqrt(), "{flipped}");
         mutate(&mut stream(), 0.0, &mut bits);
         assert_eq!(bits.iter().filter(|b| **b).count() as f64, flipped);
+        mutate(&mut stream(), 1.0, &mut bits);
+        assert_eq!(bits.iter().filter(|b| !**b).count() as f64, flipped);
+        // Every place is as likely as any other.
+        let mut places = [0.0; 5];
+        for i in 0..20_000 {
+            let mut few = [false; 5];
+            mutate(&mut Stream::new(2, Purpose::Individual, 5, i), 0.2, &mut few);
+            (0..5).for_each(|k| places[k] += f64::from(few[k]));
+        }
+        assert!(places.iter().all(|p| (p - 4000.0f64).abs() < 3.0 * 3200f64.sqrt()), "{places:?}");
     }
 }

@@ -130,7 +130,8 @@ impl Coefficients {
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub enum InitialSimplex {
-    /// One step along each free parameter. Its length: a tenth of the width of the box where that is finite, else
+    /// Without any bound, size or logarithm: a regular simplex with edges of `0.3 * max(1, |x0|)` (Euclidean norm). Else
+    /// one step along each free parameter. Its length: a tenth of the width of the box where that is finite, else
     /// `0.3 * size` where the user gave a size, else 0.3 on a logarithmic scale, else `0.3 * max(1, |x0|)` with the
     /// Euclidean norm over the parameters to which this last rule applies.
     #[default]
