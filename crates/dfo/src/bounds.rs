@@ -1,9 +1,10 @@
 //! Boxes: lower and upper bounds, one-sided or none; fixed parameters; folding and clamping into them.
 
 use crate::error::Error;
+use serde::{Deserialize, Serialize};
 
 /// Lower and upper bounds per parameter; infinite where there is none; equal where the parameter is fixed.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     lower: Vec<f64>,
     upper: Vec<f64>,

@@ -1,156 +1,167 @@
 //! The only loop: ask -> evaluate -> tell -> observe -> stop?
 
+use crate::checkpoint::{Lent, Writer};
 use crate::error::Error;
-use crate::evaluate::Gateway;
+use crate::evaluate::{Desk, Gateway, Replay};
 use crate::method::{Batch, Method, Status};
 use crate::observe::Progress;
-use crate::report::Report;
+use crate::report::{self, Report};
 use crate::termination::{Limits, Termination};
 use std::ops::ControlFlow;
 
 pub(crate) type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
-/// Runs a method to its end and reports.
-pub(crate) fn drive<M: Method + ?Sized>(
-    method: &mut M,
-    mut gateway: Gateway<'_>,
-    limits: &Limits,
-    workers: usize,
-    observer: Option<&mut Observer<'_>>,
-) -> Result<Report, Error> {
-    match run(method, &mut gateway, limits, observer)? {
-        None => Err(Error::AllStartsFailed(gateway.nothing_found())),
-        Some(termination) => report(method, gateway, limits, workers, termination),
-    }
+/// A run between two batches.
+pub(crate) struct Drive<'a, M> {
+    pub(crate) method: M,
+    pub(crate) gateway: Gateway<'a>,
+    pub(crate) limits: Limits,
+    pub(crate) workers: usize,
+    pub(crate) writer: Option<Writer>,
+    /// The iteration that the observer saw last, and where the trace stood then.
+    pub(crate) observed: Option<usize>,
+    pub(crate) first_recent: usize,
 }
 
-/// `None`: the method had nothing to start from.
-fn run<M: Method + ?Sized>(
-    method: &mut M,
-    gateway: &mut Gateway<'_>,
-    limits: &Limits,
-    mut observer: Option<&mut Observer<'_>>,
-) -> Result<Option<Termination>, Error> {
-    let mut batch = Batch::new();
-    let mut observed: Option<usize> = None;
-    let mut first_recent = 0;
-    loop {
-        if let Some(termination) = gateway.exhausted() {
+impl<M: Method> Drive<'_, M> {
+    /// Runs the method to its end and reports.
+    pub(crate) fn run(mut self, observer: Option<&mut Observer<'_>>) -> Result<Report, Error> {
+        let termination = self.until_over(observer)?;
+        let seconds = self.gateway.elapsed();
+        let Self { method, gateway, limits, workers, .. } = &mut self;
+        report::conclude(method, &mut gateway.desk.ledger, limits, *workers, termination, seconds)
+    }
+
+    /// `None`: the method had nothing to start from.
+    fn until_over(&mut self, mut observer: Option<&mut Observer<'_>>) -> Result<Option<Termination>, Error> {
+        let mut batch = Batch::new();
+        // A run that was resumed may be over already.
+        if self.observed.is_some()
+            && let Some(termination) = reached(&self.method, &self.gateway.desk, &self.limits)
+        {
             return Ok(Some(termination));
         }
-        method.ask(&mut batch);
-        let stopped = if batch.is_empty() { None } else { gateway.evaluate(&batch) };
-        if !batch.is_empty() {
-            method.tell(gateway.outcomes())?;
-            gateway.settle(&batch, method.used());
+        loop {
+            self.method.ask(&mut batch);
+            // What needs no evaluation needs no budget.
+            if let Some(termination) = self.gateway.exhausted().filter(|_| !batch.is_empty()) {
+                self.save(&[])?;
+                return Ok(Some(termination));
+            }
+            let stopped = if batch.is_empty() { None } else { self.gateway.evaluate(&batch) };
+            if stopped.is_some() && self.writer.is_some() {
+                // The state before this batch, and what is known of the batch.
+                let known = self.gateway.known(&batch);
+                self.save(&known)?;
+            }
+            if !batch.is_empty() {
+                self.gateway.close(&batch);
+                self.method.tell(self.gateway.desk.outcomes())?;
+                self.gateway.desk.ledger.settle(self.method.used());
+            } else if self.method.status() == Status::Running {
+                // What comes next was seen ahead; points of the last batch turn out to be used.
+                self.method.tell(&[])?;
+                self.gateway.desk.ledger.settle(self.method.used());
+            }
+            let broken = self.observe(observer.as_deref_mut());
+            self.gateway.desk.ledger.trim(false);
+            let end = end(&self.method, &self.gateway.desk, &self.limits, stopped.as_ref(), broken);
+            if stopped.is_none() && (end.is_some() || self.writer.as_ref().is_some_and(Writer::is_due)) {
+                self.save(&[])?;
+            }
+            if let Some(end) = end {
+                return Ok(end);
+            }
         }
-        let mut broken = false;
-        let n_iterations = method.n_iterations();
-        if let (Some(operation), Some((x, fun))) = (method.operation(), &gateway.best)
-            && observed.is_none_or(|n| n < n_iterations)
-        {
-            observed = Some(n_iterations);
-            let progress = Progress {
-                n_iterations,
-                n_evaluations: gateway.n_evaluations,
-                n_failed: gateway.n_failed,
-                x,
-                fun: *fun,
-                operation,
-                simplex: method.simplex(),
-                tests: method.tests(),
-                seconds: gateway.elapsed(),
-                trace: &gateway.trace,
-                first_recent,
-            };
-            broken = observer.as_deref_mut().is_some_and(|o| o(&progress).is_break());
-            first_recent = gateway.trace.len();
+    }
+
+    /// Tells the observer of a new iteration; whether it said stop.
+    fn observe(&mut self, observer: Option<&mut Observer<'_>>) -> bool {
+        let Self { method, gateway, .. } = self;
+        let (ledger, n_iterations) = (&gateway.desk.ledger, method.n_iterations());
+        let (Some(operation), Some((x, fun))) = (method.operation(), &ledger.best) else { return false };
+        if self.observed.is_some_and(|n| n >= n_iterations) {
+            return false;
         }
-        // An interrupt outranks a result that came at the same moment; a result outranks a limit.
-        if let Some(hard @ (Termination::Aborted(_) | Termination::Interrupted)) = stopped {
-            return Ok(Some(hard));
-        }
-        if gateway.target_reached() {
-            return Ok(Some(Termination::Target));
-        }
-        match method.status() {
-            Status::Ended(termination) => return Ok(Some(termination)),
-            Status::NoStart => return Ok(None),
-            Status::Running if broken => return Ok(Some(Termination::StoppedByObserver)),
-            Status::Running => {}
-        }
-        if stopped.is_some() {
-            return Ok(stopped);
-        }
-        if observed.is_some() && limits.max_iterations.is_some_and(|m| n_iterations >= m) {
-            return Ok(Some(Termination::MaxIterations));
-        }
+        self.observed = Some(n_iterations);
+        let first_recent = std::mem::replace(&mut self.first_recent, ledger.trace.end());
+        let Some(observer) = observer else { return false };
+        let progress = Progress {
+            n_iterations,
+            n_evaluations: ledger.n_evaluations,
+            n_failed: ledger.n_failed,
+            x,
+            fun: *fun,
+            operation,
+            simplex: method.simplex(),
+            population: method.population(),
+            tests: method.tests(),
+            seconds: gateway.elapsed(),
+            trace: &ledger.trace,
+            first_recent,
+        };
+        observer(&progress).is_break()
+    }
+
+    fn save(&mut self, replay: &[Replay]) -> Result<(), Error> {
+        let Some(writer) = &mut self.writer else { return Ok(()) };
+        let message = "this method cannot be continued";
+        let method = self.method.save().ok_or_else(|| Error::State { message: message.to_owned() })?;
+        let fingerprint = std::mem::take(&mut writer.fingerprint);
+        let desk = &self.gateway.desk;
+        let written = writer.write(&Lent {
+            fingerprint: &fingerprint,
+            method: &method,
+            ledger: &desk.ledger,
+            cache: &desk.cache,
+            stale: desk.stale,
+            replay,
+            observed: self.observed,
+            first_recent: self.first_recent,
+            seconds: self.gateway.elapsed(),
+            seed: self.method.seed(),
+        });
+        writer.fingerprint = fingerprint;
+        written
     }
 }
 
-fn report<M: Method + ?Sized>(
-    method: &M,
-    mut gateway: Gateway<'_>,
-    limits: &Limits,
-    workers: usize,
-    termination: Termination,
-) -> Result<Report, Error> {
-    let seconds = gateway.elapsed();
-    let Some((x, fun)) = gateway.best.take() else {
-        return Err(Error::EndedWithoutPoint { termination, found: gateway.nothing_found() });
-    };
-    Ok(Report {
-        message: message(method, &gateway, limits, &termination, fun, seconds),
-        x,
-        fun,
-        n_evaluations: gateway.n_evaluations,
-        n_iterations: method.n_iterations(),
-        n_batches: gateway.n_batches,
-        n_failed: gateway.n_failed,
-        n_speculative: gateway.n_speculative(),
-        termination,
-        tests: method.tests(),
-        failures: gateway.failures(),
-        trace: std::mem::take(&mut gateway.trace),
-        final_simplex: method.simplex().map(|s| s.to_owned()),
-        method: method.name(),
-        batch: method.plan(),
-        workers,
-        seconds,
-    })
+/// Limits that hold between two batches, besides those of the gateway.
+fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limits) -> Option<Termination> {
+    if desk.target_reached(limits) {
+        return Some(Termination::Target);
+    }
+    let iterations = limits.max_iterations.is_some_and(|m| method.n_iterations() >= m);
+    let over = iterations && method.operation().is_some() && method.status() == Status::Running;
+    over.then_some(Termination::MaxIterations)
 }
 
-fn message<M: Method + ?Sized>(
+/// Whether a run is over after a batch, and why; `Some(None)`: the method had nothing to start from.
+pub(crate) fn end<M: Method + ?Sized>(
     method: &M,
-    gateway: &Gateway<'_>,
+    desk: &Desk,
     limits: &Limits,
-    termination: &Termination,
-    fun: f64,
-    seconds: f64,
-) -> String {
-    let tests = method.tests().map_or_else(String::new, |t| t.to_string());
-    let with_tests = |text: String| if tests.is_empty() { text } else { format!("{text}; {tests}") };
-    match termination {
-        Termination::Converged => format!("converged; {tests}"),
-        Termination::Target => {
-            format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
-        }
-        Termination::Collapsed => {
-            with_tests("the search has no extent left that floating-point numbers resolve".to_owned())
-        }
-        Termination::AllFixed => "all parameters are fixed: their one point was evaluated".to_owned(),
-        Termination::MaxEvaluations => {
-            with_tests(format!("stopped at the limit of {} evaluations", gateway.n_evaluations))
-        }
-        Termination::MaxIterations => {
-            with_tests(format!("stopped at the limit of {} iterations", method.n_iterations()))
-        }
-        Termination::MaxTime => {
-            let limit = limits.max_time.map_or(seconds, |t| t.as_secs_f64());
-            with_tests(format!("stopped at the time limit of {limit} s"))
-        }
-        Termination::StoppedByObserver => with_tests("stopped by the observer".to_owned()),
-        Termination::Interrupted => with_tests("interrupted".to_owned()),
-        Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
+    stopped: Option<&Termination>,
+    broken: bool,
+) -> Option<Option<Termination>> {
+    // An interrupt outranks a result that came at the same moment; a result outranks a limit.
+    if let Some(hard @ (Termination::Aborted(_) | Termination::Interrupted)) = stopped {
+        return Some(Some(hard.clone()));
     }
+    if desk.target_reached(limits) {
+        return Some(Some(Termination::Target));
+    }
+    match method.status() {
+        Status::Ended(termination) => return Some(Some(termination)),
+        Status::NoStart => return Some(None),
+        Status::Running if broken => return Some(Some(Termination::StoppedByObserver)),
+        Status::Running => {}
+    }
+    if let Some(stopped) = stopped {
+        return Some(Some(stopped.clone()));
+    }
+    if desk.is_stale() {
+        return Some(Some(Termination::Stalled));
+    }
+    reached(method, desk, limits).map(Some)
 }

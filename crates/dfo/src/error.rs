@@ -99,6 +99,54 @@ pub enum Error {
         /// What it must be.
         range: &'static str,
     },
+    /// There is no method of this name or number.
+    #[error(
+        "there is no method '{name}': known are nelder-mead (1), barrier (2), de, de-classic (3), ga (4)"
+    )]
+    UnknownMethod {
+        /// What was asked for.
+        name: String,
+    },
+    /// A method needs a finite range for each parameter.
+    #[error("{method} searches a box, but parameter {index} lies in [{lower}, {upper}]")]
+    NeedsBox {
+        /// The method.
+        method: &'static str,
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Lower bound.
+        lower: f64,
+        /// Upper bound.
+        upper: f64,
+    },
+    /// A barrier needs a start strictly inside of the bounds.
+    #[error(
+        "start value {value} of parameter {index} must lie strictly between its bounds {lower} and {upper}"
+    )]
+    StartNotInterior {
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Its start value.
+        value: f64,
+        /// Lower bound.
+        lower: f64,
+        /// Upper bound.
+        upper: f64,
+    },
+    /// A method is for bounded parameters, and there is no bound.
+    #[error("{method} needs at least one bound")]
+    NoBounds {
+        /// The method.
+        method: &'static str,
+    },
+    /// A method cannot search over a discrete parameter.
+    #[error("{method} cannot search over parameter {index}, which is discrete (of its kind)")]
+    NotContinuous {
+        /// The method.
+        method: &'static str,
+        /// Parameter, counted from 0.
+        index: usize,
+    },
     /// An initial simplex does not have one vertex more than there are free parameters.
     #[error("the initial simplex has {got} vertices; {expected} are needed (free parameters + 1)")]
     SimplexSize {
@@ -130,6 +178,38 @@ pub enum Error {
         rank: usize,
         /// Free parameters.
         n: usize,
+    },
+    /// A checkpoint cannot be read or written.
+    #[error("checkpoint {path}: {message}")]
+    Checkpoint {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// A checkpoint belongs to another run.
+    #[error("checkpoint {path} belongs to another run: its {what} is {stored}, not {given}")]
+    CheckpointMismatch {
+        /// The file, which is left as it is.
+        path: String,
+        /// What differs.
+        what: String,
+        /// In the file.
+        stored: String,
+        /// In this run.
+        given: String,
+    },
+    /// `tell` was given an id that is not waiting for an answer.
+    #[error("tell called for point {id}, which is not waiting for an answer")]
+    UnknownPoint {
+        /// The id.
+        id: u64,
+    },
+    /// The saved state of a method cannot be continued.
+    #[error("the saved state of the method cannot be continued: {message}")]
+    State {
+        /// Why not.
+        message: String,
     },
     /// `tell` was called although no batch was asked for.
     #[error("tell called, but no batch is waiting for an answer: ask first")]

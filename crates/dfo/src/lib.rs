@@ -25,24 +25,44 @@
 //!   positive parameters can be searched by their logarithm ([`Transform`]).
 #![forbid(unsafe_code)]
 
+mod any_method;
+mod barrier;
 mod bounds;
+mod cache;
+mod checkpoint;
+mod cost;
+mod differential_evolution;
 mod drive;
 mod error;
 mod evaluate;
 mod executor;
+mod genetic;
+mod ledger;
 mod method;
 mod minimize;
 mod nelder_mead;
 mod objective;
 mod observe;
+mod optimizer;
+mod population;
 mod report;
+mod rng;
+mod rounds;
+mod sampling;
 mod scaling;
 mod termination;
 mod trace;
 
+pub use any_method::{AnyMethod, BoxedMethod};
+pub use barrier::{Barrier, BarrierStage, BarrierState};
 pub use bounds::Bounds;
+pub use checkpoint::{Checkpoint, Resume};
+pub use differential_evolution::{
+    Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
+};
 pub use error::{Error, NothingFound};
 pub use executor::{BatchView, WorkerPool};
+pub use genetic::{Genetic, GeneticState, Selection};
 pub use method::{Batch, Method, MethodOptions, Operation, Setup, Simplex, SimplexView, Status};
 pub use minimize::{Minimize, minimize, minimize_batches};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
@@ -51,7 +71,9 @@ pub use objective::{
     WithEvaluation, fallible, residuals, with_evaluation,
 };
 pub use observe::Progress;
+pub use optimizer::{Optimizer, Point};
 pub use report::Report;
-pub use scaling::{BoundsHandling, Space, Transform};
-pub use termination::{Limits, Measure, Stop, Termination, Tests, Tolerances};
+pub use sampling::Sampling;
+pub use scaling::{BoundsHandling, Kind, Space, Transform};
+pub use termination::{Extent, Limits, Measure, Stop, Termination, Tests, Tolerances};
 pub use trace::{Trace, TraceEntry};

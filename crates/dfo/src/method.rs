@@ -1,21 +1,25 @@
 //! Ask / tell: a method proposes a batch of points, is told their outcomes in request order, and never calls the
 //! objective.
 
+use crate::barrier::BarrierStage;
 use crate::error::Error;
 use crate::objective::{Evaluation, Outcome};
 use crate::scaling::Space;
 use crate::termination::{Termination, Tests, Tolerances};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// The points that a method wants evaluated next, with their ids and cutoffs. Reuse one over a whole run: after the
 /// first rounds asking allocates nothing.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Batch {
     n: usize,
     index: u64,
     first_id: u64,
     points: Vec<f64>,
     cutoffs: Vec<f64>,
+    ids: Vec<u64>,
 }
 
 impl Batch {
@@ -31,13 +35,31 @@ impl Batch {
         self.first_id = first_id;
         self.points.clear();
         self.cutoffs.clear();
+        self.ids.clear();
     }
 
     /// For methods: adds a point (user's units) with its cutoff (`f64::INFINITY` for none).
     pub fn push(&mut self, x: &[f64], cutoff: f64) {
         debug_assert_eq!(x.len(), self.n, "a batch holds points of one length");
+        self.push_with_id(x, cutoff, self.first_id + self.cutoffs.len() as u64);
+    }
+
+    /// The same with a number of its own.
+    pub(crate) fn push_with_id(&mut self, x: &[f64], cutoff: f64, id: u64) {
         self.points.extend_from_slice(x);
         self.cutoffs.push(cutoff);
+        self.ids.push(id);
+    }
+
+    /// For a method that wraps another: other numbers for the same points.
+    pub(crate) fn renumber(&mut self, index: u64, first_id: u64) {
+        (self.index, self.first_id) = (index, first_id + self.first_id);
+        self.ids.iter_mut().for_each(|id| *id += first_id);
+    }
+
+    /// For a method that wraps another: another cutoff for a point.
+    pub(crate) fn set_cutoff(&mut self, k: usize, cutoff: f64) {
+        self.cutoffs[k] = cutoff;
     }
 
     /// Number of points.
@@ -62,7 +84,7 @@ impl Batch {
 
     /// Running number of point `k`.
     pub fn id(&self, k: usize) -> u64 {
-        self.first_id + k as u64
+        self.ids[k]
     }
 
     /// Point `k` in the user's units.
@@ -92,7 +114,7 @@ impl Batch {
 }
 
 /// What one iteration of a method did.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Operation {
     /// The starting points were evaluated.
@@ -107,6 +129,10 @@ pub enum Operation {
     InsideContraction,
     /// The simplex was shrunk towards its best vertex.
     Shrink,
+    /// A new simplex was built around the best vertex of one that had become flat.
+    Restart,
+    /// A generation was evaluated and selected from.
+    Generation,
 }
 
 impl fmt::Display for Operation {
@@ -118,6 +144,8 @@ impl fmt::Display for Operation {
             Self::OutsideContraction => "outside contraction",
             Self::InsideContraction => "inside contraction",
             Self::Shrink => "shrink",
+            Self::Restart => "restart",
+            Self::Generation => "generation",
         })
     }
 }
@@ -135,7 +163,7 @@ pub enum Status {
 }
 
 /// What a method is given to start from.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
     /// Start point, box, scales.
     pub space: Space,
@@ -143,12 +171,28 @@ pub struct Setup {
     pub tolerances: Tolerances,
     /// How many evaluations can run at once. May decide between plans with the same path, never change the path.
     pub workers: usize,
+    /// Seed of what is random; `None`: a method that needs one draws it and says it ([`Method::seed`]).
+    pub seed: Option<u64>,
+    /// The budget, for methods that plan ahead with it.
+    pub max_evaluations: Option<usize>,
+    /// Whether the start point of the space is the user's; else it is only the middle of the box.
+    pub start_given: bool,
+    /// Points with known costs from an earlier run, best first; all lie in the box.
+    pub prior: Vec<(Vec<f64>, f64)>,
 }
 
 impl Setup {
     /// Default tolerances, one worker.
     pub fn new(space: Space) -> Self {
-        Self { space, tolerances: Tolerances::default(), workers: 1 }
+        Self {
+            space,
+            tolerances: Tolerances::default(),
+            workers: 1,
+            seed: None,
+            max_evaluations: None,
+            start_given: true,
+            prior: Vec::new(),
+        }
     }
 }
 
@@ -162,6 +206,41 @@ pub trait MethodOptions {
     /// # Errors
     /// Options that do not fit, with index and value.
     fn begin(&self, setup: &Setup) -> Result<Self::Method, Error>;
+
+    /// Continues from a state that [`Method::save`] gave.
+    ///
+    /// # Errors
+    /// A state of another method or another problem, or one that was damaged; a method that cannot be continued.
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<Self::Method, Error> {
+        let _ = (setup, state);
+        Err(Error::State { message: "this method cannot be continued".to_owned() })
+    }
+
+    /// Whether the method needs a start point; one that does not takes the middle of the box where none is given.
+    fn needs_start(&self) -> bool {
+        true
+    }
+
+    /// The options in words, so that a checkpoint of other options is recognised.
+    fn describe(&self) -> String {
+        String::new()
+    }
+
+    /// Whether the path depends on the limit of evaluations.
+    fn plans_with_budget(&self) -> bool {
+        false
+    }
+
+    /// Limits for users who set none: evaluations and iterations for `n` free parameters.
+    fn default_limits(&self, n: usize) -> (usize, usize) {
+        (5000usize.saturating_mul(n + 1), 1000usize.saturating_mul(n + 1))
+    }
+
+    /// How many evaluations to remember by default, so that exact repeats cost nothing; 0 for methods that repeat
+    /// themselves rarely.
+    fn default_cache(&self) -> usize {
+        0
+    }
 }
 
 /// A method of optimisation as a state machine without input or output.
@@ -173,6 +252,9 @@ pub trait Method {
 
     /// Fills `batch` with the points to evaluate next; leaves it empty when the method has ended. Asking twice
     /// without telling gives the same batch.
+    ///
+    /// A method that looks ahead ([`BatchPlan::TwoAhead`](crate::BatchPlan::TwoAhead)) may leave the batch empty while
+    /// it is still running: then everything it needs next is known already, and it is told nothing (`&[]`).
     fn ask(&mut self, batch: &mut Batch);
 
     /// Takes the outcomes of the batch last asked, in request order. Points that were not evaluated
@@ -183,8 +265,8 @@ pub trait Method {
     /// Nothing was asked, or there are more outcomes than points.
     fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error>;
 
-    /// For each point of the batch last told: whether the path of the method went through it. False for
-    /// speculative points that were not needed.
+    /// For each point of the last batch that had any: whether the path of the method went through it. False for
+    /// speculative points that were not needed (yet: telling nothing after an empty batch may turn some to true).
     fn used(&self) -> &[bool];
 
     /// Where the method stands.
@@ -211,6 +293,27 @@ pub trait Method {
     fn simplex(&self) -> Option<SimplexView<'_>> {
         None
     }
+
+    /// The population, for methods that have one.
+    fn population(&self) -> Option<SimplexView<'_>> {
+        None
+    }
+
+    /// The stages of a sequential barrier search, complete ones only.
+    fn schedule(&self) -> &[BarrierStage] {
+        &[]
+    }
+
+    /// The whole state, for [`MethodOptions::restore`]; `None` for methods that cannot be continued. May be called
+    /// at any time; a state saved between ask and tell asks for the same batch again.
+    fn save(&self) -> Option<Vec<u8>> {
+        None
+    }
+
+    /// The seed in use, for methods that draw random numbers.
+    fn seed(&self) -> Option<u64> {
+        None
+    }
 }
 
 /// A simplex as it stands, best vertex first.
@@ -220,6 +323,21 @@ pub struct SimplexView<'a> {
     pub(crate) x: &'a [f64],
     pub(crate) costs: &'a [Option<f64>],
     pub(crate) order: &'a [usize],
+}
+
+/// A state as bytes.
+pub(crate) fn saved<S: Serialize>(state: &S) -> Option<Vec<u8>> {
+    postcard::to_allocvec(state).ok()
+}
+
+/// A state from bytes, if it is `sound`.
+pub(crate) fn restored<S: DeserializeOwned>(state: &[u8], sound: impl Fn(&S) -> bool) -> Result<S, Error> {
+    let state: S = postcard::from_bytes(state).map_err(|e| Error::State { message: e.to_string() })?;
+    if sound(&state) {
+        Ok(state)
+    } else {
+        Err(Error::State { message: "its parts do not fit together".to_owned() })
+    }
 }
 
 impl<'a> SimplexView<'a> {
@@ -253,8 +371,8 @@ impl<'a> SimplexView<'a> {
     }
 }
 
-/// A simplex, best vertex first.
-#[derive(Debug, Clone, PartialEq)]
+/// A simplex or a population, best first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Simplex {
     /// The vertices in the user's units.
     pub vertices: Vec<Vec<f64>>,

@@ -1,12 +1,13 @@
 //! The objective: one point goes in, a cost, "above the cutoff", or "failed: why" comes out.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// What became of one evaluation.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Outcome {
     /// The cost. NaN and infinities become [`Failed`](Self::Failed) in the gateway.
     Value(f64),
@@ -66,7 +67,7 @@ impl Outcome {
 }
 
 /// A failed evaluation: of which kind, and why.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Failure {
     /// Of which kind.
     pub kind: FailureKind,
@@ -81,7 +82,7 @@ impl fmt::Display for Failure {
 }
 
 /// The kinds of failure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum FailureKind {
     /// The cost was NaN or infinite.

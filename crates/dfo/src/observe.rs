@@ -21,6 +21,8 @@ pub struct Progress<'a> {
     pub operation: Operation,
     /// The simplex, for methods that have one.
     pub simplex: Option<SimplexView<'a>>,
+    /// The population, for methods that have one.
+    pub population: Option<SimplexView<'a>>,
     /// The tolerance tests; `None` before the first iteration.
     pub tests: Option<Tests>,
     /// Seconds since the start.

@@ -1,7 +1,10 @@
 //! The result of a run: the best point, what it cost, and why the run ended.
 
-use crate::method::Simplex;
-use crate::termination::{Termination, Tests};
+use crate::barrier::BarrierStage;
+use crate::error::Error;
+use crate::ledger::Ledger;
+use crate::method::{Method, Simplex};
+use crate::termination::{Limits, Termination, Tests};
 use crate::trace::Trace;
 use std::fmt;
 
@@ -21,6 +24,8 @@ pub struct Report {
     pub n_batches: usize,
     /// Failed evaluations.
     pub n_failed: usize,
+    /// Answers that needed no evaluation, because the point was known already.
+    pub n_cached: usize,
     /// Evaluations made ahead that turned out not to be needed.
     pub n_speculative: usize,
     /// Why the run ended.
@@ -41,6 +46,12 @@ pub struct Report {
     pub batch: &'static str,
     /// Evaluations that could run at once.
     pub workers: usize,
+    /// The stages of a sequential barrier search: barrier parameter, barrier, point and cost of each.
+    pub schedule: Vec<BarrierStage>,
+    /// The population at the end, for methods that have one.
+    pub final_population: Option<Simplex>,
+    /// The seed of the random numbers, for methods that draw them: the one given, or the one drawn.
+    pub seed: Option<u64>,
     /// Wall-clock seconds.
     pub seconds: f64,
 }
@@ -64,5 +75,82 @@ impl fmt::Display for Report {
             writeln!(f, "    {count} x {reason}")?;
         }
         write!(f, "  time         {:.3} s, workers {}, batch plan {}", self.seconds, self.workers, self.batch)
+    }
+}
+
+/// The result of a method and a ledger; the trace moves into it. No termination: nothing to start from.
+pub(crate) fn conclude<M: Method + ?Sized>(
+    method: &M,
+    ledger: &mut Ledger,
+    limits: &Limits,
+    workers: usize,
+    termination: Option<Termination>,
+    seconds: f64,
+) -> Result<Report, Error> {
+    ledger.trim(true);
+    let Some(termination) = termination else {
+        return Err(Error::AllStartsFailed(ledger.nothing_found()));
+    };
+    let Some((x, fun)) = ledger.best.clone() else {
+        return Err(Error::EndedWithoutPoint { termination, found: ledger.nothing_found() });
+    };
+    Ok(Report {
+        message: message(method, ledger, limits, &termination, fun, seconds),
+        x,
+        fun,
+        n_evaluations: ledger.n_evaluations,
+        n_iterations: method.n_iterations(),
+        n_batches: ledger.n_batches,
+        n_failed: ledger.n_failed,
+        n_cached: ledger.n_cached,
+        n_speculative: ledger.n_speculative(),
+        termination,
+        tests: method.tests(),
+        failures: ledger.failures(),
+        trace: std::mem::take(&mut ledger.trace),
+        final_simplex: method.simplex().map(|s| s.to_owned()),
+        final_population: method.population().map(|s| s.to_owned()),
+        schedule: method.schedule().to_vec(),
+        seed: method.seed(),
+        method: method.name(),
+        batch: method.plan(),
+        workers,
+        seconds,
+    })
+}
+
+fn message<M: Method + ?Sized>(
+    method: &M,
+    ledger: &Ledger,
+    limits: &Limits,
+    termination: &Termination,
+    fun: f64,
+    seconds: f64,
+) -> String {
+    let tests = method.tests().map_or_else(String::new, |t| t.to_string());
+    let with_tests = |text: String| if tests.is_empty() { text } else { format!("{text}; {tests}") };
+    match termination {
+        Termination::Converged => format!("converged; {tests}"),
+        Termination::Target => {
+            format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
+        }
+        Termination::Collapsed => {
+            with_tests("the search has no extent left that floating-point numbers resolve".to_owned())
+        }
+        Termination::Stalled => with_tests("nothing new was found for long".to_owned()),
+        Termination::AllFixed => "all parameters are fixed: their one point was evaluated".to_owned(),
+        Termination::MaxEvaluations => {
+            with_tests(format!("stopped at the limit of {} evaluations", ledger.n_evaluations))
+        }
+        Termination::MaxIterations => {
+            with_tests(format!("stopped at the limit of {} iterations", method.n_iterations()))
+        }
+        Termination::MaxTime => {
+            let limit = limits.max_time.map_or(seconds, |t| t.as_secs_f64());
+            with_tests(format!("stopped at the time limit of {limit} s"))
+        }
+        Termination::StoppedByObserver => with_tests("stopped by the observer".to_owned()),
+        Termination::Interrupted => with_tests("interrupted".to_owned()),
+        Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
     }
 }

@@ -7,9 +7,10 @@
 
 use crate::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
+use serde::{Deserialize, Serialize};
 
 /// The scale on which a parameter is searched.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 pub enum Transform {
     /// As it is.
     #[default]
@@ -18,8 +19,20 @@ pub enum Transform {
     Log,
 }
 
+/// What values a parameter takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+pub enum Kind {
+    /// Any in its bounds.
+    #[default]
+    Continuous,
+    /// Whole numbers.
+    Integer,
+    /// Whole numbers that stand for choices: 3 is no closer to 2 than to 7.
+    Categorical,
+}
+
 /// How points outside of the box are brought back.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum BoundsHandling {
     /// Mirrored at the bound, repeatedly if need be.
@@ -27,19 +40,27 @@ pub enum BoundsHandling {
     Mirror,
     /// Set onto the bound.
     Clamp,
+    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds (over a
+    /// hyperbola for one bound). A start on a bound, where the sine has no slope, is drawn inside by 2 % of the range.
+    Sine,
 }
 
 /// A checked start point with its box, scales and sizes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Space {
     x0: Vec<f64>,
     bounds: Bounds,
     free: Vec<usize>,
     transforms: Vec<Transform>,
+    kinds: Vec<Kind>,
     lower: Vec<f64>,
     upper: Vec<f64>,
     sizes: Vec<f64>,
     size_given: Vec<bool>,
+    /// Whether working coordinates are angles and the like, see [`BoundsHandling::Sine`].
+    sine: bool,
+    /// With it: the sizes of the coordinates themselves, the unit of the hyperbola at a single bound.
+    hyperbola: Vec<f64>,
     /// Whether the user's bounds are finite on both sides (in working coordinates).
     boxed: Vec<bool>,
 }
@@ -73,10 +94,13 @@ impl Space {
             bounds,
             free: Vec::new(),
             transforms: Vec::new(),
+            kinds: Vec::new(),
             lower: Vec::new(),
             upper: Vec::new(),
             sizes: Vec::new(),
             size_given: Vec::new(),
+            sine: false,
+            hyperbola: Vec::new(),
             boxed: Vec::new(),
         };
         for index in 0..n {
@@ -123,12 +147,83 @@ impl Space {
         };
         self.free.push(index);
         self.transforms.push(transform);
+        self.kinds.push(Kind::Continuous);
         self.lower.push(lo);
         self.upper.push(hi);
         self.sizes.push(size.unwrap_or(if width.is_finite() { width } else { default }));
         self.size_given.push(size.is_some());
         self.boxed.push(width.is_finite());
         Ok(())
+    }
+
+    /// Makes parameters discrete, one kind per parameter. Working coordinates of discrete parameters stay real;
+    /// [`to_user`](Self::to_user) rounds, and a linear range reaches half a unit beyond its ends, so that each whole
+    /// number has the same share of it.
+    ///
+    /// # Errors
+    /// Another number of kinds than parameters; a discrete parameter whose start value is not whole.
+    pub fn with_kinds(mut self, kinds: &[Kind]) -> Result<Self, Error> {
+        if kinds.len() != self.n() {
+            return Err(Error::Length { what: "kinds", expected: self.n(), got: kinds.len() });
+        }
+        for (k, &index) in self.free.iter().enumerate() {
+            self.kinds[k] = kinds[index];
+            let value = self.x0[index];
+            if kinds[index] == Kind::Continuous {
+                continue;
+            }
+            if value != value.round() {
+                let range = "a whole number, for the parameter is discrete";
+                return Err(Error::ParameterOption { name: "start value", index, value, range });
+            }
+            if self.transforms[k] == Transform::Linear {
+                self.lower[k] = self.lower[k].ceil() - 0.5;
+                self.upper[k] = self.upper[k].floor() + 0.5;
+            }
+        }
+        Ok(self)
+    }
+
+    /// Kind of free parameter `k`.
+    pub fn kind(&self, k: usize) -> Kind {
+        self.kinds[k]
+    }
+
+    /// For methods that need continuous parameters.
+    ///
+    /// # Errors
+    /// The first parameter that is not.
+    pub fn require_continuous(&self, method: &'static str) -> Result<(), Error> {
+        match self.kinds.iter().position(|k| *k != Kind::Continuous) {
+            Some(k) => Err(Error::NotContinuous { method, index: self.free[k] }),
+            None => Ok(()),
+        }
+    }
+
+    /// For methods that search a box.
+    ///
+    /// # Errors
+    /// The first parameter without a finite range (or whose range has no finite width).
+    pub fn require_box(&self, method: &'static str) -> Result<(), Error> {
+        let endless = (0..self.n_free()).find(|&k| self.width(k).is_none_or(|w| !w.is_finite()));
+        match endless.map(|k| self.free[k]) {
+            Some(index) => {
+                let (lower, upper) = (self.bounds.lower()[index], self.bounds.upper()[index]);
+                Err(Error::NeedsBox { method, index, lower, upper })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Scales, kinds and sizes in words, for a fingerprint.
+    pub(crate) fn describe(&self) -> String {
+        let Self { free, transforms, kinds, sizes, size_given, .. } = self;
+        format!("{free:?} {transforms:?} {kinds:?} {sizes:?} {size_given:?}")
+    }
+
+    /// The same space with another start point inside of the box.
+    pub(crate) fn starting_at(&self, x0: &[f64]) -> Self {
+        Self { x0: x0.to_vec(), ..self.clone() }
     }
 
     /// Number of parameters, the fixed ones included.
@@ -163,7 +258,7 @@ impl Space {
 
     /// Bounds of working coordinate `k`.
     pub fn working_bounds(&self, k: usize) -> (f64, f64) {
-        (self.lower[k], self.upper[k])
+        if self.sine { (f64::NEG_INFINITY, f64::INFINITY) } else { (self.lower[k], self.upper[k]) }
     }
 
     /// Typical size of working coordinate `k`: the unit of a relative `x_tol`.
@@ -188,6 +283,9 @@ impl Space {
                 Transform::Linear => x[i],
                 Transform::Log => x[i].ln().clamp(self.lower[k], self.upper[k]),
             };
+            if self.sine {
+                u[k] = self.unfold(k, u[k]);
+            }
         }
     }
 
@@ -195,10 +293,83 @@ impl Space {
     pub fn to_user(&self, u: &[f64], x: &mut [f64]) {
         x.copy_from_slice(&self.x0);
         for (k, &i) in self.free.iter().enumerate() {
+            let u = if self.sine { self.fold_sine(k, u[k]) } else { u[k] };
             x[i] = match self.transforms[k] {
-                Transform::Linear => u[k],
-                Transform::Log => u[k].exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
+                Transform::Linear => u,
+                Transform::Log => u.exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
             };
+            if self.kinds[k] != Kind::Continuous {
+                x[i] = x[i].round().clamp(self.bounds.lower()[i].ceil(), self.bounds.upper()[i].floor());
+            }
+        }
+    }
+
+    /// The same problem over angles, and the start point drawn inside. Working coordinates of this space have no
+    /// bounds; their sizes are such that a distance in them is at least that of the point, in units of its size.
+    pub(crate) fn with_sine(&self) -> Self {
+        const INSIDE: f64 = 0.02;
+        let mut space = self.clone();
+        let mut u = vec![0.0; self.n_free()];
+        self.to_working(&self.x0, &mut u);
+        for (k, u) in u.iter_mut().enumerate() {
+            let (lower, upper) = self.ends(k);
+            let margin = INSIDE * self.width(k).unwrap_or(self.sizes[k]);
+            let inside = u.max(lower + margin).min(upper - margin);
+            let i = self.free[k];
+            if inside != *u {
+                (*u, space.x0[i]) = (
+                    inside,
+                    match self.transforms[k] {
+                        Transform::Linear => inside,
+                        Transform::Log => inside.exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
+                    },
+                );
+            }
+            space.sizes[k] = match (self.width(k), lower.is_finite() || upper.is_finite()) {
+                (Some(width), _) => 2.0 * self.sizes[k] / width,
+                (None, true) => 1.0,
+                (None, false) => self.sizes[k],
+            };
+            space.size_given[k] = true;
+        }
+        space.hyperbola = self.sizes.clone();
+        space.sine = true;
+        space
+    }
+
+    /// The user's bounds in the linear or logarithmic scale of a coordinate; infinite where there is none.
+    pub(crate) fn ends(&self, k: usize) -> (f64, f64) {
+        let i = self.free[k];
+        let (lower, upper) = (self.bounds.lower()[i], self.bounds.upper()[i]);
+        let open = match self.transforms[k] {
+            Transform::Linear => lower.is_infinite(),
+            Transform::Log => lower <= 0.0,
+        };
+        let lower = if open { f64::NEG_INFINITY } else { self.lower[k] };
+        (lower, if upper.is_infinite() { f64::INFINITY } else { self.upper[k] })
+    }
+
+    /// The coordinate that an angle stands for.
+    fn fold_sine(&self, k: usize, v: f64) -> f64 {
+        let (lower, upper) = self.ends(k);
+        let u = match (lower.is_finite(), upper.is_finite()) {
+            (true, true) => lower + 0.5 * (upper - lower) * (1.0 + v.sin()),
+            (true, false) => lower + self.hyperbola[k] * (v.hypot(1.0) - 1.0),
+            (false, true) => upper - self.hyperbola[k] * (v.hypot(1.0) - 1.0),
+            (false, false) => v,
+        };
+        u.clamp(self.lower[k], self.upper[k])
+    }
+
+    /// The angle of a coordinate.
+    fn unfold(&self, k: usize, u: f64) -> f64 {
+        let (lower, upper) = self.ends(k);
+        let arc = |distance: f64| ((distance / self.hyperbola[k] + 1.0).powi(2) - 1.0).max(0.0).sqrt();
+        match (lower.is_finite(), upper.is_finite()) {
+            (true, true) => (2.0 * (u - lower) / (upper - lower) - 1.0).clamp(-1.0, 1.0).asin(),
+            (true, false) => arc(u - lower),
+            (false, true) => arc(upper - u),
+            (false, false) => u,
         }
     }
 
@@ -207,6 +378,7 @@ impl Space {
         match handling {
             BoundsHandling::Mirror => fold(u, self.lower[k], self.upper[k], fallback),
             BoundsHandling::Clamp => clamp(u, self.lower[k], self.upper[k], fallback),
+            BoundsHandling::Sine => clamp(u, f64::NEG_INFINITY, f64::INFINITY, fallback),
         }
     }
 }
@@ -248,6 +420,48 @@ mod tests {
         }
         let half_open = Space::new(&[0.3], Bounds::new(&[0.0], &[10.0])?, &[Transform::Log], &[])?;
         assert_eq!((half_open.width(0), half_open.size(0)), (None, 1.0));
+        Ok(())
+    }
+
+    #[test]
+    fn angles_never_leave_the_box_and_come_back() -> Result<(), Error> {
+        let bounds = Bounds::new(&[-1.0, 0.0, -INF, -INF, 1e-3], &[3.0, INF, 2.0, INF, 1e3])?;
+        let log =
+            [Transform::Linear, Transform::Linear, Transform::Linear, Transform::Linear, Transform::Log];
+        let space = Space::new(&[3.0, 0.0, 2.0, 5.0, 1e-3], bounds, &log, &[])?.with_sine();
+        assert!((space.x0()[0] - 2.92).abs() < 1e-12 && space.x0()[1] == 0.02 && space.x0()[3] == 5.0);
+        assert!((space.x0()[2] - 1.96).abs() < 1e-12 && space.x0()[4] > 1.2e-3);
+        let (mut u, mut x) = ([0.0; 5], [0.0; 5]);
+        space.to_working(space.x0(), &mut u);
+        space.to_user(&u, &mut x);
+        assert!(x.iter().zip(space.x0()).all(|(a, b)| (a - b).abs() <= 1e-12 * b.abs()), "{x:?}");
+        for v in [-1e9, -7.0, -1.0, 0.0, 0.5, 1.6, 100.0, 1e9] {
+            space.to_user(&[v; 5], &mut x);
+            assert!(space.bounds().contains(&x), "{v}: {x:?}");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn discrete_parameters_are_whole_and_share_their_range() -> Result<(), Error> {
+        let space = |x0: f64, kind| {
+            let bounds = Bounds::new(&[-0.2], &[3.7])?;
+            Space::new(&[x0], bounds, &[], &[])?.with_kinds(&[kind])
+        };
+        let integer = space(2.0, Kind::Integer)?;
+        assert_eq!(integer.working_bounds(0), (-0.5, 3.5));
+        let mut counts = [0; 4];
+        for k in 0..=4000 {
+            let mut x = [0.0];
+            integer.to_user(&[-0.5 + 4.0 * f64::from(k) / 4000.0], &mut x);
+            counts[x[0] as usize] += 1;
+        }
+        assert!(counts.iter().all(|c| (1000..=1001).contains(c)), "{counts:?}");
+        assert!(matches!(space(2.5, Kind::Categorical), Err(Error::ParameterOption { .. })));
+        assert!(space(2.5, Kind::Continuous)?.require_continuous("m").is_ok());
+        assert!(matches!(integer.require_continuous("m"), Err(Error::NotContinuous { index: 0, .. })));
+        let endless = Space::new(&[1.0, 1.0], Bounds::new(&[0.0; 2], &[2.0, INF])?, &[], &[])?;
+        assert!(matches!(endless.require_box("m"), Err(Error::NeedsBox { index: 1, .. })));
         Ok(())
     }
 

@@ -1,12 +1,13 @@
 //! Why a run ends: reasons, limits, and the tolerance tests shared by all methods.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
 
 use crate::error::Error;
 
 /// Why a run ended.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Termination {
     /// The tolerance tests passed.
@@ -15,6 +16,8 @@ pub enum Termination {
     Target,
     /// The search has no extent left that floating-point numbers could resolve; no tolerance would be met later.
     Collapsed,
+    /// Nothing new came for long: no better point in many generations, or every point asked for was known already.
+    Stalled,
     /// All parameters are fixed: the one point there is was evaluated.
     AllFixed,
     /// The evaluations are used up.
@@ -34,7 +37,7 @@ pub enum Termination {
 impl Termination {
     /// Whether the method came to its own end (or to the target), rather than being stopped.
     pub fn is_success(&self) -> bool {
-        matches!(self, Self::Converged | Self::Target | Self::Collapsed | Self::AllFixed)
+        matches!(self, Self::Converged | Self::Target | Self::Collapsed | Self::Stalled | Self::AllFixed)
     }
 
     /// A short name, fit for tables and files.
@@ -43,6 +46,7 @@ impl Termination {
             Self::Converged => "converged",
             Self::Target => "target",
             Self::Collapsed => "collapsed",
+            Self::Stalled => "stalled",
             Self::AllFixed => "all-fixed",
             Self::MaxEvaluations => "max-evaluations",
             Self::MaxIterations => "max-iterations",
@@ -64,7 +68,7 @@ impl fmt::Display for Termination {
 }
 
 /// What ends a run from outside of the method; `None` means no limit.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Limits {
     /// Calls of the objective; every one counts.
     pub max_evaluations: Option<usize>,
@@ -77,6 +81,14 @@ pub struct Limits {
 }
 
 impl Limits {
+    /// Sets evaluations and iterations where there is no limit of any kind but the target.
+    pub(crate) fn fill(&mut self, (evaluations, iterations): (usize, usize)) {
+        if (self.max_evaluations, self.max_iterations, self.max_time) == (None, None, None) {
+            self.max_evaluations = Some(evaluations);
+            self.max_iterations = Some(iterations);
+        }
+    }
+
     pub(crate) fn check(&self) -> Result<(), Error> {
         if self.max_evaluations == Some(0) {
             return Err(Error::Option { name: "max_evaluations", value: 0.0, range: "at least 1" });
@@ -89,7 +101,7 @@ impl Limits {
 }
 
 /// How tolerances are measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 pub enum Measure {
     /// `x_tol` in units of the parameter's size, `f_tol` as a fraction of |f_best|.
     #[default]
@@ -99,7 +111,7 @@ pub enum Measure {
 }
 
 /// How many of the two tests must pass.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 pub enum Stop {
     /// Either one ends the run.
     Any,
@@ -119,7 +131,7 @@ pub enum Stop {
 /// counts at least as `2.2e-16 * f_0`, `f_0` being the (upper) median of |f| over the initial vertices: what is
 /// smaller is zero for a cost of that magnitude. Both tests are asked for only after an iteration is complete: an
 /// initial simplex never passes.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tolerances {
     /// Tolerance of the x test; default 1e-6.
     pub x_tol: f64,
@@ -159,14 +171,46 @@ impl Tolerances {
             Stop::Any => x_passed || f_passed,
             Stop::All => x_passed && f_passed,
         };
-        Tests { x_size, f_spread, f_limit, f_best, x_passed, f_passed, passed, tolerances: *self }
+        Tests {
+            extent: Extent::Simplex,
+            x_size,
+            f_spread,
+            f_limit,
+            f_best,
+            x_passed,
+            f_passed,
+            passed,
+            tolerances: *self,
+        }
+    }
+}
+
+/// Of what the tests measure the size and the spread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Extent {
+    /// Of a simplex.
+    #[default]
+    Simplex,
+    /// Of a population.
+    Population,
+}
+
+impl Extent {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Simplex => "simplex",
+            Self::Population => "population",
+        }
     }
 }
 
 /// The last values of the tolerance tests.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tests {
-    /// Size of the simplex as the x test measures it.
+    /// What is measured.
+    pub extent: Extent,
+    /// Size of the simplex (or population) as the x test measures it.
     pub x_size: f64,
     /// Largest minus smallest cost; `None` while a vertex has failed.
     pub f_spread: Option<f64>,
@@ -196,8 +240,9 @@ impl fmt::Display for Tests {
         let x = relation(self.x_passed);
         write!(
             f,
-            "x test {}: simplex size {:.3e} {x} x_tol {x_tol:e}{unit}",
+            "x test {}: {} size {:.3e} {x} x_tol {x_tol:e}{unit}",
             verb(self.x_passed),
+            self.extent.name(),
             self.x_size
         )?;
         match self.f_spread {

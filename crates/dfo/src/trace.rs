@@ -1,17 +1,20 @@
 //! The trace: every evaluation of a run, in request order, stored in columns.
 
 use crate::objective::Outcome;
+use serde::{Deserialize, Serialize};
 
-/// Every evaluation of a run, in request order.
-#[derive(Debug, Clone, PartialEq, Default)]
+/// Every evaluation of a run, in request order; or the last ones, if the trace was limited.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Trace {
     n: usize,
     points: Vec<f64>,
     records: Vec<Record>,
+    /// Evaluations that came before the first one kept.
+    dropped: usize,
 }
 
 /// An evaluation without its point.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Record {
     pub(crate) outcome: Outcome,
     pub(crate) id: u64,
@@ -43,7 +46,7 @@ pub struct TraceEntry<'a> {
 
 impl Trace {
     pub(crate) fn new(n: usize) -> Self {
-        Self { n, points: Vec::new(), records: Vec::new() }
+        Self { n, points: Vec::new(), records: Vec::new(), dropped: 0 }
     }
 
     pub(crate) fn push(&mut self, x: &[f64], record: Record) {
@@ -51,11 +54,37 @@ impl Trace {
         self.records.push(record);
     }
 
+    /// Marks an evaluation, by its number in the whole run.
     pub(crate) fn set_used(&mut self, position: usize) {
-        self.records[position].used = true;
+        if let Some(record) = position.checked_sub(self.dropped).and_then(|k| self.records.get_mut(k)) {
+            record.used = true;
+        }
     }
 
-    /// Number of evaluations.
+    /// Number of evaluations, those dropped included.
+    pub(crate) fn end(&self) -> usize {
+        self.dropped + self.records.len()
+    }
+
+    /// Drops all but the last so many evaluations.
+    pub(crate) fn keep_last(&mut self, limit: usize) {
+        let surplus = self.records.len().saturating_sub(limit);
+        self.records.drain(..surplus);
+        self.points.drain(..surplus * self.n);
+        self.dropped += surplus;
+    }
+
+    /// Whether its parts fit together: what comes from a file may not.
+    pub(crate) fn is_sound(&self, n: usize) -> bool {
+        self.n == n && self.points.len() == self.records.len() * n
+    }
+
+    /// Evaluations at the beginning of the run that a limit of the trace has dropped.
+    pub fn n_dropped(&self) -> usize {
+        self.dropped
+    }
+
+    /// Number of evaluations kept.
     pub fn len(&self) -> usize {
         self.records.len()
     }
@@ -75,7 +104,7 @@ impl Trace {
         &self.points
     }
 
-    /// Evaluation `k`, if there is one.
+    /// Evaluation `k` of those kept, if there is one.
     pub fn get(&self, k: usize) -> Option<TraceEntry<'_>> {
         let r = self.records.get(k)?;
         let x = &self.points[k * self.n..(k + 1) * self.n];
@@ -96,12 +125,12 @@ impl Trace {
         self.iter_from(0)
     }
 
-    /// The evaluations from number `first` on.
+    /// The evaluations from number `first` of the run on, as far as they are kept.
     pub fn iter_from(
         &self,
         first: usize,
     ) -> impl DoubleEndedIterator<Item = TraceEntry<'_>> + ExactSizeIterator {
-        let first = first.min(self.len());
+        let first = first.saturating_sub(self.dropped).min(self.len());
         self.records[first..].iter().enumerate().map(move |(k, r)| TraceEntry {
             x: &self.points[(first + k) * self.n..(first + k + 1) * self.n],
             outcome: &r.outcome,
@@ -113,11 +142,13 @@ impl Trace {
         })
     }
 
-    /// The first of the used points with the smallest cost.
+    /// The first of the used points with the smallest cost, among those not above their cutoffs (which only a barrier
+    /// makes possible: see [`Barrier`](crate::Barrier)).
     pub fn best(&self) -> Option<(&[f64], f64)> {
         let mut best: Option<(&[f64], f64)> = None;
         for entry in self.iter().filter(|e| e.used) {
-            if let Some(v) = entry.outcome.value().filter(|v| best.is_none_or(|(_, b)| *v < b)) {
+            let value = entry.outcome.value().filter(|v| *v <= entry.cutoff);
+            if let Some(v) = value.filter(|v| best.is_none_or(|(_, b)| *v < b)) {
                 best = Some((entry.x, v));
             }
         }

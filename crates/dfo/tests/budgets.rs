@@ -4,7 +4,7 @@
 mod common;
 
 use common::{PLANS, plan, probe, problems, quiet_panics_on_purpose, rosenbrock};
-use dfo::{Error, Evaluation, Outcome, Termination, minimize, with_evaluation};
+use dfo::{BatchPlan, Error, Evaluation, Outcome, Termination, minimize, with_evaluation};
 use std::ops::ControlFlow;
 use std::time::Duration;
 
@@ -47,7 +47,8 @@ fn a_budget_cuts_the_path_but_does_not_bend_it() {
             for (a, b) in part.trace.iter().zip(whole.trace.iter()) {
                 assert_eq!((a.x, a.id, a.batch), (b.x, b.id, b.batch));
                 // The last batch may be cut before the point that says whether an earlier one is needed.
-                assert!(a.used == b.used, "{p:?} {budget}");
+                let cut = p == BatchPlan::TwoAhead && !a.used && a.batch + 1 == part.n_batches as u64;
+                assert!(a.used == b.used || cut, "{p:?} {budget}");
             }
         }
     }

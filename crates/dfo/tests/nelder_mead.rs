@@ -49,7 +49,7 @@ fn ten_parameters_with_adaptive_coefficients() {
 #[test]
 fn active_bounds_are_found() {
     // The minimum over x1 <= 0.5 lies at (0.5, 0.25) with (1 - 0.5)^2.
-    for handling in [BoundsHandling::Mirror, BoundsHandling::Clamp] {
+    for handling in [BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine] {
         let report = minimize(rosenbrock)
             .start(&[-1.2, 1.0])
             .bounds(&[-2.0, -2.0], &[0.5, 2.0])
@@ -69,6 +69,44 @@ fn active_bounds_are_found() {
         .run()
         .unwrap();
     assert!(report.fun < 1e-5, "{report}");
+}
+
+/// McKinnon's function: from this simplex the method goes on contracting to a point that is no minimum.
+fn mckinnon(x: &[f64]) -> f64 {
+    let (theta, phi) = (6.0, 60.0);
+    theta * x[0].powi(2) * if x[0] <= 0.0 { phi } else { 1.0 } + x[1] + x[1] * x[1]
+}
+
+#[test]
+fn a_flat_simplex_is_built_anew() {
+    let root = 33f64.sqrt();
+    let vertices = vec![vec![0.0, 0.0], vec![(1.0 + root) / 8.0, (1.0 - root) / 8.0], vec![1.0, 1.0]];
+    let run = |restarts| {
+        let method = NelderMead::default().initial_simplex(vertices.clone()).restarts(restarts);
+        minimize(mckinnon).start(&[0.0, 0.0]).method(method).run().unwrap()
+    };
+    let (without, with) = (run(0), run(2));
+    println!("{without}\n{with}");
+    assert!(without.fun > -1e-6 && without.is_success(), "{without}");
+    assert!((with.fun + 0.25).abs() < 1e-6 && (with.x[1] + 0.5).abs() < 1e-3, "{with}");
+}
+
+#[test]
+fn a_simplex_flat_on_a_bound_is_left_alone() {
+    // The minimum lies in a corner of the box: vertices end on the bounds.
+    for handling in [BoundsHandling::Mirror, BoundsHandling::Clamp] {
+        let run = |restarts| {
+            minimize(|x: &[f64]| x[0] + 2.0 * x[1] + (x[2] - 0.4).powi(2) + 1.0)
+                .start(&[0.5; 3])
+                .bounds(&[0.0; 3], &[1.0; 3])
+                .unwrap()
+                .method(NelderMead::default().bounds_handling(handling).restarts(restarts))
+                .run()
+                .unwrap()
+        };
+        let (none, some) = (run(0), run(2));
+        assert_eq!((none.n_evaluations, none.fun), (some.n_evaluations, some.fun), "{handling:?}");
+    }
 }
 
 #[test]

@@ -17,18 +17,30 @@
 //! | serial | reflection | the one point that is needed, if any |
 //! | two | reflection, inside contraction | expansion or outside contraction, if needed |
 //! | four | reflection, expansion, both contractions | none |
+//! | two-ahead | the same, and the four points of the next iteration after each of them | none; often the next iteration needs none either |
 //!
 //! Half of all iterations accept the reflection and a quarter need the inside contraction, so the second plan
 //! rarely needs a second round.
 //!
+//! The last plan guesses that a contracted point will not be the worst again. Where it guesses wrong, or something
+//! cannot be foreseen, points are asked anew.
+//!
+//! **Restarts.** When the tests pass although the simplex has become flat (as in McKinnon's example, SIAM J. Optim. 9,
+//! 1998), a new one with edges along the axes is built around its best vertex, each edge pointing to where the costs
+//! seen say that it goes down (Kelley, SIAM J. Optim. 10, 1999). A simplex that is flat because it lies on a bound is
+//! left alone.
+//!
 //! **Cutoffs** (where they change no decision): reflection and inside contraction: the worst cost; expansion: the
 //! cost of the reflection, ahead of need the best cost; outside contraction: the cost of the reflection, ahead of
-//! need the worst cost. None while the worst vertex has failed, and none for starting and shrinking vertices.
+//! need the worst cost; for the next iteration: the worst cost. None while the worst vertex has failed, and none for starting and shrinking vertices.
 
 mod initial;
+mod lookahead;
 mod options;
+mod restart;
 mod simplex;
 mod state;
+mod trial;
 
 pub use options::{BatchPlan, Coefficients, InitialSimplex, NelderMead};
 pub use state::NelderMeadState;

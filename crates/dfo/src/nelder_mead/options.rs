@@ -3,14 +3,16 @@
 use super::initial;
 use super::state::NelderMeadState;
 use crate::error::Error;
-use crate::method::{MethodOptions, Setup};
-use crate::scaling::BoundsHandling;
+use crate::method::{MethodOptions, Setup, restored};
+use crate::scaling::{BoundsHandling, Space};
+use serde::{Deserialize, Serialize};
 
 /// Which points an iteration asks for ahead of need. All plans give the same simplices.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum BatchPlan {
-    /// By the number of workers: four or more: [`Four`](Self::Four); two or three: [`Two`](Self::Two); else
+    /// By the number of workers: twenty or more: [`TwoAhead`](Self::TwoAhead); four or more: [`Four`](Self::Four); two
+    /// or three: [`Two`](Self::Two); else
     /// [`Serial`](Self::Serial).
     #[default]
     Auto,
@@ -20,6 +22,8 @@ pub enum BatchPlan {
     Two,
     /// Reflection, expansion, outside and inside contraction.
     Four,
+    /// The four points of this iteration and the sixteen that the next may need.
+    TwoAhead,
 }
 
 impl BatchPlan {
@@ -28,7 +32,8 @@ impl BatchPlan {
         match (self, workers) {
             (Self::Auto, 0..=1) => Self::Serial,
             (Self::Auto, 2..=3) => Self::Two,
-            (Self::Auto, _) => Self::Four,
+            (Self::Auto, 4..=19) => Self::Four,
+            (Self::Auto, _) => Self::TwoAhead,
             (plan, _) => plan,
         }
     }
@@ -40,6 +45,7 @@ impl BatchPlan {
             Self::Serial => "serial",
             Self::Two => "two",
             Self::Four => "four",
+            Self::TwoAhead => "two-ahead",
         }
     }
 }
@@ -69,7 +75,7 @@ pub enum Coefficients {
 }
 
 /// Coefficients as numbers.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Numbers {
     pub(super) reflection: f64,
     pub(super) expansion: f64,
@@ -124,7 +130,8 @@ impl Coefficients {
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub enum InitialSimplex {
-    /// One step along each free parameter. Its length: a tenth of the width of the box where that is finite, else
+    /// Without any bound, size or logarithm: a regular simplex with edges of `0.3 * max(1, |x0|)` (Euclidean norm). Else
+    /// one step along each free parameter. Its length: a tenth of the width of the box where that is finite, else
     /// `0.3 * size` where the user gave a size, else 0.3 on a logarithmic scale, else `0.3 * max(1, |x0|)` with the
     /// Euclidean norm over the parameters to which this last rule applies.
     #[default]
@@ -144,7 +151,7 @@ pub enum InitialSimplex {
 /// let method = NelderMead::default().batch(BatchPlan::Four).initial_steps(&[0.1, 0.02]);
 /// # assert_eq!(method.batch, BatchPlan::Four);
 /// ```
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct NelderMead {
     /// Which points are asked for ahead of need; default by the number of workers.
@@ -155,6 +162,21 @@ pub struct NelderMead {
     pub bounds: BoundsHandling,
     /// The starting simplex.
     pub initial: InitialSimplex,
+    /// How often a simplex that is flat when the tests pass may be built anew (one that is flat because it lies on a
+    /// bound is not: that is normal); default 2.
+    pub restarts: usize,
+}
+
+impl Default for NelderMead {
+    fn default() -> Self {
+        Self {
+            batch: BatchPlan::Auto,
+            coefficients: Coefficients::Auto,
+            bounds: BoundsHandling::Mirror,
+            initial: InitialSimplex::Auto,
+            restarts: 2,
+        }
+    }
 }
 
 impl NelderMead {
@@ -179,6 +201,13 @@ impl NelderMead {
         self
     }
 
+    /// Sets how often a flat simplex may be built anew.
+    #[must_use]
+    pub fn restarts(mut self, restarts: usize) -> Self {
+        self.restarts = restarts;
+        self
+    }
+
     /// Starts with these steps from the start point, see [`InitialSimplex::Steps`].
     #[must_use]
     pub fn initial_steps(mut self, steps: &[f64]) -> Self {
@@ -194,19 +223,44 @@ impl NelderMead {
     }
 }
 
+impl NelderMead {
+    /// For the sine: the start drawn inside, and the space of angles.
+    fn prepared(&self, setup: &Setup) -> (Setup, Option<Space>) {
+        if self.bounds != BoundsHandling::Sine {
+            return (setup.clone(), None);
+        }
+        let sine = setup.space.with_sine();
+        (Setup { space: setup.space.starting_at(sine.x0()), ..setup.clone() }, Some(sine))
+    }
+}
+
 impl MethodOptions for NelderMead {
     type Method = NelderMeadState;
 
     fn begin(&self, setup: &Setup) -> Result<NelderMeadState, Error> {
         setup.tolerances.check()?;
+        setup.space.require_continuous("nelder-mead")?;
         let numbers = self.coefficients.resolve(setup.space.n_free())?;
-        let simplex = initial::simplex(&setup.space, &self.initial)?;
-        Ok(NelderMeadState::new(
-            setup.clone(),
-            self.batch.resolve(setup.workers),
-            numbers,
-            self.bounds,
-            simplex,
-        ))
+        let (setup, sine) = self.prepared(setup);
+        let mut simplex = initial::simplex(&setup.space, &self.initial)?;
+        let setup = match sine {
+            None => setup,
+            Some(space) => {
+                simplex.rewrite(&space);
+                Setup { space, ..setup }
+            }
+        };
+        let plan = self.batch.resolve(setup.workers);
+        Ok(NelderMeadState::new(setup, plan, numbers, self.bounds, simplex, self.restarts))
+    }
+
+    fn describe(&self) -> String {
+        format!("{self:?}")
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<NelderMeadState, Error> {
+        let (setup, sine) = self.prepared(setup);
+        let setup = Setup { space: sine.unwrap_or(setup.space), ..setup };
+        restored(state, |s: &NelderMeadState| s.is_sound(&setup))
     }
 }

@@ -1,41 +1,13 @@
 //! The simplex itself: vertices, ranks, centroid, size. Knows nothing of batches.
 
+use crate::cost::Cost;
 use crate::method::SimplexView;
 use crate::scaling::{Space, Transform};
 use crate::termination::Measure;
-
-/// What is known about a vertex. The order of the variants is the order of rank.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Cost {
-    /// A finite cost.
-    Value(f64),
-    /// The objective failed there.
-    Failed,
-    /// Not evaluated yet.
-    Pending,
-}
-
-impl Cost {
-    /// The rule of rank, a total order because values are finite: is `self` strictly better?
-    pub(super) fn better_than(self, other: Self) -> bool {
-        match (self, other) {
-            (Self::Value(a), Self::Value(b)) => a < b,
-            (Self::Value(_), _) => true,
-            (Self::Failed, Self::Pending) => true,
-            (Self::Failed | Self::Pending, _) => false,
-        }
-    }
-
-    pub(super) fn value(self) -> Option<f64> {
-        match self {
-            Self::Value(v) => Some(v),
-            Self::Failed | Self::Pending => None,
-        }
-    }
-}
+use serde::{Deserialize, Serialize};
 
 /// Vertices in slots, and the slots by rank.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct SimplexData {
     n: usize,
     n_user: usize,
@@ -75,6 +47,16 @@ impl SimplexData {
         self.u[slot * self.n..(slot + 1) * self.n].copy_from_slice(u);
         self.x[slot * self.n_user..(slot + 1) * self.n_user].copy_from_slice(x);
         self.set_cost(slot, Cost::Pending);
+    }
+
+    /// The same vertices in the working coordinates of another space.
+    pub(super) fn rewrite(&mut self, space: &Space) {
+        for slot in 0..=self.n {
+            space.to_working(
+                &self.x[slot * self.n_user..][..self.n_user],
+                &mut self.u[slot * self.n..][..self.n],
+            );
+        }
     }
 
     pub(super) fn set_cost(&mut self, slot: usize, cost: Cost) {
@@ -133,16 +115,24 @@ impl SimplexData {
         }
     }
 
-    /// Centroid of all vertices but the worst, failed ones left out; summed from the best on.
+    /// Centroid of all vertices but the worst, failed ones left out. Summed in the order of the slots, so that it can
+    /// be known before the ranks are.
     pub(super) fn centroid(&self, out: &mut [f64]) {
+        self.centroid_without(self.worst(), None, out);
+    }
+
+    /// Centroid of all vertices but one, failed ones left out; as if `replacement` stood in place of the worst.
+    pub(super) fn centroid_without(&self, left_out: usize, replacement: Option<&[f64]>, out: &mut [f64]) {
         out.fill(0.0);
         let mut count = 0.0;
-        for &slot in &self.order[..self.n] {
-            if self.costs[slot].value().is_some() {
+        for slot in (0..=self.n).filter(|s| *s != left_out) {
+            let (u, counts) = match replacement {
+                Some(u) if slot == self.worst() => (u, true),
+                _ => (self.u(slot), self.costs[slot].value().is_some()),
+            };
+            if counts {
                 count += 1.0;
-                for (c, u) in out.iter_mut().zip(self.u(slot)) {
-                    *c += u;
-                }
+                out.iter_mut().zip(u).for_each(|(c, u)| *c += u);
             }
         }
         out.iter_mut().for_each(|c| *c /= count);
@@ -185,6 +175,11 @@ impl SimplexData {
         size
     }
 
+    /// The same, always in units of the sizes.
+    pub(super) fn relative_size(&self, space: &Space) -> f64 {
+        self.x_size(space, Measure::Relative)
+    }
+
     /// Worst minus best cost; `None` while a vertex has none.
     pub(super) fn f_spread(&self) -> Option<f64> {
         match (self.cost(self.worst()), self.cost(self.best())) {
@@ -213,6 +208,18 @@ impl SimplexData {
         let mut costs: Vec<f64> = self.values.iter().flatten().map(|v| v.abs()).collect();
         costs.sort_by(f64::total_cmp);
         costs.get(costs.len() / 2).copied().unwrap_or(0.0)
+    }
+
+    /// Whether all lists have the lengths that belong together: what comes from a file may not.
+    pub(super) fn is_sound(&self, space: &Space) -> bool {
+        let mut slots = self.order.clone();
+        slots.sort_unstable();
+        let len = self.n + 1;
+        (self.n, self.n_user) == (space.n_free(), space.n())
+            && self.u.len() == len * self.n
+            && self.x.len() == len * self.n_user
+            && (self.costs.len(), self.values.len()) == (len, len)
+            && slots.into_iter().eq(0..len)
     }
 
     pub(super) fn view(&self) -> SimplexView<'_> {

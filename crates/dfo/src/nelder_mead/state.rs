@@ -4,54 +4,36 @@
 //! known; where it meets an unknown one, that point is what the next batch asks for. Asking ahead of need only means
 //! that more is known when the procedure runs, so all plans take the same path.
 
+use super::lookahead::LookAhead;
 use super::options::{BatchPlan, Numbers};
-use super::simplex::{Cost, SimplexData};
+use super::restart;
+use super::simplex::SimplexData;
+use super::trial::{Frame, Seen, Trial, TrialPoint};
+use crate::cost::Cost;
 use crate::error::Error;
-use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status};
+use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status, saved};
 use crate::objective::Outcome;
-use crate::scaling::{BoundsHandling, Space};
+use crate::scaling::BoundsHandling;
 use crate::termination::{Termination, Tests};
-
-/// The four trial points of an iteration; the number is the position in the tables below.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Trial {
-    Reflection = 0,
-    Expansion = 1,
-    Outside = 2,
-    Inside = 3,
-}
-
-#[derive(Debug, Clone)]
-struct TrialPoint {
-    u: Vec<f64>,
-    x: Vec<f64>,
-    seen: Seen,
-    /// Whether the decision looked at it.
-    consulted: bool,
-}
-
-/// What is known about a trial point.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Seen {
-    Unknown,
-    Cost(f64),
-    /// Failed, or above a cutoff that no acceptable point is above.
-    Rejected,
-}
+use serde::{Deserialize, Serialize};
 
 /// What a point of the last batch stands for.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 enum Role {
     Vertex(usize),
     Trial(Trial),
+    /// A point that the next iteration may need, by its number.
+    Ahead(usize),
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 enum Phase {
     /// Vertices without a known outcome are asked for: the starting ones.
     Starting,
     /// The same after a shrink.
     Shrinking,
+    /// The same after a restart.
+    Restarting,
     /// An iteration needs this trial point next.
     Trying(Trial),
     Done,
@@ -83,7 +65,7 @@ enum Phase {
 /// assert_eq!((x, f), (&report.x[..], report.fun));
 /// # Ok::<(), dfo::Error>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NelderMeadState {
     setup: Setup,
     plan: BatchPlan,
@@ -92,6 +74,11 @@ pub struct NelderMeadState {
     simplex: SimplexData,
     centroid: Vec<f64>,
     trials: [TrialPoint; 4],
+    ahead: LookAhead,
+    /// Whether the four trial points of this iteration are placed.
+    placed: bool,
+    restarts: usize,
+    f_restart: Option<f64>,
     phase: Phase,
     ended: Option<Termination>,
     roles: Vec<Role>,
@@ -112,11 +99,12 @@ impl NelderMeadState {
         numbers: Numbers,
         handling: BoundsHandling,
         simplex: SimplexData,
+        restarts: usize,
     ) -> Self {
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
-        let trial =
-            || TrialPoint { u: vec![0.0; n], x: vec![0.0; n_user], seen: Seen::Unknown, consulted: false };
-        let capacity = (n + 1).max(4);
+        let trial = || TrialPoint::new(n, n_user);
+        let ahead = LookAhead::new(n, n_user, plan == BatchPlan::TwoAhead);
+        let capacity = (n + 1).max(4 + ahead.len());
         Self {
             setup,
             plan,
@@ -125,6 +113,10 @@ impl NelderMeadState {
             simplex,
             centroid: vec![0.0; n],
             trials: [trial(), trial(), trial(), trial()],
+            ahead,
+            placed: false,
+            restarts,
+            f_restart: None,
             phase: Phase::Starting,
             ended: None,
             roles: Vec::with_capacity(capacity),
@@ -139,11 +131,30 @@ impl NelderMeadState {
         }
     }
 
+    /// Batches and points told so far.
+    pub(crate) fn n_batches(&self) -> u64 {
+        self.n_batches
+    }
+
+    pub(crate) fn n_points(&self) -> u64 {
+        self.n_points
+    }
+
+    /// Whether this state fits to a problem and to itself.
+    pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
+        let space = &setup.space;
+        self.setup.space == *space
+            && self.simplex.is_sound(space)
+            && self.centroid.len() == space.n_free()
+            && self.trials.iter().all(|t| t.is_sound(space))
+            && self.ahead.is_sound(space, self.plan == BatchPlan::TwoAhead)
+    }
+
     /// The trial points that a new iteration asks for, in request order.
     fn first_round(&self) -> &'static [Trial] {
         match self.plan {
             BatchPlan::Two => &[Trial::Reflection, Trial::Inside],
-            BatchPlan::Four => &[Trial::Reflection, Trial::Expansion, Trial::Outside, Trial::Inside],
+            BatchPlan::Four | BatchPlan::TwoAhead => &Trial::ALL,
             BatchPlan::Auto | BatchPlan::Serial => &[Trial::Reflection],
         }
     }
@@ -163,35 +174,38 @@ impl NelderMeadState {
     }
 
     fn place(&mut self, trial: Trial) {
-        let Numbers { reflection, expansion, contraction, .. } = self.numbers;
-        let factor = match trial {
-            Trial::Reflection => reflection,
-            Trial::Expansion => reflection * expansion,
-            Trial::Outside => reflection * contraction,
-            Trial::Inside => -contraction,
+        let frame = Frame {
+            space: &self.setup.space,
+            handling: self.handling,
+            factor: trial.factor(&self.numbers),
+            centroid: &self.centroid,
+            worst: self.simplex.u(self.simplex.worst()),
+            fallback: self.simplex.u(self.simplex.best()),
         };
-        let space = &self.setup.space;
-        let point = &mut self.trials[trial as usize];
-        let worst = self.simplex.u(self.simplex.worst());
-        let best = self.simplex.u(self.simplex.best());
-        let centroid = &self.centroid;
-        let raw = |k: usize| centroid[k] + factor * (centroid[k] - worst[k]);
-        for (k, u) in point.u.iter_mut().enumerate() {
-            *u = space.bring_inside(k, raw(k), best[k], self.handling);
-            if self.handling == BoundsHandling::Mirror && mirrored_onto(*u, raw(k), centroid[k]) {
-                *u = beside(space, k, raw(k), centroid[k]);
-            }
+        frame.place(&mut self.trials[trial as usize], |u| self.simplex.has_vertex(u));
+    }
+
+    /// Places the points of a new iteration; takes over what was seen ahead, if that is enough to decide.
+    fn begin_trying(&mut self) {
+        self.simplex.centroid(&mut self.centroid);
+        for &trial in self.first_round() {
+            self.place(trial);
         }
-        if self.handling == BoundsHandling::Mirror && self.simplex.has_vertex(&point.u) {
-            for (k, u) in point.u.iter_mut().enumerate().filter(|(k, u)| **u != raw(*k)) {
-                *u = beside(space, k, raw(k), centroid[k]);
-            }
+        self.placed = true;
+        if self.plan != BatchPlan::TwoAhead {
+            return;
         }
-        space.to_user(&point.u, &mut point.x);
+        for trial in Trial::ALL {
+            self.trials[trial as usize].seen = self.ahead.seen(trial, &self.trials[trial as usize].u);
+        }
+        if self.verdict().is_err() {
+            self.trials.iter_mut().for_each(|t| t.seen = Seen::Unknown);
+            let (simplex, space) = (&self.simplex, &self.setup.space);
+            self.ahead.place(space, self.handling, &self.numbers, simplex, &self.trials);
+        }
     }
 
     fn request_trial(&mut self, trial: Trial, batch: &mut Batch) {
-        self.place(trial);
         let cutoff = self.cutoff(trial);
         batch.push(&self.trials[trial as usize].x, cutoff);
         self.roles.push(Role::Trial(trial));
@@ -208,43 +222,53 @@ impl NelderMeadState {
         }
     }
 
-    /// The decision of an iteration (Lagarias et al. 1998, section 2, steps 2 to 5). `Err`: this point is needed.
-    fn decide(&mut self) -> Result<Operation, Trial> {
+    /// The decision of an iteration (Lagarias et al. 1998, section 2, steps 2 to 5): the point to accept, or none for
+    /// a shrink. `Err`: this point is needed.
+    fn verdict(&mut self) -> Result<Option<(Trial, f64)>, Trial> {
         let [best, second_worst, worst] =
             [self.simplex.best(), self.simplex.second_worst(), self.simplex.worst()]
                 .map(|s| self.simplex.cost(s));
         let reflected = self.consult(Trial::Reflection)?;
         let reflection_beats = |cost| reflected.is_some_and(|r| Cost::Value(r).better_than(cost));
         if let Some(r) = reflected.filter(|_| reflection_beats(best)) {
-            return Ok(match self.consult(Trial::Expansion)? {
-                Some(e) if e < r => self.accept(Trial::Expansion, e, Operation::Expansion),
-                _ => self.accept(Trial::Reflection, r, Operation::Reflection),
-            });
+            return Ok(Some(match self.consult(Trial::Expansion)? {
+                Some(e) if e < r => (Trial::Expansion, e),
+                _ => (Trial::Reflection, r),
+            }));
         }
         if let Some(r) = reflected.filter(|_| reflection_beats(second_worst)) {
-            return Ok(self.accept(Trial::Reflection, r, Operation::Reflection));
+            return Ok(Some((Trial::Reflection, r)));
         }
         if let Some(r) = reflected.filter(|_| reflection_beats(worst)) {
-            if let Some(c) = self.consult(Trial::Outside)?.filter(|c| *c <= r) {
-                return Ok(self.accept(Trial::Outside, c, Operation::OutsideContraction));
-            }
-        } else if let Some(c) = self.consult(Trial::Inside)?.filter(|c| Cost::Value(*c).better_than(worst)) {
-            return Ok(self.accept(Trial::Inside, c, Operation::InsideContraction));
+            let outside = self.consult(Trial::Outside)?.filter(|c| *c <= r);
+            return Ok(outside.map(|c| (Trial::Outside, c)));
         }
-        self.simplex.shrink(self.numbers.shrink, &self.setup.space);
-        Ok(Operation::Shrink)
+        let inside = self.consult(Trial::Inside)?.filter(|c| Cost::Value(*c).better_than(worst));
+        Ok(inside.map(|c| (Trial::Inside, c)))
     }
 
-    fn accept(&mut self, trial: Trial, value: f64, operation: Operation) -> Operation {
-        let point = &self.trials[trial as usize];
-        self.simplex.replace_worst(&point.u, &point.x, value);
-        operation
+    /// Carries out what the trial points decide.
+    fn decide(&mut self) -> Result<Operation, Trial> {
+        match self.verdict()? {
+            Some((trial, value)) => {
+                let point = &self.trials[trial as usize];
+                self.simplex.replace_worst(&point.u, &point.x, value);
+                self.ahead.accepted(trial);
+                Ok(trial.operation())
+            }
+            None => {
+                self.simplex.shrink(self.numbers.shrink, &self.setup.space);
+                self.ahead.forget();
+                Ok(Operation::Shrink)
+            }
+        }
     }
 
     fn begin_iteration(&mut self) {
         for point in &mut self.trials {
             point.seen = Seen::Unknown;
         }
+        self.placed = false;
         self.phase = Phase::Trying(Trial::Reflection);
     }
 
@@ -257,13 +281,34 @@ impl NelderMeadState {
         let x_size = self.simplex.x_size(space, tolerances.measure);
         let tests = tolerances.judge(x_size, self.simplex.f_spread(), f_best, self.f_0);
         self.tests = Some(tests);
+        let collapsed = self.simplex.is_collapsed(space);
         if tests.passed {
-            self.end(Termination::Converged);
-        } else if self.simplex.is_collapsed(space) {
+            if self.may_restart(&tests) {
+                let space = &self.setup.space;
+                let x_size = self.simplex.relative_size(space);
+                restart::orient(&mut self.simplex, space, x_size);
+                self.ahead.forget();
+                self.phase = Phase::Restarting;
+            } else {
+                self.end(Termination::Converged);
+            }
+        } else if collapsed {
             self.end(Termination::Collapsed);
         } else {
             self.begin_iteration();
         }
+    }
+
+    /// Whether the simplex deserves to be built anew although the tests passed: it is flat, not because of a bound, and
+    /// the last restart, if there was one, brought something.
+    fn may_restart(&mut self, tests: &Tests) -> bool {
+        let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);
+        if self.restarts == 0 || useless || !restart::is_flat(&self.simplex, &self.setup.space) {
+            return false;
+        }
+        self.restarts -= 1;
+        self.f_restart = Some(tests.f_best);
+        true
     }
 
     fn end(&mut self, termination: Termination) {
@@ -273,10 +318,12 @@ impl NelderMeadState {
 
     /// All vertices asked for are known.
     fn vertices_known(&mut self) {
-        let starting = self.phase == Phase::Starting;
+        let phase = self.phase;
         self.simplex.sort();
-        if !starting {
-            return self.end_iteration(Operation::Shrink);
+        match phase {
+            Phase::Shrinking => return self.end_iteration(Operation::Shrink),
+            Phase::Restarting => return self.end_iteration(Operation::Restart),
+            Phase::Starting | Phase::Trying(_) | Phase::Done => {}
         }
         if self.simplex.cost(self.simplex.best()).value().is_none() {
             self.phase = Phase::Done;
@@ -288,24 +335,6 @@ impl NelderMeadState {
             return self.end(Termination::AllFixed);
         }
         self.begin_iteration();
-    }
-}
-
-/// Whether mirroring took a coordinate (nearly) back to the centroid: with starts and steps on a grid of tenths of
-/// the box that happens, and a simplex that accepts the point is flat ever after.
-fn mirrored_onto(u: f64, raw: f64, centroid: f64) -> bool {
-    u != raw && (u - centroid).abs() <= 1e-3 * (raw - centroid).abs()
-}
-
-/// Where such a coordinate goes instead: onto the bound that was crossed, half as far from the centroid as the point
-/// would have been without bounds; if the centroid lies there itself, into the middle of the box.
-fn beside(space: &Space, k: usize, raw: f64, centroid: f64) -> f64 {
-    let (lower, upper) = space.working_bounds(k);
-    let bound = if raw.is_finite() { raw.clamp(lower, upper) } else { centroid.clamp(lower, upper) };
-    if bound == centroid && lower.is_finite() && upper.is_finite() {
-        0.5 * lower + 0.5 * upper
-    } else {
-        bound
     }
 }
 
@@ -324,7 +353,7 @@ impl Method for NelderMeadState {
         self.roles.clear();
         match self.phase {
             Phase::Done => {}
-            Phase::Starting | Phase::Shrinking => {
+            Phase::Starting | Phase::Shrinking | Phase::Restarting => {
                 for &slot in self.simplex.order() {
                     if self.simplex.cost(slot) == Cost::Pending {
                         batch.push(self.simplex.x(slot), f64::INFINITY);
@@ -333,14 +362,29 @@ impl Method for NelderMeadState {
                 }
             }
             Phase::Trying(Trial::Reflection) => {
-                self.simplex.centroid(&mut self.centroid);
-                for &trial in self.first_round() {
-                    self.request_trial(trial, batch);
+                if !self.placed {
+                    self.begin_trying();
+                }
+                // Everything needed may have been seen ahead already; then there is nothing to ask, only to tell.
+                if self.trials[Trial::Reflection as usize].seen == Seen::Unknown {
+                    for &trial in self.first_round() {
+                        self.request_trial(trial, batch);
+                    }
+                    let cutoff = self.cutoff(Trial::Reflection);
+                    for k in 0..self.ahead.len() {
+                        if let Some(x) = self.ahead.x(k) {
+                            batch.push(x, cutoff);
+                            self.roles.push(Role::Ahead(k));
+                        }
+                    }
                 }
             }
-            Phase::Trying(trial) => self.request_trial(trial, batch),
+            Phase::Trying(trial) => {
+                self.place(trial);
+                self.request_trial(trial, batch);
+            }
         }
-        self.waiting = !self.roles.is_empty();
+        self.waiting = self.phase != Phase::Done;
     }
 
     fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
@@ -352,38 +396,47 @@ impl Method for NelderMeadState {
             return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
         }
         self.waiting = false;
-        self.n_batches += 1;
-        self.n_points += asked as u64;
-        self.used.clear();
-        self.used.resize(asked, false);
+        if asked > 0 {
+            self.n_batches += 1;
+            self.n_points += asked as u64;
+            self.used.clear();
+            self.used.resize(asked, false);
+            self.ahead.unsee();
+        }
         for point in &mut self.trials {
             point.consulted = false;
         }
         for (k, outcome) in outcomes.iter().enumerate() {
             let Ok(cost) = cost_of(outcome) else { continue };
+            let seen = cost.map_or(Seen::Rejected, Seen::Cost);
             match self.roles[k] {
                 Role::Vertex(slot) => {
                     self.simplex.set_cost(slot, cost.map_or(Cost::Failed, Cost::Value));
                     self.used[k] = true;
                 }
-                Role::Trial(trial) => {
-                    self.trials[trial as usize].seen = cost.map_or(Seen::Rejected, Seen::Cost);
-                }
+                Role::Trial(trial) => self.trials[trial as usize].seen = seen,
+                Role::Ahead(number) => self.ahead.see(number, seen, k),
             }
         }
         match self.phase {
             Phase::Done => {}
-            Phase::Starting | Phase::Shrinking => {
+            Phase::Starting | Phase::Shrinking | Phase::Restarting => {
                 if !self.simplex.is_pending() {
                     self.vertices_known();
                 }
             }
             Phase::Trying(_) => {
+                // Before the decision moves on: where the points of this iteration stand in the last batch.
+                let from = Trial::ALL.map(|trial| {
+                    let asked_now = |role: &Role| matches!(role, Role::Trial(t) if *t == trial);
+                    let here = self.roles.iter().position(asked_now);
+                    if asked == 0 { self.ahead.position(trial) } else { here }
+                });
                 let decision = self.decide();
-                for (k, role) in self.roles.iter().enumerate() {
-                    if let Role::Trial(trial) = *role {
-                        let point = &self.trials[trial as usize];
-                        self.used[k] = point.consulted && point.seen != Seen::Unknown;
+                for (trial, from) in Trial::ALL.into_iter().zip(from) {
+                    let point = &self.trials[trial as usize];
+                    if let Some(k) = from.filter(|k| *k < self.used.len()) {
+                        self.used[k] |= point.consulted && point.seen != Seen::Unknown;
                     }
                 }
                 match decision {
@@ -444,6 +497,10 @@ impl Method for NelderMeadState {
         }
     }
 
+    fn save(&self) -> Option<Vec<u8>> {
+        saved(self)
+    }
+
     fn simplex(&self) -> Option<SimplexView<'_>> {
         Some(self.simplex.view())
     }
@@ -455,6 +512,7 @@ mod tests {
     use crate::bounds::Bounds;
     use crate::method::MethodOptions;
     use crate::nelder_mead::NelderMead;
+    use crate::scaling::Space;
 
     /// The reflection that a given simplex (best, second, worst) in the unit square leads to.
     fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {

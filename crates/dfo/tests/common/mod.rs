@@ -121,7 +121,7 @@ pub fn plan(plan: BatchPlan) -> NelderMead {
     NelderMead::default().batch(plan)
 }
 
-pub const PLANS: [BatchPlan; 3] = [BatchPlan::Serial, BatchPlan::Two, BatchPlan::Four];
+pub const PLANS: [BatchPlan; 4] = [BatchPlan::Serial, BatchPlan::Two, BatchPlan::Four, BatchPlan::TwoAhead];
 
 /// Keeps panics that a test makes on purpose (their text begins with "on purpose") out of the output.
 pub fn quiet_panics_on_purpose() {

@@ -1,0 +1,210 @@
+//! Methods by name or number, for callers that choose at run time.
+
+use crate::barrier::Barrier;
+use crate::barrier::BarrierStage;
+use crate::differential_evolution::DifferentialEvolution;
+use crate::error::Error;
+use crate::genetic::Genetic;
+use crate::method::{Batch, Method, MethodOptions, Operation, Setup, SimplexView, Status};
+use crate::nelder_mead::NelderMead;
+use crate::objective::Outcome;
+use crate::termination::Tests;
+use std::fmt;
+use std::str::FromStr;
+
+/// Any of the methods, with its options.
+///
+/// ```
+/// use dfo::{AnyMethod, minimize};
+///
+/// for name in AnyMethod::NAMES {
+///     let report = minimize(|x: &[f64]| (x[0] - 0.3).powi(2))
+///         .start(&[0.9])
+///         .bounds(&[0.0], &[1.0])?
+///         .method(name.parse::<AnyMethod>()?)
+///         .seed(1)
+///         .max_evaluations(500)
+///         .run()?;
+///     assert!(report.method == name && report.fun < 1e-4, "{report}");
+/// }
+/// # Ok::<(), dfo::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum AnyMethod {
+    /// `nelder-mead`, number 1.
+    NelderMead(NelderMead),
+    /// `barrier`, number 2.
+    Barrier(Barrier),
+    /// `de` (L-SHADE) and `de-classic` (rand/1/bin), which is number 3.
+    DifferentialEvolution(DifferentialEvolution),
+    /// `ga`, number 4.
+    Genetic(Genetic),
+}
+
+impl AnyMethod {
+    /// All names.
+    pub const NAMES: [&'static str; 5] = ["nelder-mead", "barrier", "de", "de-classic", "ga"];
+
+    /// The method that `fmin` of Gedda et al. (2012) has under this number: 1 Nelder-Mead, 2 sequential barrier,
+    /// 3 differential evolution as the paper writes it, 4 genetic algorithm.
+    ///
+    /// # Errors
+    /// Another number.
+    pub fn by_number(number: usize) -> Result<Self, Error> {
+        match number {
+            1 => Ok(Self::NelderMead(NelderMead::default())),
+            2 => Ok(Self::Barrier(Barrier::default())),
+            3 => Ok(Self::DifferentialEvolution(DifferentialEvolution::classic())),
+            4 => Ok(Self::Genetic(Genetic::default())),
+            _ => Err(Error::UnknownMethod { name: number.to_string() }),
+        }
+    }
+}
+
+impl FromStr for AnyMethod {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self, Error> {
+        match name {
+            "nelder-mead" => Self::by_number(1),
+            "barrier" => Self::by_number(2),
+            "de" => Ok(Self::DifferentialEvolution(DifferentialEvolution::default())),
+            "de-classic" => Self::by_number(3),
+            "ga" => Self::by_number(4),
+            _ => Err(Error::UnknownMethod { name: name.to_owned() }),
+        }
+    }
+}
+
+impl From<NelderMead> for AnyMethod {
+    fn from(options: NelderMead) -> Self {
+        Self::NelderMead(options)
+    }
+}
+
+impl From<Barrier> for AnyMethod {
+    fn from(options: Barrier) -> Self {
+        Self::Barrier(options)
+    }
+}
+
+impl From<DifferentialEvolution> for AnyMethod {
+    fn from(options: DifferentialEvolution) -> Self {
+        Self::DifferentialEvolution(options)
+    }
+}
+
+impl From<Genetic> for AnyMethod {
+    fn from(options: Genetic) -> Self {
+        Self::Genetic(options)
+    }
+}
+
+/// The same call on whichever method it is.
+macro_rules! each {
+    ($any:expr, $options:ident => $call:expr) => {
+        match $any {
+            AnyMethod::NelderMead($options) => $call,
+            AnyMethod::Barrier($options) => $call,
+            AnyMethod::DifferentialEvolution($options) => $call,
+            AnyMethod::Genetic($options) => $call,
+        }
+    };
+}
+
+/// A running method of a kind that only the run knows.
+pub struct BoxedMethod(Box<dyn Method + Send>);
+
+impl BoxedMethod {
+    /// Boxes a method.
+    pub fn new(method: impl Method + Send + 'static) -> Self {
+        Self(Box::new(method))
+    }
+}
+
+impl fmt::Debug for BoxedMethod {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("BoxedMethod").field(&self.0.name()).finish()
+    }
+}
+
+impl MethodOptions for AnyMethod {
+    type Method = BoxedMethod;
+
+    fn begin(&self, setup: &Setup) -> Result<BoxedMethod, Error> {
+        each!(self, o => o.begin(setup).map(BoxedMethod::new))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<BoxedMethod, Error> {
+        each!(self, o => o.restore(setup, state).map(BoxedMethod::new))
+    }
+
+    fn needs_start(&self) -> bool {
+        each!(self, o => o.needs_start())
+    }
+
+    fn describe(&self) -> String {
+        each!(self, o => o.describe())
+    }
+
+    fn plans_with_budget(&self) -> bool {
+        each!(self, o => o.plans_with_budget())
+    }
+
+    fn default_limits(&self, n: usize) -> (usize, usize) {
+        each!(self, o => o.default_limits(n))
+    }
+
+    fn default_cache(&self) -> usize {
+        each!(self, o => o.default_cache())
+    }
+}
+
+impl Method for BoxedMethod {
+    fn name(&self) -> &'static str {
+        self.0.name()
+    }
+    fn ask(&mut self, batch: &mut Batch) {
+        self.0.ask(batch);
+    }
+    fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
+        self.0.tell(outcomes)
+    }
+    fn used(&self) -> &[bool] {
+        self.0.used()
+    }
+    fn status(&self) -> Status {
+        self.0.status()
+    }
+    fn n_iterations(&self) -> usize {
+        self.0.n_iterations()
+    }
+    fn operation(&self) -> Option<Operation> {
+        self.0.operation()
+    }
+    fn plan(&self) -> &'static str {
+        self.0.plan()
+    }
+    fn tests(&self) -> Option<Tests> {
+        self.0.tests()
+    }
+    fn best(&self) -> Option<(&[f64], f64)> {
+        self.0.best()
+    }
+    fn simplex(&self) -> Option<SimplexView<'_>> {
+        self.0.simplex()
+    }
+    fn population(&self) -> Option<SimplexView<'_>> {
+        self.0.population()
+    }
+    fn schedule(&self) -> &[BarrierStage] {
+        self.0.schedule()
+    }
+    fn save(&self) -> Option<Vec<u8>> {
+        self.0.save()
+    }
+    fn seed(&self) -> Option<u64> {
+        self.0.seed()
+    }
+}

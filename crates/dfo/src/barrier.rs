@@ -1,0 +1,426 @@
+//! Sequential barrier: Nelder-Mead on the cost plus a barrier that keeps it off the bounds, with less and less of it.
+//!
+//! Stage `k` minimises `f(x) + mu_k B(x)` from the result of the stage before, with
+//! `B(x) = sum s_i / (x_i - lower_i) + s_i / (upper_i - x_i)` over the bounds that there are (Carroll, Oper. Res. 9,
+//! 1961); `s_i` is the size of the parameter, and parameters on a logarithmic scale count by their logarithm. `B` is
+//! positive, so a partial sum of the cost plus the barrier may be compared with a cutoff. Each stage has a tenth of
+//! the barrier of the one before, a smaller first simplex and tighter tolerances. It ends when the tests of
+//! Nelder-Mead pass at the user's tolerances, the stage has moved the point by at most `x_tol`, and `mu B` is at most
+//! `f_tol` of the cost (of the first cost, if that is larger).
+
+use crate::bounds::Bounds;
+use crate::error::Error;
+use crate::method::{Batch, Method, MethodOptions, Operation, Setup, SimplexView, Status, restored, saved};
+use crate::nelder_mead::{BatchPlan, NelderMead, NelderMeadState};
+use crate::objective::Outcome;
+use crate::scaling::Space;
+use crate::termination::{Measure, Termination, Tests, Tolerances};
+use serde::{Deserialize, Serialize};
+
+/// How near to a bound the search may come, in units of the width of the box (else of the size of the parameter).
+const MARGIN: f64 = 1e-10;
+/// Stages after which there is no barrier left in any number of 53 bits.
+const MAX_STAGES: usize = 40;
+
+/// Options of the sequential barrier method. Needs a start strictly inside of the bounds, and at least one bound.
+///
+/// ```
+/// let report = dfo::minimize(|x: &[f64]| (x[0] - 2.0).powi(2) + (x[1] + 1.0).powi(2))
+///     .start(&[0.5, 0.5])
+///     .bounds(&[0.0, -2.0], &[1.0, f64::INFINITY])?
+///     .method(dfo::Barrier::default())
+///     .run()?;
+/// assert!((report.x[0] - 1.0).abs() < 1e-5 && (report.x[1] + 1.0).abs() < 1e-3);
+/// assert!(report.schedule.windows(2).all(|w| w[1].mu < w[0].mu));
+/// # Ok::<(), dfo::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Barrier {
+    /// The first barrier parameter; default: a tenth of the cost at the start is barrier.
+    pub mu: Option<f64>,
+    /// What the barrier parameter is multiplied with from stage to stage; default 0.1.
+    pub factor: f64,
+    /// Batch plan of Nelder-Mead.
+    pub batch: BatchPlan,
+}
+
+impl Default for Barrier {
+    fn default() -> Self {
+        Self { mu: None, factor: 0.1, batch: BatchPlan::Auto }
+    }
+}
+
+impl Barrier {
+    /// Sets the first barrier parameter.
+    #[must_use]
+    pub fn mu(mut self, mu: f64) -> Self {
+        self.mu = Some(mu);
+        self
+    }
+
+    /// Sets what the barrier parameter is multiplied with from stage to stage.
+    #[must_use]
+    pub fn factor(mut self, factor: f64) -> Self {
+        self.factor = factor;
+        self
+    }
+
+    /// Sets the batch plan.
+    #[must_use]
+    pub fn batch(mut self, plan: BatchPlan) -> Self {
+        self.batch = plan;
+        self
+    }
+}
+
+/// One stage of a sequential barrier search.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct BarrierStage {
+    /// The barrier parameter.
+    pub mu: f64,
+    /// `B(x)` at the end of the stage.
+    pub barrier: f64,
+    /// The point at the end of the stage: the best for `f + mu B`.
+    pub x: Vec<f64>,
+    /// Its `f + mu B`.
+    pub value: f64,
+    /// Evaluations of the stage, speculative ones included.
+    pub n_evaluations: usize,
+}
+
+impl MethodOptions for Barrier {
+    type Method = BarrierState;
+
+    fn begin(&self, setup: &Setup) -> Result<BarrierState, Error> {
+        let space = &setup.space;
+        space.require_continuous("barrier")?;
+        if let Some(value) = self.mu.filter(|mu| !(*mu > 0.0 && mu.is_finite())) {
+            return Err(Error::Option { name: "mu", value, range: "positive and finite" });
+        }
+        if !(self.factor > 0.0 && self.factor < 1.0) {
+            return Err(Error::Option { name: "factor", value: self.factor, range: "between 0 and 1" });
+        }
+        let mut bounded = false;
+        for &index in space.free() {
+            let (lower, upper) = (space.bounds().lower()[index], space.bounds().upper()[index]);
+            let value = space.x0()[index];
+            if value <= lower || value >= upper {
+                return Err(Error::StartNotInterior { index, value, lower, upper });
+            }
+            bounded |= lower.is_finite() || upper.is_finite();
+        }
+        if !bounded && space.n_free() > 0 {
+            return Err(Error::NoBounds { method: "barrier" });
+        }
+        let inner = inner_setup(setup, space.x0(), 0);
+        let method = NelderMead::default().batch(self.batch);
+        Ok(BarrierState {
+            inner: method.begin(&inner)?,
+            plan: self.batch,
+            mu: self.mu,
+            factor: self.factor,
+            setup: setup.clone(),
+            asked: Batch::new(),
+            cutoffs: Vec::new(),
+            translated: Vec::new(),
+            working: vec![0.0; space.n_free()],
+            best: None,
+            schedule: Vec::new(),
+            stage_start: space.x0().to_vec(),
+            n_stage: 0,
+            n_batches: 0,
+            n_points: 0,
+            n_iterations: 0,
+            f_0: 0.0,
+            ended: None,
+        })
+    }
+
+    fn describe(&self) -> String {
+        format!("{self:?}")
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<BarrierState, Error> {
+        restored(state, |s: &BarrierState| s.is_sound(setup))
+    }
+}
+
+/// The problem of a stage: bounds a little inside of the user's, tolerances that tighten from stage to stage.
+fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
+    let space = &setup.space;
+    let (mut lower, mut upper) = (space.bounds().lower().to_vec(), space.bounds().upper().to_vec());
+    let (mut transforms, mut sizes) = (vec![Default::default(); space.n()], vec![1.0; space.n()]);
+    for (k, &i) in space.free().iter().enumerate() {
+        (transforms[i], sizes[i]) = (space.transform(k), space.size(k));
+        let width = upper[i] - lower[i];
+        let step = |bound: f64| {
+            if width.is_finite() { MARGIN * width } else { MARGIN * bound.abs().max(space.size(k)) }
+        };
+        // A start that is nearer to the bound than the margin may be kept half that near.
+        let (low, high) = space.ends(k);
+        if low.is_finite() {
+            lower[i] = (lower[i] + step(lower[i])).min(0.5 * lower[i] + 0.5 * start[i]);
+        }
+        if high.is_finite() {
+            upper[i] = (upper[i] - step(upper[i])).max(0.5 * upper[i] + 0.5 * start[i]);
+        }
+    }
+    let loose = 0.1f64.powi(stage.min(300) as i32 + 1);
+    let Tolerances { x_tol, f_tol, measure, .. } = setup.tolerances;
+    let tolerances = match measure {
+        Measure::Relative => {
+            Tolerances { x_tol: x_tol.max(0.1 * loose), f_tol: f_tol.max(0.1 * loose), ..setup.tolerances }
+        }
+        Measure::Absolute => setup.tolerances,
+    };
+    let inner = Bounds::new(&lower, &upper).and_then(|b| Space::new(start, b, &transforms, &sizes));
+    // The bounds contain the start by construction; should rounding say otherwise, the user's own do.
+    let space = inner.unwrap_or_else(|_| space.clone());
+    Setup { tolerances, ..Setup { space, ..setup.clone() } }
+}
+
+/// A running sequential barrier search; made by [`Barrier`].
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct BarrierState {
+    setup: Setup,
+    plan: BatchPlan,
+    /// Of the present stage; `None` until the first cost is known.
+    mu: Option<f64>,
+    factor: f64,
+    inner: NelderMeadState,
+    /// What was asked last, with the cutoffs of the inner method.
+    asked: Batch,
+    /// The cutoffs that the objective was told.
+    cutoffs: Vec<f64>,
+    translated: Vec<Outcome>,
+    working: Vec<f64>,
+    best: Option<(Vec<f64>, f64)>,
+    schedule: Vec<BarrierStage>,
+    stage_start: Vec<f64>,
+    n_stage: usize,
+    /// Batches, points and iterations of the stages before.
+    n_batches: u64,
+    n_points: u64,
+    n_iterations: usize,
+    f_0: f64,
+    ended: Option<Termination>,
+}
+
+impl BarrierState {
+    fn is_sound(&self, setup: &Setup) -> bool {
+        let space = &setup.space;
+        self.setup.space == *space
+            && self.working.len() == space.n_free()
+            && self.stage_start.len() == space.n()
+            && self.best.as_ref().is_none_or(|(x, _)| x.len() == space.n())
+            && self.inner.is_sound(&inner_setup(&self.setup, &self.stage_start, self.schedule.len()))
+    }
+
+    /// `B(x)`; positive, finite inside of the bounds.
+    fn barrier(&mut self, x: &[f64]) -> f64 {
+        let space = &self.setup.space;
+        space.to_working(x, &mut self.working);
+        let mut sum = 0.0;
+        for (k, u) in self.working.iter().enumerate() {
+            let (lower, upper) = space.ends(k);
+            let size = space.size(k);
+            if lower.is_finite() {
+                sum += size / (u - lower);
+            }
+            if upper.is_finite() {
+                sum += size / (upper - u);
+            }
+        }
+        sum
+    }
+
+    /// The first barrier parameter, from the first cost that is known.
+    fn settle_mu(&mut self, outcomes: &[Outcome]) {
+        let known = outcomes.iter().position(|o| o.value().is_some());
+        let Some((k, cost)) = known.and_then(|k| outcomes[k].value().map(|v| (k, v))) else { return };
+        if self.f_0 == 0.0 {
+            self.f_0 = cost.abs();
+        }
+        if self.mu.is_none() {
+            let x = self.asked.point(k).to_vec();
+            let barrier = self.barrier(&x);
+            let mu = 0.1 * cost.abs() / barrier;
+            self.mu = Some(if mu > 0.0 && mu.is_finite() { mu } else { 0.1 });
+        }
+    }
+
+    fn end_stage(&mut self) -> Result<(), Error> {
+        let Some((x, value)) = self.inner.best().map(|(x, v)| (x.to_vec(), v)) else { return Ok(()) };
+        let mu = self.mu.unwrap_or(0.0);
+        let barrier = self.barrier(&x);
+        let cost = value - mu * barrier;
+        self.schedule.push(BarrierStage { mu, barrier, x: x.clone(), value, n_evaluations: self.n_stage });
+        let stage = self.schedule.len();
+        let Tolerances { x_tol, f_tol, measure, .. } = self.setup.tolerances;
+        let space = &self.setup.space;
+        let mut moved = 0.0f64;
+        let mut start = vec![0.0; space.n_free()];
+        space.to_working(&self.stage_start, &mut start);
+        space.to_working(&x, &mut self.working);
+        for (k, &i) in space.free().iter().enumerate() {
+            moved = moved.max(match measure {
+                Measure::Relative => (self.working[k] - start[k]).abs() / space.size(k),
+                Measure::Absolute => (x[i] - self.stage_start[i]).abs(),
+            });
+        }
+        let limit = match measure {
+            Measure::Relative => f_tol * cost.abs().max(self.f_0),
+            Measure::Absolute => f_tol,
+        };
+        let tight = inner_setup(&self.setup, &x, stage - 1).tolerances == self.setup.tolerances;
+        if (tight && stage > 1 && moved <= x_tol && mu * barrier <= limit) || stage >= MAX_STAGES {
+            self.ended = Some(Termination::Converged);
+            return Ok(());
+        }
+        self.mu = Some(mu * self.factor);
+        self.n_batches += self.inner.n_batches();
+        self.n_points += self.inner.n_points();
+        self.n_iterations += self.inner.n_iterations();
+        self.n_stage = 0;
+        let side = (0.1 * 0.3f64.powi(stage as i32)).max(1e-4);
+        let mut steps = vec![1.0; space.n()];
+        for (k, &i) in space.free().iter().enumerate() {
+            steps[i] = side * space.size(k);
+        }
+        let method = NelderMead::default().batch(self.plan).initial_steps(&steps);
+        self.inner = method.begin(&inner_setup(&self.setup, &x, stage))?;
+        self.stage_start = x;
+        Ok(())
+    }
+}
+
+impl Method for BarrierState {
+    fn name(&self) -> &'static str {
+        "barrier"
+    }
+
+    fn ask(&mut self, batch: &mut Batch) {
+        if self.ended.is_some() {
+            return batch.start(self.setup.space.n(), self.n_batches, self.n_points);
+        }
+        self.inner.ask(batch);
+        self.asked.clone_from(batch);
+        batch.renumber(self.n_batches + batch.index(), self.n_points);
+        let mu = self.mu.unwrap_or(0.0);
+        self.cutoffs.clear();
+        for k in 0..self.asked.len() {
+            let cutoff = self.asked.cutoff(k);
+            if cutoff < f64::INFINITY {
+                let asked = std::mem::take(&mut self.asked);
+                let barrier = mu * self.barrier(asked.point(k));
+                self.asked = asked;
+                // Widened by what rounding may take away: giving up must imply that the sum is not accepted.
+                let slack = 4.0 * f64::EPSILON * (cutoff.abs() + barrier);
+                batch.set_cutoff(k, cutoff - barrier + slack);
+            }
+            self.cutoffs.push(batch.cutoff(k));
+        }
+    }
+
+    fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
+        let asked = self.asked.len();
+        if asked == 0 && self.inner.status() != Status::Running {
+            return Err(Error::TellWithoutAsk);
+        }
+        if outcomes.len() > asked {
+            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        }
+        self.settle_mu(outcomes);
+        let mu = self.mu.unwrap_or(0.0);
+        let points = std::mem::take(&mut self.asked);
+        self.translated.clear();
+        for (k, outcome) in outcomes.iter().enumerate() {
+            let translated = match outcome.value() {
+                Some(v) => Outcome::Value(v + mu * self.barrier(points.point(k))),
+                None => outcome.clone(),
+            };
+            self.translated.push(translated);
+        }
+        let told = self.inner.tell(&self.translated);
+        self.asked = points;
+        told?;
+        for (k, outcome) in outcomes.iter().enumerate() {
+            self.n_stage += usize::from(outcome.is_known());
+            let (Some(true), Some(v)) = (self.inner.used().get(k), outcome.value()) else { continue };
+            // Above the cutoff it might have been given up; with or without cutoffs the best must be the same.
+            if self.cutoffs.get(k).is_some_and(|c| v > *c) {
+                continue;
+            }
+            match &mut self.best {
+                Some((x, best)) if v < *best => {
+                    x.copy_from_slice(self.asked.point(k));
+                    *best = v;
+                }
+                Some(_) => {}
+                None => self.best = Some((self.asked.point(k).to_vec(), v)),
+            }
+        }
+        // Nothing is asked any more until the next ask.
+        self.asked.start(self.setup.space.n(), 0, 0);
+        match self.inner.status() {
+            Status::Running | Status::NoStart => Ok(()),
+            Status::Ended(Termination::AllFixed) => {
+                self.ended = Some(Termination::AllFixed);
+                Ok(())
+            }
+            Status::Ended(_) => self.end_stage(),
+        }
+    }
+
+    fn used(&self) -> &[bool] {
+        self.inner.used()
+    }
+
+    fn status(&self) -> Status {
+        match (&self.ended, self.inner.status()) {
+            (Some(termination), _) => Status::Ended(termination.clone()),
+            (None, Status::NoStart) if self.schedule.is_empty() => Status::NoStart,
+            // Later stages start where there was a cost before; an objective that has none now has lost its mind.
+            (None, Status::NoStart) => Status::Ended(Termination::Collapsed),
+            (None, _) => Status::Running,
+        }
+    }
+
+    fn n_iterations(&self) -> usize {
+        self.n_iterations
+            + if self.ended.is_some() && self.schedule.is_empty() { 0 } else { self.inner.n_iterations() }
+    }
+
+    fn operation(&self) -> Option<Operation> {
+        match self.inner.operation() {
+            None if !self.schedule.is_empty() => Some(Operation::Initial),
+            operation => operation,
+        }
+    }
+
+    fn plan(&self) -> &'static str {
+        self.inner.plan()
+    }
+
+    fn tests(&self) -> Option<Tests> {
+        self.inner.tests()
+    }
+
+    fn best(&self) -> Option<(&[f64], f64)> {
+        self.best.as_ref().map(|(x, f)| (&x[..], *f))
+    }
+
+    fn simplex(&self) -> Option<SimplexView<'_>> {
+        self.inner.simplex()
+    }
+
+    fn schedule(&self) -> &[BarrierStage] {
+        &self.schedule
+    }
+
+    fn save(&self) -> Option<Vec<u8>> {
+        saved(self)
+    }
+}

@@ -1,0 +1,241 @@
+//! Checkpoints: the whole state of a run in a file, so that a resumed run is the uninterrupted one, bit for bit.
+//!
+//! The file is a mark, the version of the format, a checksum, and the state in postcard's encoding. It is written to a
+//! temporary file beside it and renamed, so that there is always a whole one. What identifies a run (the fingerprint)
+//! is stored in words; a file of another run is refused by naming the difference, and left as it is.
+//!
+//! A batch that was cut short by the end of a run is not told to the stored state: the outcomes that were known are
+//! kept beside it and given again when the resumed run asks.
+
+use crate::cache::Cache;
+use crate::error::Error;
+use crate::evaluate::Replay;
+use crate::ledger::Ledger;
+use crate::method::Setup;
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// First bytes of a checkpoint; the last one is the version of the format.
+const MARK: &[u8; 16] = b"dfo checkpoint\0\x01";
+
+/// What to do with a checkpoint that is there already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Resume {
+    /// Continue if there is one, else start.
+    #[default]
+    Auto,
+    /// Start anew, whatever there is.
+    Never,
+    /// Continue; an error if there is none.
+    Require,
+}
+
+/// Where and how often a run writes its state.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Checkpoint {
+    /// The file.
+    pub path: PathBuf,
+    /// Default [`Resume::Auto`].
+    pub resume: Resume,
+    /// Least time between two writes while the run goes on; default 0.2 s. The end of a run is always written.
+    pub interval: Duration,
+    /// What else identifies the run, by name: what the objective is made from, for example.
+    pub tags: Vec<(String, String)>,
+}
+
+impl Checkpoint {
+    /// Writes to this file and resumes from it, if it is there.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self {
+            path: path.into(),
+            resume: Resume::Auto,
+            interval: Duration::from_millis(200),
+            tags: Vec::new(),
+        }
+    }
+
+    /// Sets what to do with a file that is there already.
+    #[must_use]
+    pub fn resume(mut self, resume: Resume) -> Self {
+        self.resume = resume;
+        self
+    }
+
+    /// Sets the least time between two writes.
+    #[must_use]
+    pub fn interval(mut self, interval: Duration) -> Self {
+        self.interval = interval;
+        self
+    }
+
+    /// Adds something that identifies the run: a file with another value is refused.
+    #[must_use]
+    pub fn tag(mut self, name: impl Into<String>, value: impl Into<String>) -> Self {
+        self.tags.push((name.into(), value.into()));
+        self
+    }
+}
+
+/// The whole state of a run.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Snapshot {
+    pub(crate) fingerprint: Vec<(String, String)>,
+    pub(crate) method: Vec<u8>,
+    pub(crate) ledger: Ledger,
+    pub(crate) cache: Cache,
+    pub(crate) stale: usize,
+    pub(crate) replay: Vec<Replay>,
+    pub(crate) observed: Option<usize>,
+    pub(crate) first_recent: usize,
+    pub(crate) seconds: f64,
+    pub(crate) seed: Option<u64>,
+}
+
+/// The same, lent: for writing.
+#[derive(Serialize)]
+pub(crate) struct Lent<'a> {
+    pub(crate) fingerprint: &'a [(String, String)],
+    pub(crate) method: &'a [u8],
+    pub(crate) ledger: &'a Ledger,
+    pub(crate) cache: &'a Cache,
+    pub(crate) stale: usize,
+    pub(crate) replay: &'a [Replay],
+    pub(crate) observed: Option<usize>,
+    pub(crate) first_recent: usize,
+    pub(crate) seconds: f64,
+    pub(crate) seed: Option<u64>,
+}
+
+/// What identifies a run, in words.
+pub(crate) fn fingerprint(
+    (options, budget): (String, bool),
+    setup: &Setup,
+    (cache, trace_limit): (usize, Option<usize>),
+    tags: &[(String, String)],
+) -> Vec<(String, String)> {
+    let Setup { space, tolerances, prior, .. } = setup;
+    let mut all = vec![
+        ("method and options".to_owned(), options),
+        ("start".to_owned(), format!("{:?}", setup.start_given.then(|| space.x0()))),
+        ("bounds".to_owned(), format!("{:?} {:?}", space.bounds().lower(), space.bounds().upper())),
+        ("parameters".to_owned(), space.describe()),
+        ("tolerances".to_owned(), format!("{tolerances:?}")),
+        ("cache".to_owned(), cache.to_string()),
+        ("trace limit".to_owned(), format!("{trace_limit:?}")),
+    ];
+    if budget {
+        all.push(("max_evaluations".to_owned(), format!("{:?}", setup.max_evaluations)));
+    }
+    if !prior.is_empty() {
+        let bytes = postcard::to_allocvec(prior).unwrap_or_default();
+        all.push((
+            "warm start".to_owned(),
+            format!("{} points, {:08x}", prior.len(), crc32fast::hash(&bytes)),
+        ));
+    }
+    all.extend(tags.iter().map(|(name, value)| (name.clone(), value.clone())));
+    all
+}
+
+fn failed(path: &Path, message: impl ToString) -> Error {
+    Error::Checkpoint { path: path.display().to_string(), message: message.to_string() }
+}
+
+/// Reads the checkpoint that a run is to continue from, if it is to.
+pub(crate) fn read(
+    options: &Checkpoint,
+    fingerprint: &[(String, String)],
+    seed: Option<u64>,
+    n: usize,
+) -> Result<Option<Snapshot>, Error> {
+    let path = &options.path;
+    if options.resume == Resume::Never {
+        return Ok(None);
+    }
+    let bytes = match std::fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound && options.resume == Resume::Auto => {
+            return Ok(None);
+        }
+        Err(e) => return Err(failed(path, e)),
+    };
+    let Some(rest) = bytes.strip_prefix(&MARK[..]) else {
+        return Err(failed(path, "this is no checkpoint, or one of another version"));
+    };
+    let Some((sum, payload)) = rest.split_first_chunk::<4>() else {
+        return Err(failed(path, "the file ends after its head"));
+    };
+    if u32::from_le_bytes(*sum) != crc32fast::hash(payload) {
+        return Err(failed(path, "the file is damaged: its checksum does not fit"));
+    }
+    let snapshot: Snapshot = postcard::from_bytes(payload).map_err(|e| failed(path, e))?;
+    let mismatch = |what: &str, stored: &str, given: &str| Error::CheckpointMismatch {
+        path: path.display().to_string(),
+        what: what.to_owned(),
+        stored: stored.to_owned(),
+        given: given.to_owned(),
+    };
+    for (name, given) in fingerprint {
+        let stored = snapshot.fingerprint.iter().find(|(n, _)| n == name).map(|(_, v)| &v[..]);
+        if stored != Some(given) {
+            return Err(mismatch(name, stored.unwrap_or("nothing"), given));
+        }
+    }
+    if let Some((name, stored)) =
+        snapshot.fingerprint.iter().find(|(n, _)| fingerprint.iter().all(|(m, _)| m != n))
+    {
+        return Err(mismatch(name, stored, "nothing"));
+    }
+    if let (Some(stored), Some(given)) = (snapshot.seed, seed)
+        && stored != given
+    {
+        return Err(mismatch("seed", &stored.to_string(), &given.to_string()));
+    }
+    if !(snapshot.ledger.is_sound(n) && snapshot.seconds >= 0.0 && snapshot.seconds.is_finite()) {
+        return Err(failed(path, "the parts of the file do not fit together"));
+    }
+    Ok(Some(snapshot))
+}
+
+/// Writes snapshots, not too often.
+pub(crate) struct Writer {
+    options: Checkpoint,
+    pub(crate) fingerprint: Vec<(String, String)>,
+    next: Instant,
+}
+
+impl Writer {
+    pub(crate) fn new(options: Checkpoint, fingerprint: Vec<(String, String)>) -> Self {
+        Self { next: Instant::now() + options.interval, options, fingerprint }
+    }
+
+    /// Whether it is time for another.
+    pub(crate) fn is_due(&self) -> bool {
+        Instant::now() >= self.next
+    }
+
+    /// Writes a whole file and puts it in the place of the old one.
+    pub(crate) fn write(&mut self, snapshot: &Lent<'_>) -> Result<(), Error> {
+        let path = &self.options.path;
+        let begin = Instant::now();
+        let payload = postcard::to_allocvec(snapshot).map_err(|e| failed(path, e))?;
+        let folder = match path.parent() {
+            Some(folder) if folder != Path::new("") => folder,
+            _ => Path::new("."),
+        };
+        let mut file = tempfile::NamedTempFile::new_in(folder).map_err(|e| failed(path, e))?;
+        file.write_all(MARK)
+            .and_then(|()| file.write_all(&crc32fast::hash(&payload).to_le_bytes()))
+            .and_then(|()| file.write_all(&payload))
+            .and_then(|()| file.as_file().sync_all())
+            .map_err(|e| failed(path, e))?;
+        file.persist(path).map_err(|e| failed(path, e.error))?;
+        // A long trace takes long to write: never more than a tenth of the time.
+        let now = Instant::now();
+        self.next = now + self.options.interval.max(9 * (now - begin));
+        Ok(())
+    }
+}

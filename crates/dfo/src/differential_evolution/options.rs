@@ -1,0 +1,307 @@
+//! What the user may choose about differential evolution.
+
+use super::state::DifferentialEvolutionState;
+use crate::error::Error;
+use crate::method::{MethodOptions, Setup, restored};
+use crate::rng::draw_seed;
+use crate::sampling::Sampling;
+use crate::scaling::Kind;
+use serde::{Deserialize, Serialize};
+
+/// How donor vectors are made. `r1`, `r2`, ... are different members, drawn for each target `i`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Strategy {
+    /// `x_r1 + F (x_r2 - x_r3)`.
+    #[default]
+    Rand1,
+    /// `x_best + F (x_r1 - x_r2)`.
+    Best1,
+    /// `x_i + F (x_best - x_i) + F (x_r1 - x_r2)`.
+    CurrentToBest1,
+    /// `x_r1 + F (x_r2 - x_r3) + F (x_r4 - x_r5)`.
+    Rand2,
+}
+
+impl Strategy {
+    /// How many members are drawn besides the target.
+    pub(super) fn n_drawn(self) -> usize {
+        match self {
+            Self::Best1 | Self::CurrentToBest1 => 2,
+            Self::Rand1 => 3,
+            Self::Rand2 => 5,
+        }
+    }
+}
+
+/// How the trial vector is mixed from target and donor. At least one coordinate always comes from the donor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Crossover {
+    /// Each coordinate from the donor with the crossover probability.
+    #[default]
+    Binomial,
+    /// A run of coordinates (around the end) from the donor; it goes on with the crossover probability.
+    Exponential,
+}
+
+/// The differential weight `F`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Weight {
+    /// The same always.
+    Fixed(f64),
+    /// Drawn uniformly from a range once per generation.
+    Dither(f64, f64),
+}
+
+/// How coordinates outside of the box are brought back.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Repair {
+    /// Into the middle between the target and the bound that was crossed.
+    #[default]
+    Midpoint,
+    /// Mirrored at the bound.
+    Mirror,
+    /// Set onto the bound.
+    Clamp,
+    /// Drawn anew from the whole range.
+    Resample,
+}
+
+/// What L-SHADE can be told. The defaults are those of its authors, but for a memory of five.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Adaptive {
+    /// Fraction of the population that counts as best; default 0.11.
+    pub p_best: f64,
+    /// Entries of the memories of `F` and `CR`; default 5.
+    pub memory: usize,
+    /// Size of the archive, in units of the population; default 2.6.
+    pub archive: f64,
+    /// Members at the end of the budget; default 4.
+    pub final_population: usize,
+}
+
+impl Default for Adaptive {
+    fn default() -> Self {
+        Self { p_best: 0.11, memory: 5, archive: 2.6, final_population: 4 }
+    }
+}
+
+/// How trial vectors are made.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Scheme {
+    /// With constants.
+    Classic {
+        /// How donors are made.
+        strategy: Strategy,
+        /// How trials are mixed.
+        crossover: Crossover,
+        /// The differential weight, from 0 to 2.
+        weight: Weight,
+        /// The crossover probability, from 0 to 1.
+        probability: f64,
+    },
+    /// L-SHADE: factors from memories, an archive, and a population that shrinks over the budget.
+    Adaptive(Adaptive),
+}
+
+/// Options of differential evolution. The default is L-SHADE; [`classic`](Self::classic) is rand/1/bin.
+///
+/// Every free parameter needs two finite bounds. Parameters may be integers.
+///
+/// ```
+/// use dfo::{DifferentialEvolution, minimize};
+///
+/// let rastrigin = |x: &[f64]| -> f64 {
+///     x.iter().map(|x| x * x + 10.0 - 10.0 * (std::f64::consts::TAU * x).cos()).sum()
+/// };
+/// let report = minimize(rastrigin)
+///     .bounds(&[-5.0; 2], &[4.0; 2])?
+///     .method(DifferentialEvolution::default())
+///     .seed(1)
+///     .max_evaluations(4000)
+///     .run()?;
+/// assert!(report.fun < 1e-6 && report.seed == Some(1));
+/// # Ok::<(), dfo::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct DifferentialEvolution {
+    /// How trial vectors are made; default L-SHADE.
+    pub scheme: Scheme,
+    /// Members of the (first) population; default 18 n for L-SHADE, else 10 n, but at least 20.
+    pub population: Option<usize>,
+    /// How the first population is spread; default Latin hypercube, for [`classic`](Self::classic) uniform.
+    pub sampling: Sampling,
+    /// How coordinates outside of the box are brought back; default [`Repair::Midpoint`].
+    pub repair: Repair,
+    /// Whether the start point, if one was given, is a member of the first population; default yes, for
+    /// [`classic`](Self::classic) no.
+    pub include_start: bool,
+    /// Evaluations over which L-SHADE shrinks its population; default the limit of the run, else `2000 (n + 1)`.
+    pub budget: Option<usize>,
+}
+
+impl Default for DifferentialEvolution {
+    fn default() -> Self {
+        Self {
+            scheme: Scheme::Adaptive(Adaptive::default()),
+            population: None,
+            sampling: Sampling::LatinHypercube,
+            repair: Repair::Midpoint,
+            include_start: true,
+            budget: None,
+        }
+    }
+}
+
+impl DifferentialEvolution {
+    /// The method as Gedda et al. (2012, section 4.2.1) write it: rand/1/bin with constant weight and probability, the
+    /// first population uniform in the box. Weight 0.8 and probability 0.9 (Storn and Price 1997).
+    pub fn classic() -> Self {
+        Self {
+            scheme: Scheme::Classic {
+                strategy: Strategy::Rand1,
+                crossover: Crossover::Binomial,
+                weight: Weight::Fixed(0.8),
+                probability: 0.9,
+            },
+            sampling: Sampling::Uniform,
+            include_start: false,
+            ..Self::default()
+        }
+    }
+
+    /// Classic with this strategy, crossover, weight and probability.
+    #[must_use]
+    pub fn with(
+        mut self,
+        strategy: Strategy,
+        crossover: Crossover,
+        weight: Weight,
+        probability: f64,
+    ) -> Self {
+        self.scheme = Scheme::Classic { strategy, crossover, weight, probability };
+        self
+    }
+
+    /// Sets the number of members.
+    #[must_use]
+    pub fn population(mut self, members: usize) -> Self {
+        self.population = Some(members);
+        self
+    }
+
+    /// Sets how the first population is spread.
+    #[must_use]
+    pub fn sampling(mut self, sampling: Sampling) -> Self {
+        self.sampling = sampling;
+        self
+    }
+
+    /// Sets how coordinates outside of the box are brought back.
+    #[must_use]
+    pub fn repair(mut self, repair: Repair) -> Self {
+        self.repair = repair;
+        self
+    }
+
+    /// Sets whether a start point that was given joins the first population.
+    #[must_use]
+    pub fn include_start(mut self, include: bool) -> Self {
+        self.include_start = include;
+        self
+    }
+
+    /// Sets the evaluations over which L-SHADE shrinks its population.
+    #[must_use]
+    pub fn budget(mut self, evaluations: usize) -> Self {
+        self.budget = Some(evaluations);
+        self
+    }
+
+    /// Name of the method with these options.
+    pub fn name(&self) -> &'static str {
+        match self.scheme {
+            Scheme::Classic { .. } => "de-classic",
+            Scheme::Adaptive(_) => "de",
+        }
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        let within = |name, value: f64, low: f64, high: f64, range| {
+            if value >= low && value <= high { Ok(()) } else { Err(Error::Option { name, value, range }) }
+        };
+        match self.scheme {
+            Scheme::Classic { weight, probability, .. } => {
+                within("crossover probability", probability, 0.0, 1.0, "from 0 to 1")?;
+                match weight {
+                    Weight::Fixed(f) => within("differential weight", f, 0.0, 2.0, "from 0 to 2"),
+                    Weight::Dither(low, high) => {
+                        within("differential weight", low, 0.0, 2.0, "from 0 to 2")?;
+                        within("differential weight", high, low, 2.0, "from the lower end to 2")
+                    }
+                }
+            }
+            Scheme::Adaptive(a) => {
+                within("p_best", a.p_best, f64::MIN_POSITIVE, 1.0, "above 0, at most 1")?;
+                within("archive", a.archive, 0.0, 100.0, "from 0 to 100")?;
+                within("memory", a.memory as f64, 1.0, 1e6, "at least 1")?;
+                within("final population", a.final_population as f64, 4.0, 1e6, "at least 4")
+            }
+        }
+    }
+}
+
+impl MethodOptions for DifferentialEvolution {
+    type Method = DifferentialEvolutionState;
+
+    fn begin(&self, setup: &Setup) -> Result<DifferentialEvolutionState, Error> {
+        setup.tolerances.check()?;
+        self.check()?;
+        let (space, name) = (&setup.space, self.name());
+        space.require_box(name)?;
+        if let Some(k) = (0..space.n_free()).find(|&k| space.kind(k) == Kind::Categorical) {
+            return Err(Error::NotContinuous { method: name, index: space.free()[k] });
+        }
+        let n = space.n_free();
+        let (default, least) = match self.scheme {
+            Scheme::Adaptive(a) => (18 * n, a.final_population),
+            Scheme::Classic { strategy, .. } => (10 * n, strategy.n_drawn() + 1),
+        };
+        let members = self.population.unwrap_or(default.max(20));
+        if members < least {
+            let range = "large enough for the strategy (rand/1: 4, rand/2: 6, L-SHADE: its final population)";
+            return Err(Error::Option { name: "population", value: members as f64, range });
+        }
+        let members = if n == 0 { 1 } else { members };
+        DifferentialEvolutionState::new(self, setup.clone(), members, setup.seed.unwrap_or_else(draw_seed))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<DifferentialEvolutionState, Error> {
+        restored(state, |s: &DifferentialEvolutionState| s.is_sound(setup))
+    }
+
+    fn needs_start(&self) -> bool {
+        false
+    }
+
+    fn describe(&self) -> String {
+        format!("{self:?}")
+    }
+
+    fn plans_with_budget(&self) -> bool {
+        matches!(self.scheme, Scheme::Adaptive(_)) && self.budget.is_none()
+    }
+
+    fn default_limits(&self, n: usize) -> (usize, usize) {
+        match self.scheme {
+            Scheme::Adaptive(_) => (2000usize.saturating_mul(n + 1), usize::MAX),
+            Scheme::Classic { .. } => (5000usize.saturating_mul(n + 1), usize::MAX),
+        }
+    }
+}

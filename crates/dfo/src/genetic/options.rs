@@ -1,0 +1,213 @@
+//! What the user may choose about the genetic algorithm.
+
+use super::coding::Coding;
+use super::state::GeneticState;
+use crate::error::Error;
+use crate::method::{MethodOptions, Setup, restored};
+use crate::rng::draw_seed;
+use crate::sampling::Sampling;
+use serde::{Deserialize, Serialize};
+
+/// How parents are chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Selection {
+    /// With probabilities proportional to fitness.
+    #[default]
+    FitnessProportional,
+    /// The best of so many members drawn at random (with repetition).
+    Tournament(usize),
+}
+
+/// Options of the genetic algorithm.
+///
+/// Every free parameter needs two finite bounds; parameters may be integers or choices.
+///
+/// ```
+/// use dfo::{Genetic, Kind, minimize};
+///
+/// let cost = |x: &[f64]| (x[0] - 0.3).powi(2) + if x[1] == 2.0 { 0.0 } else { 1.0 };
+/// let report = minimize(cost)
+///     .bounds(&[-1.0, 0.0], &[1.0, 4.0])?
+///     .kinds(&[Kind::Continuous, Kind::Categorical])
+///     .method(Genetic::default())
+///     .seed(1)
+///     .max_evaluations(3000)
+///     .run()?;
+/// assert!(report.fun < 1e-3 && report.x[1] == 2.0);
+/// # Ok::<(), dfo::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Genetic {
+    /// Members; default 10 n, but at least 50.
+    pub population: Option<usize>,
+    /// How parents are chosen; default by fitness.
+    pub selection: Selection,
+    /// Probability that a pair is crossed; default 0.7.
+    pub crossover_rate: f64,
+    /// Probability that a bit flips; default one bit per child on average, but at most 0.1.
+    pub mutation_rate: Option<f64>,
+    /// The best members that stay as they are; default 1.
+    pub elite: usize,
+    /// Whether numbers are in Gray code; default yes.
+    pub gray: bool,
+    /// Steps wanted per parameter (user's order; of `ln x` on a logarithmic scale): bits are taken until neighbouring
+    /// values are no farther apart. Empty (the default): 16 bits each. Discrete parameters have as many bits as their
+    /// values need.
+    pub resolution: Vec<f64>,
+    /// How the first population is spread; default uniform.
+    pub sampling: Sampling,
+    /// Whether the start point, if one was given, is a member of the first population, exactly; default yes.
+    pub include_start: bool,
+    /// Generations without a better point after which the run ends; default 100.
+    pub stall: Option<usize>,
+}
+
+impl Default for Genetic {
+    fn default() -> Self {
+        Self {
+            population: None,
+            selection: Selection::FitnessProportional,
+            crossover_rate: 0.7,
+            mutation_rate: None,
+            elite: 1,
+            gray: true,
+            resolution: Vec::new(),
+            sampling: Sampling::Uniform,
+            include_start: true,
+            stall: Some(100),
+        }
+    }
+}
+
+impl Genetic {
+    /// Sets the number of members.
+    #[must_use]
+    pub fn population(mut self, members: usize) -> Self {
+        self.population = Some(members);
+        self
+    }
+
+    /// Sets how parents are chosen.
+    #[must_use]
+    pub fn selection(mut self, selection: Selection) -> Self {
+        self.selection = selection;
+        self
+    }
+
+    /// Sets the probability that a pair is crossed.
+    #[must_use]
+    pub fn crossover_rate(mut self, rate: f64) -> Self {
+        self.crossover_rate = rate;
+        self
+    }
+
+    /// Sets the probability that a bit flips.
+    #[must_use]
+    pub fn mutation_rate(mut self, rate: f64) -> Self {
+        self.mutation_rate = Some(rate);
+        self
+    }
+
+    /// Sets how many of the best stay.
+    #[must_use]
+    pub fn elite(mut self, members: usize) -> Self {
+        self.elite = members;
+        self
+    }
+
+    /// Sets whether numbers are in Gray code.
+    #[must_use]
+    pub fn gray(mut self, gray: bool) -> Self {
+        self.gray = gray;
+        self
+    }
+
+    /// Sets the steps wanted, one per parameter.
+    #[must_use]
+    pub fn resolution(mut self, steps: &[f64]) -> Self {
+        self.resolution = steps.to_vec();
+        self
+    }
+
+    /// Sets how the first population is spread.
+    #[must_use]
+    pub fn sampling(mut self, sampling: Sampling) -> Self {
+        self.sampling = sampling;
+        self
+    }
+
+    /// Sets whether a start point that was given joins the first population.
+    #[must_use]
+    pub fn include_start(mut self, include: bool) -> Self {
+        self.include_start = include;
+        self
+    }
+
+    /// Sets after how many generations without a better point the run ends; `None` for never.
+    #[must_use]
+    pub fn stall(mut self, generations: Option<usize>) -> Self {
+        self.stall = generations;
+        self
+    }
+
+    fn check(&self, members: usize) -> Result<(), Error> {
+        let rate = |value: f64| (0.0..=1.0).contains(&value);
+        let (mutation, size) = (self.mutation_rate.unwrap_or(0.0), members as f64);
+        let tournament = match self.selection {
+            Selection::Tournament(size) => size,
+            Selection::FitnessProportional => 1,
+        };
+        for (name, value, good, range) in [
+            ("crossover_rate", self.crossover_rate, rate(self.crossover_rate), "from 0 to 1"),
+            ("mutation_rate", mutation, rate(mutation), "from 0 to 1"),
+            ("population", size, members >= 2, "at least 2"),
+            ("elite", self.elite as f64, self.elite < members, "below the number of members"),
+            ("tournament", tournament as f64, tournament >= 1, "at least 1"),
+            ("stall", 0.0, self.stall != Some(0), "at least 1"),
+        ] {
+            if !good {
+                return Err(Error::Option { name, value, range });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl MethodOptions for Genetic {
+    type Method = GeneticState;
+
+    fn begin(&self, setup: &Setup) -> Result<GeneticState, Error> {
+        setup.tolerances.check()?;
+        let space = &setup.space;
+        space.require_box("ga")?;
+        let n = space.n_free();
+        let members = self.population.unwrap_or((10 * n).max(50));
+        self.check(members)?;
+        let coding = Coding::new(space, &self.resolution, self.gray)?;
+        let members = if n == 0 { 1 } else { members };
+        GeneticState::new(self, setup.clone(), coding, members, setup.seed.unwrap_or_else(draw_seed))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<GeneticState, Error> {
+        restored(state, |s: &GeneticState| s.is_sound(setup))
+    }
+
+    fn needs_start(&self) -> bool {
+        false
+    }
+
+    fn describe(&self) -> String {
+        format!("{self:?}")
+    }
+
+    fn default_limits(&self, n: usize) -> (usize, usize) {
+        (5000usize.saturating_mul(n + 1), usize::MAX)
+    }
+
+    /// Children that are like a parent are common.
+    fn default_cache(&self) -> usize {
+        10_000
+    }
+}

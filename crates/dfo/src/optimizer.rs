@@ -1,0 +1,268 @@
+//! Ask / tell by ids: points are handed out one by one or many at once, and answered in any order.
+
+use crate::any_method::BoxedMethod;
+use crate::cache::Cache;
+use crate::drive::end;
+use crate::error::Error;
+use crate::evaluate::Desk;
+use crate::ledger::Ledger;
+use crate::method::{Batch, Method, MethodOptions, Setup, Status};
+use crate::objective::{Evaluation, Outcome};
+use crate::report::{self, Report};
+use crate::scaling::Kind;
+use crate::termination::{Limits, Termination};
+use crate::trace::Trace;
+use std::time::Instant;
+
+/// A point that is to be evaluated.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Point {
+    /// Its number, to answer by.
+    pub id: u64,
+    /// The batch that it belongs to.
+    pub batch: u64,
+    /// The point, in the user's units.
+    pub x: Vec<f64>,
+    /// Above this cost the outcome may be [`Outcome::Above`]; infinite if there is no cutoff.
+    pub cutoff: f64,
+}
+
+impl Point {
+    /// What to tell an [`Objective`](crate::Objective) with the point.
+    pub fn evaluation(&self) -> Evaluation<'static> {
+        Evaluation::new(self.id, self.batch, self.cutoff)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Answer {
+    /// Not handed out yet.
+    Due,
+    /// Handed out.
+    Out,
+    /// Told.
+    In,
+}
+
+/// A run that somebody else drives: the same trace as [`minimize`](crate::minimize) makes, whatever the order of the
+/// answers.
+///
+/// Methods work in rounds, so [`ask`](Self::ask) has nothing to give while the last answers of a round are missing.
+///
+/// ```
+/// use dfo::{Bounds, Genetic, Limits, Optimizer, Outcome, Setup, Space};
+///
+/// let space = Space::new(&[0.5, 0.5], Bounds::new(&[0.0; 2], &[1.0; 2])?, &[], &[])?;
+/// let setup = Setup { seed: Some(1), ..Setup::new(space) };
+/// let limits = Limits { max_evaluations: Some(300), ..Limits::default() };
+/// let mut optimizer = Optimizer::new(&Genetic::default(), setup, limits)?;
+/// while optimizer.termination().is_none() {
+///     // In any order, in any pieces.
+///     for point in optimizer.ask(7).into_iter().rev() {
+///         optimizer.tell(point.id, Outcome::Value((point.x[0] - point.x[1]).powi(2)))?;
+///     }
+/// }
+/// assert!(optimizer.report()?.fun < 1e-3);
+/// # Ok::<(), dfo::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct Optimizer {
+    method: BoxedMethod,
+    desk: Desk,
+    limits: Limits,
+    batch: Batch,
+    answers: Vec<Answer>,
+    outcomes: Vec<Outcome>,
+    seconds: Vec<f64>,
+    handed: Vec<Instant>,
+    start: Instant,
+    /// `Some(None)`: the method had nothing to start from.
+    ended: Option<Option<Termination>>,
+}
+
+impl Optimizer {
+    /// Starts a method. Without any limit of evaluations, iterations and time the method's defaults hold; a limit of
+    /// time counts from here and is looked at when a batch is complete or asked for.
+    ///
+    /// # Errors
+    /// Options that cannot be used.
+    pub fn new<M>(options: &M, mut setup: Setup, mut limits: Limits) -> Result<Self, Error>
+    where
+        M: MethodOptions,
+        M::Method: Send + 'static,
+    {
+        limits.check()?;
+        limits.fill(options.default_limits(setup.space.n_free()));
+        setup.max_evaluations = limits.max_evaluations;
+        let n = setup.space.n();
+        let discrete = (0..setup.space.n_free()).any(|k| setup.space.kind(k) != Kind::Continuous);
+        let capacity = options.default_cache().max(if discrete { 10_000 } else { 0 });
+        let mut optimizer = Self {
+            method: BoxedMethod::new(options.begin(&setup)?),
+            desk: Desk::new(Ledger::new(n, None), Cache::new(capacity)),
+            limits,
+            batch: Batch::new(),
+            answers: Vec::new(),
+            outcomes: Vec::new(),
+            seconds: Vec::new(),
+            handed: Vec::new(),
+            start: Instant::now(),
+            ended: None,
+        };
+        optimizer.advance()?;
+        Ok(optimizer)
+    }
+
+    /// Points to evaluate, at most so many; none while the answers to all points of a round are awaited, and none after
+    /// the end.
+    pub fn ask(&mut self, at_most: usize) -> Vec<Point> {
+        let mut points = Vec::new();
+        if self.ended.is_some() {
+            return points;
+        }
+        let work = &self.desk.work;
+        for k in 0..work.len() {
+            if points.len() < at_most && self.answers[k] == Answer::Due {
+                self.answers[k] = Answer::Out;
+                self.handed[k] = Instant::now();
+                let (id, x) = (work.id(k), work.point(k).to_vec());
+                points.push(Point { id, batch: work.index(), x, cutoff: work.cutoff(k) });
+            }
+        }
+        points
+    }
+
+    /// The outcome of a point. [`Outcome::Skipped`] and cancelled evaluations give the point back: it is handed out
+    /// again. [`Outcome::Abort`] ends the run.
+    ///
+    /// # Errors
+    /// An id that was not handed out, or was answered already.
+    pub fn tell(&mut self, id: u64, outcome: Outcome) -> Result<(), Error> {
+        let work = &self.desk.work;
+        let place = (0..work.len()).find(|&k| work.id(k) == id && self.answers[k] == Answer::Out);
+        let Some(k) = place.filter(|_| self.ended.is_none()) else { return Err(Error::UnknownPoint { id }) };
+        if matches!(outcome, Outcome::Skipped) {
+            self.answers[k] = Answer::Due;
+            return Ok(());
+        }
+        let outcome = outcome.checked(work.cutoff(k));
+        let abort = match &outcome {
+            Outcome::Abort(message) => Some(Termination::Aborted(message.clone())),
+            other if !other.is_known() => {
+                self.answers[k] = Answer::Due;
+                return Ok(());
+            }
+            _ => None,
+        };
+        self.answers[k] = Answer::In;
+        self.outcomes[k] = outcome;
+        self.seconds[k] = self.handed[k].elapsed().as_secs_f64();
+        if abort.is_some() || self.answers.iter().all(|a| *a == Answer::In) {
+            let truncated = self.desk.is_truncated().then_some(Termination::MaxEvaluations);
+            self.complete(abort.or(truncated))?;
+            self.advance()?;
+        }
+        Ok(())
+    }
+
+    /// Enters the batch as far as it is known and tells the method.
+    fn complete(&mut self, stopped: Option<Termination>) -> Result<(), Error> {
+        self.desk.close(&self.batch, &self.outcomes, &self.seconds);
+        self.method.tell(self.desk.outcomes())?;
+        self.desk.ledger.settle(self.method.used());
+        self.ended = end(&self.method, &self.desk, &self.limits, stopped.as_ref(), false);
+        Ok(())
+    }
+
+    /// Goes on to the next batch with something to evaluate.
+    fn advance(&mut self) -> Result<(), Error> {
+        while self.ended.is_none() {
+            self.method.ask(&mut self.batch);
+            if self.batch.is_empty() {
+                if self.method.status() == Status::Running {
+                    self.method.tell(&[])?;
+                    self.desk.ledger.settle(self.method.used());
+                }
+                self.ended = end(&self.method, &self.desk, &self.limits, None, false);
+                continue;
+            }
+            let spent = self.limits.max_evaluations.is_some_and(|m| self.desk.ledger.n_evaluations >= m);
+            let late = self.limits.max_time.is_some_and(|t| self.start.elapsed() >= t);
+            if spent || late {
+                let why = if spent { Termination::MaxEvaluations } else { Termination::MaxTime };
+                self.ended = Some(Some(why));
+                break;
+            }
+            self.desk.open(&self.batch, &self.limits);
+            let len = self.desk.work.len();
+            self.answers.clear();
+            self.answers.resize(len, Answer::Due);
+            self.outcomes.clear();
+            self.outcomes.resize(len, Outcome::Skipped);
+            self.seconds.clear();
+            self.seconds.resize(len, 0.0);
+            self.handed.clear();
+            self.handed.resize(len, self.start);
+            if len > 0 {
+                break;
+            }
+            let truncated = self.desk.is_truncated().then_some(Termination::MaxEvaluations);
+            self.complete(truncated)?;
+        }
+        Ok(())
+    }
+
+    /// Ends the run: [`termination`](Self::termination) is [`Termination::Interrupted`] then, if it was not over
+    /// already. What was told of an incomplete round is entered.
+    ///
+    /// # Errors
+    /// None that a method of this crate gives.
+    pub fn stop(&mut self) -> Result<(), Error> {
+        if self.ended.is_some() {
+            return Ok(());
+        }
+        if self.answers.contains(&Answer::In) {
+            self.complete(Some(Termination::Interrupted))?;
+        }
+        self.ended = Some(Some(Termination::Interrupted));
+        Ok(())
+    }
+
+    /// Points handed out and not answered yet.
+    pub fn n_pending(&self) -> usize {
+        self.answers.iter().filter(|a| **a == Answer::Out).count()
+    }
+
+    /// The best point so far and its cost, of complete rounds.
+    pub fn best(&self) -> Option<(&[f64], f64)> {
+        self.desk.ledger.best.as_ref().map(|(x, f)| (&x[..], *f))
+    }
+
+    /// Why the run is over; `None` while it is not. A run whose starting points all failed counts as
+    /// [`Termination::Collapsed`] here; its [`report`](Self::report) is an error.
+    pub fn termination(&self) -> Option<Termination> {
+        self.ended.as_ref().map(|t| t.clone().unwrap_or(Termination::Collapsed))
+    }
+
+    /// The method, to look into.
+    pub fn method(&self) -> &dyn Method {
+        &self.method
+    }
+
+    /// All evaluations of complete rounds.
+    pub fn trace(&self) -> &Trace {
+        &self.desk.ledger.trace
+    }
+
+    /// The result so far; [`Termination::Interrupted`] while the run is not over.
+    ///
+    /// # Errors
+    /// There is no point with a finite cost.
+    pub fn report(&self) -> Result<Report, Error> {
+        let termination = self.ended.clone().unwrap_or(Some(Termination::Interrupted));
+        let seconds = self.start.elapsed().as_secs_f64();
+        let mut ledger = self.desk.ledger.clone();
+        report::conclude(&self.method, &mut ledger, &self.limits, 1, termination, seconds)
+    }
+}

@@ -1,0 +1,97 @@
+//! Asking and telling whole generations: which candidates still wait for an answer, what was used, what was best.
+
+use crate::cost::Cost;
+use crate::error::Error;
+use crate::method::Batch;
+use crate::objective::Outcome;
+use crate::population::Population;
+use serde::{Deserialize, Serialize};
+
+/// The bookkeeping of a method whose batches are the candidates that have no cost yet.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(crate) struct Rounds {
+    n_batches: u64,
+    n_points: u64,
+    /// The candidate behind each point of the last batch.
+    roles: Vec<usize>,
+    waiting: bool,
+    used: Vec<bool>,
+    best: Option<(Vec<f64>, f64)>,
+}
+
+impl Rounds {
+    pub(crate) fn with_capacity(candidates: usize) -> Self {
+        let (roles, used) = (Vec::with_capacity(candidates), Vec::with_capacity(candidates));
+        Self { roles, used, ..Self::default() }
+    }
+
+    /// A batch without points: the method has ended.
+    pub(crate) fn ask_nothing(&mut self, batch: &mut Batch, n_user: usize) {
+        batch.start(n_user, self.n_batches, self.n_points);
+        self.roles.clear();
+        self.waiting = false;
+    }
+
+    /// Asks for all candidates without a cost.
+    pub(crate) fn ask(
+        &mut self,
+        batch: &mut Batch,
+        n_user: usize,
+        candidates: &Population,
+        cutoff: impl Fn(usize) -> f64,
+    ) {
+        self.ask_nothing(batch, n_user);
+        for slot in 0..candidates.len() {
+            if candidates.cost(slot) == Cost::Pending {
+                batch.push(candidates.x(slot), cutoff(slot));
+                self.roles.push(slot);
+            }
+        }
+        self.waiting = !self.roles.is_empty();
+    }
+
+    /// Takes outcomes; says whether all candidates have a cost now.
+    pub(crate) fn tell(&mut self, outcomes: &[Outcome], candidates: &mut Population) -> Result<bool, Error> {
+        let asked = self.roles.len();
+        if !self.waiting {
+            return Err(Error::TellWithoutAsk);
+        }
+        if outcomes.len() > asked {
+            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        }
+        self.waiting = false;
+        self.n_batches += 1;
+        self.n_points += asked as u64;
+        self.used.clear();
+        self.used.resize(asked, false);
+        for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
+            let slot = self.roles[k];
+            self.used[k] = true;
+            // What was given up above the target's cost is no candidate, like what failed.
+            candidates.set_cost(slot, outcome.value().map_or(Cost::Failed, Cost::Value));
+            let Some(value) = outcome.value() else { continue };
+            match &mut self.best {
+                Some((x, best)) if value < *best => {
+                    x.copy_from_slice(candidates.x(slot));
+                    *best = value;
+                }
+                Some(_) => {}
+                None => self.best = Some((candidates.x(slot).to_vec(), value)),
+            }
+        }
+        Ok(!candidates.is_pending())
+    }
+
+    pub(crate) fn used(&self) -> &[bool] {
+        &self.used
+    }
+
+    pub(crate) fn best(&self) -> Option<(&[f64], f64)> {
+        self.best.as_ref().map(|(x, f)| (&x[..], *f))
+    }
+
+    /// Whether this fits to these candidates: what comes from a file may not.
+    pub(crate) fn is_sound(&self, n_user: usize) -> bool {
+        self.best.as_ref().is_none_or(|(x, _)| x.len() == n_user)
+    }
+}

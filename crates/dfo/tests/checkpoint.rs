@@ -1,0 +1,261 @@
+//! A resumed run is the uninterrupted one, bit for bit; files that do not belong are refused and left alone.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::{probe, timeless};
+use dfo::{
+    AnyMethod, BatchPlan, Checkpoint, Error, Evaluation, Minimize, NelderMead, Outcome, Report, Resume,
+    Termination, minimize, with_evaluation,
+};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let folder = std::env::temp_dir().join(format!("dfo-checkpoint-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        Self(folder)
+    }
+    fn file(&self) -> PathBuf {
+        self.0.join("run.checkpoint")
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn methods() -> Vec<AnyMethod> {
+    let mut all: Vec<AnyMethod> = AnyMethod::NAMES.iter().map(|n| n.parse().unwrap()).collect();
+    all.push(NelderMead::default().batch(BatchPlan::TwoAhead).into());
+    all
+}
+
+fn set_up<'a>(m: Minimize<'a, NelderMead>, method: &AnyMethod) -> Minimize<'a, AnyMethod> {
+    m.start(&[-0.5, 1.0])
+        .bounds(&[-2.0; 2], &[2.0; 2])
+        .unwrap()
+        .method(method.clone())
+        .seed(5)
+        .max_evaluations(500)
+}
+
+fn at(path: &Path) -> Checkpoint {
+    Checkpoint::new(path).interval(Duration::ZERO)
+}
+
+fn same(a: &Report, b: &Report, what: &str) {
+    assert_eq!(timeless(&a.trace), timeless(&b.trace), "{what}");
+    assert_eq!(
+        (&a.x, a.fun, &a.termination, &a.message),
+        (&b.x, b.fun, &b.termination, &b.message),
+        "{what}"
+    );
+    assert_eq!(
+        (a.n_evaluations, a.n_iterations, a.n_batches, a.n_failed, a.n_speculative, a.n_cached),
+        (b.n_evaluations, b.n_iterations, b.n_batches, b.n_failed, b.n_speculative, b.n_cached),
+        "{what}"
+    );
+    assert_eq!(
+        (&a.final_simplex, &a.final_population, &a.schedule),
+        (&b.final_simplex, &b.final_population, &b.schedule)
+    );
+    assert_eq!((&a.failures, &a.tests, a.seed), (&b.failures, &b.tests, b.seed), "{what}");
+}
+
+#[test]
+fn interrupted_and_resumed_is_uninterrupted() {
+    let folder = Folder::new("interrupted");
+    for (number, method) in methods().iter().enumerate() {
+        let whole = set_up(minimize(probe), method).run().unwrap();
+        for stride in [7, 60, 210] {
+            let path = folder.0.join(format!("{number}-{stride}"));
+            let total = AtomicUsize::new(0);
+            let mut sessions = 0;
+            let report = loop {
+                sessions += 1;
+                assert!(sessions < 1200, "{method:?} does not end");
+                // Each session is aborted after so many calls of the objective.
+                let calls = AtomicUsize::new(0);
+                let cost = with_evaluation(|x: &[f64], _: &Evaluation<'_>| {
+                    if calls.fetch_add(1, Ordering::Relaxed) == stride {
+                        return Outcome::Abort("power cut".to_owned());
+                    }
+                    total.fetch_add(1, Ordering::Relaxed);
+                    Outcome::Value(probe(x))
+                });
+                let workers = if stride > 50 { 3 } else { 1 };
+                // The plan that the first session chose is kept, whatever the workers of the next are.
+                let run = set_up(minimize(cost), method).workers(if sessions == 1 { 1 } else { workers });
+                match run.checkpoint(at(&path)).run() {
+                    Ok(report) if matches!(report.termination, Termination::Aborted(_)) => continue,
+                    Ok(report) => break report,
+                    Err(Error::EndedWithoutPoint { termination: Termination::Aborted(_), .. }) => continue,
+                    Err(e) => panic!("{method:?}: {e}"),
+                }
+            };
+            same(&report, &whole, &format!("{method:?} {stride}"));
+            // Nothing that was known is evaluated again (several workers may be cut off in the middle of some).
+            if stride < 50 {
+                assert_eq!(total.into_inner(), whole.n_evaluations, "{method:?} {stride}");
+            }
+            // A finished run is its stored result.
+            let never = |_: &[f64]| -> f64 { panic!("nothing is left to evaluate") };
+            let stored = set_up(minimize(never), method).checkpoint(at(&path)).run().unwrap();
+            same(&stored, &whole, &format!("{method:?} {stride} stored"));
+        }
+    }
+}
+
+#[test]
+fn a_kill_between_two_writes_loses_only_time() {
+    // The file of a moment in the middle is put aside and resumed from later.
+    let folder = Folder::new("killed");
+    for method in methods() {
+        let (path, aside) = (folder.file(), folder.0.join("aside"));
+        let _ = std::fs::remove_file(&path);
+        let mut copied = false;
+        let whole = set_up(minimize(probe), &method)
+            .checkpoint(at(&path))
+            .observer(|p| {
+                if !copied && p.n_evaluations > 230 {
+                    std::fs::copy(&path, &aside).unwrap();
+                    copied = true;
+                }
+                std::ops::ControlFlow::Continue(())
+            })
+            .run()
+            .unwrap();
+        if copied {
+            let resumed = set_up(minimize(probe), &method)
+                .checkpoint(at(&aside).resume(Resume::Require))
+                .run()
+                .unwrap();
+            same(&resumed, &whole, &format!("{method:?}"));
+        }
+        assert!(copied || whole.n_evaluations < 300, "{method:?}");
+    }
+}
+
+#[test]
+fn a_larger_budget_continues() {
+    let folder = Folder::new("budget");
+    for method in methods() {
+        if method == "de".parse().unwrap() {
+            continue; // L-SHADE plans with its budget: another one is another run.
+        }
+        let _ = std::fs::remove_file(folder.file());
+        let whole = set_up(minimize(probe), &method).run().unwrap();
+        for budget in [7, 100, 101, 500] {
+            let run = set_up(minimize(probe), &method).max_evaluations(budget).checkpoint(at(&folder.file()));
+            match run.run() {
+                Ok(report) if budget == 500 => same(&report, &whole, &format!("{method:?}")),
+                Ok(report) => assert!(report.n_evaluations <= budget),
+                Err(Error::EndedWithoutPoint { .. }) => assert_eq!(budget, 7),
+                Err(e) => panic!("{e}"),
+            }
+        }
+    }
+    let lshade: AnyMethod = "de".parse().unwrap();
+    let _ = std::fs::remove_file(folder.file());
+    set_up(minimize(probe), &lshade).checkpoint(at(&folder.file())).run().unwrap();
+    let other = set_up(minimize(probe), &lshade).max_evaluations(501).checkpoint(at(&folder.file())).run();
+    assert!(
+        matches!(other, Err(Error::CheckpointMismatch { ref what, .. }) if what == "max_evaluations"),
+        "{other:?}"
+    );
+}
+
+#[test]
+fn files_of_other_runs_are_refused_and_left_alone() {
+    let folder = Folder::new("refused");
+    let path = folder.file();
+    let run = |seed, upper: f64, x_tol, name: &str, checkpoint: Checkpoint| {
+        minimize(probe)
+            .start(&[-0.5, 1.0])
+            .bounds(&[-2.0; 2], &[2.0, upper])
+            .unwrap()
+            .method(name.parse::<AnyMethod>().unwrap())
+            .seed(seed)
+            .x_tol(x_tol)
+            .max_evaluations(60)
+            .checkpoint(checkpoint)
+            .run()
+    };
+    let tagged = || at(&path).tag("model", "abc");
+    let missing = run(1, 2.0, 1e-6, "ga", tagged().resume(Resume::Require));
+    assert!(matches!(missing, Err(Error::Checkpoint { .. })));
+    run(1, 2.0, 1e-6, "ga", tagged()).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    for (what, refused) in [
+        ("seed", run(2, 2.0, 1e-6, "ga", tagged())),
+        ("bounds", run(1, 2.5, 1e-6, "ga", tagged())),
+        ("tolerances", run(1, 2.0, 1e-5, "ga", tagged())),
+        ("method and options", run(1, 2.0, 1e-6, "nelder-mead", tagged())),
+        ("model", run(1, 2.0, 1e-6, "ga", at(&path).tag("model", "abd"))),
+        ("model", run(1, 2.0, 1e-6, "ga", at(&path))),
+    ] {
+        match refused {
+            Err(Error::CheckpointMismatch { what: named, .. }) => assert_eq!(named, what),
+            other => panic!("{what}: {other:?}"),
+        }
+        assert_eq!(std::fs::read(&path).unwrap(), bytes);
+    }
+    // Damaged in any byte, or cut anywhere: an error, never a panic, never another result.
+    for k in (0..bytes.len()).step_by(11) {
+        let mut damaged = bytes.clone();
+        damaged[k] ^= 0x40;
+        for broken in [damaged, bytes[..k].to_vec()] {
+            std::fs::write(&path, broken).unwrap();
+            assert!(matches!(run(1, 2.0, 1e-6, "ga", tagged()), Err(Error::Checkpoint { .. })), "{k}");
+        }
+    }
+    let anew = run(2, 2.0, 1e-6, "ga", tagged().resume(Resume::Never)).unwrap();
+    assert_eq!(anew.seed, Some(2));
+    let nowhere = run(1, 2.0, 1e-6, "ga", at(&folder.0.join("no/such/folder")));
+    assert!(matches!(nowhere, Err(Error::Checkpoint { .. })));
+}
+
+#[test]
+fn a_drawn_seed_is_stored() {
+    let folder = Folder::new("seed");
+    let run = |budget| {
+        minimize(probe)
+            .bounds(&[-2.0; 2], &[2.0; 2])
+            .unwrap()
+            .method("de-classic".parse::<AnyMethod>().unwrap())
+            .max_evaluations(budget)
+            .checkpoint(at(&folder.file()))
+            .run()
+            .unwrap()
+    };
+    let (first, second) = (run(100), run(200));
+    assert!(first.seed.is_some() && first.seed == second.seed);
+    assert_eq!(timeless(&second.trace)[..100], timeless(&first.trace)[..]);
+}
+
+#[test]
+fn time_already_spent_counts() {
+    let folder = Folder::new("time");
+    let slow = |x: &[f64]| {
+        std::thread::sleep(Duration::from_millis(2));
+        probe(x)
+    };
+    let run = |limit| {
+        let m =
+            set_up(minimize(slow), &"nelder-mead".parse().unwrap()).max_time(Duration::from_millis(limit));
+        m.checkpoint(at(&folder.file())).run().unwrap()
+    };
+    let first = run(60);
+    assert_eq!(first.termination, Termination::MaxTime);
+    let stored = run(60);
+    assert_eq!((stored.termination, stored.n_evaluations), (Termination::MaxTime, first.n_evaluations));
+    assert!(stored.seconds >= 0.06);
+    assert!(run(140).n_evaluations > first.n_evaluations);
+}

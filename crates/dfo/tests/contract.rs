@@ -1,0 +1,294 @@
+//! What holds for every method, method by method.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::{cutting, probe, probe_fails, quiet_panics_on_purpose, rosenbrock, timeless};
+use dfo::{
+    AnyMethod, BatchPlan, Bounds, Error, Evaluation, Limits, Minimize, NelderMead, Optimizer, Outcome,
+    Report, Setup, Space, Termination, minimize, with_evaluation,
+};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Every method, Nelder-Mead with its widest plan as well.
+fn methods() -> Vec<AnyMethod> {
+    let mut all: Vec<AnyMethod> = AnyMethod::NAMES.iter().map(|n| n.parse().unwrap()).collect();
+    all.push(NelderMead::default().batch(BatchPlan::TwoAhead).into());
+    all.push(NelderMead::default().batch(BatchPlan::Four).into());
+    all
+}
+
+fn boxed<'a>(m: Minimize<'a, NelderMead>, method: &AnyMethod) -> Minimize<'a, AnyMethod> {
+    m.start(&[-0.5, 1.0]).bounds(&[-2.0; 2], &[2.0; 2]).unwrap().method(method.clone()).seed(11)
+}
+
+#[test]
+fn budgets_are_exact_and_the_best_is_returned() {
+    for method in methods() {
+        for budget in 1..=200 {
+            let calls = AtomicUsize::new(0);
+            let cost = |x: &[f64]| {
+                calls.fetch_add(1, Ordering::Relaxed);
+                probe(x)
+            };
+            let report = match boxed(minimize(cost), &method).max_evaluations(budget).run() {
+                Ok(report) => report,
+                // Samplers may meet nothing but failures at first.
+                Err(Error::EndedWithoutPoint { termination: Termination::MaxEvaluations, found }) => {
+                    assert!(found.trace.iter().all(|e| e.outcome.value().is_none()));
+                    continue;
+                }
+                Err(e) => panic!("{method:?} {budget}: {e}"),
+            };
+            assert_eq!(calls.into_inner(), report.n_evaluations);
+            assert!(report.n_evaluations <= budget, "{method:?}");
+            if report.termination == Termination::MaxEvaluations {
+                assert_eq!(report.n_evaluations, budget, "{method:?}");
+            }
+            assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)), "{method:?} {budget}");
+            assert_eq!(probe(&report.x), report.fun);
+            assert!(report.trace.get(0).unwrap().x != [-0.5, 1.0] || report.fun <= probe(&[-0.5, 1.0]));
+        }
+    }
+}
+
+#[test]
+fn iterations_targets_and_observers_end_every_method() {
+    for method in methods() {
+        for iterations in [0, 1, 5] {
+            let report = boxed(minimize(rosenbrock), &method).max_iterations(iterations).run().unwrap();
+            assert_eq!((report.n_iterations, &report.termination), (iterations, &Termination::MaxIterations));
+        }
+        let report = boxed(minimize(rosenbrock), &method).target(0.2).max_evaluations(5000).run().unwrap();
+        assert!(report.fun <= 0.2 && report.termination == Termination::Target, "{report}");
+        let mut seen = Vec::new();
+        let report = boxed(minimize(rosenbrock), &method)
+            .observer(|p| {
+                seen.push(p.n_iterations);
+                assert!(p.simplex.is_some() || p.population.is_some());
+                if p.n_iterations == 4 {
+                    std::ops::ControlFlow::Break(())
+                } else {
+                    std::ops::ControlFlow::Continue(())
+                }
+            })
+            .run()
+            .unwrap();
+        assert_eq!(report.termination, Termination::StoppedByObserver);
+        assert_eq!(seen, [0, 1, 2, 3, 4], "{method:?}");
+    }
+}
+
+#[test]
+fn workers_and_cutoffs_change_nothing() {
+    for method in methods() {
+        let one = boxed(minimize(probe), &method).max_evaluations(600).run().unwrap();
+        for workers in [2, 7] {
+            let pinned = match &method {
+                // The automatic plan follows the workers; a pinned one does not.
+                AnyMethod::NelderMead(m) if m.batch == BatchPlan::Auto => {
+                    m.clone().batch(BatchPlan::Serial).into()
+                }
+                AnyMethod::Barrier(m) => m.clone().batch(BatchPlan::Serial).into(),
+                other => other.clone(),
+            };
+            let many = boxed(minimize(probe), &pinned).max_evaluations(600).workers(workers).run().unwrap();
+            assert_eq!(timeless(&many.trace), timeless(&one.trace), "{method:?} {workers}");
+            assert_eq!((&many.x, many.fun, &many.message), (&one.x, one.fun, &one.message));
+            assert_eq!((&many.final_population, &many.schedule), (&one.final_population, &one.schedule));
+        }
+        let cut = boxed(minimize(cutting(probe)), &method).max_evaluations(600).run().unwrap();
+        let path = |r: &Report| -> Vec<_> { r.trace.iter().map(|e| (e.x.to_vec(), e.id, e.used)).collect() };
+        assert_eq!(path(&cut), path(&one), "{method:?}");
+        assert_eq!(
+            (&cut.x, cut.fun, &cut.tests, &cut.final_simplex),
+            (&one.x, one.fun, &one.tests, &one.final_simplex)
+        );
+    }
+}
+
+/// Four ways to fail, for the same points.
+fn failing(how: usize) -> impl Fn(&[f64], &Evaluation<'_>) -> Outcome + Sync {
+    move |x, _| match (probe_fails(x), how) {
+        (false, _) => Outcome::Value(rosenbrock(x)),
+        (true, 0) => Outcome::Value(f64::NAN),
+        (true, 1) => Outcome::Value(f64::INFINITY),
+        (true, 2) => Outcome::failed("no"),
+        (true, _) => panic!("on purpose"),
+    }
+}
+
+#[test]
+fn the_probe_with_failing_regions() {
+    quiet_panics_on_purpose();
+    for method in methods() {
+        let mut first: Option<Report> = None;
+        for how in 0..4 {
+            let report =
+                boxed(minimize(with_evaluation(failing(how))), &method).max_evaluations(2000).run().unwrap();
+            if how == 0 {
+                println!(
+                    "{}: {:.2e} in {}, {} failed",
+                    report.method, report.fun, report.n_evaluations, report.n_failed
+                );
+            }
+            let bar = match &method {
+                AnyMethod::NelderMead(_) => 1e-6,
+                AnyMethod::DifferentialEvolution(_) => 1e-3,
+                _ => rosenbrock(&[-0.5, 1.0]),
+            };
+            assert!(report.fun < bar && report.n_failed > 0, "{method:?}: {report}");
+            assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
+            match &first {
+                None => first = Some(report),
+                Some(first) => assert_eq!((&report.x, report.n_failed), (&first.x, first.n_failed)),
+            }
+        }
+    }
+    for method in methods() {
+        let hopeless = boxed(minimize(|_: &[f64]| f64::NAN), &method).max_evaluations(500).run();
+        assert!(matches!(hopeless, Err(Error::AllStartsFailed(_))), "{method:?}");
+    }
+}
+
+fn optimizer(method: &AnyMethod, limits: Limits) -> Optimizer {
+    let bounds = Bounds::new(&[-2.0; 2], &[2.0; 2]).unwrap();
+    let setup = Setup::new(Space::new(&[-0.5, 1.0], bounds, &[], &[]).unwrap());
+    Optimizer::new(method, Setup { seed: Some(11), ..setup }, limits).unwrap()
+}
+
+#[test]
+fn ask_and_tell_in_any_order_is_the_driven_run() {
+    for method in methods() {
+        let driven = boxed(minimize(probe), &method).max_evaluations(333).run().unwrap();
+        for (at_most, backwards) in [(1, false), (3, true), (1000, true)] {
+            let limits = Limits { max_evaluations: Some(333), ..Limits::default() };
+            let mut o = optimizer(&method, limits);
+            let mut waiting = Vec::new();
+            while o.termination().is_none() {
+                let points = o.ask(at_most);
+                waiting.extend(points.clone());
+                if !points.is_empty() && waiting.len() < 5 {
+                    continue;
+                }
+                if backwards {
+                    waiting.reverse();
+                }
+                // Some answers come late; some are given back and come again.
+                let keep = waiting.len() / 2;
+                for point in waiting.split_off(keep) {
+                    if point.id % 7 == 3 && backwards {
+                        o.tell(point.id, Outcome::Skipped).unwrap();
+                        let again = o.ask(1).pop().unwrap();
+                        o.tell(again.id, Outcome::Value(probe(&again.x))).unwrap();
+                        waiting.retain(|p| p.id != again.id);
+                        if again.id != point.id {
+                            waiting.extend(o.ask(1));
+                        }
+                    } else {
+                        o.tell(point.id, Outcome::Value(probe(&point.x))).unwrap();
+                    }
+                }
+            }
+            let report = o.report().unwrap();
+            assert_eq!(timeless(&report.trace), timeless(&driven.trace), "{method:?}");
+            assert_eq!((&report.x, report.fun, &report.message), (&driven.x, driven.fun, &driven.message));
+            assert_eq!((report.n_cached, report.n_batches), (driven.n_cached, driven.n_batches));
+        }
+    }
+}
+
+#[test]
+fn ids_are_checked_and_runs_can_be_stopped() {
+    let mut o = optimizer(&"de".parse().unwrap(), Limits::default());
+    assert_eq!(o.tell(0, Outcome::Value(1.0)), Err(Error::UnknownPoint { id: 0 }));
+    let points = o.ask(10);
+    assert_eq!((points.len(), o.n_pending()), (10, 10));
+    o.tell(points[4].id, Outcome::Value(1.0)).unwrap();
+    assert_eq!(o.tell(points[4].id, Outcome::Value(1.0)), Err(Error::UnknownPoint { id: points[4].id }));
+    assert!(o.best().is_none() && matches!(o.report(), Err(Error::EndedWithoutPoint { .. })));
+    o.stop().unwrap();
+    assert_eq!(o.termination(), Some(Termination::Interrupted));
+    assert_eq!((o.report().unwrap().fun, o.report().unwrap().n_evaluations), (1.0, 1));
+    assert!(o.ask(1).is_empty());
+    let mut o = optimizer(&"nelder-mead".parse().unwrap(), Limits::default());
+    let id = o.ask(1)[0].id;
+    o.tell(id, Outcome::Abort("enough".to_owned())).unwrap();
+    assert_eq!(o.termination(), Some(Termination::Aborted("enough".to_owned())));
+    for bad in ["simplex", "", "5"] {
+        assert!(matches!(bad.parse::<AnyMethod>(), Err(Error::UnknownMethod { .. })));
+    }
+    assert!(AnyMethod::by_number(0).is_err() && AnyMethod::by_number(3).is_ok());
+}
+
+#[test]
+fn exact_repeats_cost_nothing() {
+    for method in methods() {
+        let calls = AtomicUsize::new(0);
+        let cost = |x: &[f64]| {
+            calls.fetch_add(1, Ordering::Relaxed);
+            (4.0 * x[0]).floor().powi(2) + (4.0 * x[1]).floor().powi(2)
+        };
+        let plain = boxed(minimize(cost), &method).cache(0).max_iterations(30).run().unwrap();
+        let before = calls.swap(0, Ordering::Relaxed);
+        let cached = boxed(minimize(cost), &method).cache(100_000).max_iterations(30).run().unwrap();
+        assert_eq!((&plain.x, plain.fun, plain.n_iterations), (&cached.x, cached.fun, cached.n_iterations));
+        assert_eq!(cached.n_evaluations + cached.n_cached, plain.n_evaluations, "{method:?}");
+        assert_eq!((before, calls.into_inner()), (plain.n_evaluations, cached.n_evaluations));
+        let mut points: Vec<_> =
+            cached.trace.iter().map(|e| e.x.iter().map(|v| v.to_bits()).collect::<Vec<_>>()).collect();
+        points.sort();
+        points.dedup();
+        // A point may be asked again for a larger cutoff only if it had been given up, which this cost never does.
+        assert_eq!(points.len(), cached.n_evaluations);
+    }
+}
+
+#[test]
+fn traces_can_be_bounded() {
+    for method in methods() {
+        let whole = boxed(minimize(probe), &method).max_evaluations(400).run().unwrap();
+        for limit in [0, 1, 50] {
+            let part = boxed(minimize(probe), &method).max_evaluations(400).trace_limit(limit).run().unwrap();
+            assert_eq!((&part.x, part.fun, &part.message), (&whole.x, whole.fun, &whole.message));
+            assert_eq!((part.n_speculative, part.n_evaluations), (whole.n_speculative, whole.n_evaluations));
+            assert_eq!((part.trace.len(), part.trace.n_dropped()), (limit, whole.trace.len() - limit));
+            let all = timeless(&whole.trace);
+            assert_eq!(timeless(&part.trace), all[all.len() - limit..]);
+        }
+    }
+}
+
+#[test]
+fn warm_starts_begin_with_what_is_known() {
+    let first = boxed(minimize(probe), &"de".parse().unwrap()).max_evaluations(200).run().unwrap();
+    for method in methods() {
+        let asked = std::sync::Mutex::new(Vec::new());
+        let cost = |x: &[f64]| {
+            asked.lock().unwrap().push(x.to_vec());
+            probe(x)
+        };
+        let warm =
+            boxed(minimize(cost), &method).warm_start(&first.trace).max_evaluations(100).run().unwrap();
+        assert!(warm.fun <= first.fun && warm.n_cached > 0, "{method:?}");
+        let asked = asked.into_inner().unwrap();
+        assert!(
+            first
+                .trace
+                .iter()
+                .filter(|e| e.outcome.value().is_some())
+                .all(|e| !asked.iter().any(|x| x == e.x))
+        );
+        // Even if nothing at all may be evaluated that is better, the best of the earlier run is the result.
+        let flat = boxed(minimize(|_: &[f64]| 1e9), &method)
+            .warm_start(&first.trace)
+            .max_evaluations(60)
+            .run()
+            .unwrap();
+        assert_eq!((&flat.x, flat.fun), (&first.x, first.fun), "{method:?}");
+    }
+    // Points outside of the box of the new run are of no use to it.
+    let elsewhere = minimize(rosenbrock).start(&[5.0, 5.0]).bounds(&[4.0; 2], &[6.0; 2]).unwrap();
+    let cold = elsewhere.warm_start(&first.trace).max_evaluations(50).run().unwrap();
+    assert_eq!((cold.trace.get(0).unwrap().x, cold.n_cached), (&[5.0, 5.0][..], 0));
+}
