@@ -22,13 +22,15 @@ macro_rules! example {
     };
 }
 
-const EXAMPLES: [Example; 6] = [
+const EXAMPLES: [Example; 8] = [
     example!("furuta"),
     example!("bouncing_ball"),
     example!("dahlquist"),
     example!("van_der_pol"),
     example!("stair"),
     example!("switched_input"),
+    example!("quad_tank"),
+    example!("exhaust"),
 ];
 
 /// What turns a model into an FMU; see `models/readme.md`.

@@ -9,7 +9,7 @@ import numpy as np
 
 from pydfo import example_fmu
 
-EXAMPLES = ("furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input")
+EXAMPLES = ("furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input", "quad_tank", "exhaust")
 
 ME = '<ModelExchange modelIdentifier="m"/>'
 

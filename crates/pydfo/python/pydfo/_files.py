@@ -46,7 +46,7 @@ def example_fmu(name: str) -> Path:
 
     Parameters
     ----------
-    name : {"furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input"}
+    name : {"furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input", "quad_tank", "exhaust"}
         The model.
 
     Returns

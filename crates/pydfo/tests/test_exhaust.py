@@ -1,0 +1,63 @@
+"""The diesel exhaust pipe: derivatives, and the nominal trajectory on a record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pydfo import FMUModel, example_fmu
+
+#: The record, which is not part of the project.
+RECORD = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "exhaust_measurements.csv"
+INPUTS = ["T_in", "p_in", "w_turb1", "w_turb2", "p_out"]
+STATES = ["p1", "T1", "Tw1", "p2", "T2", "Tw2"]
+
+
+def test_flows_and_derivatives_at_one_point():
+    model = FMUModel(example_fmu("exhaust"))
+    model.set(STATES, [1.5e5, 700, 650, 1.1e5, 620, 580])
+    model.set(INPUTS, [800, 2.2e5, 5000, 4000, 1.03e5])
+    flows = model.get(["m1", "Ta", "m2", "Tb", "m3", "T_out"])
+    assert flows == pytest.approx([0.32998356, 746.4529803, 0.36613756, 658.5823759, 0.38753134, 620], rel=2e-8)
+    derivatives = model.get([f"der({name})" for name in STATES])
+    expected = [-982582.12824, 1073.72134, 1.54356, -50631.61763, 1147.55161, -0.02691111]
+    assert derivatives == pytest.approx(expected, rel=5e-8)
+
+
+def test_the_names_and_start_values():
+    description = FMUModel(example_fmu("exhaust")).description
+    assert description.inputs == INPUTS
+    assert [v.name for v in description.variables.values() if v.causality == "output"] == ["T_out"]
+    nominal = {"C1": 2500, "G1": 120, "C2": 9000, "G2": 80}
+    assert {name: description.variables[name].start for name in nominal} == nominal
+
+
+def test_the_nominal_trajectory():
+    if not RECORD.exists():
+        pytest.skip(f"no reference data: {RECORD} does not exist")
+    data = np.genfromtxt(RECORD, delimiter=",", names=True)
+    inputs = {name: data[name] for name in ["time", *INPUTS]}
+    output = [*STATES, "m2", "T_out"]
+    model = FMUModel(example_fmu("exhaust"))
+    res = model.simulate(0, 1800, times=data["time"], input=inputs, output=output, relative_tolerance=1e-7)
+    expected = {
+        1: [103222.03, 479.2013, 431.9388, 101725.71, 440.5308, 400.2193, 0.075866],
+        60: [113073.01, 604.1710, 553.7067, 104227.63, 547.7425, 431.9474, 0.169390],
+        300: [183688.08, 788.0750, 767.5028, 122726.56, 716.5420, 640.7449, 0.462470],
+        600: [122119.57, 684.0618, 683.7916, 106077.66, 650.7654, 602.0183, 0.219721],
+        1200: [103652.70, 576.1093, 596.9375, 101974.05, 597.6866, 621.4215, 0.073420],
+        1800: [107828.25, 614.3766, 596.5490, 102706.08, 599.7552, 582.3293, 0.125794],
+    }
+    within = [0.03, 2e-4, 2e-4, 0.03, 2e-4, 2e-4, 1e-6]
+    for time, row in expected.items():
+        for name, wanted, tolerance in zip(output, row, within):
+            assert res[name][time] == pytest.approx(wanted, abs=tolerance), (name, time)
+    assert np.array_equal(res["T_out"], res["T2"])
+    # calibration set: the first ten minutes; validation set: the rest
+    error = res["T_out"] - data["T_out"]
+    calibration, validation = error[:601], error[601:]
+    assert np.sum(calibration**2) == pytest.approx(290580.7, rel=1e-6)
+    assert np.sqrt(np.mean(calibration**2)) == pytest.approx(21.9885, abs=1e-4)
+    assert np.sqrt(np.mean(validation**2)) == pytest.approx(13.5848, abs=1e-4)

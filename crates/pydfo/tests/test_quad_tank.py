@@ -1,0 +1,128 @@
+"""The quadruple tank: trajectory, cost and both fits on the record of the public JModelica.org example.
+
+Expected numbers were computed with other tools (SciPy's integrators and a gradient method).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pydfo import Calibration, FMUModel, Parameter, dfo, example_fmu
+
+#: The record, which is not part of the project.
+RECORD = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "qt_par_est_data.mat"
+LEVELS = ["qt.x1", "qt.x2", "qt.x3", "qt.x4"]
+PUBLIC_EXAMPLE = {2: [0.07060188, 0.06654621, 0.02736549, 0.02789857], 4: [0.07059621, 0.06672873, 0.02723064, 0.02912602]}
+
+
+def record():
+    """Times from 0 to 60 s, levels in m, voltages, a row a second."""
+    if not RECORD.exists():
+        pytest.skip(f"no reference data: {RECORD} does not exist")
+    mat = pytest.importorskip("scipy.io").loadmat(RECORD)
+    rows = slice(6000, 12001, 100)
+    column = {name: mat[name].ravel()[rows] for name in ("t", "y1_f", "y2_f", "y3_d", "y4_d", "u1_d", "u2_d")}
+    data = {"time": np.round(column["t"] - 60.0, 9), "u1": column["u1_d"], "u2": column["u2_d"]}
+    return data | {x: column[y] / 100 for x, y in zip(LEVELS, ("y1_f", "y2_f", "y3_d", "y4_d"))}
+
+
+def held(data):
+    """The same voltages, held between the rows: each row but the first stands there twice."""
+    time, (u1, u2) = np.repeat(data["time"], 2)[1:], (np.repeat(data[u], 2)[:-1] for u in ("u1", "u2"))
+    return {"time": time, "u1": u1, "u2": u2}
+
+
+def calibration(n, data, **more):
+    """The first `n` outlets from the first `n` levels."""
+    outlets = [Parameter(f"qt.a{i}", 3e-6, 2e-6, 4e-6) for i in range(1, n + 1)]
+    return Calibration(example_fmu("quad_tank"), data, LEVELS[:n], outlets, inputs=["u1", "u2"], **more)
+
+
+def test_the_record():
+    data = record()
+    assert data["time"] == pytest.approx(np.arange(61.0), abs=1e-9)
+    first, last = ([data[name][row] for name in [*LEVELS, "u1", "u2"]] for row in (0, -1))
+    assert first == pytest.approx([0.0627155, 0.0604378, 0.0239493, 0.0232491, 5, 5], abs=5e-8)
+    assert last == pytest.approx([0.0694589, 0.0656178, 0.0267666, 0.0299988, 6, 5], abs=5e-8)
+
+
+def test_the_nominal_trajectory():
+    data = record()
+    inputs = {name: data[name] for name in ("time", "u1", "u2")}
+    res = FMUModel(example_fmu("quad_tank")).simulate(0, 60, times=[10, 30, 60], input=inputs, relative_tolerance=1e-10)
+    expected = [
+        [0.05911232, 0.05712876, 0.02746726, 0.0258262],
+        [0.05386523, 0.05414662, 0.02581327, 0.02554802],
+        [0.05642489, 0.05510474, 0.02736535, 0.02789820],
+    ]
+    assert np.column_stack([res[x] for x in LEVELS]) == pytest.approx(np.array(expected), abs=5.1e-9)
+
+
+@pytest.mark.parametrize(
+    ("n", "start", "outlets", "cost", "rms", "final"),
+    [
+        (2, 0.01197096, [2.65838, 2.71220], 3.20422e-5, 0.512, [0.0706447, 0.0666059, 0.0273654, 0.0278982]),
+        (
+            4,
+            0.01209873,
+            [2.65931, 2.70252, 3.00666, 2.93158],
+            9.44303e-5,
+            0.622,
+            [0.0706187, 0.0668527, 0.0272434, 0.0291598],
+        ),
+    ],
+)
+def test_the_fits(n, start, outlets, cost, rms, final):
+    data = record()
+    problem = calibration(n, data)
+    assert problem.cost() == pytest.approx(start, abs=1e-6)
+    fit = problem.fit()
+    assert fit.success
+    assert [1e6 * a for a in fit.parameters.values()] == pytest.approx(outlets, abs=2e-3)
+    assert fit.cost == pytest.approx(cost, abs=1e-7)
+    assert 1e3 * fit.rms == pytest.approx(rms, abs=0.002)
+    assert 1e3 * np.sqrt(fit.cost / (61 * n)) == pytest.approx(1e3 * fit.rms, rel=1e-12)
+    model = FMUModel(example_fmu("quad_tank"))
+    model.set(list(fit.parameters), list(fit.parameters.values()))
+    inputs = {name: data[name] for name in ("time", "u1", "u2")}
+    res = model.simulate(0, 60, input=inputs, output=[*LEVELS, "u1", "u2"])
+    assert [res.final(x) for x in LEVELS] == pytest.approx(final, abs=5e-5)
+    assert [res.final(x) for x in LEVELS] == pytest.approx(PUBLIC_EXAMPLE[n], abs=1e-3)
+    assert (res.final("u1"), res.final("u2")) == (6, 5)
+
+
+@pytest.mark.parametrize(
+    ("n", "outlets", "cost"), [(2, [2.6555, 2.7097], 3.911e-5), (4, [2.6564, 2.6998, 3.0059, 2.9297], 1.243e-4)]
+)
+def test_held_voltages_give_other_numbers(n, outlets, cost):
+    data = record()
+    steps = held(data)
+    levels = {x: np.full(121, np.nan) for x in LEVELS[:n]}
+    for x, column in levels.items():
+        column[0::2] = data[x]  # the second of the two rows of a time
+    fit = calibration(n, steps | levels).fit()
+    assert [1e6 * a for a in fit.parameters.values()] == pytest.approx(outlets, abs=2e-4)
+    assert fit.cost == pytest.approx(cost, rel=3e-4)
+
+
+def test_the_way_of_a_script():
+    """Model, inputs, simulate, quad_err, fmin: as the 2012 paper does it, in its units."""
+    data = record()
+    inputs = {name: data[name] for name in ("time", "u1", "u2")}
+    measured = np.vstack([data[x] for x in LEVELS[:2]])
+
+    def cost(a):
+        model = FMUModel(example_fmu("quad_tank"))
+        model.set(["qt.a1", "qt.a2"], a * 1e-6)
+        res = model.simulate(final_time=60, input=inputs)
+        return dfo.quad_err(data["time"], measured, res["time"], np.vstack([res[x] for x in LEVELS[:2]]))
+
+    start = np.array([3.0, 3.0])
+    assert cost(start) == pytest.approx(0.01197096, abs=1e-6)
+    x_opt, f_opt, _, n_evaluations, _ = dfo.fmin(cost, xstart=start, lb=[2, 2], ub=[4, 4], x_tol=1e-4, f_tol=1e-9)
+    assert x_opt == pytest.approx([2.65838, 2.71220], abs=2e-3)
+    assert f_opt == pytest.approx(3.20422e-5, abs=1e-7)
+    assert n_evaluations < 200

@@ -1,0 +1,33 @@
+"""Calibrates the outlets of a quadruple tank that is driven by recorded voltages: inputs from the data, in two steps.
+
+First the outlets of the lower tanks from the lower levels alone, then all four outlets from all four levels.
+"""
+
+from pathlib import Path
+
+import pydfo
+
+DATA = Path(__file__).resolve().parent / "data" / "quad_tank.csv"
+
+
+def calibrate(outlets, levels):
+    """Fits these outlets (numbers of tanks) to these levels, from 3e-6 m2, and prints what comes out."""
+    calibration = pydfo.Calibration(
+        pydfo.example_fmu("quad_tank"),
+        data=DATA,
+        inputs=["u1", "u2"],  # the model's inputs; the columns have the same names
+        outputs={f"qt.x{i}": f"x{i}" for i in levels},
+        parameters=[pydfo.Parameter(f"qt.a{i}", 3e-6, 2e-6, 4e-6) for i in outlets],
+    )
+    fit = calibration.fit()
+    print(f"{len(fit.parameters)} outlets to {len(levels)} levels:")
+    for name, value in fit.parameters.items():
+        print(f"  {name} = {1e6 * value:.4f}e-6 m2")
+    print(f"  cost {calibration.cost():.4e} at the start, {fit.cost:.4e} fitted, RMS {1e3 * fit.rms:.3f} mm")
+    final = calibration.simulate(list(fit.parameters.values()))
+    print("  final levels " + ", ".join(f"{final[f'qt.x{i}'][-1]:.5f}" for i in levels) + f" m; {fit.nfev} evaluations")
+    return fit
+
+
+calibrate(outlets=[1, 2], levels=[1, 2])
+calibrate(outlets=[1, 2, 3, 4], levels=[1, 2, 3, 4])
