@@ -233,7 +233,16 @@ impl Fmu {
                 found.path
             }
             Err(no_binary) => {
-                match source::build_library(self.root(), description, interface, self.content_hash()) {
+                // A folder may have been edited since it was opened: the library belongs to what is there now.
+                let hash = self.inner.archive.present_hash()?;
+                let check = || match self.inner.archive.present_hash()? {
+                    now if now == hash => Ok(()),
+                    _ => Err(FmiError::BadArchive {
+                        path: self.path().to_owned(),
+                        reason: "its files were changed while its library was built".to_owned(),
+                    }),
+                };
+                match source::build_unchanged(self.root(), description, interface, &hash, check) {
                     Ok(path) => path,
                     Err(FmiError::NoSources { .. }) => return Err(self.with_own_path(no_binary)),
                     Err(error) => return Err(error),

@@ -153,10 +153,10 @@ fn is_plain(path: &Path) -> bool {
 }
 
 /// Folder for files worth keeping between runs: `FMUFIT_CACHE` if set, else where the system keeps caches
-/// of a user, else a folder for temporary files.
-pub(crate) fn cache_folder() -> PathBuf {
+/// of a user. `None` where nothing says who the user is.
+pub(crate) fn cache_folder() -> Option<PathBuf> {
     if let Some(folder) = absolute_from("FMUFIT_CACHE") {
-        return folder;
+        return Some(folder);
     }
     let users = if cfg!(windows) {
         absolute_from("LOCALAPPDATA")
@@ -165,7 +165,7 @@ pub(crate) fn cache_folder() -> PathBuf {
     } else {
         absolute_from("XDG_CACHE_HOME").or_else(|| absolute_from("HOME").map(|home| home.join(".cache")))
     };
-    users.unwrap_or_else(env::temp_dir).join("fmufit")
+    users.map(|folder| folder.join("fmufit"))
 }
 
 /// A folder named by an environment variable; relative ones are ignored, as the XDG specification asks.
@@ -197,6 +197,25 @@ pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
             return Err(io::Error::new(io::ErrorKind::PermissionDenied, "others may write into it"));
         }
     }
+    Ok(())
+}
+
+/// Takes the right to write into a folder from the user's group, and refuses a folder that everybody may write into or
+/// that belongs to somebody else than `own`, a file of this user: others may have put something there.
+pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt};
+        let found = folder.metadata()?;
+        if found.uid() != own.metadata()?.uid() || found.mode() & 0o002 != 0 {
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "others may write into it"));
+        }
+        if found.mode() & 0o020 != 0 {
+            fs::set_permissions(folder, fs::Permissions::from_mode(found.mode() & 0o7755))?;
+        }
+    }
+    #[cfg(not(unix))]
+    let _ = (folder, own);
     Ok(())
 }
 

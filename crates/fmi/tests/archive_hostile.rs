@@ -369,6 +369,15 @@ fn each_limit_is_named_with_its_numbers() {
 }
 
 #[test]
+fn folders_without_entries_count() {
+    let mut entries = vec![description()];
+    entries.extend((0..10).map(|i| Entry::stored(&format!("{i}{}f", "/d".repeat(20) + "/"), b"x")));
+    let limits = ArchiveLimits { entries: 100, ..ArchiveLimits::default() };
+    let error = open_with(&zip(&entries), &limits).unwrap_err();
+    assert!(error.to_string().contains("files and folders, more than the limit of 100"), "{error}");
+}
+
+#[test]
 fn many_entries_are_no_trouble() {
     let mut entries = vec![description()];
     entries.extend((0..20_000).map(|i| Entry::stored(&format!("resources/{}/{i}.txt", i % 100), b"x")));

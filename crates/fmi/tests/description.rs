@@ -93,6 +93,23 @@ fn quirks_of(attributes: &str, kind: &str) -> Vec<(QuirkKind, String)> {
     parse(&text).quirks.iter().map(|quirk| (quirk.kind, quirk.to_string())).collect()
 }
 
+#[test]
+fn long_texts_are_not_copied_into_every_variable() {
+    let long = "q".repeat(2000);
+    let text = document("<ScalarVariable name=\"v\" valueReference=\"1\"><Real declaredType=\"T\"/></ScalarVariable>", "")
+        .replace(
+            "<ModelVariables>",
+            &format!("<TypeDefinitions><SimpleType name=\"T\"><Real quantity=\"{long}\"/></SimpleType></TypeDefinitions><ModelVariables>"),
+        );
+    let model = parse(&text);
+    assert_eq!(model.variables[0].quantity, None);
+    assert!(
+        model.quirks.iter().any(|quirk| quirk.to_string().contains("has 2000 bytes")),
+        "{:?}",
+        model.quirks
+    );
+}
+
 fn kinds_of(attributes: &str, kind: &str) -> Vec<QuirkKind> {
     quirks_of(attributes, kind).into_iter().map(|(kind, _)| kind).collect()
 }

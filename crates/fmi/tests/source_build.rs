@@ -101,6 +101,70 @@ fn builds_once_per_content() {
     assert!(!library.exists() && cache().join("mine.txt").exists());
 }
 
+/// A bundled model as an FMU of sources only.
+fn bundled(root: &Path) {
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    fs::create_dir(root.join("sources")).unwrap();
+    fs::copy(models.join("dahlquist/modelDescription.xml"), root.join("modelDescription.xml")).unwrap();
+    fs::copy(models.join("dahlquist/model.c"), root.join("sources/model.c")).unwrap();
+    for file in fs::read_dir(models.join("frontend")).unwrap() {
+        let file = file.unwrap();
+        fs::copy(file.path(), root.join("sources").join(file.file_name())).unwrap();
+    }
+}
+
+#[test]
+fn a_library_is_kept_for_the_sources_it_was_built_from() {
+    in_own_environment("a_library_is_kept_for_the_sources_it_was_built_from", &[], builds_what_is_there);
+}
+
+fn builds_what_is_there() {
+    let root = tempfile::tempdir().unwrap();
+    bundled(root.path());
+    let source = root.path().join("sources/model.c");
+    let honest = fs::read_to_string(&source).unwrap();
+    let options = fmi::SimulateOptions::new().final_time(1.0);
+    let run = |fmu: &fmi::Fmu| *fmu.simulate(&options).unwrap().columns[0].last().unwrap();
+    let open = || fmi::Fmu::open(root.path()).unwrap();
+    let early = open();
+    let other = honest.replace("= -memory->k * memory", "= -2 * memory->k * memory");
+    assert_ne!(other, honest);
+    fs::write(&source, other).unwrap();
+    let edited = run(&early);
+    fs::write(&source, honest).unwrap();
+    let first = run(&open());
+    assert_ne!(first, edited);
+    // And again: a library that is used again was not written over.
+    assert_eq!(run(&open()), first);
+}
+
+#[test]
+#[cfg(unix)]
+fn links_to_folders_are_refused() {
+    let root = tempfile::tempdir().unwrap();
+    let fmu = root.path().join("fmu");
+    fs::create_dir(&fmu).unwrap();
+    bundled(&fmu);
+    fs::rename(fmu.join("sources"), root.path().join("elsewhere")).unwrap();
+    std::os::unix::fs::symlink(root.path().join("elsewhere"), fmu.join("sources")).unwrap();
+    let error = fmi::Fmu::open(&fmu).unwrap_err();
+    assert!(error.to_string().contains("\"sources\" is a link to a folder"), "{error}");
+}
+
+#[test]
+#[cfg(unix)]
+fn without_a_home_no_library_lies_where_everybody_writes() {
+    let name = "without_a_home_no_library_lies_where_everybody_writes";
+    in_own_environment(name, &[("FMUFIT_CACHE", ""), ("HOME", ""), ("XDG_CACHE_HOME", "")], || {
+        use std::os::unix::fs::PermissionsExt;
+        let root = source_folder();
+        let library = build(root.path()).unwrap();
+        let base = library.ancestors().nth(3).unwrap();
+        assert_eq!(base.metadata().unwrap().permissions().mode() & 0o022, 0, "{}", base.display());
+        clear_caches().unwrap();
+    });
+}
+
 /// The way the headers of FMI 2.0 put the model identifier before the names of functions.
 const PREFIXED: &str = "\
 #define FMI2_FUNCTION_PREFIX tiny_

@@ -52,6 +52,7 @@ pub(super) fn list(
     for record in &records {
         let checked = check_record(record, &mut names, limits);
         listed.push(checked.map_err(|problem| refused(path, &record.name, problem))?);
+        check_limit(path, "files and folders", names.count(), limits.entries)?;
     }
     check_root(path, &listed)?;
     check_totals(path, &listed, limits)?;

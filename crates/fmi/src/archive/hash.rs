@@ -40,7 +40,8 @@ pub(crate) fn of_texts<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
 }
 
 /// Files below a folder as (path with slashes relative to it, path), sorted by the former.
-/// Links to files count as files; links to folders are not followed, so there are no cycles.
+/// Links to files count as files; links to folders are refused: what is behind them can change unseen, and may lead round
+/// in a circle.
 pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBuf)>, FmiError> {
     let mut files = Vec::new();
     let mut folders = vec![(String::new(), root.to_owned())];
@@ -61,6 +62,9 @@ pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBu
             }
             if kind.is_dir() {
                 folders.push((name + "/", entry.path()));
+            } else if entry.path().is_dir() {
+                let reason = format!("\"{name}\" is a link to a folder; put the folder itself there");
+                return Err(FmiError::BadArchive { path: root.to_owned(), reason });
             } else if kind.is_file() || entry.path().is_file() {
                 files.push((name, entry.path()));
             }
@@ -137,10 +141,12 @@ mod tests {
 
     #[test]
     #[cfg(unix)]
-    fn links_that_form_a_cycle_are_not_followed() {
+    fn links_to_files_count_and_links_to_folders_are_refused() {
         let root = folder(&[("a/b", "1")]);
+        std::os::unix::fs::symlink(root.path().join("a/b"), root.path().join("a/c")).unwrap();
+        assert_eq!(files_below(root.path(), 100).unwrap().len(), 2);
         std::os::unix::fs::symlink(root.path(), root.path().join("a/up")).unwrap();
-        let files = files_below(root.path(), 100).unwrap();
-        assert_eq!(files.len(), 1);
+        let error = files_below(root.path(), 100).unwrap_err().to_string();
+        assert!(error.contains("\"a/up\" is a link to a folder"), "{error}");
     }
 }

@@ -118,6 +118,14 @@ impl Archive {
         &self.content_hash
     }
 
+    /// The hash of the content as it is at present: a folder that is not private may have been edited.
+    pub(crate) fn present_hash(&self) -> Result<String, FmiError> {
+        match self.private {
+            Some(_) => Ok(self.content_hash.clone()),
+            None => hash::of_folder(&self.root, &ArchiveLimits::default()),
+        }
+    }
+
     /// Whether the folder is a private one that goes with this value.
     pub fn is_private(&self) -> bool {
         self.private.is_some()

@@ -73,6 +73,11 @@ impl Names {
         self.add_one(path, if is_folder { Kind::Folder } else { Kind::File })
     }
 
+    /// How many files and folders there are, those included that have no entry of their own.
+    pub(super) fn count(&self) -> u64 {
+        self.seen.len() as u64
+    }
+
     /// Adds a name or a leading part of one.
     fn add_one(&mut self, part: &str, kind: Kind) -> Result<(), EntryProblem> {
         let seen = match self.seen.entry(fold(part)) {

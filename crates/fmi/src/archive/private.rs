@@ -7,6 +7,7 @@ use crate::platform;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::Once;
+use std::time::Duration;
 use tempfile::TempDir;
 
 const PREFIX: &str = "fmufit-";
@@ -71,14 +72,22 @@ fn take_lock(path: &Path) -> Option<File> {
     None
 }
 
+/// Age at which a folder without a lock was left behind by a process that was killed while making it.
+const ABANDONED: Duration = Duration::from_secs(24 * 3600);
+
 /// Removes the folders in `base` that have a lock which nobody holds: their processes are gone. Folders of other
-/// users, and those in the making, which have no lock yet, are left alone.
+/// users, and those in the making, which have no lock yet and are young, are left alone.
 fn sweep(base: &Path) {
     for entry in fs::read_dir(base).into_iter().flatten().flatten() {
         if !entry.file_name().to_string_lossy().starts_with(PREFIX) {
             continue;
         }
         let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if is_folder && is_abandoned(&entry.path()) {
+            // Others' folders stay: the system refuses.
+            let _ = fs::remove_dir_all(entry.path());
+            continue;
+        }
         let lock = File::options().write(true).open(entry.path().join(LOCK));
         if let (true, Ok(lock)) = (is_folder, lock)
             && lock.try_lock().is_ok()
@@ -89,6 +98,16 @@ fn sweep(base: &Path) {
             }
         }
     }
+}
+
+/// Whether a folder has never got a lock, and nothing was done in it for a long time.
+fn is_abandoned(folder: &Path) -> bool {
+    let age = |path: &Path| path.symlink_metadata().and_then(|found| found.modified()).ok()?.elapsed().ok();
+    let is_old = |path: PathBuf| age(&path).is_none_or(|age| age > ABANDONED);
+    let inside = folder.join(INSIDE);
+    // With anything in it, it is in use on a file system without locks, or not ours.
+    let is_empty = fs::read_dir(&inside).map_or(true, |mut entries| entries.next().is_none());
+    fs::symlink_metadata(folder.join(LOCK)).is_err() && is_empty && is_old(folder.to_owned())
 }
 
 #[cfg(test)]
@@ -126,8 +145,13 @@ mod tests {
         fs::create_dir(&unlocked).unwrap();
         fs::create_dir(&foreign).unwrap();
         fs::write(foreign.join(LOCK), "").unwrap();
+        let old = base.path().join("fmufit-old");
+        fs::create_dir(&old).unwrap();
+        fs::write(old.join("lock.new"), "").unwrap();
+        let long_ago = std::time::SystemTime::now() - 2 * ABANDONED;
+        File::open(&old).unwrap().set_modified(long_ago).unwrap();
         sweep(base.path());
-        assert!(!dead_path.exists());
+        assert!(!dead_path.exists() && !old.exists());
         assert!(live.path().exists() && unlocked.exists() && foreign.exists());
     }
 }

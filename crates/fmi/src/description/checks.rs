@@ -47,9 +47,25 @@ pub(super) fn require_conforming(quirks: &[Quirk]) -> Result<(), FmiError> {
     }
 }
 
+/// Longest text that variables inherit: each has a copy, so that a long one in a small file could fill the memory.
+const LONGEST_INHERITED: usize = 1024;
+
 /// Fills in what variables leave to their types.
 fn inherit_types(draft: &mut Draft) {
     let model = &mut draft.model;
+    for definition in &mut model.type_definitions {
+        for text in [&mut definition.quantity, &mut definition.unit, &mut definition.display_unit] {
+            if let Some(long) = text.take_if(|text| text.len() > LONGEST_INHERITED) {
+                draft.quirks.add(QuirkKind::Attribute, 0, || {
+                    format!(
+                        "a quantity or unit of the type \"{}\" has {} bytes; it is left out",
+                        definition.name,
+                        long.len()
+                    )
+                });
+            }
+        }
+    }
     let types: HashMap<&str, &TypeDefinition> =
         model.type_definitions.iter().map(|definition| (definition.name.as_str(), definition)).collect();
     let mut unknown: HashSet<String> = HashSet::new();

@@ -12,6 +12,8 @@ use std::time::{Duration, SystemTime};
 const LIBRARIES: &str = "libraries";
 /// Folders that belong to the caches, and nothing else in the cache folder does.
 const SUBFOLDERS: &[&str] = &[LIBRARIES, "examples"];
+/// File whose time is that of the last use.
+const USED: &str = "used";
 /// What is unfinished starts with this.
 const UNFINISHED: &str = ".unfinished-";
 
@@ -24,9 +26,10 @@ const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 /// A subfolder of the cache folder, made if it is not there; if none can be made where caches belong, one in the
 /// folder for temporary files.
 pub(crate) fn folder(name: &str) -> Result<PathBuf, FmiError> {
-    let usual = platform::cache_folder().join(name);
-    let Err(error) = prepare(&usual) else { return Ok(usual) };
-    log::warn!("no cache in {}: {error}", usual.display());
+    if let Some(usual) = platform::cache_folder().map(|folder| folder.join(name)) {
+        let Err(error) = prepare(&usual) else { return Ok(usual) };
+        log::warn!("no cache in {}: {error}", usual.display());
+    }
     let fallback = platform::fallback_cache_folder();
     platform::create_private_folder(&fallback).map_err(FmiError::io("create", &fallback))?;
     let inside = fallback.join(name);
@@ -34,10 +37,12 @@ pub(crate) fn folder(name: &str) -> Result<PathBuf, FmiError> {
     Ok(inside)
 }
 
-/// Makes a folder and tries whether it can be written into.
+/// Makes a folder, tries whether it can be written into, and sees to it that nobody else can: libraries are loaded from
+/// it.
 fn prepare(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
-    tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(folder).map(drop)
+    let own = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(folder)?;
+    platform::keep_others_out(folder, own.as_file())
 }
 
 /// The library `file_name` kept under `key`, made by `make` (which writes to the path it is given) if it is not
@@ -70,10 +75,12 @@ pub(super) fn get_or_make(
     Ok(library)
 }
 
-/// Marks as used just now; that it may fail (a cache that can only be read) does no harm.
+/// Marks as used just now, in a file beside it: a library that changes its time looks as if it had been written over.
+/// That it may fail (a cache that can only be read) does no harm.
 fn touch(library: &Path) {
-    let touched =
-        fs::File::options().append(true).open(library).and_then(|file| file.set_modified(SystemTime::now()));
+    let mark = library.with_file_name(USED);
+    let file = fs::File::options().create(true).append(true).open(mark);
+    let touched = file.and_then(|file| file.set_modified(SystemTime::now()));
     if let Err(error) = touched {
         log::debug!("{} not marked as used: {error}", library.display());
     }
@@ -136,7 +143,7 @@ fn remove(path: &Path) {
 
 /// Removes everything this library keeps between runs: built libraries and packed example models.
 pub fn clear_caches() -> Result<(), FmiError> {
-    for folder in [platform::cache_folder(), platform::fallback_cache_folder()] {
+    for folder in platform::cache_folder().into_iter().chain([platform::fallback_cache_folder()]) {
         for name in SUBFOLDERS {
             let path = folder.join(name);
             match fs::remove_dir_all(&path) {
@@ -210,5 +217,13 @@ mod tests {
         let link = root.path().join("link");
         std::os::unix::fs::symlink(root.path(), &link).unwrap();
         assert!(platform::create_private_folder(&link).is_err());
+
+        let open = root.path().join("open");
+        prepare(&open).unwrap();
+        fs::set_permissions(&open, fs::Permissions::from_mode(0o775)).unwrap();
+        prepare(&open).unwrap();
+        assert_eq!(fs::metadata(&open).unwrap().permissions().mode() & 0o777, 0o755);
+        fs::set_permissions(&open, fs::Permissions::from_mode(0o777)).unwrap();
+        assert!(prepare(&open).is_err());
     }
 }

@@ -32,9 +32,23 @@ pub fn build_library(
     interface: &Interface,
     content_hash: &str,
 ) -> Result<PathBuf, FmiError> {
+    build_unchanged(root, description, interface, content_hash, || Ok(()))
+}
+
+/// The same; the library is kept only if `check` finds the sources unchanged after the compiler has run.
+pub(crate) fn build_unchanged(
+    root: &Path,
+    description: &ModelDescription,
+    interface: &Interface,
+    content_hash: &str,
+    check: impl FnOnce() -> Result<(), FmiError>,
+) -> Result<PathBuf, FmiError> {
     let recipe = build::Recipe::find(root, description, interface)?;
     let compiler = compiler::Compiler::find(&interface.model_identifier)?;
     let key = recipe.key(&compiler, content_hash);
     let file_name = format!("{}.{}", interface.model_identifier, crate::platform::LIBRARY_EXTENSION);
-    cache::get_or_make(&key, &file_name, |target| recipe.build(&compiler, target))
+    cache::get_or_make(&key, &file_name, |target| {
+        recipe.build(&compiler, target)?;
+        check()
+    })
 }
