@@ -13,12 +13,12 @@ use std::time::Instant;
 fn main() {
     let stiff = problems::stiff::all();
     let easy = problems::nonstiff::all();
-    let implicit = [Method::Radau5, Method::Bdf];
-    let explicit = [Method::Tsit5, Method::Dop853];
+    let implicit = [Method::Radau5, Method::Bdf, Method::Auto];
+    let explicit = [Method::Tsit5, Method::Dop853, Method::Auto];
     for (methods, problems) in [(implicit, stiff), (explicit, easy)] {
         for method in methods {
             for problem in &problems {
-                for k in 6..=20 {
+                for k in 8..=20 {
                     let rtol = 10f64.powf(-f64::from(k) / 2.0);
                     let start = Instant::now();
                     match problem.solve(problem.options(method, rtol)) {

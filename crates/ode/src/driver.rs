@@ -2,23 +2,24 @@
 
 use crate::auto::Auto;
 use crate::bdf::Bdf;
-use crate::control::{Weights, initial_step, probe_step};
+use crate::control::Weights;
 use crate::dop853::Dop853;
 use crate::error::{ErrorKind, Report, SimulationError, Termination};
 use crate::event::{ChatteringGuard, Domains};
 use crate::explicit_rk::ExplicitRk;
-use crate::observer::{EventRecord, Observer};
+use crate::observer::Observer;
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
 use crate::radau5::Radau5;
 use crate::sampling::{Here, Sampler};
 use crate::stats::Stats;
 use crate::stepper::{Attempt, Stepper, Trial};
-use crate::system::{CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop};
+use crate::system::{CallError, CallResult, EventCause, HybridSystem, InputStop};
 use crate::tableau::{EULER, RK4, TSIT5};
 use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
+mod events;
 mod inside;
 
 use inside::{Found, Inside};
@@ -139,22 +140,19 @@ impl Driver {
         O: Observer + ?Sized,
     {
         let Self { options, method, space } = self;
+        macro_rules! run {
+            ($stepper:expr) => {
+                Run::new(options, $stepper, space, system, (start, end), times, observer).run()
+            };
+        }
         match method {
-            MethodState::Auto(s) => {
-                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
-            }
-            MethodState::Tsit5(s) => Run::new(options, s, space, system, (start, end), times, observer).run(),
-            MethodState::Radau5(s) => {
-                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
-            }
-            MethodState::Dop853(s) => {
-                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
-            }
-            MethodState::Bdf(s) => {
-                Run::new(options, &mut **s, space, system, (start, end), times, observer).run()
-            }
-            MethodState::Rk4(s) => Run::new(options, s, space, system, (start, end), times, observer).run(),
-            MethodState::Euler(s) => Run::new(options, s, space, system, (start, end), times, observer).run(),
+            MethodState::Auto(s) => run!(&mut **s),
+            MethodState::Tsit5(s) => run!(s),
+            MethodState::Dop853(s) => run!(&mut **s),
+            MethodState::Radau5(s) => run!(&mut **s),
+            MethodState::Bdf(s) => run!(&mut **s),
+            MethodState::Rk4(s) => run!(s),
+            MethodState::Euler(s) => run!(s),
         }
     }
 }
@@ -564,159 +562,6 @@ where
             Some(_) => h,
             None if h < self.h => proposed.max(self.h),
             None => proposed,
-        }
-    }
-
-    /// Lets the events at the current time happen, restarts the method where they changed something.
-    fn visit_event(&mut self, cause: EventCause) -> Step<()> {
-        if let Some(n) = self.options.limits.max_events
-            && self.stats.events >= n
-        {
-            return Err(ErrorKind::TooManyEvents(n).into());
-        }
-        let space = &mut *self.space;
-        space.x_mid.copy_from_slice(&space.x);
-        // Of two instants within rounding the model is shown the later one, or its time event would not be due.
-        if let Some(next) = self.next_time_event.filter(|_| cause.time) {
-            self.t = self.t.max(next.min(self.end));
-        }
-        let visit = EventVisit { time: self.t, cause, crossings: &space.domains.crossings };
-        let outcome = self.system.handle_event(&visit, &mut space.x).map_err(no_retreat)?;
-        space.domains.clear_marks();
-        self.count(cause);
-        self.last_event = Some(self.t);
-        self.observer.event(&EventRecord { time: self.t, cause });
-        self.take_event_time(outcome.next_time)?;
-        if outcome.nominals_changed {
-            self.read_nominals()?;
-        }
-        if outcome.terminate {
-            self.sample_here(true)?;
-            return finish(Termination::StoppedByModel);
-        }
-        self.resume(outcome)
-    }
-
-    fn count(&mut self, cause: EventCause) {
-        let stats = &mut self.stats;
-        stats.events += 1;
-        stats.state_events += u64::from(cause.state);
-        stats.time_events += u64::from(cause.time);
-        stats.step_events += u64::from(cause.step);
-        stats.input_events += u64::from(cause.input);
-    }
-
-    /// After an event: reads the right-hand side and the indicators anew. When neither the states (their values before
-    /// are in `x_mid`) nor the slope have changed to speak of, the step size is kept; otherwise a new one is estimated.
-    fn resume(&mut self, outcome: EventOutcome) -> Step<()> {
-        let before = self.h;
-        let Space { x, x_mid, weights, .. } = &*self.space;
-        // Written so that a NaN counts as a change.
-        let same_states = !outcome.states_changed || weights.distance(x, x, x_mid) < 1e-3;
-        self.evaluate_here()?;
-        if before == 0.0 {
-            return Ok(()); // still at the start: the first step is estimated when its events are over
-        }
-        let Space { x, slope, weights, .. } = &*self.space;
-        let same_slope = before * weights.distance(x, self.stepper.derivative(), slope) < 0.1;
-        if !(same_states && same_slope) || outcome.nominals_changed {
-            self.stats.restarts += 1;
-            self.stepper.forget();
-            self.estimate_step()?;
-            self.h = self.h.min(before);
-        }
-        Ok(())
-    }
-
-    /// Right-hand side and event indicators at the current point.
-    fn evaluate_here(&mut self) -> Step<()> {
-        let space = &mut *self.space;
-        if !space.x.is_empty() {
-            self.stepper.evaluate(self.system, self.t, &space.x, &mut self.stats).map_err(no_retreat)?;
-        }
-        if space.domains.len() > 0 {
-            space.domains.forget();
-            self.stats.event_indicators += 1;
-            read_indicators(self.system, self.t, &space.x, &mut space.domains.base).map_err(no_retreat)?;
-        }
-        Ok(())
-    }
-
-    fn estimate_step(&mut self) -> Step<()> {
-        let span = self.end - self.start;
-        let space = &mut *self.space;
-        if self.fixed_step.is_some() {
-            return Ok(());
-        }
-        if space.x.is_empty() {
-            // Without states nothing measures an error; indicators of time alone are looked at this often.
-            self.h = span / 500.0;
-            return Ok(());
-        }
-        let room = (self.target() - self.t).max(0.0);
-        let space = &mut *self.space;
-        let dx = self.stepper.derivative();
-        let probe = probe_step(&space.weights, &space.x, dx, span).min(room);
-        if probe.is_nan() || probe <= 0.0 {
-            self.h = 1e-6 * span;
-            return Ok(());
-        }
-        for ((p, x), d) in space.x_mid.iter_mut().zip(&space.x).zip(dx) {
-            *p = x + probe * d;
-        }
-        self.stats.right_hand_sides += 1;
-        self.h = match self.system.derivatives(self.t + probe, &space.x_mid, &mut space.x_new) {
-            Ok(()) => initial_step(&space.weights, self.stepper.order(), &space.x, dx, &space.x_new, probe),
-            Err(CallError::Discard) => 0.01 * probe,
-            Err(CallError::Failed(e)) => return Err(ErrorKind::Model(e).into()),
-        };
-        if !self.h.is_finite() || self.h <= 0.0 {
-            self.h = 0.01 * probe;
-        }
-        Ok(())
-    }
-
-    fn read_nominals(&mut self) -> Step<()> {
-        let space = &mut *self.space;
-        self.system.nominals(&mut space.nominals).map_err(no_retreat)?;
-        let options = self.options;
-        space.weights.set(options.relative_tolerance, &options.absolute_tolerance, &space.nominals);
-        Ok(())
-    }
-
-    fn take_event_time(&mut self, next: Option<f64>) -> Step<()> {
-        if let Some(next) = next
-            && (next.is_nan() || next < self.t - self.same)
-        {
-            return Err(ErrorKind::EventInThePast(next).into());
-        }
-        self.next_time_event = next;
-        Ok(())
-    }
-
-    /// Time events and input stops that fall on the current instant although the step did not end for them: announced
-    /// for it by the start or by an event, or too close to it to be hit on their own. Whether there was any event.
-    fn more_events_here(&mut self) -> Step<bool> {
-        let mut visits = 0;
-        loop {
-            let time = self.next_time_event.is_some_and(|next| next <= self.t + self.same);
-            let stop = self.input_stop.filter(|stop| stop.time <= self.t + self.same);
-            if let Some(stop) = stop {
-                self.stepper.kink();
-                self.input_stop = self.input_stop_after(stop.time);
-            }
-            let input = stop.is_some_and(|stop| stop.jump);
-            if time || input {
-                visits += 1;
-                if visits > ChatteringGuard::EVENTS {
-                    return Err(ErrorKind::TimeEventLoop(ChatteringGuard::EVENTS as u64).into());
-                }
-                self.space.slope.copy_from_slice(self.stepper.derivative());
-                self.sample_left()?;
-                self.visit_event(EventCause { time, input, ..EventCause::default() })?;
-            } else if stop.is_none() {
-                return Ok(visits > 0);
-            }
         }
     }
 
