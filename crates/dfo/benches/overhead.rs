@@ -83,7 +83,9 @@ fn main() {
     const COUNT: usize = 200_000;
     println!("microseconds per evaluation, n = {N}: ask + tell, whole driven run");
     let line = |name: &str, asked: f64, whole: f64| println!("{name:28} {asked:8.3} {whole:8.3}");
-    for plan in [BatchPlan::Serial, BatchPlan::Two, BatchPlan::Four, BatchPlan::TwoAhead] {
+    for plan in
+        [BatchPlan::Serial, BatchPlan::Two, BatchPlan::Four, BatchPlan::TwoAhead, BatchPlan::LeeWiswall]
+    {
         let options = NelderMead::default().batch(plan);
         line(&format!("nelder-mead {}", plan.name()), overhead(&options, COUNT), driven(options));
     }

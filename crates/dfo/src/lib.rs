@@ -10,10 +10,21 @@
 //! # Ok::<(), dfo::Error>(())
 //! ```
 //!
+//! | method | for | options |
+//! |---|---|---|
+//! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
+//! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
+//! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
+//! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
+//!
+//! [`AnyMethod`] has them by name; [`Optimizer`] lets somebody else drive, point by point.
+//!
 //! What holds for every method:
 //!
-//! - **The same bits for any number of workers.** Outcomes are taken in request order. What is asked ahead of need
-//!   is an option of the method ([`BatchPlan`]) and changes no decision.
+//! - **The same bits for any number of workers.** Outcomes are taken in request order, random numbers come from one
+//!   stream per generation and individual. What is asked ahead of need is an option of the method ([`BatchPlan`]) and
+//!   changes no decision (one plan takes another path, is never chosen by itself, and says so).
+//! - **A run can go on**: after a kill, an interrupt or with a larger budget, from a [`Checkpoint`], bit for bit.
 //! - **A failure is a state, not a number.** NaN, infinities, errors and panics rank behind every finite cost, are
 //!   counted with their reasons, and enter no mean.
 //! - **Budgets are exact**, also inside of a batch, and the best point seen is in the [`Report`] however a run ends.

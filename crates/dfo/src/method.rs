@@ -129,6 +129,8 @@ pub enum Operation {
     InsideContraction,
     /// The simplex was shrunk towards its best vertex.
     Shrink,
+    /// Several vertices moved at once.
+    ParallelMoves,
     /// A new simplex was built around the best vertex of one that had become flat.
     Restart,
     /// A generation was evaluated and selected from.
@@ -144,6 +146,7 @@ impl fmt::Display for Operation {
             Self::OutsideContraction => "outside contraction",
             Self::InsideContraction => "inside contraction",
             Self::Shrink => "shrink",
+            Self::ParallelMoves => "parallel moves",
             Self::Restart => "restart",
             Self::Generation => "generation",
         })

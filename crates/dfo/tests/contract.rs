@@ -292,3 +292,27 @@ fn warm_starts_begin_with_what_is_known() {
     let cold = elsewhere.warm_start(&first.trace).max_evaluations(50).run().unwrap();
     assert_eq!((cold.trace.get(0).unwrap().x, cold.n_cached), (&[5.0, 5.0][..], 0));
 }
+
+#[test]
+fn generations_allocate_nothing_once_warm() {
+    use dfo::{Batch, DifferentialEvolution, Genetic, Method, MethodOptions};
+    fn measure<M: MethodOptions>(options: &M) -> u64 {
+        let n = 6;
+        let bounds = Bounds::new(&vec![-2.0; n], &vec![2.0; n]).unwrap();
+        let setup = Setup::new(Space::new(&vec![-1.2; n], bounds, &[], &[]).unwrap());
+        let setup = Setup { seed: Some(3), max_evaluations: Some(6000), ..setup };
+        let mut method = options.begin(&setup).unwrap();
+        let (mut batch, mut outcomes) = (Batch::new(), Vec::with_capacity(200));
+        let mut round = || {
+            method.ask(&mut batch);
+            outcomes.clear();
+            outcomes.extend(batch.points().map(|x| Outcome::Value(rosenbrock(x))));
+            method.tell(&outcomes).unwrap();
+        };
+        (0..4).for_each(|_| round());
+        allocation_counter::measure(|| (0..30).for_each(|_| round())).count_total
+    }
+    assert_eq!(measure(&DifferentialEvolution::default()), 0);
+    assert_eq!(measure(&DifferentialEvolution::classic()), 0);
+    assert_eq!(measure(&Genetic::default()), 0);
+}

@@ -4,7 +4,7 @@
 
 mod problems;
 
-use dfo::{BoundsHandling, NelderMead, minimize};
+use dfo::{BatchPlan, BoundsHandling, NelderMead, Termination, minimize};
 use problems::solve::least_squares;
 use problems::{Instance, instances, residuals, start};
 use std::io::Write;
@@ -155,6 +155,46 @@ fn smooth_problems_within_the_budget() {
             assert!(share >= 77.0 && median <= 40.0, "{share} %, {median}");
         }
     }
+}
+
+#[test]
+fn moving_several_vertices_saves_rounds() {
+    let Some(instances) = table() else { return };
+    let larger: Vec<_> = instances.iter().filter(|p| p.n >= 4).collect();
+    // Median of the rounds to each tau (unsolved counting as infinite), and the share solved to the last one.
+    let rounds = |plan: BatchPlan| {
+        let mut share = 0.0;
+        let medians = [1e-1, 1e-3, 1e-5].map(|tau| {
+            let mut rounds: Vec<f64> = larger
+                .iter()
+                .map(|p| {
+                    let first = p.cost(&p.start());
+                    let report = minimize(|x: &[f64]| p.cost(x))
+                        .start(&p.start())
+                        .method(NelderMead::default().batch(plan))
+                        .x_tol(0.0)
+                        .f_tol(0.0)
+                        .target(first - (1.0 - tau) * (first - p.best))
+                        .max_evaluations(400 * (p.n + 1))
+                        .run()
+                        .unwrap();
+                    let solved = report.termination == Termination::Target;
+                    if solved { report.n_batches as f64 } else { f64::INFINITY }
+                })
+                .collect();
+            rounds.sort_by(f64::total_cmp);
+            share = rounds.iter().filter(|r| r.is_finite()).count() as f64 / rounds.len() as f64;
+            rounds[rounds.len() / 2]
+        });
+        println!("{}: rounds {medians:?}, {:.0} % solved to 1e-5", plan.name(), 100.0 * share);
+        (medians, share)
+    };
+    let (serial, solved) = rounds(BatchPlan::Serial);
+    let (ahead, _) = rounds(BatchPlan::TwoAhead);
+    let (parallel, still_solved) = rounds(BatchPlan::LeeWiswall);
+    assert!(parallel.iter().zip(&serial).all(|(p, s)| 1.5 * p < *s), "{parallel:?} {serial:?}");
+    assert!(2.0 * ahead[0] < serial[0], "{ahead:?} {serial:?}");
+    assert!(still_solved >= solved - 0.05, "{still_solved} {solved}");
 }
 
 const BOUNDED: [(usize, usize, usize); 16] = [

@@ -22,8 +22,11 @@
 //! Half of all iterations accept the reflection and a quarter need the inside contraction, so the second plan
 //! rarely needs a second round.
 //!
-//! The last plan guesses that a contracted point will not be the worst again. Where it guesses wrong, or something
+//! The two-ahead plan guesses that a contracted point will not be the worst again. Where it guesses wrong, or something
 //! cannot be foreseen, points are asked anew.
+//!
+//! One further plan, `lee-wiswall`, takes **another path**: it moves the n/2 worst vertices at once and comes down to
+//! the serial method when that stops paying. It is never chosen automatically, and its name is in the report.
 //!
 //! **Restarts.** When the tests pass although the simplex has become flat (as in McKinnon's example, SIAM J. Optim. 9,
 //! 1998), a new one with edges along the axes is built around its best vertex, each edge pointing to where the costs
@@ -35,6 +38,7 @@
 //! need the worst cost; for the next iteration: the worst cost. None while the worst vertex has failed, and none for starting and shrinking vertices.
 
 mod initial;
+mod lee_wiswall;
 mod lookahead;
 mod options;
 mod restart;

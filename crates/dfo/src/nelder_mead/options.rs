@@ -7,7 +7,7 @@ use crate::method::{MethodOptions, Setup, restored};
 use crate::scaling::{BoundsHandling, Space};
 use serde::{Deserialize, Serialize};
 
-/// Which points an iteration asks for ahead of need. All plans give the same simplices.
+/// Which points an iteration asks for at once. All plans give the same simplices but [`LeeWiswall`](Self::LeeWiswall).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum BatchPlan {
@@ -24,6 +24,10 @@ pub enum BatchPlan {
     Four,
     /// The four points of this iteration and the sixteen that the next may need.
     TwoAhead,
+    /// Another path: the n/2 worst vertices move at once, fewer when that stops paying, in the end one as in
+    /// [`Serial`](Self::Serial) (Lee and Wiswall 2007). Fewer rounds at first, more evaluations in all. The report calls
+    /// the plan `lee-wiswall`, and `lee-wiswall, then serial` once it has come down to one vertex.
+    LeeWiswall,
 }
 
 impl BatchPlan {
@@ -46,6 +50,7 @@ impl BatchPlan {
             Self::Two => "two",
             Self::Four => "four",
             Self::TwoAhead => "two-ahead",
+            Self::LeeWiswall => "lee-wiswall",
         }
     }
 }

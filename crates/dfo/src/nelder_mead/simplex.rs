@@ -121,6 +121,25 @@ impl SimplexData {
         self.centroid_without(self.worst(), None, out);
     }
 
+    /// Centroid of all but the `left_out` worst vertices, failed ones left out.
+    pub(super) fn centroid_of_best(&self, left_out: usize, out: &mut [f64]) {
+        out.fill(0.0);
+        let mut count = 0.0;
+        for &slot in &self.order[..self.order.len() - left_out] {
+            if self.costs[slot].value().is_some() {
+                count += 1.0;
+                out.iter_mut().zip(self.u(slot)).for_each(|(c, u)| *c += u);
+            }
+        }
+        out.iter_mut().for_each(|c| *c /= count);
+    }
+
+    /// Puts another vertex in a slot; ranks are to be made anew.
+    pub(super) fn replace(&mut self, slot: usize, u: &[f64], x: &[f64], value: f64) {
+        self.set(slot, u, x);
+        self.set_cost(slot, Cost::Value(value));
+    }
+
     /// Centroid of all vertices but one, failed ones left out; as if `replacement` stood in place of the worst.
     pub(super) fn centroid_without(&self, left_out: usize, replacement: Option<&[f64]>, out: &mut [f64]) {
         out.fill(0.0);

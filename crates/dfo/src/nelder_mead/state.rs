@@ -4,6 +4,7 @@
 //! known; where it meets an unknown one, that point is what the next batch asks for. Asking ahead of need only means
 //! that more is known when the procedure runs, so all plans take the same path.
 
+use super::lee_wiswall::{LeeWiswall, Verdict};
 use super::lookahead::LookAhead;
 use super::options::{BatchPlan, Numbers};
 use super::restart;
@@ -24,6 +25,8 @@ enum Role {
     Trial(Trial),
     /// A point that the next iteration may need, by its number.
     Ahead(usize),
+    /// A point of a vertex that moves together with others.
+    Move(usize),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -34,6 +37,8 @@ enum Phase {
     Shrinking,
     /// The same after a restart.
     Restarting,
+    /// Several vertices move at once.
+    Moving,
     /// An iteration needs this trial point next.
     Trying(Trial),
     Done,
@@ -75,6 +80,7 @@ pub struct NelderMeadState {
     centroid: Vec<f64>,
     trials: [TrialPoint; 4],
     ahead: LookAhead,
+    parallel: Option<LeeWiswall>,
     /// Whether the four trial points of this iteration are placed.
     placed: bool,
     restarts: usize,
@@ -114,6 +120,7 @@ impl NelderMeadState {
             centroid: vec![0.0; n],
             trials: [trial(), trial(), trial(), trial()],
             ahead,
+            parallel: (plan == BatchPlan::LeeWiswall).then(|| LeeWiswall::new(n, n_user)),
             placed: false,
             restarts,
             f_restart: None,
@@ -147,6 +154,8 @@ impl NelderMeadState {
             && self.simplex.is_sound(space)
             && self.centroid.len() == space.n_free()
             && self.trials.iter().all(|t| t.is_sound(space))
+            && self.parallel.is_some() == (self.plan == BatchPlan::LeeWiswall)
+            && self.parallel.as_ref().is_none_or(|p| p.is_sound(space))
             && self.ahead.is_sound(space, self.plan == BatchPlan::TwoAhead)
     }
 
@@ -155,7 +164,7 @@ impl NelderMeadState {
         match self.plan {
             BatchPlan::Two => &[Trial::Reflection, Trial::Inside],
             BatchPlan::Four | BatchPlan::TwoAhead => &Trial::ALL,
-            BatchPlan::Auto | BatchPlan::Serial => &[Trial::Reflection],
+            BatchPlan::Auto | BatchPlan::Serial | BatchPlan::LeeWiswall => &[Trial::Reflection],
         }
     }
 
@@ -270,6 +279,10 @@ impl NelderMeadState {
         }
         self.placed = false;
         self.phase = Phase::Trying(Trial::Reflection);
+        if let Some(parallel) = self.parallel.as_mut().filter(|p| p.is_parallel()) {
+            parallel.begin();
+            self.phase = Phase::Moving;
+        }
     }
 
     fn end_iteration(&mut self, operation: Operation) {
@@ -323,7 +336,7 @@ impl NelderMeadState {
         match phase {
             Phase::Shrinking => return self.end_iteration(Operation::Shrink),
             Phase::Restarting => return self.end_iteration(Operation::Restart),
-            Phase::Starting | Phase::Trying(_) | Phase::Done => {}
+            Phase::Starting | Phase::Moving | Phase::Trying(_) | Phase::Done => {}
         }
         if self.simplex.cost(self.simplex.best()).value().is_none() {
             self.phase = Phase::Done;
@@ -379,6 +392,13 @@ impl Method for NelderMeadState {
                     }
                 }
             }
+            Phase::Moving => {
+                if let Some(parallel) = &mut self.parallel {
+                    let (space, roles) = (&self.setup.space, &mut self.roles);
+                    let problem = (space, self.handling, &self.numbers);
+                    parallel.ask(batch, |k| roles.push(Role::Move(k)), &self.simplex, problem);
+                }
+            }
             Phase::Trying(trial) => {
                 self.place(trial);
                 self.request_trial(trial, batch);
@@ -416,6 +436,12 @@ impl Method for NelderMeadState {
                 }
                 Role::Trial(trial) => self.trials[trial as usize].seen = seen,
                 Role::Ahead(number) => self.ahead.see(number, seen, k),
+                Role::Move(number) => {
+                    self.used[k] = true;
+                    if let Some(parallel) = &mut self.parallel {
+                        parallel.see(number, seen);
+                    }
+                }
             }
         }
         match self.phase {
@@ -423,6 +449,17 @@ impl Method for NelderMeadState {
             Phase::Starting | Phase::Shrinking | Phase::Restarting => {
                 if !self.simplex.is_pending() {
                     self.vertices_known();
+                }
+            }
+            Phase::Moving => {
+                let Some(parallel) = &mut self.parallel else { return Ok(()) };
+                match parallel.conclude(&mut self.simplex) {
+                    Verdict::Unfinished => {}
+                    Verdict::Moved => self.end_iteration(Operation::ParallelMoves),
+                    Verdict::Stuck => {
+                        self.simplex.shrink(self.numbers.shrink, &self.setup.space);
+                        self.phase = Phase::Shrinking;
+                    }
                 }
             }
             Phase::Trying(_) => {
@@ -472,7 +509,10 @@ impl Method for NelderMeadState {
     }
 
     fn plan(&self) -> &'static str {
-        self.plan.name()
+        match &self.parallel {
+            Some(parallel) if !parallel.is_parallel() => "lee-wiswall, then serial",
+            _ => self.plan.name(),
+        }
     }
 
     fn tests(&self) -> Option<Tests> {
@@ -489,7 +529,13 @@ impl Method for NelderMeadState {
                 best = Some((self.simplex.x(slot), v));
             }
         }
-        // A reflection that waits for its expansion is not a vertex yet, but it has been seen and counts.
+        // What was seen and is no vertex yet counts too: a reflection that waits for its expansion, vertices on the move.
+        if let (Phase::Moving, Some(seen)) =
+            (self.phase, self.parallel.as_ref().and_then(LeeWiswall::best_seen))
+            && best.is_none_or(|(_, b)| seen.1 < b)
+        {
+            return Some(seen);
+        }
         let reflection = &self.trials[Trial::Reflection as usize];
         match (self.phase, reflection.seen) {
             (Phase::Trying(_), Seen::Cost(r)) if best.is_none_or(|(_, b)| r < b) => Some((&reflection.x, r)),
