@@ -289,6 +289,15 @@ impl Calibration {
         Ok(self.experiments.iter().map(at).collect::<Result<Vec<_>, _>>()?)
     }
 
+    /// Has the model tested before its first use (once per process): how instances are reused, and whether several can be
+    /// used at once.
+    pub(crate) fn prepare(&self) -> Result<(), CalibrationError> {
+        for experiment in &self.experiments {
+            experiment.pool.is_concurrent()?;
+        }
+        Ok(())
+    }
+
     pub(crate) fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
         if x.len() == self.parameters.len() {
             return Ok(());

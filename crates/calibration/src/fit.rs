@@ -110,6 +110,8 @@ impl Calibration {
             .collect();
         let sizes: Vec<f64> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.size_of(p, *x)).collect();
+        // The model's first-use test is not part of the time that the fit is given.
+        self.prepare()?;
         let mut run = dfo::minimize(ByRef(self))
             .start(&start)
             .bounds(&bound(Parameter::lower), &bound(Parameter::upper))?

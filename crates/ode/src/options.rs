@@ -206,9 +206,4 @@ pub enum OptionsError {
     /// No method has this name.
     #[error("unknown solver '{0}'; there are: auto, tsit5, dop853, radau5, bdf, rk4, euler")]
     UnknownMethod(String),
-    /// The name is reserved for a method that is not there yet.
-    #[error(
-        "solver '{0}' is not available in this version; there are: auto, tsit5, dop853, radau5, bdf, rk4, euler"
-    )]
-    MethodNotYet(String),
 }

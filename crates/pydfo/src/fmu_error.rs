@@ -9,7 +9,6 @@ use std::path::Path;
 
 pyo3::import_exception!(pydfo._errors, BadModelValueError);
 pyo3::import_exception!(pydfo._errors, FmuError);
-pyo3::import_exception!(pydfo._errors, MethodNotAvailable);
 pyo3::import_exception!(pydfo._errors, ModelTypeError);
 pyo3::import_exception!(pydfo._errors, SimulationError);
 pyo3::import_exception!(pydfo._errors, UnknownVariableError);
@@ -23,7 +22,6 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
             UnknownVariableError::new_err(message)
         }
         FmiError::WrongType { .. } => ModelTypeError::new_err(message),
-        FmiError::Options(ode::OptionsError::MethodNotYet(_)) => MethodNotAvailable::new_err(message),
         FmiError::NotSettable { .. }
         | FmiError::NotFinite { .. }
         | FmiError::NotAnOutput { .. }

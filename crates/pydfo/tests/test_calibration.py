@@ -231,7 +231,6 @@ def test_simulations_that_fail(dahlquist):
         ({"timeout": -1.0}, ValueError, "timeout = -1"),
         ({"relative_tolerance": -1.0}, ValueError, "toleran"),
         ({"solver": "magic"}, ValueError, "magic"),
-        ({"solver": "radau5"}, NotImplementedError, "radau5"),
         ({"solver": None}, TypeError, "solver must be a string"),
         ({"inputs": {"u": "x"}}, KeyError, '"u"'),
     ],

@@ -116,7 +116,7 @@ class Calibration:
     relative_tolerance : float, optional
         Of the integration; default: that of the model's default experiment, else 1e-6.
     solver : str
-        "auto", "tsit5", "rk4" or "euler".
+        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler".
     step_size, max_step : float, optional
         Step of the fixed-step methods; largest step of the others; in s.
     start_time : float, optional

@@ -239,7 +239,7 @@ class FMUModel:
             Values for this simulation only, on top of those set.
         relative_tolerance : float, optional
             Default: that of the default experiment, else 1e-6.
-        solver : {"auto", "tsit5", "rk4", "euler"}
+        solver : {"auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"}
             The method; the last two have a fixed step. "CVode" is taken as "auto".
         step_size : float, optional
             Step of the methods with a fixed step; default: a 500th of the span.
