@@ -94,6 +94,14 @@ pub(crate) fn check_settable_in_continuous_time(variable: &Variable) -> Result<(
     }
 }
 
+/// Refuses what cannot be set between communication points: all but inputs and tunable parameters.
+pub(crate) fn check_settable_in_step_mode(variable: &Variable) -> Result<(), FmiError> {
+    match (variable.causality, variable.variability) {
+        (Causality::Input, _) | (Causality::Parameter, Variability::Tunable) => Ok(()),
+        _ => Err(not_settable(variable, "between steps only inputs and tunable parameters can be set")),
+    }
+}
+
 pub(crate) fn not_settable(variable: &Variable, reason: &'static str) -> FmiError {
     FmiError::NotSettable { name: variable.name.clone(), reason }
 }

@@ -3,13 +3,13 @@
 use crate::archive::Archive;
 use crate::description::{Interface, ModelDescription};
 use crate::error::FmiError;
-use crate::instance::{Instance, Instantiated};
-use crate::options::SimulateOptions;
+use crate::instance::{CoSimulation, Instance, Instantiated};
+use crate::options::{Kind, SimulateOptions};
 use crate::plan::SimulationPlan;
 use crate::platform;
 use crate::simulation::Simulator;
 use crate::source;
-use crate::sys::{FloatEnvironment, Library, RawInstance, Request, Sizes};
+use crate::sys::{FloatEnvironment, InterfaceKind, Library, RawInstance, Request, Sizes};
 use crate::trajectory::Trajectory;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
@@ -27,15 +27,22 @@ pub struct Fmu {
     inner: Arc<Inner>,
 }
 
-/// Fields are dropped in this order: instances, library, folder.
+/// Fields are dropped in this order: instances and libraries, folder.
 #[derive(Debug)]
 struct Inner {
-    idle: Mutex<Vec<RawInstance>>,
-    library: Mutex<Option<Arc<Library>>>,
-    reuse: AtomicU8,
+    model_exchange: Side,
+    co_simulation: Side,
     description: ModelDescription,
     path: PathBuf,
     archive: Archive,
+}
+
+/// One way of running the model. Fields are dropped in this order: instances, library.
+#[derive(Debug, Default)]
+struct Side {
+    idle: Mutex<Vec<RawInstance>>,
+    library: Mutex<Option<Arc<Library>>>,
+    reuse: AtomicU8,
 }
 
 /// How the instances of an FMU are brought back to their beginning between simulations.
@@ -47,7 +54,7 @@ pub enum Reuse {
     Reinstantiate,
 }
 
-const UNCHECKED: u8 = 0;
+// 0: not checked yet.
 const RESET: u8 = 1;
 const REINSTANTIATE: u8 = 2;
 
@@ -73,9 +80,8 @@ impl Fmu {
         let description = ModelDescription::read(&archive)?;
         Ok(Fmu {
             inner: Arc::new(Inner {
-                idle: Mutex::new(Vec::new()),
-                library: Mutex::new(None),
-                reuse: AtomicU8::new(UNCHECKED),
+                model_exchange: Side::default(),
+                co_simulation: Side::default(),
                 description,
                 path: path.to_owned(),
                 archive,
@@ -125,8 +131,30 @@ impl Fmu {
     /// # Errors
     /// As [`instantiate`](Self::instantiate).
     pub fn instantiate_with(&self, options: &InstanceOptions) -> Result<Instance<Instantiated>, FmiError> {
-        let interface = self.check_runnable()?;
-        let library = self.library()?;
+        let raw = self.instantiate_raw(InterfaceKind::ModelExchange, options)?;
+        Ok(Instance::from_raw(raw, self.clone()))
+    }
+
+    /// Makes a co-simulation instance. **This loads the library and runs its code.**
+    ///
+    /// # Errors
+    /// As [`instantiate`](Self::instantiate).
+    pub fn instantiate_co_simulation(
+        &self,
+        options: &InstanceOptions,
+    ) -> Result<Instance<Instantiated, CoSimulation>, FmiError> {
+        let raw = self.instantiate_raw(InterfaceKind::CoSimulation, options)?;
+        Ok(Instance::from_raw(raw, self.clone()))
+    }
+
+    /// Makes an instance of either kind.
+    pub(crate) fn instantiate_raw(
+        &self,
+        kind: InterfaceKind,
+        options: &InstanceOptions,
+    ) -> Result<RawInstance, FmiError> {
+        let interface = self.check_interface(kind)?;
+        let library = self.library(kind)?;
         let description = self.description();
         let text = |what: &str, text: &str| {
             CString::new(text)
@@ -139,31 +167,81 @@ impl Fmu {
             name: &name,
             guid: &guid,
             resources: &resources,
+            kind,
             visible: options.visible,
             logging: options.logging,
         };
         let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
         let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
         if only_one {
-            self.drop_idle();
+            self.drop_idle(kind);
         }
         // The FMU may change the floating-point mode of this thread and shall not.
         let _guard = FloatEnvironment::standard();
-        let raw = RawInstance::new(&library, &request, sizes, only_one)?;
-        Ok(Instance::from_raw(raw, self.clone()))
+        RawInstance::new(&library, &request, sizes, only_one)
     }
 
-    /// Whether this version can simulate the FMU; the interface it would use.
+    /// Whether the FMU can be simulated, one way or the other; the interface that would be used.
     ///
     /// # Errors
-    /// [`FmiError::UnsupportedVersion`], [`FmiError::NoModelExchange`], [`FmiError::NeedsExecutionTool`].
+    /// [`FmiError::UnsupportedVersion`], [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
     pub fn check_runnable(&self) -> Result<&Interface, FmiError> {
+        self.check_interface(self.choose(Kind::Auto)?)
+    }
+
+    /// The interface that a simulation would use.
+    ///
+    /// # Errors
+    /// [`FmiError::NotOffered`].
+    pub fn choose(&self, kind: Kind) -> Result<InterfaceKind, FmiError> {
+        let wanted = match kind {
+            Kind::ModelExchange => InterfaceKind::ModelExchange,
+            Kind::CoSimulation => InterfaceKind::CoSimulation,
+            Kind::Auto if self.interface(InterfaceKind::ModelExchange).is_some() => {
+                InterfaceKind::ModelExchange
+            }
+            Kind::Auto => InterfaceKind::CoSimulation,
+        };
+        if self.interface(wanted).is_some() {
+            return Ok(wanted);
+        }
+        let description = self.description();
+        let known = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
+        let mut offered: Vec<String> = known
+            .into_iter()
+            .filter(|kind| self.interface(*kind).is_some())
+            .map(|kind| kind.to_string())
+            .collect();
+        if description.offers_scheduled_execution {
+            offered.push("scheduled execution".to_owned());
+        }
+        Err(FmiError::NotOffered {
+            model: description.model_name.clone(),
+            wanted: if kind == Kind::Auto {
+                "model exchange nor co-simulation".to_owned()
+            } else {
+                wanted.to_string()
+            },
+            offered: if offered.is_empty() { "nothing".to_owned() } else { offered.join(" and ") },
+        })
+    }
+
+    fn interface(&self, kind: InterfaceKind) -> Option<&Interface> {
+        match kind {
+            InterfaceKind::ModelExchange => self.description().model_exchange.as_ref(),
+            InterfaceKind::CoSimulation => self.description().co_simulation.as_ref(),
+        }
+    }
+
+    /// Whether the FMU can be run in this way; the interface.
+    pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface, FmiError> {
         let description = self.description();
         Library::check_version(&description.fmi_version)?;
-        let interface = description
-            .model_exchange
-            .as_ref()
-            .ok_or_else(|| FmiError::NoModelExchange { model: description.model_name.clone() })?;
+        let interface = self.interface(kind).ok_or_else(|| FmiError::NotOffered {
+            model: description.model_name.clone(),
+            wanted: kind.to_string(),
+            offered: "the other interface".to_owned(),
+        })?;
         if interface.capabilities.needs_execution_tool {
             return Err(FmiError::NeedsExecutionTool {
                 model: description.model_name.clone(),
@@ -174,13 +252,13 @@ impl Fmu {
     }
 
     /// The library for this platform, loaded at the first call; compiled before that if the FMU brings sources only.
-    pub(crate) fn library(&self) -> Result<Arc<Library>, FmiError> {
+    pub(crate) fn library(&self, kind: InterfaceKind) -> Result<Arc<Library>, FmiError> {
         // The lock is held while the library loads: a second thread waits instead of loading it again.
-        let mut slot = self.inner.library.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut slot = self.side(kind).library.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(library) = &*slot {
             return Ok(Arc::clone(library));
         }
-        let interface = self.check_runnable()?;
+        let interface = self.check_interface(kind)?;
         let description = self.description();
         let path = match platform::find_binary(
             self.root(),
@@ -201,7 +279,7 @@ impl Fmu {
                 }
             }
         };
-        let library = Arc::new(Library::open(&path, &description.fmi_version)?);
+        let library = Arc::new(Library::open(&path, &description.fmi_version, kind)?);
         *slot = Some(Arc::clone(&library));
         Ok(library)
     }
@@ -216,15 +294,22 @@ impl Fmu {
         }
     }
 
+    fn side(&self, kind: InterfaceKind) -> &Side {
+        match kind {
+            InterfaceKind::ModelExchange => &self.inner.model_exchange,
+            InterfaceKind::CoSimulation => &self.inner.co_simulation,
+        }
+    }
+
     /// An instance that was used before and is not needed at present; to be reset before use.
-    pub(crate) fn take_idle(&self) -> Option<RawInstance> {
-        self.idle().pop()
+    pub(crate) fn take_idle(&self, kind: InterfaceKind) -> Option<RawInstance> {
+        self.side(kind).idle().pop()
     }
 
     /// Keeps an instance for later, or frees it if there are enough.
-    pub(crate) fn put_idle(&self, raw: RawInstance) {
+    pub(crate) fn put_idle(&self, kind: InterfaceKind, raw: RawInstance) {
         let surplus = {
-            let mut idle = self.idle();
+            let mut idle = self.side(kind).idle();
             if raw.is_dead() || idle.len() >= MAX_IDLE {
                 Some(raw)
             } else {
@@ -235,37 +320,46 @@ impl Fmu {
         drop(surplus);
     }
 
-    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<RawInstance>> {
-        self.inner.idle.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Frees the idle instances.
-    pub(crate) fn drop_idle(&self) {
-        let idle = std::mem::take(&mut *self.idle());
+    pub(crate) fn drop_idle(&self, kind: InterfaceKind) {
+        let idle = std::mem::take(&mut *self.side(kind).idle());
         drop(idle);
     }
 
-    /// What is known about reset; `None` before it was tried.
+    /// What is known about reset, for the interface that is used where nothing else is asked for; `None` before it
+    /// was tried.
     pub fn reuse(&self) -> Option<Reuse> {
-        match self.inner.reuse.load(Ordering::Acquire) {
+        self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
+    }
+
+    /// What is known about reset; `None` before it was tried.
+    pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
+        match self.side(kind).reuse.load(Ordering::Acquire) {
             RESET => Some(Reuse::Reset),
             REINSTANTIATE => Some(Reuse::Reinstantiate),
             _ => None,
         }
     }
 
-    pub(crate) fn set_reuse(&self, reuse: Reuse) {
+    pub(crate) fn set_reuse(&self, kind: InterfaceKind, reuse: Reuse) {
         let value = match reuse {
             Reuse::Reset => RESET,
             Reuse::Reinstantiate => REINSTANTIATE,
         };
+        let known = &self.side(kind).reuse;
         // Once found out, a broken reset stays broken.
-        if self.inner.reuse.load(Ordering::Acquire) != REINSTANTIATE {
-            self.inner.reuse.store(value, Ordering::Release);
+        if known.load(Ordering::Acquire) != REINSTANTIATE {
+            known.store(value, Ordering::Release);
         }
         if reuse == Reuse::Reinstantiate {
-            self.drop_idle();
+            self.drop_idle(kind);
         }
+    }
+}
+
+impl Side {
+    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<RawInstance>> {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::assign::{resolve, whole};
 use crate::description::{Causality, ModelDescription, Variability, Variable, VariableKind};
 use crate::error::FmiError;
+use crate::instance::Core;
 use ode::InputStop;
 use std::fmt;
 use std::sync::Arc;
@@ -432,6 +433,27 @@ impl InputState {
             *value = function(t);
         }
         self.continuous.iter().all(|value| value.is_finite())
+    }
+}
+
+impl InputState {
+    /// Sets the held inputs, one call per type.
+    pub(crate) fn set_held(&self, core: &mut Core, plan: &InputPlan) -> Result<(), FmiError> {
+        core.set_reals(&plan.held_reals, &self.held_reals)?;
+        if !plan.held_integers.is_empty() {
+            core.call(|raw| raw.set_integer(&plan.held_integers, &self.held_integers))?;
+        }
+        if !plan.held_booleans.is_empty() {
+            core.call(|raw| raw.set_boolean(&plan.held_booleans, &self.held_booleans))?;
+        }
+        Ok(())
+    }
+
+    /// What is wrong where [`continuous_at`](Self::continuous_at) said no.
+    pub(crate) fn bad_function_value(&self, t: f64) -> FmiError {
+        let bad = self.continuous.iter().find(|value| !value.is_finite());
+        let value = bad.copied().unwrap_or(f64::NAN);
+        FmiError::NotFinite { name: format!("an input function at t = {t}"), value }
     }
 }
 

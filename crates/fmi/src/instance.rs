@@ -8,16 +8,23 @@ use crate::fmu::Fmu;
 use crate::sys::{Fault, LogLine, RawInstance, SavedSlot, Status};
 use std::marker::PhantomData;
 
-/// A live instance of an FMU in the phase `P`.
+/// A live instance of an FMU in the phase `P`, for model exchange or co-simulation.
 ///
 /// An instance can be moved to another thread but not shared ([`Send`], not `Sync`). Changing the phase takes the
 /// instance and returns it in its new phase; when the FMU answers with an error, the instance is freed (after `fatal` it
 /// is abandoned: FMI forbids even freeing it), and the error has the FMU's last log lines.
 #[derive(Debug)]
-pub struct Instance<P> {
+pub struct Instance<P, K = ModelExchange> {
     core: Box<Core>,
-    _phase: PhantomData<P>,
+    _phase: PhantomData<(P, K)>,
 }
+
+/// Kind of an instance whose equations are integrated by the importer.
+#[derive(Debug)]
+pub enum ModelExchange {}
+/// Kind of an instance that integrates itself.
+#[derive(Debug)]
+pub enum CoSimulation {}
 
 /// A phase in the life of an [`Instance`].
 pub trait Phase: sealed::Sealed {
@@ -34,6 +41,7 @@ pub trait Readable: Phase {}
 impl Readable for Initialization {}
 impl Readable for EventMode {}
 impl Readable for ContinuousTime {}
+impl Readable for StepMode {}
 impl Readable for Terminated {}
 
 mod sealed {
@@ -53,6 +61,9 @@ pub enum EventMode {}
 /// Continuous-time mode: time, states and continuous inputs are set here.
 #[derive(Debug)]
 pub enum ContinuousTime {}
+/// Between two communication points: inputs are set and steps are made here (co-simulation).
+#[derive(Debug)]
+pub enum StepMode {}
 /// Ended: values can be read.
 #[derive(Debug)]
 pub enum Terminated {}
@@ -71,6 +82,7 @@ phase!(Instantiated, |v| assign::check_settable_at_start(v));
 phase!(Initialization, |v| assign::check_settable_in_initialization(v));
 phase!(EventMode, |v| assign::check_settable_in_event_mode(v));
 phase!(ContinuousTime, |v| assign::check_settable_in_continuous_time(v));
+phase!(StepMode, |v| assign::check_settable_in_step_mode(v));
 phase!(Terminated, |v| Err(assign::not_settable(v, "the simulation has ended")));
 
 /// A saved state of an instance, to be brought back by the same instance. When it is dropped, its memory is used for the
@@ -180,13 +192,13 @@ fn is_integer(kind: VariableKind) -> bool {
     matches!(kind, VariableKind::Integer | VariableKind::Enumeration)
 }
 
-impl<P> Instance<P> {
+impl<P, K> Instance<P, K> {
     pub(crate) fn core(&mut self) -> &mut Core {
         &mut self.core
     }
 
     /// The same instance in another phase; the caller has made the call that leads there.
-    pub(crate) fn into_phase<Q>(self) -> Instance<Q> {
+    pub(crate) fn into_phase<Q>(self) -> Instance<Q, K> {
         Instance { core: self.core, _phase: PhantomData }
     }
 
@@ -200,7 +212,7 @@ impl<P> Instance<P> {
     pub(crate) fn step_to<Q>(
         mut self,
         call: impl FnOnce(&mut RawInstance) -> Result<(), Fault>,
-    ) -> Result<Instance<Q>, FmiError> {
+    ) -> Result<Instance<Q, K>, FmiError> {
         self.core.call(call)?;
         Ok(self.into_phase())
     }
@@ -217,6 +229,21 @@ impl<P> Instance<P> {
             line.text = crate::failure::expand_references(&line.text, self.fmu().description());
         }
         (lines, dropped)
+    }
+
+    /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
+    pub(crate) fn pass_log_on(&self) {
+        if !log::log_enabled!(log::Level::Debug) {
+            return;
+        }
+        let (lines, dropped) = self.log();
+        let model = &self.fmu().description().model_name;
+        if dropped > 0 {
+            log::debug!("{model}: {dropped} earlier lines were not kept");
+        }
+        for line in lines {
+            log::debug!("{model}: {line}");
+        }
     }
 
     /// Switches the FMU's logging on or off.
@@ -261,14 +288,14 @@ impl<P> Instance<P> {
     ///
     /// # Errors
     /// The FMU cannot, or refuses; the instance is freed then.
-    pub fn reset(self) -> Result<Instance<Instantiated>, FmiError> {
-        let mut fresh: Instance<Instantiated> = self.step_to(RawInstance::reset)?;
+    pub fn reset(self) -> Result<Instance<Instantiated, K>, FmiError> {
+        let mut fresh: Instance<Instantiated, K> = self.step_to(RawInstance::reset)?;
         fresh.core.raw.clear_log();
         Ok(fresh)
     }
 }
 
-impl<P: Readable> Instance<P> {
+impl<P: Readable, K> Instance<P, K> {
     /// Reads a variable.
     ///
     /// # Errors
@@ -305,7 +332,7 @@ impl<P: Readable> Instance<P> {
     }
 }
 
-impl<P: Phase> Instance<P> {
+impl<P: Phase, K> Instance<P, K> {
     /// Sets a variable.
     ///
     /// # Errors
@@ -331,14 +358,9 @@ impl<P: Phase> Instance<P> {
     }
 }
 
-impl Instance<Instantiated> {
+impl<K> Instance<Instantiated, K> {
     pub(crate) fn from_raw(raw: RawInstance, fmu: Fmu) -> Self {
         Self { core: Box::new(Core { raw, fmu }), _phase: PhantomData }
-    }
-
-    /// Brings an instance with a past back to its beginning.
-    pub(crate) fn from_used(raw: RawInstance, fmu: Fmu) -> Result<Self, FmiError> {
-        Self::from_raw(raw, fmu).reset()
     }
 
     /// Sets the experiment up and enters initialization mode.
@@ -350,7 +372,7 @@ impl Instance<Instantiated> {
         start_time: f64,
         stop_time: Option<f64>,
         relative_tolerance: Option<f64>,
-    ) -> Result<Instance<Initialization>, FmiError> {
+    ) -> Result<Instance<Initialization, K>, FmiError> {
         self.core.call(|raw| raw.setup_experiment(relative_tolerance, start_time, stop_time))?;
         self.step_to(RawInstance::enter_initialization)
     }
@@ -364,4 +386,9 @@ impl Instance<Initialization> {
     pub fn exit_initialization(self) -> Result<Instance<EventMode>, FmiError> {
         self.step_to(RawInstance::exit_initialization)
     }
+}
+
+/// Brings an instance with a past back to its beginning.
+pub(crate) fn reset(raw: RawInstance, fmu: &Fmu) -> Result<RawInstance, FmiError> {
+    Instance::<Instantiated>::from_raw(raw, fmu.clone()).reset().map(|fresh| fresh.into_raw().0)
 }

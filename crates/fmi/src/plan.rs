@@ -1,11 +1,14 @@
 //! A simulation resolved against its model, once: names have become value references, everything has been checked.
 
 use crate::assign::{self, Assignments, check_settable_at_start, resolve};
+use crate::communication::Communication;
 use crate::description::{Causality, ModelDescription, Value, Variable, VariableKind};
 use crate::error::FmiError;
-use crate::fmu::Fmu;
+use crate::fmu::{Fmu, Reuse};
 use crate::input::{InputPlan, Inputs};
 use crate::options::SimulateOptions;
+use crate::outputs::OutputPlan;
+use crate::sys::InterfaceKind;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -33,58 +36,10 @@ pub struct SimulationPlan {
     /// Nominals of the states as the description says them.
     pub(crate) nominals: Vec<f64>,
     pub(crate) completed_step_not_needed: bool,
+    pub(crate) kind: InterfaceKind,
+    /// The steps of co-simulation.
+    pub(crate) communication: Option<Communication>,
     warned_of_nominals: AtomicBool,
-}
-
-/// Where an output comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum OutputSource {
-    Time,
-    /// A state or an alias of one: copied, without a call.
-    State(usize),
-    Real(usize),
-    Integer(usize),
-    Boolean(usize),
-}
-
-/// The outputs by type, each type for one call.
-#[derive(Debug, Default)]
-pub(crate) struct OutputPlan {
-    pub(crate) sources: Vec<OutputSource>,
-    pub(crate) reals: Vec<u32>,
-    pub(crate) integers: Vec<u32>,
-    pub(crate) booleans: Vec<u32>,
-}
-
-impl OutputPlan {
-    /// Whether a sample needs a call at all.
-    pub(crate) fn needs_fmu(&self) -> bool {
-        !(self.reals.is_empty() && self.integers.is_empty() && self.booleans.is_empty())
-    }
-
-    fn add(&mut self, variable: &Variable, states: &HashMap<u32, usize>) -> Result<(), FmiError> {
-        let reference = variable.value_reference;
-        let place = |list: &mut Vec<u32>| {
-            list.push(reference);
-            list.len() - 1
-        };
-        self.sources.push(match variable.kind {
-            _ if variable.causality == Causality::Independent => OutputSource::Time,
-            VariableKind::Real => match states.get(&reference) {
-                Some(state) => OutputSource::State(*state),
-                None => OutputSource::Real(place(&mut self.reals)),
-            },
-            VariableKind::Integer | VariableKind::Enumeration => {
-                OutputSource::Integer(place(&mut self.integers))
-            }
-            VariableKind::Boolean => OutputSource::Boolean(place(&mut self.booleans)),
-            VariableKind::String => {
-                let reason = "it is text, and results are numbers";
-                return Err(FmiError::NotAnOutput { name: variable.name.clone(), reason });
-            }
-        });
-        Ok(())
-    }
 }
 
 impl SimulationPlan {
@@ -94,9 +49,19 @@ impl SimulationPlan {
     /// The FMU cannot be simulated by this version; a name is unknown (with the nearest names); a value has the wrong
     /// type or is not finite; a variable cannot be set; times or other options make no sense.
     pub fn new(fmu: &Fmu, options: &SimulateOptions) -> Result<Self, FmiError> {
-        let interface = fmu.check_runnable()?;
+        let kind = fmu.choose(options.kind)?;
+        let interface = fmu.check_interface(kind)?;
         let description = fmu.description();
         let grid = options.grid(&description.default_experiment)?;
+        let communication = match kind {
+            InterfaceKind::ModelExchange => None,
+            InterfaceKind::CoSimulation => Some(Communication::new(
+                options,
+                &description.default_experiment,
+                &interface.capabilities,
+                &grid,
+            )?),
+        };
         let method = options.method_options(&description.default_experiment);
         method.check()?;
         let no_inputs = Inputs::default();
@@ -123,6 +88,8 @@ impl SimulationPlan {
                 .map(|i| states.get(i).copied().flatten().and_then(|state| state.nominal).unwrap_or(1.0))
                 .collect(),
             completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
+            kind,
+            communication,
             warned_of_nominals: AtomicBool::new(false),
         };
         plan.take_parameters(description, &options.parameters, &start_values)?;
@@ -175,8 +142,11 @@ impl SimulationPlan {
         names: Option<&[String]>,
         states: &[Option<&Variable>],
     ) -> Result<(), FmiError> {
+        // A model that integrates itself does not show its states otherwise than as variables.
+        let is_me = self.kind == InterfaceKind::ModelExchange;
         let places: HashMap<u32, usize> = states
             .iter()
+            .filter(|_| is_me)
             .enumerate()
             .filter_map(|(i, state)| state.map(|v| (v.value_reference, i)))
             .collect();
@@ -223,6 +193,20 @@ impl SimulationPlan {
     /// Final time.
     pub fn final_time(&self) -> f64 {
         self.end
+    }
+
+    /// What is known about reset for this way of running the model.
+    pub(crate) fn reuse(&self) -> Option<Reuse> {
+        self.fmu.reuse_of(self.kind)
+    }
+
+    pub(crate) fn set_reuse(&self, reuse: Reuse) {
+        self.fmu.set_reuse(self.kind, reuse);
+    }
+
+    /// How the model is run.
+    pub fn kind(&self) -> InterfaceKind {
+        self.kind
     }
 
     /// Names of the outputs, in the order of [`Sample::outputs`](ode::Sample).

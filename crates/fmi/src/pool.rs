@@ -126,7 +126,7 @@ impl Pool {
         }
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
         let tested = examine(&self.plan, &self.reference, &mut simulator)?;
-        self.plan.fmu().set_reuse(tested.reuse);
+        self.plan.set_reuse(tested.reuse);
         if tested.reuse == Reuse::Reinstantiate {
             log::warn!(
                 "{}: reset cannot be relied on; every simulation gets a new instance",
@@ -149,7 +149,7 @@ impl Pool {
 fn examine(plan: &Arc<SimulationPlan>, base: &[f64], simulator: &mut Simulator) -> Result<Tested, FmiError> {
     let other = other_parameters(plan, base);
     let fmu = plan.fmu();
-    let only_one = fmu.check_runnable()?.capabilities.can_be_instantiated_only_once_per_process;
+    let only_one = fmu.check_interface(plan.kind)?.capabilities.can_be_instantiated_only_once_per_process;
     let truth = simulator.probe_new(base, &mut Ignore)?;
     if truth == Probe::Nothing {
         // The model cannot be started there (or not in time): there is nothing to compare, so the safe ways are taken.
@@ -173,7 +173,7 @@ fn examine(plan: &Arc<SimulationPlan>, base: &[f64], simulator: &mut Simulator) 
         }
     };
     let reuse =
-        if reset && fmu.reuse() != Some(Reuse::Reinstantiate) { Reuse::Reset } else { Reuse::Reinstantiate };
+        if reset && plan.reuse() != Some(Reuse::Reinstantiate) { Reuse::Reset } else { Reuse::Reinstantiate };
     if only_one {
         return Ok(Tested { reuse, independent: false });
     }

@@ -1,12 +1,13 @@
 //! One worker's simulator: a plan, a live instance, a driver and buffers, run as often as one likes.
 
 use crate::assign::resolve;
+use crate::communication::Stepping;
 use crate::description::Value;
 use crate::error::FmiError;
-use crate::fmu::{Fmu, Reuse};
-use crate::instance::{Instance, Instantiated};
+use crate::fmu::{InstanceOptions, Reuse};
+use crate::instance;
 use crate::plan::SimulationPlan;
-use crate::sys::{FloatEnvironment, RawInstance};
+use crate::sys::{FloatEnvironment, InterfaceKind, RawInstance};
 use crate::system::System;
 use crate::trajectory::{Recorder, Trajectory};
 use ode::{Driver, ErrorKind, Ignore, Observer, Report};
@@ -20,7 +21,7 @@ const PROBE_STEPS: u64 = 50;
 ///
 /// Before an FMU's reset function is relied on for the first time, it is put to the test: the first steps on the reset
 /// instance must have the same bits as on a new one, or from then on every run gets a new instance
-/// (see [`Fmu::reuse`]).
+/// (see [`Fmu::reuse`](crate::Fmu::reuse)).
 ///
 /// ```compile_fail
 /// fn shared_between_threads<T: Sync>() {}
@@ -29,10 +30,77 @@ const PROBE_STEPS: u64 = 50;
 #[derive(Debug)]
 pub struct Simulator {
     plan: Arc<SimulationPlan>,
-    driver: Driver,
-    system: System,
+    engine: Engine,
     /// A new or reset instance that has not been used yet.
-    fresh: Option<Instance<Instantiated>>,
+    fresh: Option<RawInstance>,
+}
+
+/// What makes the steps: the driver, or the FMU itself.
+#[derive(Debug)]
+enum Engine {
+    Integrated { driver: Box<Driver>, system: Box<System> },
+    Stepping(Box<Stepping>),
+}
+
+/// The same call to whichever engine it is.
+macro_rules! each {
+    ($engine:expr, $run:ident => $call:expr) => {
+        match $engine {
+            Engine::Integrated { system: $run, .. } => $call,
+            Engine::Stepping($run) => $call,
+        }
+    };
+}
+
+impl Engine {
+    fn new(plan: &Arc<SimulationPlan>) -> Result<Self, FmiError> {
+        Ok(match plan.kind {
+            InterfaceKind::ModelExchange => Engine::Integrated {
+                driver: Box::new(Driver::new(plan.options.clone())?),
+                system: Box::new(System::new(Arc::clone(plan))),
+            },
+            InterfaceKind::CoSimulation => Engine::Stepping(Box::new(Stepping::new(Arc::clone(plan)))),
+        })
+    }
+
+    fn adopt(&mut self, raw: RawInstance) {
+        each!(self, run => run.adopt(raw));
+    }
+
+    fn retire(&mut self) -> Option<RawInstance> {
+        each!(self, run => run.retire())
+    }
+
+    fn initialize(&mut self, raw: RawInstance, parameters: &[f64]) -> Result<(), FmiError> {
+        each!(self, run => run.initialize(raw, parameters))
+    }
+
+    /// The run itself; `steps`: at most so many.
+    fn run(
+        &mut self,
+        plan: &SimulationPlan,
+        steps: Option<u64>,
+        observer: &mut dyn Observer,
+    ) -> Result<Report, FmiError> {
+        let limited = |limits: ode::Limits| ode::Limits { max_steps: steps.or(limits.max_steps), ..limits };
+        match self {
+            Engine::Integrated { driver, system } => {
+                let mut probe;
+                let driver = if steps.is_none() {
+                    driver
+                } else {
+                    let options =
+                        ode::Options { limits: limited(plan.options.limits), ..plan.options.clone() };
+                    probe = Driver::new(options)?;
+                    &mut probe
+                };
+                driver
+                    .run(&mut **system, plan.start, plan.end, &plan.times, observer)
+                    .map_err(FmiError::Simulation)
+            }
+            Engine::Stepping(stepping) => stepping.run(&limited(plan.options.limits), observer),
+        }
+    }
 }
 
 /// What a trial run showed.
@@ -50,14 +118,13 @@ impl Simulator {
     /// # Errors
     /// Options of the method that cannot be used; the FMU cannot be loaded or instantiated.
     pub fn new(plan: Arc<SimulationPlan>) -> Result<Self, FmiError> {
-        let driver = Driver::new(plan.options.clone())?;
-        let mut system = System::new(Arc::clone(&plan));
+        let mut engine = Engine::new(&plan)?;
         let mut fresh = None;
-        match plan.fmu().take_idle() {
-            Some(raw) => system.adopt(raw),
-            None => fresh = Some(plan.fmu().instantiate()?),
+        match plan.fmu().take_idle(plan.kind) {
+            Some(raw) => engine.adopt(raw),
+            None => fresh = Some(new_instance(&plan)?),
         }
-        Ok(Self { plan, driver, system, fresh })
+        Ok(Self { plan, engine, fresh })
     }
 
     /// The plan.
@@ -74,10 +141,10 @@ impl Simulator {
         self.plan.check_parameters(parameters)?;
         let guard = FloatEnvironment::standard();
         let instance = self.fresh_instance(parameters)?;
-        self.system.initialize(instance, parameters)?;
+        self.engine.initialize(instance, parameters)?;
         // Instantiating or initializing may have changed the floating-point mode.
         guard.assert();
-        drive(&self.plan, &mut self.driver, &mut self.system, observer)
+        self.engine.run(&self.plan, None, observer)
     }
 
     /// Simulates once and records all samples.
@@ -99,7 +166,7 @@ impl Simulator {
         let description = self.plan.fmu().description();
         let index = resolve(description, name)?;
         let _guard = FloatEnvironment::standard();
-        self.system.value(&description.variables[index])
+        each!(&mut self.engine, run => run.value(&description.variables[index]))
     }
 
     /// As [`value`](Self::value), as a number: integers and Booleans too.
@@ -123,52 +190,51 @@ impl Simulator {
         self.plan.check_parameters(parameters)?;
         let _guard = FloatEnvironment::standard();
         let instance = self.fresh_instance(parameters)?;
-        self.system.initialize(instance, parameters)?;
-        self.system.settle()
+        self.engine.initialize(instance, parameters)?;
+        match &mut self.engine {
+            Engine::Integrated { system, .. } => system.settle(),
+            Engine::Stepping(_) => Ok(()),
+        }
     }
 
     /// A new instance, or one that was reset by a function that is known to do so.
-    fn fresh_instance(&mut self, parameters: &[f64]) -> Result<Instance<Instantiated>, FmiError> {
-        if let Some(instance) = self.fresh.take() {
-            return Ok(instance);
+    fn fresh_instance(&mut self, parameters: &[f64]) -> Result<RawInstance, FmiError> {
+        if let Some(raw) = self.fresh.take() {
+            return Ok(raw);
         }
-        let fmu = self.plan.fmu().clone();
-        let Some(used) = self.system.retire() else { return fmu.instantiate() };
-        match fmu.reuse() {
-            Some(Reuse::Reset) => reset_or_replace(used, &fmu),
+        let Some(used) = self.engine.retire() else { return new_instance(&self.plan) };
+        match self.plan.reuse() {
+            Some(Reuse::Reset) => reset_or_replace(used, &self.plan),
             Some(Reuse::Reinstantiate) => {
                 drop(used);
-                fmu.instantiate()
+                new_instance(&self.plan)
             }
-            None => self.check_reset(used, &fmu, parameters),
+            None => self.check_reset(used, parameters),
         }
     }
 
     /// Compares the first steps of the reset instance with those of a new one, and returns an instance to use.
-    fn check_reset(
-        &mut self,
-        used: RawInstance,
-        fmu: &Fmu,
-        parameters: &[f64],
-    ) -> Result<Instance<Instantiated>, FmiError> {
-        let Ok(reset) = Instance::from_used(used, fmu.clone()) else {
-            fmu.set_reuse(Reuse::Reinstantiate);
-            return fmu.instantiate();
+    fn check_reset(&mut self, used: RawInstance, parameters: &[f64]) -> Result<RawInstance, FmiError> {
+        let plan = Arc::clone(&self.plan);
+        let Ok(reset) = instance::reset(used, plan.fmu()) else {
+            plan.set_reuse(Reuse::Reinstantiate);
+            return new_instance(&plan);
         };
         let after_reset = self.probe_instance(reset, parameters, Some(PROBE_STEPS), &mut Ignore)?;
         // One at a time: the FMU may not allow two.
-        drop(self.system.retire());
-        let from_new = self.probe_instance(fmu.instantiate()?, parameters, Some(PROBE_STEPS), &mut Ignore)?;
+        drop(self.engine.retire());
+        let from_new =
+            self.probe_instance(new_instance(&plan)?, parameters, Some(PROBE_STEPS), &mut Ignore)?;
         match (after_reset, from_new) {
             (Probe::Nothing, Probe::Nothing) => {}
-            (a, b) if a == b => fmu.set_reuse(Reuse::Reset),
-            _ => fmu.set_reuse(Reuse::Reinstantiate),
+            (a, b) if a == b => plan.set_reuse(Reuse::Reset),
+            _ => plan.set_reuse(Reuse::Reinstantiate),
         }
-        match (self.system.retire(), fmu.reuse()) {
-            (Some(used), Some(Reuse::Reset)) => reset_or_replace(used, fmu),
+        match (self.engine.retire(), plan.reuse()) {
+            (Some(used), Some(Reuse::Reset)) => reset_or_replace(used, &plan),
             (used, _) => {
                 drop(used);
-                fmu.instantiate()
+                new_instance(&plan)
             }
         }
     }
@@ -177,24 +243,21 @@ impl Simulator {
     ///
     /// # Errors
     /// Only for what makes the simulator unusable; a simulation that fails is part of the digest.
-    pub(crate) fn probe_instance(
+    fn probe_instance(
         &mut self,
-        instance: Instance<Instantiated>,
+        raw: RawInstance,
         parameters: &[f64],
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
         let guard = FloatEnvironment::standard();
-        if self.system.initialize(instance, parameters).is_err() {
+        if self.engine.initialize(raw, parameters).is_err() {
             return Ok(Probe::Nothing);
         }
         guard.assert();
-        let mut options = self.plan.options.clone();
-        options.limits.max_steps = steps;
-        let mut driver = Driver::new(options)?;
-        self.system.begin_digest();
-        let outcome = drive(&self.plan, &mut driver, &mut self.system, observer);
-        let digest = self.system.end_digest().map_or(Probe::Nothing, Probe::Digest);
+        each!(&mut self.engine, run => run.begin_digest());
+        let outcome = self.engine.run(&self.plan, steps, observer);
+        let digest = each!(&mut self.engine, run => run.end_digest()).map_or(Probe::Nothing, Probe::Digest);
         Ok(match outcome {
             Err(FmiError::Simulation(error))
                 if matches!(error.kind, ErrorKind::TimedOut(_) | ErrorKind::Cancelled) =>
@@ -211,14 +274,14 @@ impl Simulator {
         parameters: &[f64],
         observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
-        let instance = match self.fresh.take() {
-            Some(instance) => instance,
+        let raw = match self.fresh.take() {
+            Some(raw) => raw,
             None => {
-                drop(self.system.retire());
-                self.plan.fmu().instantiate()?
+                drop(self.engine.retire());
+                new_instance(&self.plan)?
             }
         };
-        self.probe_instance(instance, parameters, None, observer)
+        self.probe_instance(raw, parameters, None, observer)
     }
 
     /// A trial run on this simulator's instance after a reset; `None` if there is none to reset, or reset fails.
@@ -228,11 +291,9 @@ impl Simulator {
         short: bool,
         observer: &mut dyn Observer,
     ) -> Result<Option<Probe>, FmiError> {
-        let Some(used) = self.system.retire() else { return Ok(None) };
-        match Instance::from_used(used, self.plan.fmu().clone()) {
-            Ok(instance) => {
-                self.probe_instance(instance, parameters, short.then_some(PROBE_STEPS), observer).map(Some)
-            }
+        let Some(used) = self.engine.retire() else { return Ok(None) };
+        match instance::reset(used, self.plan.fmu()) {
+            Ok(raw) => self.probe_instance(raw, parameters, short.then_some(PROBE_STEPS), observer).map(Some),
             Err(_) => Ok(None),
         }
     }
@@ -240,32 +301,26 @@ impl Simulator {
 
 impl Drop for Simulator {
     fn drop(&mut self) {
-        let used = self.fresh.take().map(|instance| instance.into_raw().0).or_else(|| self.system.retire());
+        let used = self.fresh.take().or_else(|| self.engine.retire());
         if let Some(raw) = used
-            && self.plan.fmu().reuse() != Some(Reuse::Reinstantiate)
+            && self.plan.reuse() != Some(Reuse::Reinstantiate)
         {
-            self.plan.fmu().put_idle(raw);
+            self.plan.fmu().put_idle(self.plan.kind, raw);
         }
     }
+}
+
+fn new_instance(plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
+    plan.fmu().instantiate_raw(plan.kind, &InstanceOptions::default())
 }
 
 /// Resets an instance, or makes a new one where that fails.
-fn reset_or_replace(used: RawInstance, fmu: &Fmu) -> Result<Instance<Instantiated>, FmiError> {
-    match Instance::from_used(used, fmu.clone()) {
-        Ok(instance) => Ok(instance),
+fn reset_or_replace(used: RawInstance, plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
+    match instance::reset(used, plan.fmu()) {
+        Ok(raw) => Ok(raw),
         Err(_) => {
-            fmu.set_reuse(Reuse::Reinstantiate);
-            fmu.instantiate()
+            plan.set_reuse(Reuse::Reinstantiate);
+            new_instance(plan)
         }
     }
-}
-
-/// The run itself.
-fn drive(
-    plan: &SimulationPlan,
-    driver: &mut Driver,
-    system: &mut System,
-    observer: &mut dyn Observer,
-) -> Result<Report, FmiError> {
-    driver.run(system, plan.start, plan.end, &plan.times, observer).map_err(FmiError::Simulation)
 }

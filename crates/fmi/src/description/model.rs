@@ -42,6 +42,8 @@ pub struct ModelDescription {
     pub model_exchange: Option<Interface>,
     /// Co-simulation, if offered.
     pub co_simulation: Option<Interface>,
+    /// Scheduled execution is offered (FMI 3.0). It can be described, not run.
+    pub offers_scheduled_execution: bool,
     /// Units.
     pub units: Vec<Unit>,
     /// Types.
@@ -80,6 +82,7 @@ impl ModelDescription {
             variable_naming_convention: None,
             model_exchange: None,
             co_simulation: None,
+            offers_scheduled_execution: false,
             units: Vec::new(),
             type_definitions: Vec::new(),
             log_categories: Vec::new(),

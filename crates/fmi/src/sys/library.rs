@@ -1,7 +1,7 @@
 //! A loaded shared library of an FMU with its function table; it stays open as long as anything of it lives.
 
 use super::platform::{self, FloatEnvironment, Handle};
-use super::{Binding, fmi2};
+use super::{Binding, InterfaceKind, fmi2};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
 use std::fmt;
@@ -34,11 +34,11 @@ impl Library {
         }
     }
 
-    /// Loads the library and looks its functions up. **This runs foreign code** (the library's constructors).
+    /// Loads the library and looks up the functions of one interface. **This runs foreign code** (the library's constructors).
     ///
     /// # Errors
     /// The dynamic loader's own message, or the name of the mandatory function that is missing.
-    pub(crate) fn open(path: &Path, version: &FmiVersion) -> Result<Self, FmiError> {
+    pub(crate) fn open(path: &Path, version: &FmiVersion, kind: InterfaceKind) -> Result<Self, FmiError> {
         Self::check_version(version)?;
         // Loading code linked with -ffast-math changes the floating-point mode of this thread.
         let _guard = FloatEnvironment::standard();
@@ -47,7 +47,7 @@ impl Library {
             .map_err(|error| FmiError::LoadFailed { library: path.to_owned(), message: message(&error) })?;
         let symbols = Symbols { handle: &handle, path };
         // SAFETY: the description says that the library follows this version of the standard.
-        let binding = unsafe { fmi2::Fmi2::load(&symbols)? };
+        let binding = unsafe { fmi2::Fmi2::load(&symbols, kind)? };
         Ok(Self {
             binding: Box::new(binding),
             live: AtomicUsize::new(0),

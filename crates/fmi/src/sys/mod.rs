@@ -123,6 +123,10 @@ enum Call {
     GetDerivatives,
     GetEventIndicators,
     GetNominals,
+    DoStep,
+    StepStatus,
+    CancelStep,
+    SetInputDerivatives,
 }
 
 /// What an event iteration told.
@@ -140,6 +144,35 @@ pub(crate) struct EventInfo {
     pub(crate) next_event_time: Option<f64>,
 }
 
+/// The two ways of running a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum InterfaceKind {
+    /// The importer integrates the model.
+    ModelExchange,
+    /// The model brings its own solver and is asked to step from one communication point to the next.
+    CoSimulation,
+}
+
+impl fmt::Display for InterfaceKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            InterfaceKind::ModelExchange => "model exchange",
+            InterfaceKind::CoSimulation => "co-simulation",
+        })
+    }
+}
+
+/// What a communication step told.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct StepInfo {
+    /// How far the model got, where that is not the end of the step (or not known to be).
+    pub(crate) reached: Option<f64>,
+    /// The model wishes to end the simulation.
+    pub(crate) terminate: bool,
+    /// The step is still being computed.
+    pub(crate) pending: bool,
+}
+
 /// A live component and what it needs to stay alive.
 struct Created {
     component: Component,
@@ -153,11 +186,12 @@ pub(crate) struct Request<'a> {
     pub(crate) name: &'a CStr,
     pub(crate) guid: &'a CStr,
     pub(crate) resources: &'a Path,
+    pub(crate) kind: InterfaceKind,
     pub(crate) visible: bool,
     pub(crate) logging: bool,
 }
 
-/// The function table of one library in house types: what a version of FMI has to supply for model exchange.
+/// The function table of one library in house types: what a version of FMI has to supply.
 ///
 /// # Safety
 /// For all `unsafe` methods: `component` was made by this binding, is not freed and not dead, and no other call on
@@ -224,4 +258,18 @@ trait Binding: Send + Sync {
     unsafe fn get_derivatives(&self, component: Component, derivatives: &mut [f64]) -> Status;
     unsafe fn get_event_indicators(&self, component: Component, indicators: &mut [f64]) -> Status;
     unsafe fn get_nominals(&self, component: Component, nominals: &mut [f64]) -> Status;
+    /// One communication step. `Discard` is for steps of which nothing or only a part was computed, also because the
+    /// model ends the simulation; `Pending` for steps that go on.
+    unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status;
+    /// How a pending step stands; as for `do_step`.
+    unsafe fn step_status(&self, component: Component, info: &mut StepInfo) -> Status;
+    unsafe fn cancel_step(&self, component: Component) -> Status;
+    /// Derivatives (of these orders) of real inputs with respect to time.
+    unsafe fn set_input_derivatives(
+        &self,
+        component: Component,
+        references: &[u32],
+        orders: &[i32],
+        values: &[f64],
+    ) -> Status;
 }

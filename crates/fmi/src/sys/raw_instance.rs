@@ -1,7 +1,7 @@
 //! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
 
 use super::callbacks::{Environment, Log};
-use super::{Call, Component, EventInfo, Library, LogLine, Request, StatePointer, Status};
+use super::{Call, Component, EventInfo, Library, LogLine, Request, StatePointer, Status, StepInfo};
 use crate::error::FmiError;
 use std::any::Any;
 use std::ffi::{CStr, CString, c_char};
@@ -464,6 +464,59 @@ impl RawInstance {
     pub(crate) fn get_nominals(&mut self, nominals: &mut [f64]) -> Outcome {
         self.length(Call::GetNominals, self.sizes.states, nominals.len())?;
         run!(self, Call::GetNominals, |b, c| b.get_nominals(c, nominals))
+    }
+
+    /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says how far the
+    /// model got, and the answer is `false`. A pending step has to be asked for with [`step_status`](Self::step_status).
+    pub(crate) fn do_step(&mut self, time: f64, step: f64, info: &mut StepInfo) -> Result<bool, Fault> {
+        self.time = Some(time);
+        let outcome = run!(self, Call::DoStep, |b, c| b.do_step(c, time, step, info));
+        completed(outcome, info)
+    }
+
+    /// The fault of a step of which nothing was computed.
+    pub(crate) fn step_refused(&self) -> Fault {
+        Fault::Discard(self.library.binding().name(Call::DoStep))
+    }
+
+    /// How a pending step stands; as [`do_step`](Self::do_step).
+    pub(crate) fn step_status(&mut self, info: &mut StepInfo) -> Result<bool, Fault> {
+        let outcome = run!(self, Call::StepStatus, |b, c| b.step_status(c, info));
+        completed(outcome, info)
+    }
+
+    /// Gives a pending step up. An instance that does not let go is abandoned: nothing may be called on it meanwhile.
+    pub(crate) fn abandon_step(&mut self) {
+        self.dead |= self.cancel_step().is_err();
+    }
+
+    fn cancel_step(&mut self) -> Outcome {
+        run!(self, Call::CancelStep, |b, c| b.cancel_step(c))
+    }
+
+    /// Sets first derivatives of real inputs with respect to time.
+    pub(crate) fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Outcome {
+        self.length(Call::SetInputDerivatives, references.len(), values.len())?;
+        let mut orders = std::mem::take(&mut self.scratch);
+        orders.clear();
+        orders.resize(values.len(), 1);
+        let outcome = self.set_derivatives_of(references, &orders, values);
+        self.scratch = orders;
+        outcome
+    }
+
+    fn set_derivatives_of(&mut self, references: &[u32], orders: &[i32], values: &[f64]) -> Outcome {
+        run!(self, Call::SetInputDerivatives, |b, c| b.set_input_derivatives(c, references, orders, values))
+    }
+}
+
+/// Whether a step was completed; `false` for one that was cut short or is pending.
+fn completed(outcome: Outcome, info: &StepInfo) -> Result<bool, Fault> {
+    match outcome {
+        Ok(()) => Ok(true),
+        Err(Fault::Discard(_)) => Ok(false),
+        Err(Fault::Failed(failed)) if failed.status == Status::Pending && info.pending => Ok(false),
+        Err(fault) => Err(fault),
     }
 }
 

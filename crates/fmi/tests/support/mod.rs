@@ -1,7 +1,7 @@
 //! FMUs for the tests: the bundled models, and small C sources with one fault each, compiled into temporary folders.
 #![allow(dead_code, clippy::unwrap_used)]
 
-use fmi::Fmu;
+use fmi::{ExampleKind, Fmu};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -49,6 +49,27 @@ pub(crate) fn model(name: &str) -> Folder {
     let model = here().join("models").join(name);
     std::fs::copy(model.join("modelDescription.xml"), folder.path().join("modelDescription.xml")).unwrap();
     compile(folder.path(), name, &[model.join("model.c"), here().join("models/frontend/fmi2_me.c")], &[]);
+    Folder { folder }
+}
+
+/// One of the bundled models in another version, compiled with these macros and an edited description.
+pub(crate) fn model_as(
+    name: &str,
+    kind: ExampleKind,
+    defines: &[&str],
+    edit: impl FnOnce(String) -> String,
+) -> Folder {
+    let folder = tempfile::tempdir().unwrap();
+    let packed = Fmu::open(fmi::example_fmu_as(name, kind).unwrap()).unwrap();
+    let xml = std::fs::read_to_string(packed.root().join("modelDescription.xml")).unwrap();
+    std::fs::write(folder.path().join("modelDescription.xml"), edit(xml)).unwrap();
+    let mut sources: Vec<PathBuf> = std::fs::read_dir(packed.root().join("sources"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "c"))
+        .collect();
+    sources.sort();
+    compile(folder.path(), name, &sources, defines);
     Folder { folder }
 }
 

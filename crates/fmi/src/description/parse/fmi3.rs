@@ -20,7 +20,10 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
         match element.name() {
             "ModelExchange" => draft.model.model_exchange = Some(interface(&element, draft)?),
             "CoSimulation" => draft.model.co_simulation = Some(interface(&element, draft)?),
-            "ScheduledExecution" => unsupported(draft, &element, "scheduled execution"),
+            "ScheduledExecution" => {
+                draft.model.offers_scheduled_execution = true;
+                unsupported(draft, &element, "scheduled execution");
+            }
             "UnitDefinitions" => shared::units(xml, &element, draft)?,
             "TypeDefinitions" => type_definitions(xml, &element, draft)?,
             "LogCategories" => shared::log_categories(xml, &element, draft)?,
