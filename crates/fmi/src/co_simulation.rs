@@ -2,7 +2,9 @@
 
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Core, Initialization, Instance, StepMode, Terminated};
+use crate::model_exchange::MAX_EVENT_ITERATIONS;
 use crate::sys::{RawInstance, StepInfo};
+use ode::EventOutcome;
 use std::thread;
 use std::time::Duration;
 
@@ -16,6 +18,8 @@ pub struct StepOutcome {
     pub reached: Option<f64>,
     /// The model wishes to end the simulation here.
     pub terminate: bool,
+    /// The model wants its events handled here: see [`Instance::handle_events`](Instance::handle_events).
+    pub event: bool,
 }
 
 /// How often a step that is computed in the background is asked for.
@@ -41,17 +45,50 @@ impl Core {
             info = StepInfo::default();
             complete = self.call(|raw| raw.step_status(&mut info))?;
         }
-        Ok(Some(StepOutcome { complete, reached: info.reached, terminate: info.terminate }))
+        let StepInfo { reached, terminate, event, .. } = info;
+        Ok(Some(StepOutcome { complete, reached, terminate, event }))
+    }
+}
+
+impl Core {
+    /// Whether events are handled between steps.
+    pub(crate) fn has_event_mode(&self) -> bool {
+        let interface = self.fmu().description().co_simulation.as_ref();
+        interface.is_some_and(|interface| interface.capabilities.uses_event_mode())
+    }
+
+    /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model ends the
+    /// simulation.
+    pub(crate) fn settle(&mut self, time: f64, tolerance: f64) -> Result<EventOutcome, FmiError> {
+        let outcome = self.iterate_events(time, tolerance, MAX_EVENT_ITERATIONS)?;
+        if !outcome.terminate {
+            self.call(RawInstance::enter_step_mode)?;
+        }
+        Ok(outcome)
     }
 }
 
 impl Instance<Initialization, CoSimulation> {
-    /// Ends the initialization.
+    /// Ends the initialization; the initial events happen.
     ///
     /// # Errors
     /// The FMU refuses.
     pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
-        self.step_to(RawInstance::exit_initialization)
+        self.begin_steps(0.0).map(|(instance, _)| instance)
+    }
+
+    /// The same, with what the initial events told.
+    pub(crate) fn begin_steps(
+        self,
+        tolerance: f64,
+    ) -> Result<(Instance<StepMode, CoSimulation>, EventOutcome), FmiError> {
+        let mut instance: Instance<StepMode, CoSimulation> =
+            self.step_to(RawInstance::exit_initialization)?;
+        let core = instance.core();
+        let time = core.raw.time().unwrap_or(0.0);
+        let outcome =
+            if core.has_event_mode() { core.settle(time, tolerance)? } else { EventOutcome::default() };
+        Ok((instance, outcome))
     }
 }
 
@@ -62,6 +99,16 @@ impl Instance<StepMode, CoSimulation> {
     /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
     pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome, FmiError> {
         Ok(self.core().do_step(time, step, &mut || true)?.unwrap_or_default())
+    }
+
+    /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.
+    ///
+    /// # Errors
+    /// The FMU has no event mode, or refuses.
+    pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome, FmiError> {
+        let core = self.core();
+        core.call(RawInstance::enter_event_mode)?;
+        core.settle(time, 0.0)
     }
 
     /// Sets the first derivatives of real inputs with respect to time, for the next step.

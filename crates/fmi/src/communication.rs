@@ -5,6 +5,7 @@
 //! takes steps of any length, requested times and the instants of inputs are communication points too; where it does
 //! not, samples between two points are interpolated, and the last step may reach beyond the final time.
 
+use crate::co_simulation::StepOutcome;
 use crate::description::{Capabilities, DefaultExperiment, Variable};
 use crate::digest::Digest;
 use crate::error::FmiError;
@@ -14,7 +15,10 @@ use crate::options::{Grid, SimulateOptions};
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
 use crate::sys::RawInstance;
-use ode::{ErrorKind, Limits, Observer, Report, Sample, Side, SimulationError, Stats, Termination};
+use ode::{
+    ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Report, Sample, Side,
+    SimulationError, Stats, Termination,
+};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -25,6 +29,9 @@ const MAX_STEPS: f64 = 1e9;
 
 /// Steps of which nothing was computed, in a row, before a run gives up.
 const MAX_DISCARDS: u32 = 12;
+
+/// Events at one instant before a run gives up.
+const MAX_EVENTS_HERE: u32 = 100;
 
 /// The communication points of a simulation.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +44,8 @@ pub(crate) struct Communication {
     pub(crate) ends_exactly: bool,
     /// The FMU extrapolates inputs from their derivatives.
     input_derivatives: bool,
+    /// Events are handled between steps.
+    event_mode: bool,
 }
 
 impl Communication {
@@ -60,11 +69,29 @@ impl Communication {
         let step = options.step_size.or(suggested).or(grid.interval.filter(makes_sense));
         // 500 steps where nobody says anything, as many as there are rows by default.
         let step = if variable { step } else { step.or(Some(span / 500.0).filter(makes_sense)) };
+        // Where nobody asks for a step, one that the model can make.
+        let step = match (capabilities.fixed_internal_step_size, options.step_size) {
+            (Some(internal), None) => step.map(|step| (step / internal).round().max(1.0) * internal),
+            _ => step,
+        };
+        if let (Some(internal), Some(step)) = (capabilities.fixed_internal_step_size, step) {
+            let multiple = (step / internal).round();
+            if multiple < 1.0 || (step - multiple * internal).abs() > 1e-9 * step {
+                let (lower, upper) =
+                    ((step / internal).floor() * internal, (step / internal).ceil() * internal);
+                let next = if lower > 0.0 { format!("{lower} and {upper}") } else { upper.to_string() };
+                let problem = format!(
+                    "a communication step of {step} is no multiple of the model's own step {internal}; next to it: {next}"
+                );
+                return Err(FmiError::BadSetting { problem });
+            }
+        }
         Ok(Self {
             step,
             variable,
             ends_exactly: variable,
             input_derivatives: capabilities.can_interpolate_inputs,
+            event_mode: capabilities.uses_event_mode(),
         })
     }
 }
@@ -93,13 +120,17 @@ pub(crate) struct Stepping {
     after: Vec<f64>,
     between: Vec<f64>,
     slopes: Vec<f64>,
+    /// Values of parameters on their way.
+    signed: Vec<f64>,
+    /// What the initial events told.
+    initial: EventOutcome,
     /// Running digest of all samples; only while reset is checked.
     digest: Option<Digest>,
 }
 
 impl Stepping {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
-        let row = || vec![0.0; plan.outputs.sources.len()];
+        let row = || vec![0.0; plan.outputs.len()];
         Self {
             mode: Mode::Gone,
             broken: false,
@@ -109,6 +140,8 @@ impl Stepping {
             after: row(),
             between: row(),
             slopes: vec![0.0; plan.inputs.continuous.len()],
+            signed: Vec::new(),
+            initial: EventOutcome::default(),
             digest: None,
             plan,
         }
@@ -150,8 +183,7 @@ impl Stepping {
         self.mode = Mode::Gone;
         self.broken = false;
         let mut instance: Instance<Instantiated, CoSimulation> = Instance::from_raw(raw, plan.fmu().clone());
-        instance.core().apply(&plan.start_values)?;
-        instance.core().set_reals(&plan.parameters, parameters)?;
+        plan.set_up(instance.core(), parameters, &mut self.signed)?;
         let ends_exactly = plan.communication.as_ref().is_some_and(|c| c.ends_exactly);
         let mut instance = instance.enter_initialization(
             plan.start,
@@ -164,7 +196,9 @@ impl Stepping {
         }
         self.inputs.set_held(instance.core(), &plan.inputs)?;
         instance.core().set_reals(&plan.inputs.continuous, &self.inputs.continuous)?;
-        self.mode = Mode::Stepping(instance.exit_initialization()?);
+        let (instance, outcome) = instance.begin_steps(plan.same)?;
+        self.initial = outcome;
+        self.mode = Mode::Stepping(instance);
         Ok(())
     }
 
@@ -198,6 +232,7 @@ impl Stepping {
             on_grid: true,
             next_row: 0,
             longest: f64::INFINITY,
+            next_event: None,
             discards: 0,
             tried: 0.0,
             stats: Stats::default(),
@@ -255,6 +290,8 @@ struct Run<'a> {
     next_row: usize,
     /// Longest step after one was refused.
     longest: f64,
+    /// The time event that the model announced.
+    next_event: Option<f64>,
     discards: u32,
     tried: f64,
     stats: Stats,
@@ -272,7 +309,12 @@ struct Target {
 
 impl Run<'_> {
     fn start(&mut self) -> Step<()> {
+        let initial = self.stepping.initial;
+        self.next_event = initial.next_time;
         self.sample_here()?;
+        if initial.terminate {
+            return Err(Exit::Normal(Termination::StoppedByModel));
+        }
         self.reached_end()
     }
 
@@ -300,9 +342,9 @@ impl Run<'_> {
         if outcome.complete {
             self.discards = 0;
             self.longest = f64::INFINITY;
-            self.arrive(target.time, target.regular, row_inside)?;
+            self.arrive(target.time, target.regular, row_inside, outcome.event)?;
         } else {
-            self.cut_short(&target, outcome.reached, outcome.terminate, row_inside)?;
+            self.cut_short(&target, &outcome, row_inside)?;
         }
         if outcome.terminate {
             return Err(Exit::Normal(Termination::StoppedByModel));
@@ -311,21 +353,26 @@ impl Run<'_> {
     }
 
     /// A step of which only a part was computed, or nothing.
-    fn cut_short(
-        &mut self,
-        target: &Target,
-        reached: Option<f64>,
-        terminate: bool,
-        row_inside: bool,
-    ) -> Step<()> {
+    fn cut_short(&mut self, target: &Target, outcome: &StepOutcome, row_inside: bool) -> Step<()> {
+        let StepOutcome { reached, terminate, event, .. } = *outcome;
         let same = self.plan.same;
         let reached = reached.map_or(self.t, |reached| reached.clamp(self.t, target.time));
         if reached > self.t + same && (self.communication.variable || terminate) {
             // The model stands there and goes on from there.
-            return self.arrive(reached, target.regular && reached >= target.time - same, row_inside);
+            let regular = target.regular && reached >= target.time - same;
+            return self.arrive(reached, regular, row_inside, event && !terminate);
         }
         if terminate {
             return Ok(());
+        }
+        if event {
+            // An event right here: the step begins once more behind it, but not for ever.
+            self.discards += 1;
+            if self.discards > MAX_EVENTS_HERE {
+                let events = self.discards.into();
+                return Err(Exit::Error(ErrorKind::Chattering { events, within: 0.0, indicator: 0 }));
+            }
+            return self.arrive_at(self.t, true);
         }
         self.stats.rejected_steps += 1;
         self.discards += 1;
@@ -339,18 +386,31 @@ impl Run<'_> {
     }
 
     /// The step is good: samples inside of it, then those at its end, before and after the inputs change.
-    fn arrive(&mut self, time: f64, regular: bool, row_inside: bool) -> Step<()> {
+    fn arrive(&mut self, time: f64, regular: bool, row_inside: bool, event: bool) -> Step<()> {
         self.stats.accepted_steps += 1;
         if row_inside {
             self.read(Place::After)?;
             self.sample_inside(time)?;
         }
-        self.t = time;
         self.passed += u64::from(regular);
         self.on_grid = regular;
+        self.arrive_at(time, event)
+    }
+
+    /// The model stands at a communication point: samples, inputs and events.
+    fn arrive_at(&mut self, time: f64, event: bool) -> Step<()> {
+        self.t = time;
         self.sample_left()?;
-        self.set_inputs()?;
-        self.sample_here()
+        let ended = if self.communication.event_mode {
+            self.set_inputs_at_events(event)?
+        } else {
+            self.set_inputs()?
+        };
+        self.sample_here()?;
+        if ended {
+            return Err(Exit::Normal(Termination::StoppedByModel));
+        }
+        Ok(())
     }
 
     fn reached_end(&self) -> Step<()> {
@@ -392,7 +452,9 @@ impl Run<'_> {
             time = next.min(time);
         }
         let input = plan.inputs.next_stop(self.t).map(|stop| stop.time);
-        for stop in [self.row_before(time - same), input, Some(self.t + self.longest)].into_iter().flatten() {
+        let event = self.next_event.filter(|next| *next > self.t + same);
+        let retry = Some(self.t + self.longest);
+        for stop in [self.row_before(time - same), input, event, retry].into_iter().flatten() {
             if stop < time - same {
                 time = stop;
             }
@@ -438,11 +500,45 @@ impl Run<'_> {
         }
     }
 
-    /// Inputs from this point on.
-    fn set_inputs(&mut self) -> Step<()> {
+    /// Inputs from this point on, where the model has an event mode: what jumps, does so there. Returns whether the
+    /// model ends the simulation.
+    fn set_inputs_at_events(&mut self, event: bool) -> Step<bool> {
+        let (plan, same) = (&self.plan.inputs, self.plan.same);
+        let Stepping { inputs, mode, .. } = &mut *self.stepping;
+        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
+        let core = instance.core();
+        let jumped = inputs.pass(plan, self.t);
+        if !inputs.continuous_at(plan, self.t) {
+            return Err(inputs.bad_function_value(self.t).into());
+        }
+        let cause = EventCause {
+            input: jumped,
+            step: event,
+            time: self.next_event.is_some_and(|next| next <= self.t + same),
+            state: false,
+        };
+        if cause == EventCause::default() {
+            core.set_reals(&plan.continuous, &inputs.continuous)?;
+            return Ok(false);
+        }
+        core.call(RawInstance::enter_event_mode)?;
+        inputs.set_held(core, plan)?;
+        core.set_reals(&plan.continuous, &inputs.continuous)?;
+        let outcome = core.settle(self.t, same)?;
+        self.next_event = outcome.next_time.filter(|next| *next > self.t + same);
+        self.stats.events += 1;
+        self.stats.input_events += u64::from(cause.input);
+        self.stats.step_events += u64::from(cause.step);
+        self.stats.time_events += u64::from(cause.time);
+        self.observer.event(&EventRecord { time: self.t, cause });
+        Ok(outcome.terminate)
+    }
+
+    /// Inputs from this point on. The model never ends a simulation here.
+    fn set_inputs(&mut self) -> Step<bool> {
         let plan = &self.plan.inputs;
         if plan.driven.is_empty() {
-            return Ok(());
+            return Ok(false);
         }
         let Stepping { inputs, mode, .. } = &mut *self.stepping;
         let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
@@ -452,7 +548,7 @@ impl Run<'_> {
         }
         inputs.set_held(instance.core(), plan)?;
         instance.core().set_reals(&plan.continuous, &inputs.continuous)?;
-        Ok(())
+        Ok(false)
     }
 
     /// Reads the outputs where the model stands.
@@ -487,7 +583,7 @@ impl Run<'_> {
             let Stepping { before, after, between, .. } = &mut *self.stepping;
             for (i, value) in between.iter_mut().enumerate() {
                 let is_time = self.plan.outputs.is_time(i);
-                *value = match (is_time, self.plan.outputs.is_continuous[i]) {
+                *value = match (is_time, self.plan.outputs.is_continuous(i)) {
                     (true, _) => time,
                     (_, true) => before[i] + theta * (after[i] - before[i]),
                     (_, false) => before[i],

@@ -168,6 +168,8 @@ impl Fmu {
             guid: &guid,
             resources: &resources,
             kind,
+            event_mode: interface.capabilities.uses_event_mode(),
+            early_return: interface.capabilities.may_return_early(),
             visible: options.visible,
             logging: options.logging,
         };
@@ -279,7 +281,8 @@ impl Fmu {
                 }
             }
         };
-        let library = Arc::new(Library::open(&path, &description.fmi_version, kind)?);
+        let library =
+            Arc::new(Library::open(&path, &description.fmi_version, kind, &interface.model_identifier)?);
         *slot = Some(Arc::clone(&library));
         Ok(library)
     }

@@ -1,11 +1,12 @@
 //! Instances of a model and the phases of their lives; each phase is a type, and has the calls that FMI allows in it.
 
 use crate::assign::{self, Assignments};
-use crate::description::{Value, Variable, VariableKind};
+use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::failure::CallFailure;
 use crate::fmu::Fmu;
-use crate::sys::{Fault, LogLine, RawInstance, SavedSlot, Status};
+use crate::lanes;
+use crate::sys::{Experiment, Fault, LogLine, RawInstance, SavedSlot, Sizes, Status};
 use std::marker::PhantomData;
 
 /// A live instance of an FMU in the phase `P`, for model exchange or co-simulation.
@@ -95,9 +96,14 @@ pub struct SavedState(SavedSlot);
 pub(crate) struct Core {
     pub(crate) raw: RawInstance,
     fmu: Fmu,
+    structure: Structure,
 }
 
 impl Core {
+    pub(crate) fn fmu(&self) -> &Fmu {
+        &self.fmu
+    }
+
     /// The error behind a fault.
     pub(crate) fn error(&self, fault: Fault) -> FmiError {
         self.error_about(fault, &[], |_| false)
@@ -124,24 +130,63 @@ impl Core {
 
     /// Sets values, one call per type.
     pub(crate) fn apply(&mut self, values: &Assignments) -> Result<(), FmiError> {
-        let Assignments { reals, integers, booleans, strings } = values;
+        let Assignments { reals, packed, strings, binaries } = values;
         self.set_reals(&reals.0, &reals.1)?;
-        if !integers.0.is_empty() {
+        for (kind, references, lanes) in packed {
             self.raw
-                .set_integer(&integers.0, &integers.1)
-                .map_err(|fault| self.error_about(fault, &integers.0, is_integer))?;
-        }
-        if !booleans.0.is_empty() {
-            self.raw.set_boolean(&booleans.0, &booleans.1).map_err(|fault| {
-                self.error_about(fault, &booleans.0, |kind| kind == VariableKind::Boolean)
-            })?;
+                .set_packed(*kind, references, lanes)
+                .map_err(|fault| self.error_about(fault, references, |other| other == *kind))?;
         }
         if !strings.0.is_empty() {
             self.raw
                 .set_string(&strings.0, &strings.1)
                 .map_err(|fault| self.error_about(fault, &strings.0, |kind| kind == VariableKind::String))?;
         }
+        if !binaries.0.is_empty() {
+            self.raw
+                .set_binary(&binaries.0, &binaries.1)
+                .map_err(|fault| self.error_about(fault, &binaries.0, |kind| kind == VariableKind::Binary))?;
+        }
         Ok(())
+    }
+
+    /// Gives structural parameters their values (in configuration mode, before everything else), and makes the sizes of
+    /// the model's vectors those that follow.
+    pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<(), FmiError> {
+        if !values.is_empty() {
+            self.call(RawInstance::enter_configuration)?;
+            // One by one: some FMUs count the values of a common call wrongly.
+            for (kind, references, lanes) in &values.packed {
+                for (reference, lane) in references.iter().zip(lanes) {
+                    let (reference, lane) = ([*reference], [*lane]);
+                    self.raw
+                        .set_packed(*kind, &reference, &lane)
+                        .map_err(|fault| self.error_about(fault, &reference, |other| other == *kind))?;
+                }
+            }
+            self.call(RawInstance::exit_configuration)?;
+        }
+        self.structure.clone_from(structure);
+        let model = self.fmu.description();
+        self.raw
+            .set_sizes(Sizes { states: structure.states(model), indicators: structure.indicators(model) });
+        Ok(())
+    }
+
+    /// Compares the sizes that the description promises with those the FMU says.
+    pub(crate) fn check_sizes(&mut self) -> Result<(), FmiError> {
+        let model = self.fmu.description();
+        let promised =
+            Sizes { states: self.structure.states(model), indicators: self.structure.indicators(model) };
+        match self.call(RawInstance::ask_sizes)? {
+            Some(found) if found != promised => Err(FmiError::BadSetting {
+                problem: format!(
+                    "the description promises {} states and {} event indicators, the FMU has {} and {}",
+                    promised.states, promised.indicators, found.states, found.indicators
+                ),
+            }),
+            _ => Ok(()),
+        }
     }
 
     /// Sets real variables.
@@ -154,29 +199,62 @@ impl Core {
             .map_err(|fault| self.error_about(fault, references, |kind| kind == VariableKind::Real))
     }
 
+    /// Number of values that real variables have.
+    fn n_values(&self, references: &[u32]) -> usize {
+        let model = self.fmu.description();
+        if !model.has_arrays {
+            return references.len();
+        }
+        let find = |reference: &u32| {
+            let variable = model
+                .variables
+                .iter()
+                .find(|v| v.value_reference == *reference && v.kind == VariableKind::Real);
+            variable.map_or(1, |variable| self.structure.elements(model, variable))
+        };
+        references.iter().map(find).sum()
+    }
+
+    /// Number of elements of an array; `None` for a single value.
+    pub(crate) fn elements(&self, variable: &Variable) -> Option<usize> {
+        let is_array = !variable.dimensions.is_empty();
+        is_array.then(|| self.structure.elements(self.fmu.description(), variable))
+    }
+
     /// Reads a variable.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
-        let reference = [variable.value_reference];
+        let references = [variable.value_reference];
         let kind = variable.kind;
-        let result = match kind {
+        let elements = self.elements(variable);
+        let n = elements.unwrap_or(1);
+        let read = match kind {
             VariableKind::Real => {
-                let mut value = [0.0];
-                self.raw.get_real(&reference, &mut value).map(|()| Value::Real(value[0]))
-            }
-            VariableKind::Integer | VariableKind::Enumeration => {
-                let mut value = [0];
-                self.raw.get_integer(&reference, &mut value).map(|()| Value::Integer(value[0]))
-            }
-            VariableKind::Boolean => {
-                let mut value = [false];
-                self.raw.get_boolean(&reference, &mut value).map(|()| Value::Boolean(value[0]))
+                let mut values = vec![0.0; n];
+                let read = self.raw.get_real(&references, &mut values);
+                read.map(|()| values.into_iter().map(Value::Real).collect())
             }
             VariableKind::String => self
                 .raw
-                .get_string(&reference)
-                .map(|mut texts| Value::String(texts.pop().unwrap_or_default())),
+                .get_string(&references, n)
+                .map(|texts| texts.into_iter().map(Value::String).collect()),
+            VariableKind::Binary => {
+                self.raw.get_binary(&references, n).map(|all| all.into_iter().map(Value::Binary).collect())
+            }
+            kind => {
+                let mut values = vec![0; n];
+                let read = self.raw.get_packed(kind, &references, &mut values);
+                read.map(|()| values.into_iter().map(|lane| lanes::value(kind, lane)).collect::<Vec<Value>>())
+            }
         };
-        result.map_err(|fault| self.error_about(fault, &reference, |other| other == kind))
+        let mut values = read.map_err(|fault| self.error_about(fault, &references, |other| other == kind))?;
+        let value = match (elements, values.pop()) {
+            (None, Some(value)) => value,
+            (_, last) => {
+                values.extend(last);
+                Value::Array(values)
+            }
+        };
+        Ok(if variable.negated { assign::negate(value) } else { value })
     }
 
     /// Runs a raw call and words its error.
@@ -186,10 +264,6 @@ impl Core {
     ) -> Result<T, FmiError> {
         call(&mut self.raw).map_err(|fault| self.error(fault))
     }
-}
-
-fn is_integer(kind: VariableKind) -> bool {
-    matches!(kind, VariableKind::Integer | VariableKind::Enumeration)
 }
 
 impl<P, K> Instance<P, K> {
@@ -290,6 +364,10 @@ impl<P, K> Instance<P, K> {
     /// The FMU cannot, or refuses; the instance is freed then.
     pub fn reset(self) -> Result<Instance<Instantiated, K>, FmiError> {
         let mut fresh: Instance<Instantiated, K> = self.step_to(RawInstance::reset)?;
+        // Structural parameters have their start values again.
+        if !fresh.core.structure.is_default() {
+            fresh.core.configure(&Assignments::default(), &Structure::default())?;
+        }
         fresh.core.raw.clear_log();
         Ok(fresh)
     }
@@ -311,6 +389,11 @@ impl<P: Readable, K> Instance<P, K> {
     /// # Errors
     /// The slices differ in length, or the FMU refuses.
     pub fn get_reals(&mut self, references: &[u32], values: &mut [f64]) -> Result<(), FmiError> {
+        // Where a reference may stand for an array only the description knows how many values there are.
+        let expected = self.core.n_values(references);
+        if expected != values.len() {
+            return Err(FmiError::Length { call: "values of real variables", expected, found: values.len() });
+        }
         self.core
             .raw
             .get_real(references, values)
@@ -344,8 +427,14 @@ impl<P: Phase, K> Instance<P, K> {
         let variable = &fmu.description().variables[index];
         P::check_settable(variable)?;
         let mut values = Assignments::default();
-        values.push(variable, &value.into())?;
-        self.core.apply(&values)
+        let value = value.into();
+        values.push(variable, &value, self.core.elements(variable))?;
+        if variable.causality != Causality::StructuralParameter {
+            return self.core.apply(&values);
+        }
+        let mut structure = self.core.structure.clone();
+        structure.set(index, &value);
+        self.core.configure(&values, &structure)
     }
 
     /// Brings back a state saved by this instance **in the same phase**.
@@ -360,7 +449,7 @@ impl<P: Phase, K> Instance<P, K> {
 
 impl<K> Instance<Instantiated, K> {
     pub(crate) fn from_raw(raw: RawInstance, fmu: Fmu) -> Self {
-        Self { core: Box::new(Core { raw, fmu }), _phase: PhantomData }
+        Self { core: Box::new(Core { raw, fmu, structure: Structure::default() }), _phase: PhantomData }
     }
 
     /// Sets the experiment up and enters initialization mode.
@@ -373,8 +462,10 @@ impl<K> Instance<Instantiated, K> {
         stop_time: Option<f64>,
         relative_tolerance: Option<f64>,
     ) -> Result<Instance<Initialization, K>, FmiError> {
-        self.core.call(|raw| raw.setup_experiment(relative_tolerance, start_time, stop_time))?;
-        self.step_to(RawInstance::enter_initialization)
+        let experiment = Experiment { tolerance: relative_tolerance, start: start_time, stop: stop_time };
+        self.core.check_sizes()?;
+        self.core.call(|raw| raw.setup_experiment(&experiment))?;
+        self.step_to(|raw| raw.enter_initialization(&experiment))
     }
 }
 

@@ -176,12 +176,9 @@ impl Simulator {
     pub fn get(&mut self, name: &str) -> Result<f64, FmiError> {
         match self.value(name)? {
             Value::Real(x) => Ok(x),
-            Value::Integer(i) => Ok(f64::from(i)),
+            Value::Integer(i) => Ok(i as f64),
             Value::Boolean(b) => Ok(f64::from(u8::from(b))),
-            Value::String(_) => Err(FmiError::NotAnOutput {
-                name: name.to_owned(),
-                reason: "it is text, and results are numbers",
-            }),
+            _ => Err(FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" }),
         }
     }
 

@@ -45,6 +45,8 @@ pub(crate) struct System {
     /// behind.
     floor: f64,
     buffers: OutputBuffers,
+    /// Values of parameters on their way.
+    signed: Vec<f64>,
     /// Running digest of everything that the FMU answered; only while reset is checked.
     digest: Option<Digest>,
 }
@@ -69,6 +71,7 @@ impl System {
             announced: None,
             floor: f64::NEG_INFINITY,
             buffers: OutputBuffers::new(&plan.outputs),
+            signed: Vec::new(),
             digest: None,
             plan,
         }
@@ -114,8 +117,7 @@ impl System {
         let mut instance: Instance<Instantiated> = Instance::from_raw(raw, plan.fmu().clone());
         self.mode = Mode::Gone;
         self.broken = false;
-        instance.core().apply(&plan.start_values)?;
-        instance.core().set_reals(&plan.parameters, parameters)?;
+        plan.set_up(instance.core(), parameters, &mut self.signed)?;
         let mut instance = instance.enter_initialization(
             plan.start,
             Some(plan.end),
@@ -336,7 +338,7 @@ impl HybridSystem for System {
     }
 
     fn n_outputs(&self) -> usize {
-        self.plan.outputs.sources.len()
+        self.plan.outputs.len()
     }
 
     fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {

@@ -298,7 +298,7 @@ impl<'a> TypeFields<'a> {
 #[derive(IntoPyObject)]
 struct ItemFields<'a> {
     name: &'a str,
-    value: i32,
+    value: i64,
     description: Option<&'a str>,
 }
 

@@ -44,21 +44,36 @@ const EXAMPLES: [Example; 6] = [
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ExampleKind {
+    /// FMI 1.0 for model exchange.
+    Fmi1ModelExchange,
+    /// FMI 1.0 for co-simulation.
+    Fmi1CoSimulation,
     /// FMI 2.0 model exchange.
     Fmi2ModelExchange,
     /// FMI 2.0 co-simulation.
     Fmi2CoSimulation,
+    /// FMI 3.0, model exchange and co-simulation in one.
+    Fmi3,
 }
 
 impl ExampleKind {
     /// All of them.
-    pub const ALL: [ExampleKind; 2] = [ExampleKind::Fmi2ModelExchange, ExampleKind::Fmi2CoSimulation];
+    pub const ALL: [ExampleKind; 5] = [
+        ExampleKind::Fmi1ModelExchange,
+        ExampleKind::Fmi1CoSimulation,
+        ExampleKind::Fmi2ModelExchange,
+        ExampleKind::Fmi2CoSimulation,
+        ExampleKind::Fmi3,
+    ];
 
     /// What stands behind the model's name in the name of the file.
     fn suffix(self) -> &'static str {
         match self {
+            ExampleKind::Fmi1ModelExchange => "-fmi1-me",
+            ExampleKind::Fmi1CoSimulation => "-fmi1-cs",
             ExampleKind::Fmi2ModelExchange => "",
             ExampleKind::Fmi2CoSimulation => "-fmi2-cs",
+            ExampleKind::Fmi3 => "-fmi3",
         }
     }
 
@@ -71,6 +86,13 @@ impl ExampleKind {
             ExampleKind::Fmi2ModelExchange => {
                 &frontend!["fmi2_me.c", "fmi2.h", "fmi2_common.h", "instance.h", "model.h"]
             }
+            ExampleKind::Fmi1ModelExchange => {
+                &frontend!["fmi1_me.c", "fmi1.h", "fmi1_common.h", "instance.h", "model.h"]
+            }
+            ExampleKind::Fmi1CoSimulation => {
+                &frontend!["fmi1_cs.c", "fmi1.h", "fmi1_common.h", "solver.h", "instance.h", "model.h"]
+            }
+            ExampleKind::Fmi3 => &frontend!["fmi3.c", "fmi3.h", "solver.h", "instance.h", "model.h"],
         }
     }
 }
@@ -106,7 +128,7 @@ pub fn example_fmu_as(name: &str, kind: ExampleKind) -> Result<PathBuf, FmiError
         return Err(FmiError::UnknownExample { name: name.to_owned(), known: known.join(", ") });
     };
     let examples = cache_folder("examples")?;
-    let files = files(example, kind);
+    let files = files(example, kind)?;
     // Sources that change get a new place, so that nobody meets an older model.
     let texts = files.iter().map(|(_, text)| text.as_str());
     let version = [env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH];
@@ -131,14 +153,23 @@ pub fn example_fmu_as(name: &str, kind: ExampleKind) -> Result<PathBuf, FmiError
 }
 
 /// The files of an example as a source-code FMU, by their paths in it.
-fn files(example: &Example, kind: ExampleKind) -> Vec<(String, String)> {
+fn files(example: &Example, kind: ExampleKind) -> Result<Vec<(String, String)>, FmiError> {
     let frontend = kind.frontend();
     let mut files = vec![
-        ("modelDescription.xml".to_owned(), describe::description(example.description, kind)),
+        ("modelDescription.xml".to_owned(), describe::description(example.description, kind)?),
         ("sources/model.c".to_owned(), example.model.to_owned()),
     ];
     files.extend(frontend.iter().map(|(name, text)| (format!("sources/{name}"), (*text).to_owned())));
-    files
+    if matches!(kind, ExampleKind::Fmi1ModelExchange | ExampleKind::Fmi1CoSimulation) {
+        // The names of FMI 1.0's functions begin with it.
+        let text = format!("#define MODEL_IDENTIFIER {}\n", example.name);
+        files.push(("sources/identifier.h".to_owned(), text));
+    }
+    if kind == ExampleKind::Fmi3 {
+        let text = describe::build_description(example.name, &["model.c", frontend[0].0]);
+        files.push(("sources/buildDescription.xml".to_owned(), text));
+    }
+    Ok(files)
 }
 
 fn write_files(folder: &Path, files: &[(String, String)]) -> Result<(), FmiError> {

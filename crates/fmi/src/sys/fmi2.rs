@@ -2,12 +2,14 @@
 
 use super::callbacks::{Environment, fmufit_allocate, fmufit_fmi2_log, fmufit_free};
 use super::library::Symbols;
+use super::packed;
 use super::{
-    Binding, Call, Component, Created, EventInfo, InterfaceKind, Request, StatePointer, Status, StepInfo,
+    Binding, Call, Component, Created, EventInfo, Experiment, InterfaceKind, Request, StatePointer, Status,
+    StepInfo, file_uri, status,
 };
+use crate::description::VariableKind;
 use crate::error::FmiError;
-use std::ffi::{CString, c_char, c_int, c_void};
-use std::path::Path;
+use std::ffi::{c_char, c_int, c_void};
 use std::sync::Arc;
 
 /// `fmi2Boolean`.
@@ -266,19 +268,6 @@ impl CoSimulation {
     }
 }
 
-/// `fmi2Status` in house words.
-pub(super) fn status(code: c_int) -> Status {
-    match code {
-        0 => Status::Ok,
-        1 => Status::Warning,
-        2 => Status::Discard,
-        3 => Status::Error,
-        4 => Status::Fatal,
-        5 => Status::Pending,
-        other => Status::Unknown(other),
-    }
-}
-
 impl Binding for Fmi2 {
     fn name(&self, call: Call) -> &'static str {
         match call {
@@ -289,14 +278,18 @@ impl Binding for Fmi2 {
             Call::ExitInitialization => "fmi2ExitInitializationMode",
             Call::Terminate => "fmi2Terminate",
             Call::Reset => "fmi2Reset",
-            Call::GetReal => "fmi2GetReal",
-            Call::GetInteger => "fmi2GetInteger",
-            Call::GetBoolean => "fmi2GetBoolean",
-            Call::GetString => "fmi2GetString",
-            Call::SetReal => "fmi2SetReal",
-            Call::SetInteger => "fmi2SetInteger",
-            Call::SetBoolean => "fmi2SetBoolean",
-            Call::SetString => "fmi2SetString",
+            Call::Get(VariableKind::Real) => "fmi2GetReal",
+            Call::Get(VariableKind::Boolean) => "fmi2GetBoolean",
+            Call::Get(VariableKind::String) => "fmi2GetString",
+            Call::Get(_) => "fmi2GetInteger",
+            Call::Set(VariableKind::Real) => "fmi2SetReal",
+            Call::Set(VariableKind::Boolean) => "fmi2SetBoolean",
+            Call::Set(VariableKind::String) => "fmi2SetString",
+            Call::Set(_) => "fmi2SetInteger",
+            // Of FMI 3.0.
+            Call::EnterConfiguration | Call::ExitConfiguration => "(configuration mode)",
+            Call::CountStates | Call::CountIndicators => "(number of states)",
+            Call::EnterStepMode => "(step mode)",
             Call::SaveState => "fmi2GetFMUstate",
             Call::RestoreState => "fmi2SetFMUstate",
             Call::SerializedSize => "fmi2SerializedFMUstateSize",
@@ -328,7 +321,7 @@ impl Binding for Fmi2 {
             step_finished: None,
             component_environment: std::ptr::from_ref(environment).cast_mut().cast(),
         });
-        let resources = resource_uri(request.resources);
+        let resources = file_uri(request.resources);
         // SAFETY: the strings end in NUL; the callbacks are on the heap and kept with the component, the environment by the
         // caller.
         let component = unsafe {
@@ -354,13 +347,8 @@ impl Binding for Fmi2 {
         optional!(self.set_debug_logging, component, on.into(), 0, std::ptr::null())
     }
 
-    unsafe fn setup_experiment(
-        &self,
-        component: Component,
-        tolerance: Option<f64>,
-        start: f64,
-        stop: Option<f64>,
-    ) -> Status {
+    unsafe fn setup_experiment(&self, component: Component, experiment: &Experiment) -> Status {
+        let Experiment { tolerance, start, stop } = *experiment;
         call!(
             self.setup_experiment,
             component,
@@ -372,7 +360,7 @@ impl Binding for Fmi2 {
         )
     }
 
-    unsafe fn enter_initialization(&self, component: Component) -> Status {
+    unsafe fn enter_initialization(&self, component: Component, _: &Experiment) -> Status {
         call!(self.enter_initialization_mode, component)
     }
 
@@ -392,12 +380,42 @@ impl Binding for Fmi2 {
         call!(self.get_real, component, references.as_ptr(), values.len(), values.as_mut_ptr())
     }
 
-    unsafe fn get_integer(&self, component: Component, references: &[u32], values: &mut [i32]) -> Status {
-        call!(self.get_integer, component, references.as_ptr(), values.len(), values.as_mut_ptr())
+    unsafe fn get_packed(
+        &self,
+        component: Component,
+        kind: VariableKind,
+        references: &[u32],
+        lanes: &mut [i64],
+    ) -> Status {
+        let (list, n) = (references.as_ptr(), references.len());
+        let function = match kind {
+            VariableKind::Integer | VariableKind::Enumeration => self.get_integer,
+            VariableKind::Boolean => self.get_boolean,
+            _ => return Status::Missing,
+        };
+        // SAFETY: the caller's promises are those of the trait; there are as many lanes as references.
+        let code = packed::get::<c_int>(lanes, |values| unsafe { function(component, list, n, values) });
+        if kind == VariableKind::Boolean {
+            packed::normalize(lanes);
+        }
+        status(code)
     }
 
-    unsafe fn get_boolean(&self, component: Component, references: &[u32], values: &mut [i32]) -> Status {
-        call!(self.get_boolean, component, references.as_ptr(), values.len(), values.as_mut_ptr())
+    unsafe fn set_packed(
+        &self,
+        component: Component,
+        kind: VariableKind,
+        references: &[u32],
+        lanes: &mut [i64],
+    ) -> Status {
+        let (list, n) = (references.as_ptr(), references.len());
+        let function = match kind {
+            VariableKind::Integer | VariableKind::Enumeration => self.set_integer,
+            VariableKind::Boolean => self.set_boolean,
+            _ => return Status::Missing,
+        };
+        // SAFETY: as for getting.
+        status(packed::set::<c_int>(lanes, |values| unsafe { function(component, list, n, values) }))
     }
 
     unsafe fn get_string(
@@ -411,14 +429,6 @@ impl Binding for Fmi2 {
 
     unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status {
         call!(self.set_real, component, references.as_ptr(), values.len(), values.as_ptr())
-    }
-
-    unsafe fn set_integer(&self, component: Component, references: &[u32], values: &[i32]) -> Status {
-        call!(self.set_integer, component, references.as_ptr(), values.len(), values.as_ptr())
-    }
-
-    unsafe fn set_boolean(&self, component: Component, references: &[u32], values: &[i32]) -> Status {
-        call!(self.set_boolean, component, references.as_ptr(), values.len(), values.as_ptr())
     }
 
     unsafe fn set_string(
@@ -580,34 +590,5 @@ impl Binding for Fmi2 {
             orders.as_ptr(),
             values.as_ptr()
         )
-    }
-}
-
-/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 2.0 asks.
-fn resource_uri(path: &Path) -> CString {
-    let mut uri = String::from("file://");
-    let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
-    if !text.starts_with('/') {
-        uri.push('/');
-    }
-    for byte in text.bytes() {
-        if byte.is_ascii_alphanumeric() || b"/-._~:".contains(&byte) {
-            uri.push(char::from(byte));
-        } else {
-            uri.push_str(&format!("%{byte:02X}"));
-        }
-    }
-    CString::new(uri).unwrap_or_default()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn uris_are_percent_encoded() {
-        let uri = |path: &str| resource_uri(Path::new(path)).into_string().unwrap();
-        assert_eq!(uri("/tmp/a-b_c.d/resources"), "file:///tmp/a-b_c.d/resources");
-        assert_eq!(uri("/tmp/a b/{\u{e4}}"), "file:///tmp/a%20b/%7B%C3%A4%7D");
     }
 }
