@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+mod support;
+
 use fmi::ode::Termination;
 use fmi::{
     ExampleKind, FmiError, Fmu, Inputs, Kind, Pool, Reuse, Session, SimulateOptions, SimulationPlan,
@@ -176,4 +178,81 @@ fn descriptions_of_all_versions_conform() {
             assert_eq!(fmu.description().n_event_indicators, two.description().n_event_indicators);
         }
     }
+}
+
+#[test]
+fn negated_aliases_have_the_other_sign_everywhere() {
+    let folder = support::model_as("switched_input", ExampleKind::Fmi1ModelExchange, &[], |xml| {
+        let alias = |name: &str, reference: u32, attributes: &str, kind: &str| {
+            format!(
+                "<ScalarVariable name=\"{name}\" valueReference=\"{reference}\" alias=\"negatedAlias\" {attributes}>{kind}\
+                 </ScalarVariable>"
+            )
+        };
+        let aliases = [
+            alias("-x", 1, "causality=\"output\"", "<Real/>"),
+            alias("-u", 6, "causality=\"input\"", "<Real start=\"0\"/>"),
+            alias(
+                "not enabled",
+                7,
+                "causality=\"input\" variability=\"discrete\"",
+                "<Boolean start=\"false\"/>",
+            ),
+            alias("-gear", 8, "causality=\"input\" variability=\"discrete\"", "<Integer start=\"-1\"/>"),
+            alias("-T", 10, "variability=\"parameter\"", "<Real start=\"-0.5\"/>"),
+        ];
+        xml.replace("</ModelVariables>", &format!("{}</ModelVariables>", aliases.concat()))
+    });
+    let fmu = folder.open();
+    let options = SimulateOptions::new().final_time(2.0).ncp(20).relative_tolerance(1e-9);
+    let inputs = |u: &str, gear: &str, enabled: &str, sign: f64, on: f64| {
+        Inputs::new()
+            .series(u, vec![0.0, 1.0, 2.0], vec![0.0, sign, 0.5 * sign])
+            .series(gear, vec![0.0, 0.5], vec![sign, 2.0 * sign])
+            .series(enabled, vec![0.0, 1.5], vec![on, 1.0 - on])
+    };
+    let plain = options
+        .clone()
+        .start_value("T", 0.25)
+        .inputs(inputs("u", "gear", "enabled", 1.0, 1.0))
+        .outputs(["x", "u", "gear", "enabled"]);
+    let negated = options
+        .start_value("-T", -0.25)
+        .inputs(inputs("-u", "-gear", "not enabled", -1.0, 0.0))
+        .outputs(["-x", "-u", "-gear", "not enabled"]);
+    let (plain, negated) = (fmu.simulate(&plain).unwrap(), fmu.simulate(&negated).unwrap());
+    assert!(plain.final_value("x").unwrap().unwrap() > 0.1);
+    for column in 0..3 {
+        for (a, b) in plain.columns[column].iter().zip(&negated.columns[column]) {
+            assert_eq!(*a, -*b, "column {column}");
+        }
+    }
+    for (a, b) in plain.columns[3].iter().zip(&negated.columns[3]) {
+        assert_eq!(*a, 1.0 - *b);
+    }
+    // As parameter of a run, and when it is read.
+    let options = SimulateOptions::new().final_time(0.1).parameters(["-T"]);
+    let plan = Arc::new(SimulationPlan::new(&fmu, &options).unwrap());
+    let mut simulator = fmi::Simulator::new(plan).unwrap();
+    simulator.run(&[-0.75], &mut fmi::ode::Ignore).unwrap();
+    assert_eq!(simulator.value("T").unwrap(), Value::Real(0.75));
+    assert_eq!(simulator.value("-T").unwrap(), Value::Real(-0.75));
+    assert_eq!(simulator.value("-gear").unwrap(), Value::Integer(-1));
+    assert_eq!(simulator.value("not enabled").unwrap(), Value::Boolean(false));
+}
+
+#[test]
+fn scheduled_execution_is_described_and_refused() {
+    let folder = support::model_as("dahlquist", ExampleKind::Fmi3, &[], |xml| {
+        let at = xml.find("<ModelExchange").unwrap();
+        let end = xml.find("<UnitDefinitions").or(xml.find("<LogCategories")).unwrap();
+        format!("{}<ScheduledExecution modelIdentifier=\"dahlquist\"/>\n  {}", &xml[..at], &xml[end..])
+    });
+    let fmu = folder.open();
+    assert!(fmu.description().offers_scheduled_execution);
+    let error = fmu.simulate(&SimulateOptions::new()).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "Dahlquist offers no model exchange nor co-simulation; it offers scheduled execution"
+    );
 }

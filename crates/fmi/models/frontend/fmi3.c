@@ -552,3 +552,121 @@ FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 time, fmi3F
     in->now.again = 0;
     return translate(status);
 }
+
+/* ------------------------------------------------ functions that the standard demands and no model has a use for */
+
+static fmi3Status not_offered(fmi3Instance instance, const char *function) {
+    Instance *in = admit(instance, ANY, function);
+    return in == NULL ? fmi3Error : translate(fail(in, function, "not offered by this FMU"));
+}
+
+#define UNUSED(name, ...)                                                                                             \
+    FMI3_EXPORT fmi3Status name(fmi3Instance instance, __VA_ARGS__);                                                  \
+    FMI3_EXPORT fmi3Status name(fmi3Instance instance, __VA_ARGS__)
+
+#define VARIABLES const fmi3ValueReference references[], size_t n
+
+FMI3_EXPORT fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
+                                                           fmi3Boolean visible, fmi3Boolean logging,
+                                                           fmi3InstanceEnvironment environment,
+                                                           fmi3LogMessageCallback log, const void *update,
+                                                           const void *lock, const void *unlock) {
+    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)update, (void)lock, (void)unlock;
+    if (log != NULL) {
+        log(environment, fmi3Error, category_name(LOG_ERROR), "this FMU offers no Scheduled Execution");
+    }
+    return NULL;
+}
+
+UNUSED(fmi3GetBinary, VARIABLES, size_t sizes[], fmi3Binary values[], size_t n_values) {
+    (void)references, (void)sizes, (void)values, (void)n_values;
+    return n == 0 ? fmi3OK : not_offered(instance, "fmi3GetBinary");
+}
+
+UNUSED(fmi3SetBinary, VARIABLES, const size_t sizes[], const fmi3Binary values[], size_t n_values) {
+    (void)references, (void)sizes, (void)values, (void)n_values;
+    return n == 0 ? fmi3OK : not_offered(instance, "fmi3SetBinary");
+}
+
+UNUSED(fmi3GetClock, VARIABLES, fmi3Clock values[]) {
+    (void)references, (void)values;
+    return n == 0 ? fmi3OK : not_offered(instance, "fmi3GetClock");
+}
+
+UNUSED(fmi3SetClock, VARIABLES, const fmi3Clock values[]) {
+    (void)references, (void)values;
+    return n == 0 ? fmi3OK : not_offered(instance, "fmi3SetClock");
+}
+
+UNUSED(fmi3GetNumberOfVariableDependencies, fmi3ValueReference reference, size_t *n) {
+    (void)reference, (void)n;
+    return not_offered(instance, "fmi3GetNumberOfVariableDependencies");
+}
+
+UNUSED(fmi3GetVariableDependencies, fmi3ValueReference dependent, size_t elements[], fmi3ValueReference independents[],
+       size_t independent_elements[], int kinds[], size_t n) {
+    (void)dependent, (void)elements, (void)independents, (void)independent_elements, (void)kinds, (void)n;
+    return not_offered(instance, "fmi3GetVariableDependencies");
+}
+
+UNUSED(fmi3GetAdjointDerivative, const fmi3ValueReference unknowns[], size_t n_unknowns,
+       const fmi3ValueReference knowns[], size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
+       fmi3Float64 sensitivity[], size_t n_sensitivity) {
+    (void)unknowns, (void)n_unknowns, (void)knowns, (void)n_knowns, (void)seed, (void)n_seed, (void)sensitivity;
+    (void)n_sensitivity;
+    return not_offered(instance, "fmi3GetAdjointDerivative");
+}
+
+UNUSED(fmi3GetIntervalDecimal, VARIABLES, fmi3Float64 intervals[], int qualifiers[]) {
+    (void)references, (void)n, (void)intervals, (void)qualifiers;
+    return not_offered(instance, "fmi3GetIntervalDecimal");
+}
+
+UNUSED(fmi3GetIntervalFraction, VARIABLES, uint64_t counters[], uint64_t resolutions[], int qualifiers[]) {
+    (void)references, (void)n, (void)counters, (void)resolutions, (void)qualifiers;
+    return not_offered(instance, "fmi3GetIntervalFraction");
+}
+
+UNUSED(fmi3GetShiftDecimal, VARIABLES, fmi3Float64 shifts[]) {
+    (void)references, (void)n, (void)shifts;
+    return not_offered(instance, "fmi3GetShiftDecimal");
+}
+
+UNUSED(fmi3GetShiftFraction, VARIABLES, uint64_t counters[], uint64_t resolutions[]) {
+    (void)references, (void)n, (void)counters, (void)resolutions;
+    return not_offered(instance, "fmi3GetShiftFraction");
+}
+
+UNUSED(fmi3SetIntervalDecimal, VARIABLES, const fmi3Float64 intervals[]) {
+    (void)references, (void)n, (void)intervals;
+    return not_offered(instance, "fmi3SetIntervalDecimal");
+}
+
+UNUSED(fmi3SetIntervalFraction, VARIABLES, const uint64_t counters[], const uint64_t resolutions[]) {
+    (void)references, (void)n, (void)counters, (void)resolutions;
+    return not_offered(instance, "fmi3SetIntervalFraction");
+}
+
+UNUSED(fmi3SetShiftDecimal, VARIABLES, const fmi3Float64 shifts[]) {
+    (void)references, (void)n, (void)shifts;
+    return not_offered(instance, "fmi3SetShiftDecimal");
+}
+
+UNUSED(fmi3SetShiftFraction, VARIABLES, const uint64_t counters[], const uint64_t resolutions[]) {
+    (void)references, (void)n, (void)counters, (void)resolutions;
+    return not_offered(instance, "fmi3SetShiftFraction");
+}
+
+FMI3_EXPORT fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
+    return not_offered(instance, "fmi3EvaluateDiscreteStates");
+}
+
+UNUSED(fmi3GetOutputDerivatives, VARIABLES, const int32_t orders[], fmi3Float64 values[], size_t n_values) {
+    (void)references, (void)n, (void)orders, (void)values, (void)n_values;
+    return not_offered(instance, "fmi3GetOutputDerivatives");
+}
+
+UNUSED(fmi3ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 time) {
+    (void)clock, (void)time;
+    return not_offered(instance, "fmi3ActivateModelPartition");
+}

@@ -190,7 +190,7 @@ fn fmi3(model: &ModelDescription) -> String {
     for (number, reference) in indicators() {
         let _ = writeln!(
             out,
-            "    <Float64 name=\"event indicator {number}\" valueReference=\"{reference}\" causality=\"local\" \
+            "    <Float64 name=\"eventIndicator{number}\" valueReference=\"{reference}\" causality=\"local\" \
              variability=\"continuous\" initial=\"calculated\"/>"
         );
     }

@@ -73,6 +73,15 @@ pub(crate) fn model_as(
     Folder { folder }
 }
 
+/// The FMI 3.0 model with arrays and all types (`tests/arrays`).
+pub(crate) fn arrays() -> Folder {
+    let folder = tempfile::tempdir().unwrap();
+    let source = here().join("tests/arrays");
+    std::fs::copy(source.join("modelDescription.xml"), folder.path().join("modelDescription.xml")).unwrap();
+    compile(folder.path(), "arrays", &[source.join("arrays.c")], &[]);
+    Folder { folder }
+}
+
 /// The evil model (`tests/evil/evil.c`) with these faults.
 pub(crate) fn evil(faults: &[&str]) -> Folder {
     evil_with(faults, |xml| xml)
