@@ -3,6 +3,8 @@
 //! The temperature falls towards 5 degrees outside and rises while the heater is on; the thermostat switches on below
 //! 19 and off above 21 degrees. Both switches are state events. Run with `cargo run --example custom_hybrid_system`.
 
+#![allow(clippy::print_stdout)]
+
 use fmufit::ode::{
     CallResult, Driver, EventOutcome, EventRecord, EventVisit, HybridSystem, Observer, Options, Sample,
 };

@@ -2,6 +2,8 @@
 //!
 //! Run with `cargo run --release --example furuta`.
 
+#![allow(clippy::print_stdout)]
+
 use fmufit::calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
 use fmufit::fmi::{Fmu, example_fmu};
 use std::path::Path;

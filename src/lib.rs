@@ -7,3 +7,8 @@ pub use calibration;
 pub use dfo;
 pub use fmi;
 pub use ode;
+
+/// The README's Rust example, compiled and run with the other examples in the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

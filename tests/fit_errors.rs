@@ -37,7 +37,10 @@ fn what_is_missing_or_unknown_is_named() {
         (builder().parameter(k().bounds(2.0, 1.0)).experiment(e().output("x", "x")), "above upper bound"),
         (builder().parameter(Parameter::new("k", f64::NAN)).experiment(e().output("x", "x")), "NaN"),
         (builder().parameter(k()).experiment(e().output("x", "x").window(5.0, 6.0)), "window from 5 to 6"),
-        (builder().parameter(k()).experiment(e().output("x", "x").start_time(0.05)), "before the simulation starts"),
+        (
+            builder().parameter(k()).experiment(e().output("x", "x").start_time(0.05)),
+            "before the simulation starts",
+        ),
         (builder().parameter(k()).experiment(e().weighted_output("x", "x", -1.0)), "weight -1"),
     ] {
         let message = error(b);
@@ -57,7 +60,10 @@ fn a_wrong_number_of_values_is_an_error_with_both_numbers() {
     assert!(e.contains("2 values given for 1 parameters (k)"), "{e}");
     assert!(c.cost(&[f64::NAN]).is_err());
     let e = c.fit(FitOptions { start: Some(vec![20.0]), ..FitOptions::default() }).unwrap_err().to_string();
-    assert!(e.contains("20"), "{e}");
+    assert!(e.contains("'k'") && e.contains("start 20 is outside of the bounds 0.1 and 10"), "{e}");
+    // Trajectories at times beyond the model's default experiment, which ends at 10.
+    let times = [0.0, 5.0, 50.0];
+    assert_eq!(c.simulate(&[0.1], Some(&times)).unwrap()[0].time, times);
 }
 
 #[test]
@@ -74,4 +80,21 @@ fn a_simulation_that_fails_at_every_start_is_a_named_error_with_counts() {
         .unwrap();
     let e = c.fit(FitOptions::default()).unwrap_err().to_string();
     assert!(e.contains("at every starting point") && e.contains("2 x the time limit"), "{e}");
+}
+
+#[test]
+fn a_time_limit_that_is_too_short_says_nothing_about_the_model() {
+    let fmu = example("dahlquist");
+    let calibration = |timeout: Option<std::time::Duration>| {
+        Calibration::builder(fmu.clone())
+            .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+            .experiment(Experiment::new(data(&[("x", &[1.0, 0.9, 0.8])])).output("x", "x"))
+            .settings(fmufit::calibration::SimulationSettings { timeout, ..Default::default() })
+            .build()
+            .unwrap()
+    };
+    assert!(calibration(Some(std::time::Duration::ZERO)).cost(&[1.0]).is_err());
+    assert_eq!(fmu.reuse(), None);
+    assert!(calibration(None).cost(&[1.0]).is_ok());
+    assert_eq!(fmu.reuse(), Some(fmufit::fmi::Reuse::Reset));
 }

@@ -30,7 +30,9 @@ fn the_fit_finds_the_friction_and_is_the_same_for_any_number_of_workers_and_plan
     assert!((first.x[0] - 0.010).abs() < 6e-5, "{first}");
     assert!((first.x[1] - 0.001).abs() < 6e-6, "{first}");
     assert!(first.start_cost.unwrap() > 100.0 * first.cost);
-    for (workers, plan) in [(1, BatchPlan::Four), (2, BatchPlan::Auto), (4, BatchPlan::Auto), (3, BatchPlan::Two)] {
+    for (workers, plan) in
+        [(1, BatchPlan::Four), (2, BatchPlan::Auto), (4, BatchPlan::Auto), (3, BatchPlan::Two)]
+    {
         let other = fit(&calibration, workers, plan);
         assert_eq!(first.x, other.x);
         assert_eq!(first.cost.to_bits(), other.cost.to_bits());

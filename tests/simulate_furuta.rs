@@ -29,8 +29,9 @@ fn trajectories_agree_with_the_reference_to_1e_6() {
     {
         let Some(path) = shared_data(file) else { return };
         let reference = Data::from_csv(path).unwrap();
-        let result =
-            fmu.simulate(&SimulateOptions { times: Some(reference.time().to_vec()), ..options(friction) }).unwrap();
+        let result = fmu
+            .simulate(&SimulateOptions { times: Some(reference.time().to_vec()), ..options(friction) })
+            .unwrap();
         for name in ["armJoint.phi", "pendulumJoint.phi"] {
             let (simulated, expected) = (result.get(name).unwrap(), reference.column(name).unwrap());
             assert_eq!(simulated.len(), 401);

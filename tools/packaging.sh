@@ -7,7 +7,7 @@ root=$(cd "$(dirname "$0")/.." && pwd)
 out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
 export CARGO_TARGET_DIR="$root/target/packaging"
-"$bin/maturin" sdist --quiet --manifest-path "$root/crates/pydfo/Cargo.toml" --out "$out/dist"
+"$bin/maturin" sdist --manifest-path "$root/crates/pydfo/Cargo.toml" --out "$out/dist" >/dev/null 2>"$out/log" || { cat "$out/log"; exit 1; }
 "$bin/python" -m venv "$out/venv"
 cd "$out"
 "$out/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$out"/dist/*.tar.gz

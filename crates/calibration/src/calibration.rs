@@ -9,6 +9,7 @@ use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
 use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Trajectory};
 use ode::ErrorKind;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
 ///
@@ -132,7 +133,8 @@ impl Prepared {
         let (times, comparison) = Comparison::new(&times, &columns, &weights);
         let start_time =
             experiment.start_time.or(fmu.description().default_experiment.start_time).unwrap_or(0.0);
-        if times[0] < start_time {
+        let rounding = 100.0 * f64::EPSILON / 2.0 * start_time.abs().max(times[times.len() - 1].abs());
+        if times[0] < start_time - rounding {
             return Err(CalibrationError::Setup(format!(
                 "the first measurement of {} is at {}, before the simulation starts at {start_time}; \
                  set a start time or a window",
@@ -222,7 +224,15 @@ impl Calibration {
     /// # Errors
     /// The wrong number of values, or a simulation that failed: then the error says where and why.
     pub fn cost(&self, x: &[f64]) -> Result<f64, CalibrationError> {
-        self.evaluate_fully(x, None)
+        self.cost_until(x, &AtomicBool::new(false))
+    }
+
+    /// As [`cost`](Self::cost); gives up at the next step of the simulation when the flag is set.
+    ///
+    /// # Errors
+    /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
+    pub fn cost_until(&self, x: &[f64], cancel: &AtomicBool) -> Result<f64, CalibrationError> {
+        self.evaluate_fully(x, cancel, None)
     }
 
     /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by output, in the
@@ -231,8 +241,16 @@ impl Calibration {
     /// # Errors
     /// As [`cost`](Self::cost).
     pub fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, CalibrationError> {
+        self.residuals_until(x, &AtomicBool::new(false))
+    }
+
+    /// As [`residuals`](Self::residuals); gives up at the next step of the simulation when the flag is set.
+    ///
+    /// # Errors
+    /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
+    pub fn residuals_until(&self, x: &[f64], cancel: &AtomicBool) -> Result<Vec<f64>, CalibrationError> {
         let mut out = vec![0.0; self.n_residuals];
-        self.evaluate_fully(x, Some(&mut out))?;
+        self.evaluate_fully(x, cancel, Some(&mut out))?;
         Ok(out)
     }
 
@@ -242,22 +260,36 @@ impl Calibration {
     /// # Errors
     /// As [`cost`](Self::cost).
     pub fn simulate(&self, x: &[f64], times: Option<&[f64]>) -> Result<Vec<Trajectory>, CalibrationError> {
+        self.simulate_until(x, times, Arc::default())
+    }
+
+    /// As [`simulate`](Self::simulate); gives up at the next step of the simulation when the flag is set.
+    ///
+    /// # Errors
+    /// As [`cost`](Self::cost).
+    pub fn simulate_until(
+        &self,
+        x: &[f64],
+        times: Option<&[f64]>,
+        cancel: Arc<AtomicBool>,
+    ) -> Result<Vec<Trajectory>, CalibrationError> {
         self.check_length(x)?;
         let at = |e: &Prepared| {
             let mut options = e.options.clone();
             options.parameters.clear();
+            options.cancel = Some(Arc::clone(&cancel));
             let values = self.parameters.iter().zip(x).map(|(p, v)| (p.name().to_owned(), (*v).into()));
             options.start_values.extend(values);
             if let Some(times) = times {
                 options.times = Some(times.to_vec());
-                options.final_time = None;
+                options.final_time = times.last().copied();
             }
             self.fmu.simulate(&options)
         };
         Ok(self.experiments.iter().map(at).collect::<Result<Vec<_>, _>>()?)
     }
 
-    fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
+    pub(crate) fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
         if x.len() == self.parameters.len() {
             return Ok(());
         }
@@ -265,9 +297,14 @@ impl Calibration {
         Err(CalibrationError::Length { got: x.len(), expected: self.parameters.len(), names })
     }
 
-    fn evaluate_fully(&self, x: &[f64], out: Option<&mut [f64]>) -> Result<f64, CalibrationError> {
+    fn evaluate_fully(
+        &self,
+        x: &[f64],
+        cancel: &AtomicBool,
+        out: Option<&mut [f64]>,
+    ) -> Result<f64, CalibrationError> {
         self.check_length(x)?;
-        let evaluation = Evaluation::new(0, 0, f64::INFINITY);
+        let evaluation = Evaluation::new(0, 0, f64::INFINITY).cancellable(cancel, None);
         self.evaluate_into(x, &evaluation, out).map_err(|no_cost| {
             let at = self.describe(x);
             match no_cost {
@@ -278,9 +315,7 @@ impl Calibration {
                 NoCost::Above => {
                     CalibrationError::Simulation { at, message: "infinite cost".to_owned(), source: None }
                 }
-                NoCost::Cancelled => {
-                    CalibrationError::Simulation { at, message: "cancelled".to_owned(), source: None }
-                }
+                NoCost::Cancelled => CalibrationError::Cancelled,
             }
         })
     }

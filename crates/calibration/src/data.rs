@@ -1,7 +1,9 @@
 //! Measured series: CSV files and in-memory columns, irregular times, missing values.
 
 use crate::error::CalibrationError;
+use std::borrow::Cow;
 use std::io::Read;
+use std::ops::Range;
 use std::path::Path;
 
 /// A table of recorded series over one time column.
@@ -48,34 +50,51 @@ impl Data {
     /// # Errors
     /// As [`from_csv`](Self::from_csv).
     pub fn from_csv_text(text: &[u8], source: &str) -> Result<Self, CalibrationError> {
-        let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
         let bad = |message: String| CalibrationError::Data { source_name: source.to_owned(), message };
-        let header_end = text.iter().position(|b| *b == b'\n').unwrap_or(text.len());
-        let count = |d: u8| text[..header_end].iter().filter(|b| **b == d).count();
-        let delimiter = [b',', b';', b'\t'].into_iter().rev().max_by_key(|d| count(*d)).unwrap_or(b',');
-        let mut reader = csv::ReaderBuilder::new()
-            .delimiter(delimiter)
-            .trim(csv::Trim::All)
-            .comment(Some(b'#'))
-            .from_reader(text);
-        let header = reader.byte_headers().map_err(|e| bad(e.to_string()))?.clone();
-        let names: Vec<String> = header.iter().map(|n| String::from_utf8_lossy(n).into_owned()).collect();
+        let text = decode(text);
+        // Comments and blank lines go first, so that the reader below sees a table and each row knows its line.
+        let mut numbers = Vec::new();
+        let mut table = String::with_capacity(text.len());
+        for (number, line) in text.lines().enumerate() {
+            if !line.trim().is_empty() && !line.trim_start().starts_with('#') {
+                numbers.push(number + 1);
+                table.push_str(line);
+                table.push('\n');
+            }
+        }
+        let delimiter = delimiter(table.lines().next().unwrap_or_default());
+        let mut reader =
+            csv::ReaderBuilder::new().delimiter(delimiter).trim(csv::Trim::All).from_reader(table.as_bytes());
+        let line_of = |position: Option<&csv::Position>| {
+            let index = position.map_or(0, |p| p.line() as usize).saturating_sub(1);
+            numbers.get(index).copied().unwrap_or(0)
+        };
+        let message = |e: csv::Error| match e.kind() {
+            csv::ErrorKind::UnequalLengths { pos, expected_len, len } => {
+                format!("line {} has {len} cells, the header has {expected_len}", line_of(pos.as_ref()))
+            }
+            _ => e.to_string(),
+        };
+        let names: Vec<String> =
+            reader.headers().map_err(|e| bad(message(e)))?.iter().map(str::to_owned).collect();
+        if !names.is_empty() && names.iter().all(|n| number(n, delimiter).is_some()) {
+            return Err(bad(format!("there is no header: line {} holds numbers only", numbers[0])));
+        }
         let mut columns: Vec<Column> =
             names.iter().map(|n| Column { name: n.clone(), values: Vec::new(), text: None }).collect();
         let mut lines = Vec::new();
-        for record in reader.byte_records() {
-            let record = record.map_err(|e| bad(e.to_string()))?;
-            let line = record.position().map_or(0, |p| p.line() as usize);
+        for record in reader.records() {
+            let record = record.map_err(|e| bad(message(e)))?;
+            let line = line_of(record.position());
             lines.push(line);
             for (column, cell) in columns.iter_mut().zip(&record) {
-                let cell = String::from_utf8_lossy(cell);
-                column.push(&cell, line, delimiter);
+                column.push(cell, line, delimiter);
             }
         }
-        let time_index = names.iter().position(|n| n.eq_ignore_ascii_case("time")).unwrap_or(0);
         if columns.is_empty() || lines.is_empty() {
             return Err(bad("there are no rows".to_owned()));
         }
+        let time_index = names.iter().position(|n| n.eq_ignore_ascii_case("time")).unwrap_or(0);
         let time = columns.remove(time_index);
         if let Some((line, text)) = &time.text {
             return Err(bad(format!("time '{text}' in line {line} is not a number")));
@@ -86,7 +105,7 @@ impl Data {
     /// A table from columns in memory; all as long as `time`.
     ///
     /// # Errors
-    /// Columns of another length, two of one name, times that are not finite or not ascending.
+    /// Columns of another length, times that are not finite or not ascending.
     pub fn from_columns(
         time: Vec<f64>,
         columns: impl IntoIterator<Item = (String, Vec<f64>)>,
@@ -106,7 +125,7 @@ impl Data {
         if time.is_empty() {
             return bad("there are no rows".to_owned());
         }
-        for (i, column) in columns.iter().enumerate() {
+        for column in &columns {
             if column.values.len() != time.len() {
                 return bad(format!(
                     "column '{}' has {} values, '{time_name}' has {}",
@@ -114,9 +133,6 @@ impl Data {
                     column.values.len(),
                     time.len()
                 ));
-            }
-            if columns[..i].iter().any(|c| c.name == column.name) {
-                return bad(format!("two columns are named '{}'", column.name));
             }
         }
         for (i, t) in time.iter().enumerate() {
@@ -161,10 +177,14 @@ impl Data {
             return Ok(&self.time);
         }
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
-        let column = self.columns.iter().find(|c| c.name == name).ok_or_else(|| {
+        let mut named = self.columns.iter().filter(|c| c.name == name);
+        let column = named.next().ok_or_else(|| {
             let there = self.names().map(|n| format!("'{n}'")).collect::<Vec<_>>().join(", ");
             bad(format!("there is no column '{name}'; there are: {there}"))
         })?;
+        if named.next().is_some() {
+            return Err(bad(format!("two columns are named '{name}'")));
+        }
         if let Some((line, text)) = &column.text {
             return Err(bad(format!("'{text}' in column '{name}', line {line}, is not a number")));
         }
@@ -174,22 +194,31 @@ impl Data {
         Ok(&column.values)
     }
 
-    /// A column that was measured: at least one value, and no time with two of them.
+    /// The rows of a column that was measured: at least one value, and no time with two of them.
     ///
     /// # Errors
     /// As [`column`](Self::column), all values missing, two values at one time.
-    pub fn measured(&self, name: &str) -> Result<&[f64], CalibrationError> {
-        let values = self.column(name)?;
+    ///
+    /// # Panics
+    /// If `rows` reaches beyond the table.
+    pub(crate) fn measured(&self, name: &str, rows: Range<usize>) -> Result<&[f64], CalibrationError> {
+        let values = &self.column(name)?[rows.clone()];
+        let time = &self.time[rows];
         let bad = |message: String| Err(CalibrationError::Data { source_name: self.source.clone(), message });
         if values.iter().all(|v| v.is_nan()) {
-            return bad(format!("all {} values of column '{name}' are missing", values.len()));
+            return bad(format!(
+                "all {} values of column '{name}' from time {} to {} are missing",
+                values.len(),
+                time[0],
+                time[time.len() - 1]
+            ));
         }
         let twice = (1..values.len())
-            .find(|&i| self.time[i] == self.time[i - 1] && !values[i].is_nan() && !values[i - 1].is_nan());
+            .find(|&i| time[i] == time[i - 1] && !values[i].is_nan() && !values[i - 1].is_nan());
         if let Some(i) = twice {
             return bad(format!(
                 "column '{name}' has two measurements at time {}: {} and {}",
-                self.time[i],
+                time[i],
                 values[i - 1],
                 values[i]
             ));
@@ -198,16 +227,42 @@ impl Data {
     }
 }
 
+/// UTF-8, UTF-16 with a byte order mark, else Windows-1252 (which reads Latin 1 too): what spreadsheets write.
+fn decode(text: &[u8]) -> Cow<'_, str> {
+    let (encoding, skip) = encoding_rs::Encoding::for_bom(text).unwrap_or_else(|| {
+        let utf8 = std::str::from_utf8(text).is_ok();
+        (if utf8 { encoding_rs::UTF_8 } else { encoding_rs::WINDOWS_1252 }, 0)
+    });
+    encoding.decode_without_bom_handling(&text[skip..]).0
+}
+
+/// The one of comma, semicolon and tab that stands most often in the header, outside of quotes.
+fn delimiter(header: &str) -> u8 {
+    let mut quoted = false;
+    let mut counts = [(b',', 0), (b';', 0), (b'\t', 0)];
+    for byte in header.bytes() {
+        quoted ^= byte == b'"';
+        for (_, count) in counts.iter_mut().filter(|c| c.0 == byte && !quoted) {
+            *count += 1;
+        }
+    }
+    // Of equals the first.
+    counts.into_iter().rev().max_by_key(|c| c.1).map_or(b',', |c| c.0)
+}
+
+/// The number in a cell, NaN for a missing one, `None` for a text.
+fn number(cell: &str, delimiter: u8) -> Option<f64> {
+    if MISSING.iter().any(|m| cell.eq_ignore_ascii_case(m)) {
+        return Some(f64::NAN);
+    }
+    // A decimal comma is safe to read where the comma does not separate.
+    let with_comma = || (delimiter != b',').then(|| cell.replacen(',', ".", 1).parse().ok()).flatten();
+    cell.parse().ok().or_else(with_comma)
+}
+
 impl Column {
     fn push(&mut self, cell: &str, line: usize, delimiter: u8) {
-        let number = if MISSING.iter().any(|m| cell.eq_ignore_ascii_case(m)) {
-            Some(f64::NAN)
-        } else {
-            cell.parse().ok().or_else(|| {
-                // A decimal comma is safe to read where the comma does not separate.
-                (delimiter != b',').then(|| cell.replacen(',', ".", 1).parse().ok()).flatten()
-            })
-        };
+        let number = number(cell, delimiter);
         if number.is_none() && self.text.is_none() {
             self.text = Some((line, cell.to_owned()));
         }
@@ -243,6 +298,19 @@ mod tests {
         assert_eq!(d.column("y").unwrap(), [1.5, 2.0]);
         let d = csv("\u{feff}t\ty\n# a comment\n0\t1\n1\t2\n").unwrap();
         assert_eq!(d.time(), [0.0, 1.0]);
+        let d = csv("# rig A, run 3\n\ntime;\"a,b,c\";y\n0;1;2\n").unwrap();
+        assert_eq!(d.names().collect::<Vec<_>>(), ["a,b,c", "y"]);
+    }
+
+    #[test]
+    fn what_spreadsheets_write_is_read() {
+        let d = csv("time,y,,\r\n0,1,,\r\n1,2,,\r\n").unwrap();
+        assert_eq!(d.column("y").unwrap(), [1.0, 2.0]);
+        assert!(d.column("").unwrap_err().to_string().contains("two columns are named ''"));
+        let d = Data::from_csv_text(b"time,\xb0C\n0,20\n", "latin.csv").unwrap();
+        assert_eq!(d.column("\u{b0}C").unwrap(), [20.0]);
+        let utf16: Vec<u8> = "\u{feff}time,y\n0,1\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+        assert_eq!(Data::from_csv_text(&utf16, "utf16.csv").unwrap().column("y").unwrap(), [1.0]);
     }
 
     #[test]
@@ -255,8 +323,10 @@ mod tests {
             ("time,y\nzero,1\n", "'zero' in line 2"),
             ("time,y\n,1\n", "not finite"),
             ("time,y\ninf,1\n", "not finite"),
-            ("time,y\n0,1\n1\n", "line: 3"),
-            ("time,y,y\n0,1,2\n", "two columns are named 'y'"),
+            ("time,y\n0,1\n1\n", "line 3 has 1 cells, the header has 2"),
+            ("0,1\n1,2\n", "no header: line 1"),
+            ("# time,y\n0,1\n1,2\n", "no header: line 2"),
+            ("time,y\n# c\n\nzero,1\n", "'zero' in line 4"),
         ] {
             let e = csv(text).unwrap_err().to_string();
             assert!(e.contains(expected) && e.contains("test.csv"), "{text:?}: {e}");
@@ -268,12 +338,13 @@ mod tests {
     #[test]
     fn a_time_may_stand_twice_for_inputs_but_not_for_measurements() {
         let d = csv("time,u,y\n0,1,5\n1,1,6\n1,2,\n2,2,7\n").unwrap();
-        assert!(d.measured("y").is_ok());
-        let e = d.measured("u").unwrap_err().to_string();
+        assert!(d.measured("y", 0..4).is_ok());
+        assert!(d.measured("u", 2..4).is_ok());
+        let e = d.measured("u", 0..4).unwrap_err().to_string();
         assert!(e.contains("two measurements at time 1: 1 and 2"), "{e}");
         let d = csv("time,y\n0,\n1,nan\n").unwrap();
-        assert!(d.measured("y").unwrap_err().to_string().contains("all 2 values"));
+        assert!(d.measured("y", 0..2).unwrap_err().to_string().contains("all 2 values"));
         let d = csv("time,y\n0,inf\n1,2\n").unwrap();
-        assert!(d.measured("y").unwrap_err().to_string().contains("infinite at time 0"));
+        assert!(d.measured("y", 0..2).unwrap_err().to_string().contains("infinite at time 0"));
     }
 }

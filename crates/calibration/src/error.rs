@@ -58,6 +58,9 @@ pub enum CalibrationError {
         #[source]
         source: Option<Box<fmi::FmiError>>,
     },
+    /// The evaluation was given up because its cancel flag was set.
+    #[error("the evaluation was cancelled")]
+    Cancelled,
     /// The optimiser could not start, or found nothing.
     #[error(transparent)]
     Optimiser(#[from] dfo::Error),

@@ -109,11 +109,7 @@ impl Experiment {
             if !(weight.is_finite() && *weight > 0.0) {
                 return setup(format!("weight {weight} of output '{variable}' must be positive and finite"));
             }
-            let values = &self.data.measured(column)?[rows.clone()];
-            if values.iter().all(|v| v.is_nan()) {
-                return setup(format!("column '{column}' has no value in the window from {from} to {to}"));
-            }
-            columns.push(values.to_vec());
+            columns.push(self.data.measured(column, rows.clone())?.to_vec());
         }
         Ok((time[rows].to_vec(), columns))
     }

@@ -98,6 +98,7 @@ impl Calibration {
         let FitOptions { method, workers, start, tolerances, limits, observer, poll } = options;
         let workers = workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
+        self.check_start(&start)?;
         let bound = |side: fn(&Parameter) -> f64| self.parameters().iter().map(side).collect::<Vec<_>>();
         let transforms: Vec<Transform> = self
             .parameters()
@@ -141,6 +142,24 @@ impl Calibration {
         let rms = (report.fun / self.n_residuals() as f64).sqrt();
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         Ok(Fit { x: report.x.clone(), names, cost: report.fun, rms, start_cost, report })
+    }
+
+    /// Checks a start given for this fit as the parameters' own starts were checked.
+    fn check_start(&self, start: &[f64]) -> Result<(), CalibrationError> {
+        self.check_length(start)?;
+        for (parameter, value) in self.parameters().iter().zip(start) {
+            let (lower, upper) = (parameter.lower(), parameter.upper());
+            if !(lower..=upper).contains(value) {
+                let name = parameter.name().to_owned();
+                let message = if lower == upper {
+                    format!("is fixed at {lower}, it cannot start at {value}")
+                } else {
+                    format!("start {value} is outside of the bounds {lower} and {upper}")
+                };
+                return Err(CalibrationError::Parameter { name, message });
+            }
+        }
+        Ok(())
     }
 
     /// Typical size of a parameter: what the user said, else the model's nominal value, else the width of its box,

@@ -58,7 +58,8 @@ impl Parameter {
         self
     }
 
-    /// A typical size, from which step lengths and tolerances are taken.
+    /// A typical size, from which step lengths and tolerances are taken. On a log scale these are factors, so it is not
+    /// used there.
     #[must_use]
     pub fn nominal(mut self, nominal: f64) -> Self {
         self.nominal = Some(nominal);

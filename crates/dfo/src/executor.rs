@@ -185,6 +185,21 @@ fn serial(
     None
 }
 
+/// Lets no further evaluation start, and running ones give up, when the calling thread unwinds.
+struct StopOnUnwind<'a> {
+    stop: &'a AtomicBool,
+    cancel: &'a AtomicBool,
+}
+
+impl Drop for StopOnUnwind<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.stop.store(true, Ordering::Release);
+            self.cancel.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
 fn pooled(
     pool: &WorkerPool,
     objective: &dyn Objective,
@@ -196,6 +211,10 @@ fn pooled(
 ) -> Option<Halt> {
     if let Some(halt) = outside.check() {
         return Some(halt);
+    }
+    if pool.pool.current_thread_index().is_some() {
+        // An objective that itself minimises on the pool it runs on: waiting for its own threads would be for ever.
+        return serial(objective, batch, len, outside, outcomes, seconds);
     }
     let (cancel, deadline) = (outside.cancel, outside.deadline);
     let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
@@ -224,6 +243,8 @@ fn pooled(
             });
         }
         drop(sender);
+        // A panic in the poll function must not wait for the rest of the batch.
+        let _end = StopOnUnwind { stop, cancel };
         loop {
             match receiver.recv_timeout(outside.patience()) {
                 Ok((k, outcome, elapsed)) => (outcomes[k], seconds[k]) = (outcome, elapsed),

@@ -120,7 +120,8 @@ impl Evaluation<'static> {
 }
 
 impl<'a> Evaluation<'a> {
-    pub(crate) fn cancellable(self, cancel: &AtomicBool, deadline: Option<Instant>) -> Evaluation<'_> {
+    /// The same evaluation, given up when the flag is set or the deadline is over.
+    pub fn cancellable(self, cancel: &AtomicBool, deadline: Option<Instant>) -> Evaluation<'_> {
         Evaluation { cutoff: self.cutoff, id: self.id, batch: self.batch, cancel, deadline }
     }
 

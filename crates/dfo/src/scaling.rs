@@ -40,7 +40,12 @@ pub struct Space {
     upper: Vec<f64>,
     sizes: Vec<f64>,
     size_given: Vec<bool>,
+    /// Whether the user's bounds are finite on both sides (in working coordinates).
+    boxed: Vec<bool>,
 }
+
+/// Logarithms of about the smallest and the largest normal number, with room for rounding.
+const LN_RANGE: (f64, f64) = (-708.0, 709.0);
 
 impl Space {
     /// Checks everything. `transforms` and `sizes` may be empty (all linear, all sizes by default); a size of a
@@ -72,6 +77,7 @@ impl Space {
             upper: Vec::new(),
             sizes: Vec::new(),
             size_given: Vec::new(),
+            boxed: Vec::new(),
         };
         for index in 0..n {
             let transform = transforms.get(index).copied().unwrap_or_default();
@@ -110,12 +116,18 @@ impl Space {
             }
         };
         let width = hi - lo;
+        // An open side of a logarithmic parameter ends where exp(u) leaves the normal numbers.
+        let (lo, hi) = match transform {
+            Transform::Linear => (lo, hi),
+            Transform::Log => (lo.max(LN_RANGE.0).min(value.ln()), hi.min(LN_RANGE.1).max(value.ln())),
+        };
         self.free.push(index);
         self.transforms.push(transform);
         self.lower.push(lo);
         self.upper.push(hi);
         self.sizes.push(size.unwrap_or(if width.is_finite() { width } else { default }));
         self.size_given.push(size.is_some());
+        self.boxed.push(width.is_finite());
         Ok(())
     }
 
@@ -164,10 +176,9 @@ impl Space {
         self.size_given[k]
     }
 
-    /// Width of the box along working coordinate `k`, if it is finite.
+    /// Width of the box along working coordinate `k`, if the user's bounds make it finite.
     pub fn width(&self, k: usize) -> Option<f64> {
-        let width = self.upper[k] - self.lower[k];
-        width.is_finite().then_some(width)
+        self.boxed[k].then(|| self.upper[k] - self.lower[k])
     }
 
     /// Working coordinates of a point (`x` of length [`n`](Self::n), `u` of length [`n_free`](Self::n_free)).

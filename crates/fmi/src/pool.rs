@@ -125,7 +125,19 @@ impl Pool {
             return Ok(tested);
         }
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
-        let tested = examine(&self.plan, &self.reference, &mut simulator)?;
+        let Some(tested) = examine(&self.plan, &self.reference, &mut simulator)? else {
+            // It says nothing about the FMU, so it binds nobody but this pool.
+            log::warn!(
+                "{}: the model cannot be simulated at {:?}, so reset and concurrency cannot be tested; simulations run \
+                 one at a time",
+                self.plan.fmu().description().model_name,
+                self.reference
+            );
+            let cautious = Tested { reuse: Reuse::Reinstantiate, independent: false };
+            state.idle.push(simulator);
+            state.tested = Some(cautious);
+            return Ok(cautious);
+        };
         self.plan.set_reuse(tested.reuse);
         if tested.reuse == Reuse::Reinstantiate {
             log::warn!(
@@ -145,19 +157,18 @@ impl Pool {
     }
 }
 
-/// The test; see [`Pool`].
-fn examine(plan: &Arc<SimulationPlan>, base: &[f64], simulator: &mut Simulator) -> Result<Tested, FmiError> {
+/// The test; see [`Pool`]. `None`: the model cannot be started with `base`, or not in time, and there is nothing to compare.
+fn examine(
+    plan: &Arc<SimulationPlan>,
+    base: &[f64],
+    simulator: &mut Simulator,
+) -> Result<Option<Tested>, FmiError> {
     let other = other_parameters(plan, base);
     let fmu = plan.fmu();
     let only_one = fmu.check_interface(plan.kind)?.capabilities.can_be_instantiated_only_once_per_process;
     let truth = simulator.probe_new(base, &mut Ignore)?;
     if truth == Probe::Nothing {
-        // The model cannot be started there (or not in time): there is nothing to compare, so the safe ways are taken.
-        log::warn!(
-            "{}: the model cannot be simulated at {base:?}, so that reset and concurrency cannot be tested",
-            fmu.description().model_name
-        );
-        return Ok(Tested { reuse: Reuse::Reinstantiate, independent: false });
+        return Ok(None);
     }
     // A run with other parameters in between shows whether reset leaves any behind.
     let after_other = match simulator.probe_reset(&other, true, &mut Ignore)? {
@@ -175,11 +186,11 @@ fn examine(plan: &Arc<SimulationPlan>, base: &[f64], simulator: &mut Simulator) 
     let reuse =
         if reset && plan.reuse() != Some(Reuse::Reinstantiate) { Reuse::Reset } else { Reuse::Reinstantiate };
     if only_one {
-        return Ok(Tested { reuse, independent: false });
+        return Ok(Some(Tested { reuse, independent: false }));
     }
     let mut interleaved = Interleave { plan, parameters: &other, begun: false, refused: false };
     let independent = simulator.probe_new(base, &mut interleaved)? == truth && !interleaved.refused;
-    Ok(Tested { reuse, independent })
+    Ok(Some(Tested { reuse, independent }))
 }
 
 /// Parameters a little off, within their bounds.

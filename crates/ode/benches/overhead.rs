@@ -46,7 +46,10 @@ fn best(mut f: impl FnMut()) -> f64 {
 }
 
 fn main() {
-    println!("{:>6} {:>10} {:>12} {:>12} {:>12}", "states", "rhs/run", "ns per rhs", "plain ns", "overhead ns");
+    println!(
+        "{:>6} {:>10} {:>12} {:>12} {:>12}",
+        "states", "rhs/run", "ns per rhs", "plain ns", "overhead ns"
+    );
     for n in [2, 10, 100] {
         let mut driver = Driver::new(Options::default()).unwrap();
         let mut system = Oscillators(n);

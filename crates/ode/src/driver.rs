@@ -274,19 +274,30 @@ where
         space.sampler.begin(self.system.n_outputs());
         self.stepper.resize(n);
 
+        if let Some(step) = self.fixed_step
+            && start < end
+            && step <= 4.0 * self.same
+        {
+            self.h_tried = step;
+            return Err(ErrorKind::StepTooSmall { discarded: false }.into());
+        }
         let outcome = self.system.start(start, &mut self.space.x).map_err(no_retreat)?;
+        if outcome.terminate {
+            // The model is still where it asked to end: nothing but its outputs may be asked for.
+            self.sample_here(false)?;
+            return finish(Termination::StoppedByModel);
+        }
         self.read_nominals()?;
         self.take_event_time(outcome.next_time)?;
         self.input_stop = self.system.next_input_stop(self.t);
-        self.restart()?;
-        if !outcome.terminate {
-            // A time event announced for the very start belongs to it: samples there see it done.
-            self.time_events_here()?;
+        self.evaluate_here()?;
+        // Events announced for the very start belong to it: samples there see them done.
+        self.more_events_here()?;
+        match self.options.initial_step {
+            Some(h) => self.h = h,
+            None => self.estimate_step()?,
         }
         self.sample_here(false)?;
-        if outcome.terminate {
-            return finish(Termination::StoppedByModel);
-        }
         self.reached_end()
     }
 
@@ -299,10 +310,7 @@ where
         let end = if hits_target { target } else { self.t + h };
         self.h_tried = h;
         match self.attempt(end, h)? {
-            Tried::Accepted { error } => {
-                self.discards = 0;
-                self.commit(end, h, error)
-            }
+            Tried::Accepted { error } => self.commit(end, h, error),
             Tried::Rejected { error } => {
                 self.stats.rejected_steps += 1;
                 let (x, x_new) = (&self.space.x, &self.space.x_new);
@@ -310,13 +318,17 @@ where
                 let factor = self.controller.rejected(error);
                 self.shrink(h * factor, false)
             }
-            Tried::Discarded => {
-                self.stats.rejected_steps += 1;
-                self.discards += 1;
-                let factor = self.controller.discarded();
-                self.shrink(h * factor, true)
-            }
+            Tried::Discarded => self.retry_after_discard(h),
         }
+    }
+
+    /// The model refused a point of the step: a smaller one.
+    fn retry_after_discard(&mut self, h: f64) -> Step<()> {
+        self.stats.rejected_steps += 1;
+        self.discards += 1;
+        self.worst_state = None;
+        let factor = self.controller.discarded();
+        self.shrink(h * factor, true)
     }
 
     fn check_limits(&mut self) -> Step<()> {
@@ -348,7 +360,7 @@ where
     fn target(&self) -> f64 {
         let mut target = self.end;
         for stop in [self.next_time_event, self.input_stop.map(|s| s.time)].into_iter().flatten() {
-            if stop < target - self.same {
+            if stop > self.t + self.same && stop < target - self.same {
                 target = stop;
             }
         }
@@ -359,8 +371,12 @@ where
     fn step_towards(&self, target: f64) -> f64 {
         let remaining = target - self.t;
         if let Some(step) = self.fixed_step {
-            // Grid points are start + k * step, never sums; an event does not shift them.
-            let k = ((self.t - self.start) / step * (1.0 + 4.0 * U) + 1e-9).floor() + 1.0;
+            // Grid points are start + k * step, never sums; an event does not shift them. The one we stand on, up to
+            // rounding, is not the next.
+            let mut k = ((self.t - self.start) / step).floor() + 1.0;
+            while self.start + k * step <= self.t + self.same {
+                k += 1.0;
+            }
             let grid = self.start + k * step;
             return if grid >= target - self.same { remaining } else { grid - self.t };
         }
@@ -425,17 +441,16 @@ where
                     at = time;
                 }
                 // The model refused a point in between: as if the step had been refused.
-                None => {
-                    self.stats.rejected_steps += 1;
-                    self.discards += 1;
-                    let factor = self.controller.discarded();
-                    return self.shrink(h * factor, true);
-                }
+                None => return self.retry_after_discard(h),
             }
             cause.state = true;
         }
         let crossed = self.space.domains.mark();
-        self.sample_before(at, end, h)?;
+        if !self.sample_before(at, end, h)? {
+            return self.retry_after_discard(h);
+        }
+        self.discards = 0;
+        self.worst_state = None;
 
         // Slopes at both sides of an event decide whether the method must be restarted.
         let theta = if inside { (at - self.t) / h } else { 1.0 };
@@ -464,16 +479,16 @@ where
                 return Err(ErrorKind::Chattering { events, within, indicator }.into());
             }
             self.sample_left()?;
-            self.visit_event(cause)?;
-        } else {
-            self.space.domains.advance();
         }
         if let Some(stop) = stop {
             self.input_stop = self.system.next_input_stop(at.max(stop.time));
         }
         if eventful {
-            self.time_events_here()?;
+            self.visit_event(cause)?;
+        } else {
+            self.space.domains.advance();
         }
+        let eventful = self.more_events_here()? || eventful;
         self.sample_here(eventful)?;
         if action.terminate {
             return finish(Termination::StoppedByModel);
@@ -512,10 +527,6 @@ where
             if located.time != end {
                 self.stats.event_indicators += 1;
                 read_indicators(system, end, x_new, &mut domains.end).map_err(no_retreat)?;
-                if !domains.changed() {
-                    // The indicator turned back within rounding: there was no event.
-                    return Ok(Some(end));
-                }
             }
             return Ok(Some(end));
         }
@@ -531,6 +542,11 @@ where
             return Err(ErrorKind::TooManyEvents(n).into());
         }
         let space = &mut *self.space;
+        space.x_mid.copy_from_slice(&space.x);
+        // Of two instants within rounding the model is shown the later one, or its time event would not be due.
+        if let Some(next) = self.next_time_event.filter(|_| cause.time) {
+            self.t = self.t.max(next.min(self.end));
+        }
         let visit = EventVisit { time: self.t, cause, crossings: &space.domains.crossings };
         let outcome = self.system.handle_event(&visit, &mut space.x).map_err(no_retreat)?;
         space.domains.clear_marks();
@@ -557,29 +573,24 @@ where
         stats.input_events += u64::from(cause.input);
     }
 
-    /// After an event: reads the right-hand side and the indicators anew. When neither the states nor the slope have
-    /// changed to speak of, the step size is kept; otherwise a new one is estimated.
+    /// After an event: reads the right-hand side and the indicators anew. When neither the states (their values before
+    /// are in `x_mid`) nor the slope have changed to speak of, the step size is kept; otherwise a new one is estimated.
     fn resume(&mut self, outcome: EventOutcome) -> Step<()> {
         let before = self.h;
+        let Space { x, x_mid, weights, .. } = &*self.space;
+        // Written so that a NaN counts as a change.
+        let same_states = !outcome.states_changed || weights.distance(x, x, x_mid) < 1e-3;
         self.evaluate_here()?;
-        let space = &*self.space;
-        let slope_moved = before * space.weights.distance(&space.x, self.stepper.derivative(), &space.slope);
-        if outcome.states_changed || outcome.nominals_changed || slope_moved.is_nan() || slope_moved >= 0.1 {
+        if before == 0.0 {
+            return Ok(()); // still at the start: the first step is estimated when its events are over
+        }
+        let Space { x, slope, weights, .. } = &*self.space;
+        let same_slope = before * weights.distance(x, self.stepper.derivative(), slope) < 0.1;
+        if !(same_states && same_slope) || outcome.nominals_changed {
             self.stats.restarts += 1;
             self.controller.restart();
             self.estimate_step()?;
             self.h = self.h.min(before);
-        }
-        Ok(())
-    }
-
-    /// Starts the method at the current point with a newly estimated step.
-    fn restart(&mut self) -> Step<()> {
-        self.controller.restart();
-        self.evaluate_here()?;
-        match self.options.initial_step {
-            Some(h) => self.h = h,
-            None => self.estimate_step()?,
         }
         Ok(())
     }
@@ -649,33 +660,45 @@ where
         Ok(())
     }
 
-    /// Time events announced for the current instant (at the start, or by the event just handled).
-    fn time_events_here(&mut self) -> Step<()> {
-        let mut rounds = 0;
-        while self.next_time_event.is_some_and(|next| next <= self.t + self.same) {
-            rounds += 1;
-            if rounds > ChatteringGuard::EVENTS {
-                let events = ChatteringGuard::EVENTS as u64;
-                return Err(ErrorKind::Chattering { events, within: 0.0, indicator: 0 }.into());
+    /// Time events and input stops that fall on the current instant although the step did not end for them: announced
+    /// for it by the start or by an event, or too close to it to be hit on their own. Whether there was any event.
+    fn more_events_here(&mut self) -> Step<bool> {
+        let mut visits = 0;
+        loop {
+            let time = self.next_time_event.is_some_and(|next| next <= self.t + self.same);
+            let stop = self.input_stop.filter(|stop| stop.time <= self.t + self.same);
+            if let Some(stop) = stop {
+                self.input_stop = self.system.next_input_stop(stop.time);
             }
-            let cause = EventCause { time: true, ..EventCause::default() };
-            self.space.slope.copy_from_slice(self.stepper.derivative());
-            self.sample_left()?;
-            self.visit_event(cause)?;
+            let input = stop.is_some_and(|stop| stop.jump);
+            if time || input {
+                visits += 1;
+                if visits > ChatteringGuard::EVENTS {
+                    return Err(ErrorKind::TimeEventLoop(ChatteringGuard::EVENTS as u64).into());
+                }
+                self.space.slope.copy_from_slice(self.stepper.derivative());
+                self.sample_left()?;
+                self.visit_event(EventCause { time, input, ..EventCause::default() })?;
+            } else if stop.is_none() {
+                return Ok(visits > 0);
+            }
         }
-        Ok(())
     }
 
-    /// Samples strictly inside the step, up to (not including) `at`.
-    fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<()> {
+    /// Samples strictly inside the step, up to (not including) `at`. `false`: the model refused one of these points;
+    /// nothing is committed, so a smaller step can follow.
+    fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
         while let Some(t) = self.space.sampler.due_before(self.times, at - self.same) {
             let Space { x, x_mid, sampler, .. } = &mut *self.space;
             let theta = ((t - self.t) / h).clamp(0.0, 1.0);
             self.stepper.interpolate(Trial { t: self.t, end, h, x }, theta, x_mid);
             let here = Here { t, x: x_mid, same: 0.0, record: false };
-            follow(sampler.deliver(self.system, self.times, &here, self.observer))?;
+            match sampler.deliver(self.system, self.times, &here, self.observer) {
+                Err(CallError::Discard) => return Ok(false),
+                flow => follow(flow)?,
+            }
         }
-        Ok(())
+        Ok(true)
     }
 
     /// The left limit at the current time, where somebody wants it: the time is listed twice, or events are recorded.

@@ -77,6 +77,8 @@ pub enum ErrorKind {
         /// The indicator that crossed last.
         indicator: usize,
     },
+    /// So many time events in a row announced the next one for the same instant.
+    TimeEventLoop(u64),
     /// The model announced a time event that lies in the past.
     EventInThePast(f64),
     /// A call into the model failed.
@@ -90,7 +92,9 @@ impl ErrorKind {
             Self::Span { .. } => "the span is not one".to_owned(),
             Self::SampleTimes { .. } => "the requested times cannot be used".to_owned(),
             Self::ToleranceCount { .. } => "the tolerances do not fit the states".to_owned(),
-            Self::StepTooSmall { discarded: false } => "the error test wants steps that are too small".to_owned(),
+            Self::StepTooSmall { discarded: false } => {
+                "the error test wants steps that are too small".to_owned()
+            }
             Self::StepTooSmall { discarded: true } => "the model cannot be evaluated any further".to_owned(),
             Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
             Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
@@ -99,6 +103,7 @@ impl ErrorKind {
             Self::TimedOut(limit) => format!("the time limit of {} s was reached", limit.as_secs_f64()),
             Self::Cancelled => "cancelled".to_owned(),
             Self::Chattering { indicator, .. } => format!("chattering (event indicator {indicator})"),
+            Self::TimeEventLoop(_) => "time events without end at one instant".to_owned(),
             Self::EventInThePast(_) => "a time event in the past".to_owned(),
             Self::Model(e) => e.to_string(),
         }
@@ -164,6 +169,9 @@ impl fmt::Display for SimulationError {
                     f,
                     "chattering at t = {t}: {events} state events within {within:e} (last: event indicator {indicator})"
                 )?;
+            }
+            ErrorKind::TimeEventLoop(n) => {
+                write!(f, "{n} time events at t = {t}, each announcing another one there")?
             }
             ErrorKind::EventInThePast(next) => {
                 write!(f, "the model announced its next time event for {next}, which lies before t = {t}")?;

@@ -55,7 +55,7 @@ impl FromStr for Method {
     }
 }
 
-/// What ends a run before its time; `None` means no limit.
+/// What ends a run before its time; `None` means no limit. Limits are looked at before each trial step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
     /// Accepted and rejected steps together.

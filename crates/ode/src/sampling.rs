@@ -85,8 +85,9 @@ impl Sampler {
     {
         let index = self.cursor;
         let side = if self.twice(times) { Side::Left } else { Side::Right };
+        let flow = self.emit(system, here, (times[index], Some(index), side), observer)?;
         self.cursor += 1;
-        self.emit(system, here, (times[index], Some(index), side), observer)
+        Ok(flow)
     }
 
     /// The left limit right before an event, if its time is listed twice or events are recorded.

@@ -1,18 +1,22 @@
 //! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter lock.
 
 use crate::error;
+use crate::files;
+use crate::fmu_error;
 use crate::interrupt::Watch;
+use crate::logs;
 use crate::report::{self, LastSeen, Listener};
 use crate::settings::{Options, Settings};
-use crate::files;
 use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
 use dfo::{Measure, Progress};
+use fmi::FmiError;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 /// `pydfo.Parameter`, field by field.
@@ -32,7 +36,9 @@ impl ParameterFields {
         let scale = match self.scale.as_str() {
             "linear" => Scale::Linear,
             "log" => Scale::Log,
-            other => return Err(PyValueError::new_err(format!("scale = '{other}' is none of 'linear', 'log'"))),
+            other => {
+                return Err(PyValueError::new_err(format!("scale = '{other}' is none of 'linear', 'log'")));
+            }
         };
         let mut parameter = Parameter::new(self.name, self.start)
             .bounds(self.lower, self.upper)
@@ -97,13 +103,14 @@ pub(crate) struct ExperimentFields {
 }
 
 impl ExperimentFields {
-    fn settings(&self) -> PyResult<SimulationSettings> {
+    fn settings(&self, py: Python<'_>) -> PyResult<SimulationSettings> {
         let timeout = self.timeout.map(|seconds| {
-            Duration::try_from_secs_f64(seconds)
-                .map_err(|_| PyValueError::new_err(format!("timeout = {seconds} must be a number of seconds, at least 0")))
+            Duration::try_from_secs_f64(seconds).map_err(|_| {
+                PyValueError::new_err(format!("timeout = {seconds} must be a number of seconds, at least 0"))
+            })
         });
         Ok(SimulationSettings {
-            method: self.solver.parse().map_err(|e: ode::OptionsError| PyValueError::new_err(e.to_string()))?,
+            method: self.solver.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
             relative_tolerance: self.relative_tolerance,
             step_size: self.step_size,
             max_step: self.max_step,
@@ -147,19 +154,24 @@ pub(crate) struct PyCalibration {
 }
 
 impl PyCalibration {
-    /// Computes something on another thread, without the lock; Ctrl-C does not wait for it.
+    /// Computes something on another thread, without the lock; Ctrl-C sets the flag that it is given.
     fn compute<T: Send + 'static>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&calibration::Calibration) -> Result<T, CalibrationError> + Send + 'static,
+        work: impl FnOnce(&calibration::Calibration, Arc<AtomicBool>) -> Result<T, CalibrationError>
+        + Send
+        + 'static,
     ) -> PyResult<T> {
         let watch = Watch::new(py)?;
         let inner = Arc::clone(&self.inner);
-        let result = watch.run_briefly(move || work(&inner))?;
+        let flag = watch.stop().flag();
+        let result = watch.run_briefly(move || work(&inner, flag))?;
+        logs::pass_on(py)?;
         if let Some(e) = watch.stop().take_raised() {
             return Err(e);
         }
         match result {
+            _ if watch.stop().is_asked() => Err(error::interrupted(py, None, None)),
             Some(result) => result.map_err(|e| error::calibration(py, &e)),
             None => Err(error::interrupted(py, None, None)),
         }
@@ -176,7 +188,7 @@ impl PyCalibration {
         parameters: Vec<ParameterFields>,
     ) -> PyResult<Self> {
         let fmu = files::open(py, model)?;
-        let settings = experiment.settings()?;
+        let settings = experiment.settings(py)?;
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
         let built = py.detach(move || {
             let builder = calibration::Calibration::builder(fmu)
@@ -184,6 +196,7 @@ impl PyCalibration {
                 .settings(settings);
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
         });
+        logs::pass_on(py)?;
         let inner = built.map_err(|e| error::calibration(py, &e))?;
         Ok(Self { inner: Arc::new(inner) })
     }
@@ -194,11 +207,12 @@ impl PyCalibration {
     }
 
     fn cost(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<f64> {
-        self.compute(py, move |calibration| calibration.cost(&x))
+        self.compute(py, move |calibration, cancel| calibration.cost_until(&x, &cancel))
     }
 
     fn residuals<'py>(&self, py: Python<'py>, x: Vec<f64>) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let residuals = self.compute(py, move |calibration| calibration.residuals(&x))?;
+        let residuals =
+            self.compute(py, move |calibration, cancel| calibration.residuals_until(&x, &cancel))?;
         Ok(PyArray1::from_vec(py, residuals))
     }
 
@@ -210,7 +224,9 @@ impl PyCalibration {
         x: Vec<f64>,
         times: Option<Vec<f64>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let trajectories = self.compute(py, move |calibration| calibration.simulate(&x, times.as_deref()))?;
+        let trajectories = self.compute(py, move |calibration, cancel| {
+            calibration.simulate_until(&x, times.as_deref(), cancel)
+        })?;
         let columns = PyDict::new(py);
         for trajectory in trajectories {
             columns.set_item("time", PyArray1::from_vec(py, trajectory.time))?;
@@ -222,13 +238,16 @@ impl PyCalibration {
     }
 
     /// The recording: its times, and per output the variable, the column and its values (NaN where missing).
-    fn measurements<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray1<f64>>, Vec<Measured<'py>>)> {
+    fn measurements<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Vec<Measured<'py>>)> {
         let mut times = PyArray1::from_slice(py, &[]);
         let mut measured = Vec::new();
         for (data, outputs) in self.inner.comparisons() {
             times = PyArray1::from_slice(py, data.time());
             for (variable, column) in outputs {
-                let values = data.measured(column).map_err(|e| error::calibration(py, &e))?;
+                let values = data.column(column).map_err(|e| error::calibration(py, &e))?;
                 measured.push((variable.clone(), column.clone(), PyArray1::from_slice(py, values)));
             }
         }
@@ -257,10 +276,13 @@ impl PyCalibration {
                 start,
                 tolerances,
                 limits,
-                observer: Some(Box::new(|progress: &Progress<'_>| seen.pass_on(progress, desk, hearing.as_ref()))),
+                observer: Some(Box::new(|progress: &Progress<'_>| {
+                    seen.pass_on(progress, desk, hearing.as_ref())
+                })),
                 poll: Some(Box::new(move || asked.is_asked())),
             })
         })?;
+        logs::pass_on(py)?;
         let Some(outcome) = outcome else {
             return Err(error::interrupted(py, last_seen.result(py)?.as_ref(), None));
         };

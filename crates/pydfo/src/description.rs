@@ -3,7 +3,8 @@
 
 use crate::{files, fmu_error, values};
 use fmi::description::{
-    BaseUnit, Capabilities, Causality, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit, VariableKind,
+    BaseUnit, Capabilities, Causality, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
+    VariableKind,
 };
 use fmi::{ModelDescription, Variable};
 use pyo3::exceptions::PyIndexError;
@@ -75,7 +76,8 @@ impl Fmu {
 
     /// Names of the variables that results can hold.
     fn recordable(&self) -> Vec<&str> {
-        let is_number = |v: &&Variable| v.kind != VariableKind::String && v.causality != Causality::Independent;
+        let is_number =
+            |v: &&Variable| v.kind != VariableKind::String && v.causality != Causality::Independent;
         self.description().variables.iter().filter(is_number).map(|v| v.name.as_str()).collect()
     }
 
@@ -92,10 +94,9 @@ impl Fmu {
     /// The attributes of the variable at a position.
     fn variable<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyAny>> {
         let description = self.description();
-        let variable = description
-            .variables
-            .get(index)
-            .ok_or_else(|| PyIndexError::new_err(format!("{index} of {} variables", description.variables.len())))?;
+        let variable = description.variables.get(index).ok_or_else(|| {
+            PyIndexError::new_err(format!("{index} of {} variables", description.variables.len()))
+        })?;
         let attributes = Attributes::new(py, description, variable, index)?;
         Ok(attributes.into_pyobject(py)?.into_any())
     }
@@ -109,13 +110,19 @@ impl Fmu {
     }
 
     fn log_categories(&self) -> Vec<(&str, Option<&str>)> {
-        self.description().log_categories.iter().map(|c| (c.name.as_str(), c.description.as_deref())).collect()
+        self.description()
+            .log_categories
+            .iter()
+            .map(|c| (c.name.as_str(), c.description.as_deref()))
+            .collect()
     }
 
     /// Kind, message and line (None: the file as a whole) of each departure from the standard.
     fn quirks(&self) -> Vec<(String, &str, Option<u32>)> {
         let quirks = self.description().quirks.iter();
-        quirks.map(|q| (q.kind.to_string(), q.message.as_str(), Some(q.line).filter(|line| *line > 0))).collect()
+        quirks
+            .map(|q| (q.kind.to_string(), q.message.as_str(), Some(q.line).filter(|line| *line > 0)))
+            .collect()
     }
 }
 
@@ -335,7 +342,12 @@ struct Attributes<'a, 'py> {
 }
 
 impl<'a, 'py> Attributes<'a, 'py> {
-    fn new(py: Python<'py>, description: &'a ModelDescription, v: &'a Variable, index: usize) -> PyResult<Self> {
+    fn new(
+        py: Python<'py>,
+        description: &'a ModelDescription,
+        v: &'a Variable,
+        index: usize,
+    ) -> PyResult<Self> {
         Ok(Self {
             name: &v.name,
             index,

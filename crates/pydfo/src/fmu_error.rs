@@ -1,6 +1,7 @@
 //! Errors of models as Python exceptions: a class for each sort of mistake, and numbers to work with where there are any.
 
 use fmi::FmiError;
+use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 use std::io;
@@ -18,7 +19,9 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
     let message = error.to_string();
     match error {
         FmiError::Io { path, source, .. } => os_error(py, path, source, message),
-        FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => UnknownVariableError::new_err(message),
+        FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => {
+            UnknownVariableError::new_err(message)
+        }
         FmiError::WrongType { .. } => ModelTypeError::new_err(message),
         FmiError::Options(ode::OptionsError::MethodNotYet(_)) => MethodNotAvailable::new_err(message),
         FmiError::NotSettable { .. }
@@ -37,9 +40,18 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
 
 /// `FileNotFoundError` and its like, with number and path as Python's own functions raise them.
 fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) -> PyErr {
-    let Some(number) = source.raw_os_error() else { return PyOSError::new_err(message) };
+    // Errors that passed through other libraries have lost their number.
+    let number = match (source.raw_os_error(), source.kind()) {
+        (Some(number), _) => number.into_bound_py_any(py),
+        (None, io::ErrorKind::NotFound) => py.import("errno").and_then(|errno| errno.getattr("ENOENT")),
+        (None, io::ErrorKind::PermissionDenied) => {
+            py.import("errno").and_then(|errno| errno.getattr("EACCES"))
+        }
+        _ => return PyOSError::new_err(message),
+    };
     let make = || -> PyResult<PyErr> {
-        let reason = py.import("os")?.call_method1("strerror", (number,))?;
+        let number = number?;
+        let reason = py.import("os")?.call_method1("strerror", (&number,))?;
         // Called, not raised by class: OSError picks the subclass that fits the number when it is called.
         let exception = py.get_type::<PyOSError>().call1((number, reason, path.as_os_str()))?;
         Ok(PyErr::from_value(exception))
@@ -54,7 +66,8 @@ fn simulation(py: Python<'_>, error: &FmiError, message: String, time: Option<f6
         let failure = error.call_failure();
         value.setattr("status", failure.map(|f| f.status.to_string()))?;
         value.setattr("time", time)?;
-        let log: Vec<String> = failure.map(|f| f.log.iter().map(ToString::to_string).collect()).unwrap_or_default();
+        let log: Vec<String> =
+            failure.map(|f| f.log.iter().map(ToString::to_string).collect()).unwrap_or_default();
         value.setattr("log", log)
     };
     attach().err().unwrap_or(exception)

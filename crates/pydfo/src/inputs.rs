@@ -115,12 +115,14 @@ impl Callback {
         let bad = || {
             let text = result.repr().map_or_else(|_| "?".to_owned(), |text| text.to_string());
             let kind = if self.count == 1 { "a number" } else { "as many numbers as there are names" };
-            PyTypeError::new_err(format!("the input function must return {kind}; at t = {time} it returned {text}"))
+            PyTypeError::new_err(format!(
+                "the input function must return {kind}; at t = {time} it returned {text}"
+            ))
         };
-        let is_single = result.getattr("ndim").and_then(|n| n.extract::<usize>()).map_or_else(
-            |_| result.len().is_err(),
-            |dimensions| dimensions == 0,
-        );
+        let is_single = result
+            .getattr("ndim")
+            .and_then(|n| n.extract::<usize>())
+            .map_or_else(|_| result.len().is_err(), |dimensions| dimensions == 0);
         let values = if is_single {
             vec![result.extract().map_err(|_| bad())?]
         } else {

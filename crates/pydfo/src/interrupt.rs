@@ -136,7 +136,8 @@ impl<'py> Watch<'py> {
         let parent = AROUND.with_borrow(|around| around.last().cloned());
         let stop = Arc::new(Stop { parent, ..Stop::default() });
         let mut watch = Self { py, stop, handler: None, previous: None };
-        let signal = py.import("signal")?;
+        // The C module under `signal`: its wrappers in Python cost more than a short simulation.
+        let signal = py.import("_signal")?;
         let current = signal.getattr("getsignal")?.call1((signal.getattr("SIGINT")?,))?;
         if let Ok(ours) = current.cast::<SigintHandler>() {
             // Inside of other work on the main thread, or on another thread while the main thread works: in the
@@ -171,7 +172,7 @@ impl<'py> Watch<'py> {
         self.serve(work, Stop::look)
     }
 
-    /// As [`run`](Self::run), for work that cannot be told to end: the first Ctrl-C does not wait for it.
+    /// As [`run`](Self::run), but the first Ctrl-C does not wait for the work to notice.
     pub(crate) fn run_briefly<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
@@ -220,7 +221,7 @@ impl Drop for Watch<'_> {
         lock(&handler.get().active).retain(|s| !Arc::ptr_eq(s, &self.stop));
         let Some(previous) = &self.previous else { return };
         let restore = || -> PyResult<()> {
-            let signal = self.py.import("signal")?;
+            let signal = self.py.import("_signal")?;
             let sigint = signal.getattr("SIGINT")?;
             if signal.call_method1("getsignal", (&sigint,))?.is(handler) {
                 signal.call_method1("signal", (&sigint, previous))?;

@@ -79,7 +79,9 @@ impl Model {
     fn get<'py>(&self, py: Python<'py>, names: Vec<String>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         // Initial values may need the model to be initialized, and for that to be built and loaded.
         let found = py.detach(|| {
-            self.with_session(|session| names.iter().map(|name| session.get(name)).collect::<Result<Vec<_>, _>>())
+            self.with_session(|session| {
+                names.iter().map(|name| session.get(name)).collect::<Result<Vec<_>, _>>()
+            })
         });
         logs::pass_on(py)?;
         let found = found?.map_err(|e| fmu_error::raise(py, &e))?;
@@ -89,7 +91,9 @@ impl Model {
     /// Sets variables: all of them, or none if one of them cannot be set.
     fn set(&self, py: Python<'_>, names: Vec<String>, given: Vec<Bound<'_, PyAny>>) -> PyResult<()> {
         let pairs = self.pairs(py, names.into_iter().zip(given))?;
-        let set_all = |session: &mut Session| pairs.iter().try_for_each(|(name, value)| session.set(name, value.clone()));
+        let set_all = |session: &mut Session| {
+            pairs.iter().try_for_each(|(name, value)| session.set(name, value.clone()))
+        };
         set_all(&mut Session::new(self.fmu.clone())).map_err(|e| fmu_error::raise(py, &e))?;
         self.with_session(set_all)?.map_err(|e| fmu_error::raise(py, &e))
     }
@@ -127,7 +131,9 @@ impl Model {
             return Err(e);
         }
         match outcome.flatten() {
-            Some(Ok(trajectory)) if !stop.is_asked() => Ok(Record::new(py, self.fmu.description(), trajectory)),
+            Some(Ok(trajectory)) if !stop.is_asked() => {
+                Ok(Record::new(py, self.fmu.description(), trajectory))
+            }
             Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),
             outcome => Err(interrupted(outcome.and_then(Result::err).as_ref())),
         }
@@ -178,7 +184,8 @@ impl Model {
     ) -> PyResult<(SimulateOptions, Callbacks)> {
         let flag = stop.flag();
         let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &flag)?;
-        let mut options = SimulateOptions::new().inputs(inputs).cancel(flag).record_events(request.record_events);
+        let mut options =
+            SimulateOptions::new().inputs(inputs).cancel(flag).record_events(request.record_events);
         options.start_time = request.start_time;
         options.final_time = request.final_time;
         options.times = request.times.map(|times| times.as_slice().map(<[f64]>::to_vec)).transpose()?;
@@ -187,7 +194,8 @@ impl Model {
         options.start_values = self.pairs(py, request.start_values.into_iter())?;
         options.outputs = Some(request.outputs.unwrap_or_else(|| default_outputs(self.fmu.description())));
         options.relative_tolerance = request.relative_tolerance;
-        options.method = request.solver.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
+        options.method =
+            request.solver.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
         options.step_size = request.step_size;
         options.max_step = request.max_step;
         options.timeout = match request.timeout {
@@ -211,8 +219,10 @@ fn find<'a>(py: Python<'_>, description: &'a ModelDescription, name: &str) -> Py
 /// Outputs and states, each name once.
 fn default_outputs(description: &ModelDescription) -> Vec<String> {
     let is_output = |v: &&Variable| v.causality == Causality::Output && v.kind != VariableKind::String;
-    let derivatives = description.structure.derivatives.iter().map(|unknown| &description.variables[unknown.index]);
-    let states = derivatives.filter_map(|derivative| derivative.derivative).map(|state| &description.variables[state]);
+    let derivatives =
+        description.structure.derivatives.iter().map(|unknown| &description.variables[unknown.index]);
+    let states =
+        derivatives.filter_map(|derivative| derivative.derivative).map(|state| &description.variables[state]);
     let others = states.filter(|state| state.causality != Causality::Output);
     description.variables.iter().filter(is_output).chain(others).map(|v| v.name.clone()).collect()
 }

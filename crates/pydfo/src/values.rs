@@ -112,5 +112,8 @@ fn unfit(variable: &Variable, given: &Bound<'_, PyAny>) -> PyErr {
     let text = given.repr().map_or_else(|_| String::new(), |text| text.to_string());
     let shown: String = text.chars().take(60).collect();
     let dots = if shown.len() < text.len() { "..." } else { "" };
-    ModelTypeError::new_err(format!("{} is of type {}, {shown}{dots} ({kind}) does not fit", variable.name, variable.kind))
+    ModelTypeError::new_err(format!(
+        "{} is of type {}, {shown}{dots} ({kind}) does not fit",
+        variable.name, variable.kind
+    ))
 }

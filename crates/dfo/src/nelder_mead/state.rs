@@ -178,7 +178,7 @@ impl NelderMeadState {
         let raw = |k: usize| centroid[k] + factor * (centroid[k] - worst[k]);
         for (k, u) in point.u.iter_mut().enumerate() {
             *u = space.bring_inside(k, raw(k), best[k], self.handling);
-            if mirrored_onto(*u, raw(k), centroid[k]) {
+            if self.handling == BoundsHandling::Mirror && mirrored_onto(*u, raw(k), centroid[k]) {
                 *u = beside(space, k, raw(k), centroid[k]);
             }
         }

@@ -5,11 +5,13 @@ mod directory;
 mod entries;
 mod hash;
 mod names;
+mod private;
 mod unpack;
 
 pub(crate) use hash::{files_below, of_texts as hash_of_texts};
 
 use crate::error::{EntryProblem, FmiError};
+use private::PrivateFolder;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -67,8 +69,8 @@ impl Default for ArchiveLimits {
 pub struct Archive {
     root: PathBuf,
     content_hash: String,
-    /// Removes the private folder on drop.
-    private: Option<tempfile::TempDir>,
+    /// Removes the folder on drop.
+    private: Option<PrivateFolder>,
 }
 
 impl Archive {
@@ -101,11 +103,7 @@ impl Archive {
         let mut file = File::open(path).map_err(FmiError::io("open", path))?;
         let listing = entries::list(path, &file, limits)?;
         let content_hash = hash::of_file(path, &mut file)?;
-        let base = crate::platform::unpack_base();
-        let private = tempfile::Builder::new()
-            .prefix("fmufit-")
-            .tempdir_in(&base)
-            .map_err(FmiError::io("create a folder in", base))?;
+        let private = PrivateFolder::create()?;
         unpack::all(path, &file, &listing, private.path())?;
         Ok(Archive { root: private.path().to_owned(), content_hash, private: Some(private) })
     }

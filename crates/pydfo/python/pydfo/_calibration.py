@@ -202,13 +202,13 @@ class Calibration:
 
     def _values(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
         if x is None:
-            return self.start.tolist()
+            return [parameter.start for parameter in self._parameters]
         if isinstance(x, Mapping):
             for name in x:
                 if name not in self.names:
                     raise BadCalibrationError(f"there is no parameter '{name}'; there are: {', '.join(self.names)}")
             return [_options.number(p.name, x.get(p.name, p.start)) for p in self._parameters]
-        return _options.vector("x", x).tolist()
+        return [float(value) for value in _options.vector("x", x)]
 
     def cost(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> float:
         """The sum of the squared weighted residuals.

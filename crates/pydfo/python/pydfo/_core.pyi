@@ -15,6 +15,21 @@ from ._parameter import Parameter
 from ._progress import Progress
 from ._result import OptimizeResult
 
+__all__ = [
+    "Calibration",
+    "Fmu",
+    "Model",
+    "__version__",
+    "build_fmu",
+    "check_parameter",
+    "clear_caches",
+    "close_unused",
+    "example_fmu",
+    "example_names",
+    "minimize",
+    "quad_err",
+]
+
 __version__: str
 
 def minimize(

@@ -67,7 +67,7 @@ def _names(table: dict[str, Any]) -> str:
 def _numbers(name: str, values: Any) -> list[float]:
     """A column as floats; what is masked, None or NA is missing (NaN)."""
     if isinstance(values, np.ma.MaskedArray):
-        values = values.astype(np.float64).filled(np.nan)
+        values = np.ma.filled(values.astype(np.float64), np.nan)
     elif hasattr(values, "to_numpy"):
         # missing values of nullable pandas columns, which float() refuses
         mask = values.isna() if hasattr(values, "isna") else None

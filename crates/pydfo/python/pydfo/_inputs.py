@@ -28,7 +28,7 @@ class Function:
     function: Callable[[float], Any]
 
 
-def normalize(given: object, inputs: list[str]) -> tuple[list[Table], list[Function]]:
+def normalize(given: Any, inputs: list[str]) -> tuple[list[Table], list[Function]]:
     """Tables and functions from the argument ``input``; `inputs` are the names of the model's inputs."""
     if given is None:
         return [], []
@@ -110,7 +110,8 @@ def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:
 
 def _column(name: str, values: Any) -> FloatArray:
     array = np.asarray(values)
-    if array.dtype.kind not in "biufO":
+    # NumPy would make NaN of None.
+    if array.dtype.kind not in "biufO" or (array.dtype.kind == "O" and any(v is None for v in array.flat)):
         raise TypeError(f"input {name} must be numbers, not of type {array.dtype}")
     try:
         array = np.ascontiguousarray(array, dtype=np.float64)

@@ -120,7 +120,7 @@ class FMUModel:
         return Description(self._fmu)
 
     @overload
-    def get(self, name: str) -> float | int | bool | str: ...
+    def get(self, name: str) -> float | int | bool | str: ...  # type: ignore[overload-overlap]
     @overload
     def get(self, name: Iterable[str]) -> list[float | int | bool | str]: ...
     def get(self, name: str | Iterable[str]) -> float | int | bool | str | list[float | int | bool | str]:
@@ -218,7 +218,8 @@ class FMUModel:
         input : optional
             What drives the inputs:
 
-            - a dict of arrays with "time", or a DataFrame with a column or an index "time", or a structured array;
+            - a dict of arrays with "time", or a DataFrame with a column or an index "time", or a structured array (in a
+              dict, a number is a constant);
             - ``(names, matrix)`` with the times in the first column;
             - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
 
@@ -279,20 +280,20 @@ class FMUModel:
             solver = "auto"
         tables, functions = _inputs.normalize(input, self.description.inputs) if input is not None else ([], [])
         request = Request(
-            start_time=_options.optional_number("start_time", start_time),
-            final_time=_options.optional_number("final_time", final_time),
+            start_time=_number("start_time", start_time),
+            final_time=_number("final_time", final_time),
             times=None if times is None else np.ascontiguousarray(_options.vector("times", times)),
-            output_interval=_options.optional_number("output_interval", output_interval),
-            ncp=_options.limit("ncp", ncp, 1),
+            output_interval=_number("output_interval", output_interval),
+            ncp=_options.limit("ncp", _number("ncp", ncp), 1),
             start_values=_pairs(start_values),
             outputs=self._outputs(output),
             tables=tables,
             functions=functions,
-            relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
+            relative_tolerance=_number("relative_tolerance", relative_tolerance),
             solver=solver,
-            step_size=_options.optional_number("step_size", step_size),
-            max_step=_options.optional_number("max_step", max_step),
-            timeout=_options.optional_number("timeout", timeout),
+            step_size=_number("step_size", step_size),
+            max_step=_number("max_step", max_step),
+            timeout=_number("timeout", timeout),
             record_events=bool(record_events),
         )
         return SimulationResult(**self._model.simulate(request))
@@ -320,6 +321,12 @@ class FMUModel:
         d = self.description
         closed = ", closed" if self._model.closed else ""
         return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} ME, {d.n_states} states, {str(self.path)!r}{closed}>"
+
+
+def _number(argument: str, value: SupportsFloat | None) -> float | None:
+    if isinstance(value, (str, bytes)):
+        raise TypeError(f"{argument} must be a number, not {value!r}")
+    return _options.optional_number(argument, value)
 
 
 def _names(argument: str, names: Iterable[str]) -> list[str]:

@@ -7,7 +7,7 @@ import operator
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import SupportsFloat, SupportsIndex
+from typing import Any, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -106,10 +106,9 @@ def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: in
     """A bound per parameter; None, for all or for one of them, stands for `default`; a number holds for all."""
     if value is None:
         return np.full(n, default)
-    if isinstance(value, (list, tuple)):
-        value = [default if v is None else v for v in value]
-    array = vector(name, value)
-    if np.ndim(value) == 0:  # type: ignore[arg-type]
+    given: Any = [default if v is None else v for v in value] if isinstance(value, (list, tuple)) else value
+    array = vector(name, given)
+    if np.ndim(given) == 0:
         return np.full(n, array[0])
     if len(array) != n:
         raise ValueError(f"{name} has {len(array)} values for {n} parameters")

@@ -109,6 +109,7 @@ class SimplexWalk:
 def convergence(result: OptimizeResult) -> Figure:
     """The best cost, and each cost, over the evaluations."""
     plt = pyplot()
+    figure: Figure
     figure, axes = plt.subplots(layout="constrained")
     trace = result.trace
     if trace is not None:
@@ -132,6 +133,7 @@ def fit(fit: Fit, calibration: Calibration) -> Figure:
     """Measurements, the response at the start and the fitted one per output; below, the residuals of both."""
     plt = pyplot()
     measured = calibration.measurements()
+    figure: Figure
     figure, axes = plt.subplots(
         2, len(measured), sharex="col", squeeze=False, figsize=(6.4 * len(measured), 6.0), height_ratios=[2, 1],
         layout="constrained",

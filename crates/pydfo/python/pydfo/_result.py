@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import ItemsView, Iterator, KeysView, ValuesView
 from typing import TYPE_CHECKING, Any, Final, overload
 
@@ -91,7 +92,7 @@ class Trace:
     def to_dataframe(self) -> Any:
         """The trace as a pandas.DataFrame, one row per evaluation. Needs pandas."""
         try:
-            import pandas as pd
+            pd: Any = importlib.import_module("pandas")
         except ImportError as e:
             raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
         columns: dict[str, Any] = {f"x{i}": self.x[:, i] for i in range(self.x.shape[1])}

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+import importlib
+from collections.abc import Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
@@ -94,15 +95,16 @@ class SimulationResult(Mapping[str, FloatArray]):
     ) -> None:
         self.time = time
         self.left_limit = left
-        self.events = np.rec.fromarrays(
-            [event_times, np.asarray(event_kinds, dtype="U21")], names=["time", "kind"]
-        )
+        events = np.empty(len(event_times), dtype=[("time", np.float64), ("kind", "U21")])
+        events["time"] = event_times
+        events["kind"] = event_kinds
+        self.events = events.view(np.recarray)
         self.stats = SimulationStats(**stats)
         self.termination = termination
         self.end_time = end_time
         self._columns = {"time": time} | dict(zip(names, columns))
         self._types = {"time": "Real"} | dict(zip(names, types))
-        self._units = {"time": "s"} | dict(zip(names, units))
+        self._units: dict[str, str | None] = {"time": "s", **dict(zip(names, units))}
 
     def __getitem__(self, name: str) -> FloatArray:
         try:
@@ -112,10 +114,14 @@ class SimulationResult(Mapping[str, FloatArray]):
 
     def _missing(self, name: object) -> str:
         nearest = difflib.get_close_matches(str(name), self._columns, n=3)
-        hint = f"; did you mean {', '.join(nearest)}?" if nearest else ""
+        hint = f"; did you mean {', '.join(nearest)}?" if nearest else "."
         names = list(self._columns)
         shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-        return f'"{name}" was not recorded{hint} There are: {shown} (simulate(output=[...]) chooses)'
+        return f'"{name}" was not recorded{hint} Recorded are {shown}; simulate(output=[...]) chooses'
+
+    def keys(self) -> KeysView[str]:
+        """The names of the columns, "time" first."""
+        return self._columns.keys()
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)
@@ -131,7 +137,7 @@ class SimulationResult(Mapping[str, FloatArray]):
         )
 
     @overload
-    def final(self, name: str) -> float: ...
+    def final(self, name: str) -> float: ...  # type: ignore[overload-overlap]
     @overload
     def final(self, name: Sequence[str]) -> list[float]: ...
     def final(self, name: str | Sequence[str]) -> float | list[float]:
@@ -153,7 +159,7 @@ class SimulationResult(Mapping[str, FloatArray]):
         """A pandas.DataFrame with a column per variable, ``time`` first; Integers and Booleans have their types.
         Needs pandas."""
         try:
-            import pandas as pd
+            pd: Any = importlib.import_module("pandas")
         except ImportError as e:
             raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
         return pd.DataFrame({name: column.astype(_DTYPES[self._types[name]]) for name, column in self.items()})
@@ -179,6 +185,7 @@ class SimulationResult(Mapping[str, FloatArray]):
         for name in chosen:
             self[name]
             groups.setdefault(self._units[name], []).append(name)
+        figure: Figure
         figure, plots = plt.subplots(max(len(groups), 1), 1, sharex=True, squeeze=False, layout="constrained")
         for axes, (unit, members) in zip(plots[:, 0], groups.items()):
             for name in members:

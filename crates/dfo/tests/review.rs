@@ -1,0 +1,66 @@
+//! Corners that once went wrong: logarithms without bounds, clamping, pools within pools, panics of the poll function.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use dfo::{BoundsHandling, NelderMead, Transform, WorkerPool, minimize};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+#[test]
+fn a_log_parameter_without_bounds_stays_a_number() {
+    for f in [|x: &[f64]| 1.0 / x[0], |x: &[f64]| x[0]] {
+        let report =
+            minimize(f).start(&[1.0]).transforms(&[Transform::Log]).max_iterations(3000).run().unwrap();
+        assert!(report.trace.iter().all(|e| e.x[0].is_normal()), "{report}");
+    }
+}
+
+#[test]
+fn clamped_points_lie_on_the_bound_not_in_the_middle() {
+    let method = NelderMead::default().bounds_handling(BoundsHandling::Clamp);
+    let report = minimize(|x: &[f64]| x[0])
+        .start(&[0.3])
+        .bounds(&[0.0], &[1.0])
+        .unwrap()
+        .method(method)
+        .run()
+        .unwrap();
+    assert_eq!(report.x, [0.0]);
+    let late = report.trace.iter().skip(10);
+    assert!(late.filter(|e| e.x[0] == 0.5).count() == 0);
+}
+
+#[test]
+fn a_minimisation_within_a_minimisation_on_the_same_pool_ends() {
+    let pool = Arc::new(WorkerPool::new(1).unwrap());
+    let inner = Arc::clone(&pool);
+    let outer = move |x: &[f64]| {
+        let a = x[0];
+        let run = minimize(move |y: &[f64]| (y[0] - a).powi(2)).start(&[0.0]).pool(Arc::clone(&inner));
+        run.run().unwrap().x[0].powi(2)
+    };
+    let report = minimize(outer).start(&[1.0]).pool(pool).max_evaluations(30).run().unwrap();
+    assert!(report.fun < 1.0);
+}
+
+#[test]
+fn a_panic_of_the_poll_function_ends_the_batch() {
+    let calls = AtomicUsize::new(0);
+    let objective = |x: &[f64]| {
+        calls.fetch_add(1, Ordering::SeqCst);
+        std::thread::sleep(Duration::from_millis(100));
+        x.iter().sum()
+    };
+    let mut polls = 0;
+    let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        let poll = || {
+            polls += 1;
+            assert!(polls < 2, "out of patience");
+            false
+        };
+        minimize(objective).start(&[1.0; 12]).workers(2).poll(poll).run()
+    }));
+    assert!(result.is_err());
+    assert!(calls.load(Ordering::SeqCst) < 13);
+}

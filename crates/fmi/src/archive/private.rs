@@ -1,0 +1,133 @@
+//! Private folders for unpacked archives: gone when the value goes, swept up later if the process was killed.
+//!
+//! Layout: `fmufit-XXXXXX/fmu/` is what is handed out, `fmufit-XXXXXX/lock` is locked by the process that owns it.
+
+use crate::error::FmiError;
+use crate::platform;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::sync::Once;
+use tempfile::TempDir;
+
+const PREFIX: &str = "fmufit-";
+const INSIDE: &str = "fmu";
+const LOCK: &str = "lock";
+
+/// A folder of this process.
+#[derive(Debug)]
+pub(super) struct PrivateFolder {
+    folder: Option<TempDir>,
+    inside: PathBuf,
+    /// Held until the folder goes; absent where the file system has no locks, then nobody sweeps.
+    lock: Option<File>,
+    /// The process that made it. A forked child has the value too, but not the right to remove the folder.
+    owner: u32,
+}
+
+impl PrivateFolder {
+    /// Makes an empty folder. The first call in a process removes what killed processes left behind.
+    pub(super) fn create() -> Result<Self, FmiError> {
+        static SWEPT: Once = Once::new();
+        let base = platform::unpack_base();
+        SWEPT.call_once(|| sweep(&base));
+        PrivateFolder::create_in(&base)
+    }
+
+    fn create_in(base: &Path) -> Result<Self, FmiError> {
+        let folder = tempfile::Builder::new()
+            .prefix(PREFIX)
+            .tempdir_in(base)
+            .map_err(FmiError::io("create a folder in", base))?;
+        let lock = take_lock(&folder.path().join(LOCK));
+        let inside = folder.path().join(INSIDE);
+        fs::create_dir(&inside).map_err(FmiError::io("create", &inside))?;
+        Ok(PrivateFolder { folder: Some(folder), inside, lock, owner: std::process::id() })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.inside
+    }
+}
+
+impl Drop for PrivateFolder {
+    fn drop(&mut self) {
+        self.lock = None; // some systems do not remove open files
+        let folder = self.folder.take();
+        if self.owner != std::process::id() {
+            let _ = folder.map(TempDir::keep);
+        }
+    }
+}
+
+/// Creates a file that is locked from the moment it has its name; nothing stays if it cannot be locked.
+fn take_lock(path: &Path) -> Option<File> {
+    let unnamed = path.with_extension("new");
+    let file = File::create_new(&unnamed).ok()?;
+    if file.try_lock().is_ok() && fs::rename(&unnamed, path).is_ok() {
+        return Some(file);
+    }
+    drop(file);
+    let _ = fs::remove_file(&unnamed);
+    None
+}
+
+/// Removes the folders in `base` that have a lock which nobody holds: their processes are gone. Folders of other
+/// users, and those in the making, which have no lock yet, are left alone.
+fn sweep(base: &Path) {
+    for entry in fs::read_dir(base).into_iter().flatten().flatten() {
+        if !entry.file_name().to_string_lossy().starts_with(PREFIX) {
+            continue;
+        }
+        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        let lock = File::options().write(true).open(entry.path().join(LOCK));
+        if let (true, Ok(lock)) = (is_folder, lock)
+            && lock.try_lock().is_ok()
+        {
+            drop(lock);
+            if let Err(error) = fs::remove_dir_all(entry.path()) {
+                log::debug!("{} stays: {error}", entry.path().display());
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_goes_with_its_value() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = PrivateFolder::create_in(base.path()).unwrap();
+        assert!(folder.path().is_dir() && folder.lock.is_some());
+        drop(folder);
+        assert_eq!(fs::read_dir(base.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_value_inherited_from_another_process_leaves_the_folder() {
+        let base = tempfile::tempdir().unwrap();
+        let mut folder = PrivateFolder::create_in(base.path()).unwrap();
+        folder.owner ^= 1;
+        let path = folder.path().to_owned();
+        drop(folder);
+        assert!(path.is_dir());
+    }
+
+    #[test]
+    fn only_what_was_left_behind_is_swept() {
+        let base = tempfile::tempdir().unwrap();
+        let live = PrivateFolder::create_in(base.path()).unwrap();
+        let mut dead = PrivateFolder::create_in(base.path()).unwrap();
+        dead.owner ^= 1; // dropped without being removed, as if the process had been killed
+        let dead_path = dead.path().to_owned();
+        drop(dead);
+        let (unlocked, foreign) = (base.path().join("fmufit-new"), base.path().join("other"));
+        fs::create_dir(&unlocked).unwrap();
+        fs::create_dir(&foreign).unwrap();
+        fs::write(foreign.join(LOCK), "").unwrap();
+        sweep(base.path());
+        assert!(!dead_path.exists());
+        assert!(live.path().exists() && unlocked.exists() && foreign.exists());
+    }
+}

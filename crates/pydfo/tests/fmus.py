@@ -1,0 +1,73 @@
+"""FMUs made by hand, and what tests of models share."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from pydfo import example_fmu
+
+EXAMPLES = ("furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input")
+
+ME = '<ModelExchange modelIdentifier="m"/>'
+
+#: A variable of each kind.
+KINDS = """
+<ScalarVariable name="pi" valueReference="1" causality="local" variability="constant"><Real start="3.14"/></ScalarVariable>
+<ScalarVariable name="text" valueReference="2" causality="parameter" variability="fixed"><String start="abc"/></ScalarVariable>
+<ScalarVariable name="color" valueReference="3" causality="parameter" variability="fixed">
+  <Enumeration declaredType="Color" start="2"/>
+</ScalarVariable>
+<ScalarVariable name="no start" valueReference="4" causality="local"><Real/></ScalarVariable>
+"""
+
+TYPES = """
+<TypeDefinitions><SimpleType name="Color" description="Colours"><Enumeration>
+  <Item name="red" value="1"/><Item name="blue" value="2" description="as the sky"/><Item name="green" value="4"/>
+</Enumeration></SimpleType></TypeDefinitions>
+"""
+
+
+def xml(variables="", *, interface=ME, before=TYPES, head="", structure="", declaration='<?xml version="1.0" encoding="UTF-8"?>'):
+    """A model description of FMI 2.0."""
+    return (
+        f'{declaration}<fmiModelDescription fmiVersion="2.0" modelName="M" guid="{{1}}" numberOfEventIndicators="0" {head}>'
+        f"{interface}{before}<ModelVariables>{variables}</ModelVariables><ModelStructure>{structure}</ModelStructure>"
+        "</fmiModelDescription>"
+    )
+
+
+def write(path, description=None, files=()):
+    """An archive with a model description and files, a dict or pairs of names and contents."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        if description is not None:
+            archive.writestr("modelDescription.xml", description)
+        for name, content in dict(files).items():
+            archive.writestr(name, content)
+    return Path(path)
+
+
+def changed(example, path, *replacements):
+    """A bundled model with pairs of (old, new) replaced in its description."""
+    with zipfile.ZipFile(example_fmu(example)) as source, zipfile.ZipFile(path, "w") as out:
+        for entry in source.infolist():
+            content = source.read(entry)
+            if entry.filename == "modelDescription.xml":
+                for old, new in replacements:
+                    assert old.encode() in content
+                    content = content.replace(old.encode(), new.encode())
+            out.writestr(entry, content)
+    return Path(path)
+
+
+def same_bits(a, b):
+    """Whether two results have the same columns, bit for bit."""
+    return list(a) == list(b) and all(a[name].tobytes() == b[name].tobytes() for name in a)
+
+
+def bounces(n, height=1.0, g=9.81, e=0.7):
+    """Times of the first `n` impacts of the bouncing ball."""
+    k = np.arange(n)
+    return np.sqrt(2 * height / g) * (1 + 2 * e * (1 - e**k) / (1 - e))

@@ -1,0 +1,30 @@
+"""The documentation: examples that are true, and something said about everything public."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import inspect
+import pkgutil
+
+import pytest
+
+import pydfo
+
+MODULES = [f"pydfo.{module.name}" for module in pkgutil.walk_packages(pydfo.__path__) if not module.ispkg]
+
+
+@pytest.mark.parametrize("name", [m for m in MODULES if m != "pydfo._core"])
+def test_examples_are_true(name):
+    module = importlib.import_module(name)
+    failed, _ = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    assert failed == 0 and module.__doc__
+
+
+@pytest.mark.parametrize("name", sorted(set(pydfo.__all__) - {"__version__"}))
+def test_everything_public_is_documented(name):
+    thing = getattr(pydfo, name)
+    assert inspect.getdoc(thing)
+    for member, value in vars(thing).items() if inspect.isclass(thing) else ():
+        if not member.startswith("_") and (inspect.isfunction(value) or isinstance(value, property)):
+            assert inspect.getdoc(value), f"{name}.{member}"

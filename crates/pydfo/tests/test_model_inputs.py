@@ -1,0 +1,249 @@
+"""Inputs in all their forms, on a first-order lag with a Real, an Integer and a Boolean input."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import weakref
+
+import fmus
+import numpy as np
+import pytest
+
+from pydfo import FMUModel, example_fmu
+
+K, T = 2.0, 0.5
+TIGHT = {"relative_tolerance": 1e-10}
+
+
+@pytest.fixture
+def switched():
+    return FMUModel(example_fmu("switched_input"))
+
+
+def lag(x0, target, dt):
+    return target + (x0 - target) * np.exp(-dt / T)
+
+
+def ramp(t, rate=1.0, gear=1):
+    """Response to u = rate t."""
+    return K * gear * rate * (t - T * (1 - np.exp(-t / T)))
+
+
+def ramp_forms():
+    """u = t from 0 to 5 in every form."""
+    times = np.linspace(0.0, 5.0, 11)
+    matrix = np.column_stack([times, times])
+    structured = np.array(list(zip(times, times)), dtype=[("time", float), ("u", float)])
+    return {
+        "dict of arrays": {"time": times, "u": times},
+        "dict of lists": {"u": times.tolist(), "time": times.tolist()},
+        "dict of columns": {"time": times[:, None], "u": times[:, None]},
+        "dict of integers": {"time": np.arange(6), "u": np.arange(6)},
+        "structured": structured,
+        "record array": structured.view(np.recarray),
+        "name and matrix": ("u", matrix),
+        "names and matrix": (["u"], matrix),
+        "names and lists": (("u",), matrix.tolist()),
+        "array of names and matrix": (np.array(["u"]), matrix),
+        "matrix in Fortran order": ("u", np.asfortranarray(matrix)),
+        "dict of a function": {"u": lambda t: t},
+        "name and function": ("u", lambda t: t),
+        "names and function": (["u"], lambda t: [t]),
+        "function of arrays": (["u"], lambda t: np.array([t])),
+        "function of NumPy scalars": ("u", lambda t: np.float64(t)),
+        "function of integers": {"u": lambda t: 0 if t == 0 else t},
+    }
+
+
+@pytest.mark.parametrize("form", ramp_forms())
+def test_a_ramp(switched, form):
+    times = np.linspace(0.0, 5.0, 21)
+    res = switched.simulate(0, 5, times=times, input=ramp_forms()[form], output=["x", "u"], **TIGHT)
+    assert res["x"] == pytest.approx(ramp(times), abs=1e-8)
+    assert res["u"] == pytest.approx(times, abs=1e-14)
+
+
+def frame(index=False):
+    pandas = pytest.importorskip("pandas")
+    data = pandas.DataFrame({"time": [0.0, 1.0, 2.0, 5.0], "u": 1.0, "gear": [1, 2, 2, 2], "enabled": [True, True, False, False]})
+    return data.set_index("time") if index else data
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda: {"time": [0, 1, 2, 5], "u": np.ones(4), "gear": [1, 2, 2, 2], "enabled": [True, True, False, False]},
+        lambda: {"time": [0, 1, 2, 5], "u": 1.0, "gear": [1, 2, 2, 2], "enabled": [1, 1, 0, 0]},
+        lambda: {"time": [0, 1, 2, 5], "u": lambda t: 1.0, "gear": [1, 2, 2, 2], "enabled": [1, 1, 0, 0]},
+        lambda: (["u", "gear", "enabled"], [[0, 1, 1, 1], [1, 1, 2, 1], [2, 1, 2, 0], [5, 1, 2, 0]]),
+        frame,
+        lambda: frame(index=True),
+        lambda: frame().to_records(index=False),
+    ],
+    ids=["dict", "constant", "function", "matrix", "DataFrame", "DataFrame with index", "records"],
+)
+def test_all_kinds_of_inputs_and_their_jumps(switched, form):
+    res = switched.simulate(0, 5, times=[0, 1, 2, 3, 5], input=form(), record_events=True, **TIGHT)
+    x1 = lag(0, 2, 1)
+    x2 = lag(x1, 4, 1)
+    x3 = lag(x2, 0, 1)
+    exact = {0.0: 0.0, 1.0: x1, 2.0: x2, 3.0: x3, 5.0: lag(x3, 0, 2)}
+    for time, value in exact.items():
+        assert res["x"][res.time == time] == pytest.approx(value, abs=1e-8)
+    assert list(res.events["kind"]) == ["state", "input", "input", "state"]
+    assert res.events["time"] == pytest.approx([T * np.log(4), 1, 2, 2 + T * np.log(x2)], abs=1e-9)
+    before, after = res["target"][res.time == 1.0]
+    assert (before, after) == (2.0, 4.0)
+
+
+def test_a_time_listed_twice_is_a_jump(switched):
+    inputs = {"time": [0, 1, 1, 2], "u": [0, 0, 3, 3]}
+    res = switched.simulate(0, 2, times=[0.5, 1, 1, 2], input=inputs, output=["x", "u"], **TIGHT)
+    assert list(res["u"]) == [0, 0, 3, 3]
+    assert res["x"] == pytest.approx([0, 0, 0, lag(0, 6, 1)], abs=1e-8)
+    assert list(res.events["time"])[:1] == [1.0] and res.events["kind"][0] == "input"
+
+
+def test_tables_hold_outside_of_their_span(switched):
+    res = switched.simulate(0, 4, ncp=4, input={"time": [1, 2], "u": [1, 2]}, output=["u"])
+    assert list(res["u"]) == [1, 1, 2, 2, 2]
+
+
+def test_a_function_is_called_once_for_a_time(switched):
+    calls = []
+
+    def function(t):
+        calls.append(t)
+        return (t,)
+
+    res = switched.simulate(0, 5, input=(["u"], function))
+    assert res.final("x") == pytest.approx(ramp(5.0), rel=1e-5)
+    assert all(a != b for a, b in zip(calls, calls[1:]))
+
+
+def test_inputs_count_for_one_simulation(switched):
+    plain = switched.simulate(0, 1)
+    switched.simulate(0, 1, input={"u": 3.0})
+    assert fmus.same_bits(plain, switched.simulate(0, 1))
+    switched.set("u", 3.0)
+    assert fmus.same_bits(switched.simulate(0, 1), switched.simulate(0, 1, input={"u": 3.0}))
+
+
+def test_a_function_alone(switched):
+    with pytest.raises(ValueError, match=r"3 \(u, enabled, gear\)"):
+        switched.simulate(0, 1, input=np.sin)
+    with pytest.raises(ValueError, match="none"):
+        FMUModel(example_fmu("dahlquist")).simulate(0, 1, input=np.sin)
+
+
+def test_a_function_alone_for_one_input(tmp_path):
+    others = ('causality="input" variability="discrete"', 'causality="parameter" variability="tunable"')
+    model = FMUModel(fmus.changed("switched_input", tmp_path / "m.fmu", others))
+    assert model.description.inputs == ["u"]
+    res = model.simulate(0, 5, input=lambda t: t, **TIGHT)
+    assert res["x"] == pytest.approx(ramp(res.time), abs=1e-8)
+    assert res["x"] == pytest.approx(model.simulate(0, 5, input=np.positive, **TIGHT)["x"], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"u": [1.0, 2.0]}, "'time'"),
+        ({"time": [0, 1], "u": [1.0]}, "1 values for 2 times"),
+        ({"time": [0, 1], "u": [1.0, np.nan]}, "NaN"),
+        ({"time": [0, np.inf], "u": [1.0, 2.0]}, "inf"),
+        ({"time": [1, 0], "u": [1.0, 2.0]}, "ascend"),
+        ({"time": [], "u": []}, "no rows"),
+        ({"time": [0, 1], "u": np.zeros((2, 2))}, "one-dimensional"),
+        ({"time": [0, 1], "gear": [1, 1.5]}, "not an integer"),
+        ({"time": [0, 1], "enabled": [1, 2]}, "0 or 1"),
+        ({"time": [0, 1], "K": [1, 2]}, "not an input"),
+        ({"time": [0, 1], "u": [1, 2], "gear": lambda t: 1}, "continuous real"),
+        (("u", np.zeros((3, 3))), r"\(3, 3\)"),
+        (("u", np.zeros(3)), r"\(3,\)"),
+        ((["u", "u"], np.zeros((3, 3))), "twice"),
+        (np.zeros(2, dtype=[("u", float)]), "'time'"),
+    ],
+    ids=str,
+)
+def test_inputs_that_make_no_sense(switched, given, message):
+    with pytest.raises(ValueError, match=message):
+        switched.simulate(0, 2, input=given)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [3.0, "u", ["u"], np.zeros((2, 2)), {3: [1]}, {"time": [0, 1], "u": ["a", "b"]}, {"u": "on"}, {"u": None}, ("u", "v"), ([3], np.zeros((2, 2)))],
+    ids=str,
+)
+def test_inputs_of_the_wrong_type(switched, given):
+    with pytest.raises(TypeError):
+        switched.simulate(0, 2, input=given)
+
+
+def test_a_frame_without_times(switched):
+    pandas = pytest.importorskip("pandas")
+    with pytest.raises(ValueError, match="'time'"):
+        switched.simulate(0, 2, input=pandas.DataFrame({"u": [1.0, 2.0]}))
+
+
+def test_an_exception_of_a_function_comes_out_as_it_is(switched):
+    error = ZeroDivisionError("mine")
+
+    def function(t):
+        if t > 1:
+            raise error
+        return 1.0
+
+    with pytest.raises(ZeroDivisionError) as info:
+        switched.simulate(0, 5, input={"u": function})
+    assert info.value is error
+    assert switched.simulate(0, 1).termination == "finished"
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [("a", TypeError), (None, TypeError), ([1.0, 2.0], TypeError), (np.nan, ValueError), (np.inf, ValueError), (1j, TypeError)],
+    ids=str,
+)
+def test_what_a_function_must_not_return(switched, value, kind):
+    with pytest.raises(kind, match="input function"):
+        switched.simulate(0, 1, input={"u": lambda t: value})
+
+
+def test_the_lock_is_taken_only_inside_of_a_function(switched):
+    threads = set()
+    ticks, stop = [], threading.Event()
+
+    def tick():
+        while not stop.wait(0.0005):
+            ticks.append(1)
+
+    def function(t):
+        threads.add(threading.get_ident())
+        return t
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    switched.simulate(0, 5, input={"u": function}, max_step=1e-3)
+    stop.set()
+    thread.join()
+    assert ticks and len(threads) == 1
+
+
+def test_a_function_must_not_use_the_model(switched):
+    with pytest.raises(RuntimeError, match="simulated"):
+        switched.simulate(0, 1, input={"u": lambda t: switched.get("x")})
+
+
+def test_a_function_is_let_go_of_after_the_simulation():
+    class Holder:
+        pass
+
+    model, holder = FMUModel(example_fmu("switched_input")), Holder()
+    model.simulate(0, 1, input={"u": lambda t, holder=holder: t})
+    gone = weakref.ref(holder)
+    del holder
+    gc.collect()
+    assert gone() is None
