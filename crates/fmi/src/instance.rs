@@ -155,15 +155,7 @@ impl Core {
     pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<(), FmiError> {
         if !values.is_empty() {
             self.call(RawInstance::enter_configuration)?;
-            // One by one: some FMUs count the values of a common call wrongly.
-            for (kind, references, lanes) in &values.packed {
-                for (reference, lane) in references.iter().zip(lanes) {
-                    let (reference, lane) = ([*reference], [*lane]);
-                    self.raw
-                        .set_packed(*kind, &reference, &lane)
-                        .map_err(|fault| self.error_about(fault, &reference, |other| other == *kind))?;
-                }
-            }
+            self.apply(values)?;
             self.call(RawInstance::exit_configuration)?;
         }
         self.structure.clone_from(structure);
