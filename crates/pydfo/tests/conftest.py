@@ -34,3 +34,10 @@ class Recorder:
 @pytest.fixture
 def recorder():
     return Recorder(rosenbrock)
+
+
+def pytest_configure() -> None:
+    """A shell that runs the tests in the background has them ignore Ctrl-C; the tests of Ctrl-C need Python's own way."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
