@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
+mod promises;
+
 use fmi::description::{
     BaseUnit, Causality, DependencyKind, Initial, ModelDescription, QuirkKind, Variability, VariableKind,
 };
@@ -552,12 +554,12 @@ proptest! {
 
     #[test]
     fn any_bytes_are_refused_or_read(bytes in prop::collection::vec(any::<u8>(), 0..500)) {
-        let _ = ModelDescription::parse(&bytes);
+        promises::hold_for_document(&bytes);
     }
 
     #[test]
     fn any_text_inside_the_root_is_refused_or_read(text in "[<>/=\"' a-zA-Z&;#0-9!\\[\\]?-]{0,200}") {
-        let _ = ModelDescription::parse(format!("<fmiModelDescription fmiVersion='2.0'>{text}").as_bytes());
+        promises::hold_for_document(format!("<fmiModelDescription fmiVersion='2.0'>{text}").as_bytes());
     }
 
     /// Whatever a changed document says, all indices of what is accepted are in range.
@@ -576,15 +578,6 @@ proptest! {
             let place = place.index(bytes.len());
             bytes[place] = value;
         }
-        if let Ok(model) = ModelDescription::parse(&bytes) {
-            let n = model.variables.len();
-            let structure = &model.structure;
-            for unknown in structure.outputs.iter().chain(&structure.derivatives).chain(&structure.initial_unknowns) {
-                prop_assert!(unknown.index < n);
-                prop_assert!(unknown.dependencies.iter().flatten().all(|&index| index < n));
-                prop_assert!(unknown.kinds.is_empty() || Some(unknown.kinds.len()) == unknown.dependencies.as_ref().map(Vec::len));
-            }
-            prop_assert!(model.variables.iter().all(|variable| variable.derivative.is_none_or(|index| index < n)));
-        }
+        promises::hold_for_document(&bytes);
     }
 }
