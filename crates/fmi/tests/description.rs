@@ -10,7 +10,6 @@ use fmi::description::{
 };
 use fmi::{FmiError, Value};
 use proptest::prelude::*;
-use std::time::{Duration, Instant};
 
 /// A description that uses nearly everything FMI 2.0 knows, and no quirk.
 const FULL: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
@@ -458,9 +457,7 @@ fn entity_bombs_are_refused() {
         bomb += &format!("<!ENTITY a{i} \"&a{0};&a{0};\">", i - 1);
     }
     bomb += "]>\n<fmiModelDescription fmiVersion=\"2.0\" modelName=\"&a29;\" guid=\"\"/>";
-    let start = Instant::now();
     assert!(refusal(&bomb).contains("line 2: a document type definition"));
-    assert!(start.elapsed() < Duration::from_secs(1));
     let external = "<!DOCTYPE a SYSTEM \"file:///etc/passwd\"><fmiModelDescription fmiVersion=\"2.0\"/>";
     assert!(refusal(external).contains("document type definition"));
     assert!(refusal(&FULL.replace("by hand", "&undefined;")).contains("generationTool"));
@@ -525,28 +522,15 @@ fn large(n: usize) -> String {
     document(&variables, &format!("<Derivatives>{unknowns}</Derivatives>"))
 }
 
+/// How long it takes is the question of `benches/open.rs`.
 #[test]
-fn a_hundred_thousand_variables_take_no_time() {
-    let small = large(10_000);
-    let big = large(100_000);
-    let time = |text: &str| {
-        let start = Instant::now();
-        let model = parse(text);
-        (start.elapsed(), model)
-    };
-    let (small_time, _) = time(&small);
-    let (big_time, model) = time(&big);
-    println!("10 000 variables: {small_time:?}, 100 000: {big_time:?}");
-    // A quadratic step would take a hundred times as long; the bound for slow machines is generous.
-    assert!(big_time < 40 * small_time.max(Duration::from_millis(20)), "{small_time:?}, {big_time:?}");
-    let start = Instant::now();
+fn a_hundred_thousand_variables_are_read_and_found() {
+    let model = parse(&large(100_000));
+    assert_eq!(model.variables.len(), 100_000);
     for i in 1..=100_000 {
         assert_eq!(model.variable_index(&format!("plant.stage[{i}].massFlowRate")), Some(i - 1));
     }
-    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
-    let start = Instant::now();
     assert_eq!(model.nearest_names("plant.stage[500].masFlowRate", 1), ["plant.stage[500].massFlowRate"]);
-    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
 }
 
 proptest! {
