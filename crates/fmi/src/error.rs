@@ -129,11 +129,15 @@ pub enum FmiError {
         /// The version.
         version: String,
     },
-    /// The FMU offers co-simulation only.
-    #[error("{model} offers co-simulation only; this version simulates model exchange")]
-    NoModelExchange {
+    /// The FMU cannot be run in the way asked for.
+    #[error("{model} offers no {wanted}; it offers {offered}")]
+    NotOffered {
         /// Name of the model.
         model: String,
+        /// The interface asked for.
+        wanted: String,
+        /// The interfaces there are.
+        offered: String,
     },
     /// The FMU is a front for another program.
     #[error("{model} needs the tool that made it{} (needsExecutionTool); such FMUs cannot be run", tool.as_deref().map(|t| format!(" ({t})")).unwrap_or_default())]

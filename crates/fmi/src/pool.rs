@@ -95,7 +95,7 @@ impl Pool {
     pub fn reuse(&self) -> Result<Reuse, FmiError> {
         let mut state = self.state();
         self.test(&mut state)
-            .map(|tested| self.plan.fmu().reuse().map_or(tested.reuse, |known| known.max(tested.reuse)))
+            .map(|tested| self.plan.reuse().map_or(tested.reuse, |known| known.max(tested.reuse)))
     }
 
     /// Whether several instances can be used at the same time.
@@ -141,7 +141,7 @@ impl Pool {
 
     /// What all users of the library share.
     fn shared(&self) -> Result<Arc<Shared>, FmiError> {
-        Ok(Arc::clone(self.plan.fmu().library()?.shared()))
+        Ok(Arc::clone(self.plan.fmu().library(self.plan.kind)?.shared()))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -154,8 +154,8 @@ impl Pool {
             return Ok(tested);
         }
         let shared = self.shared()?;
-        let only_one =
-            self.plan.fmu().check_runnable()?.capabilities.can_be_instantiated_only_once_per_process;
+        let interface = self.plan.fmu().check_interface(self.plan.kind)?;
+        let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
         if only_one {
             shared.set_dependent();
         }
@@ -178,7 +178,7 @@ impl Pool {
             state.tested = Some(cautious);
             return Ok(cautious);
         };
-        self.plan.fmu().set_reuse(tested.reuse);
+        self.plan.set_reuse(tested.reuse);
         if tested.reuse == Reuse::Reinstantiate {
             log::warn!(
                 "{}: reset cannot be relied on; every simulation gets a new instance",
@@ -231,14 +231,14 @@ fn examine(
     }
     let reset = after_reset == Some(truth);
     let reuse =
-        if reset && fmu.reuse() != Some(Reuse::Reinstantiate) { Reuse::Reset } else { Reuse::Reinstantiate };
-    if fmu.shared().is_some_and(|shared| shared.is_dependent()) {
+        if reset && plan.reuse() != Some(Reuse::Reinstantiate) { Reuse::Reset } else { Reuse::Reinstantiate };
+    if fmu.shared(plan.kind).is_some_and(|shared| shared.is_dependent()) {
         return Ok(Some(Tested { reuse, independent: false }));
     }
     let mut independent = interleaved(plan, base, simulator, steps, truth)?;
-    if independent == Some(true) && !fmu.shared().is_some_and(|shared| shared.is_reentrant()) {
+    if independent == Some(true) && !fmu.shared(plan.kind).is_some_and(|shared| shared.is_reentrant()) {
         independent = at_once(plan, base, simulator, steps, truth, reuse)?;
-        if let Some(shared) = fmu.shared().filter(|_| independent == Some(true)) {
+        if let Some(shared) = fmu.shared(plan.kind).filter(|_| independent == Some(true)) {
             shared.set_reentrant();
         }
     }
@@ -330,7 +330,7 @@ fn at_once(
         Ok(Some(true))
     };
     let run = |me: usize| {
-        let shared = plan.fmu().shared();
+        let shared = plan.fmu().shared(plan.kind);
         let _turn = shared.as_ref().map(|shared| shared.turn_beside());
         let verdict = work(me);
         pulses[me].store(usize::MAX, Ordering::Release);

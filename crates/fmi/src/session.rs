@@ -47,7 +47,10 @@ impl Session {
         let index = resolve(description, name)?;
         let variable = &description.variables[index];
         check_settable_at_start(variable)?;
-        let value = convert(variable, &value.into())?;
+        let is_array = !variable.dimensions.is_empty();
+        // Values of arrays are checked against the sizes of a simulation, which structural parameters may change.
+        let value = value.into();
+        let value = if is_array { value } else { convert(variable, &value, None)? };
         match self.values.iter_mut().find(|(known, _)| *known == index) {
             Some(entry) => entry.1 = value,
             None => self.values.push((index, value)),

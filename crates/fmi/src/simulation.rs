@@ -1,12 +1,13 @@
 //! One worker's simulator: a plan, a live instance, a driver and buffers, run as often as one likes.
 
 use crate::assign::{Assignments, resolve};
+use crate::communication::Stepping;
 use crate::description::Value;
 use crate::error::FmiError;
-use crate::fmu::{Fmu, Reuse};
-use crate::instance::{Instance, Instantiated};
+use crate::fmu::{InstanceOptions, Reuse};
+use crate::instance;
 use crate::plan::SimulationPlan;
-use crate::sys::{FloatEnvironment, RawInstance, Shared};
+use crate::sys::{FloatEnvironment, InterfaceKind, RawInstance, Shared};
 use crate::system::System;
 use crate::trajectory::{Recorder, Trajectory};
 use ode::{Driver, ErrorKind, Ignore, Observer, Report};
@@ -20,8 +21,8 @@ pub(crate) const PROBE_STEPS: u64 = 50;
 ///
 /// Before an FMU's reset function is relied on for the first time, it is put to the test: the first steps on the reset
 /// instance must have the same bits as on a new one, or from then on every run gets a new instance
-/// (see [`Fmu::reuse`]). Where a [`Pool`](crate::Pool) has found that instances of the library disturb each other, a run
-/// waits until no other one is under way, and has a new instance if another one was made meanwhile.
+/// (see [`Fmu::reuse`](crate::Fmu::reuse)). Where a [`Pool`](crate::Pool) has found that instances of the library disturb
+/// each other, a run waits until no other one is under way, and has a new instance if another one was made meanwhile.
 ///
 /// ```compile_fail
 /// fn shared_between_threads<T: Sync>() {}
@@ -31,10 +32,77 @@ pub(crate) const PROBE_STEPS: u64 = 50;
 pub struct Simulator {
     plan: Arc<SimulationPlan>,
     shared: Arc<Shared>,
-    driver: Driver,
-    system: System,
+    engine: Engine,
     /// A new or reset instance that has not been used yet.
-    fresh: Option<Instance<Instantiated>>,
+    fresh: Option<RawInstance>,
+}
+
+/// What makes the steps: the driver, or the FMU itself.
+#[derive(Debug)]
+enum Engine {
+    Integrated { driver: Box<Driver>, system: Box<System> },
+    Stepping(Box<Stepping>),
+}
+
+/// The same call to whichever engine it is.
+macro_rules! each {
+    ($engine:expr, $run:ident => $call:expr) => {
+        match $engine {
+            Engine::Integrated { system: $run, .. } => $call,
+            Engine::Stepping($run) => $call,
+        }
+    };
+}
+
+impl Engine {
+    fn new(plan: &Arc<SimulationPlan>) -> Result<Self, FmiError> {
+        Ok(match plan.kind {
+            InterfaceKind::ModelExchange => Engine::Integrated {
+                driver: Box::new(Driver::new(plan.options.clone())?),
+                system: Box::new(System::new(Arc::clone(plan))),
+            },
+            InterfaceKind::CoSimulation => Engine::Stepping(Box::new(Stepping::new(Arc::clone(plan)))),
+        })
+    }
+
+    fn adopt(&mut self, raw: RawInstance) {
+        each!(self, run => run.adopt(raw));
+    }
+
+    fn retire(&mut self) -> Option<RawInstance> {
+        each!(self, run => run.retire())
+    }
+
+    fn initialize(&mut self, raw: RawInstance, parameters: &[f64]) -> Result<(), FmiError> {
+        each!(self, run => run.initialize(raw, parameters))
+    }
+
+    /// The run itself; `steps`: at most so many.
+    fn run(
+        &mut self,
+        plan: &SimulationPlan,
+        steps: Option<u64>,
+        observer: &mut dyn Observer,
+    ) -> Result<Report, FmiError> {
+        let limited = |limits: ode::Limits| ode::Limits { max_steps: steps.or(limits.max_steps), ..limits };
+        match self {
+            Engine::Integrated { driver, system } => {
+                let mut probe;
+                let driver = if steps.is_none() {
+                    driver
+                } else {
+                    let options =
+                        ode::Options { limits: limited(plan.options.limits), ..plan.options.clone() };
+                    probe = Driver::new(options)?;
+                    &mut probe
+                };
+                driver
+                    .run(&mut **system, plan.start, plan.end, &plan.times, observer)
+                    .map_err(FmiError::Simulation)
+            }
+            Engine::Stepping(stepping) => stepping.run(&limited(plan.options.limits), observer),
+        }
+    }
 }
 
 /// What a trial run showed.
@@ -54,15 +122,14 @@ impl Simulator {
     /// # Errors
     /// Options of the method that cannot be used; the FMU cannot be loaded or instantiated.
     pub fn new(plan: Arc<SimulationPlan>) -> Result<Self, FmiError> {
-        let driver = Driver::new(plan.options.clone())?;
-        let mut system = System::new(Arc::clone(&plan));
+        let mut engine = Engine::new(&plan)?;
         let mut fresh = None;
-        let shared = Arc::clone(plan.fmu().library()?.shared());
-        match plan.fmu().take_idle(&plan.settings) {
-            Some(raw) => system.adopt(raw),
-            None => fresh = Some(plan.fmu().instantiate()?),
+        let shared = Arc::clone(plan.fmu().library(plan.kind)?.shared());
+        match plan.fmu().take_idle(plan.kind, &plan.settings) {
+            Some(raw) => engine.adopt(raw),
+            None => fresh = Some(new_instance(&plan)?),
         }
-        Ok(Self { plan, shared, driver, system, fresh })
+        Ok(Self { plan, shared, engine, fresh })
     }
 
     /// The plan.
@@ -81,10 +148,10 @@ impl Simulator {
         let _turn = shared.turn();
         let guard = FloatEnvironment::standard();
         let instance = self.fresh_instance(parameters)?;
-        self.system.initialize(instance, parameters)?;
+        self.engine.initialize(instance, parameters)?;
         // Instantiating or initializing may have changed the floating-point mode.
         guard.assert();
-        drive(&self.plan, &mut self.driver, &mut self.system, observer)
+        self.engine.run(&self.plan, None, observer)
     }
 
     /// Simulates once and records all samples.
@@ -108,7 +175,7 @@ impl Simulator {
         let index = resolve(description, name)?;
         let _turn = self.shared.turn_if_dependent();
         let _guard = FloatEnvironment::standard();
-        self.system.value(&description.variables[index])
+        each!(&mut self.engine, run => run.value(&description.variables[index]))
     }
 
     /// As [`value`](Self::value), as a number: integers and Booleans too.
@@ -118,12 +185,9 @@ impl Simulator {
     pub fn get(&mut self, name: &str) -> Result<f64, FmiError> {
         match self.value(name)? {
             Value::Real(x) => Ok(x),
-            Value::Integer(i) => Ok(f64::from(i)),
+            Value::Integer(i) => Ok(i as f64),
             Value::Boolean(b) => Ok(f64::from(u8::from(b))),
-            Value::String(_) => Err(FmiError::NotAnOutput {
-                name: name.to_owned(),
-                reason: "it is text, and results are numbers",
-            }),
+            _ => Err(FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" }),
         }
     }
 
@@ -134,39 +198,38 @@ impl Simulator {
         let _turn = shared.turn();
         let _guard = FloatEnvironment::standard();
         let instance = self.fresh_instance(parameters)?;
-        self.system.initialize(instance, parameters)?;
-        self.system.settle()
+        self.engine.initialize(instance, parameters)?;
+        match &mut self.engine {
+            Engine::Integrated { system, .. } => system.settle(),
+            Engine::Stepping(_) => Ok(()),
+        }
     }
 
     /// A new instance, or one that was reset by a function that is known to do so.
-    fn fresh_instance(&mut self, parameters: &[f64]) -> Result<Instance<Instantiated>, FmiError> {
-        if let Some(instance) = self.fresh.take().filter(|instance| !instance.is_stale()) {
-            return Ok(instance);
-        }
-        let fmu = self.plan.fmu().clone();
+    fn fresh_instance(&mut self, parameters: &[f64]) -> Result<RawInstance, FmiError> {
         let good = |raw: &RawInstance| !raw.is_stale();
-        let used = self.system.retire().filter(good);
-        let Some(used) = used.or_else(|| fmu.take_idle(&self.plan.settings).filter(good)) else {
-            return fmu.instantiate();
+        if let Some(raw) = self.fresh.take().filter(good) {
+            return Ok(raw);
+        }
+        let plan = Arc::clone(&self.plan);
+        let used = self.engine.retire().filter(good);
+        let Some(used) = used.or_else(|| plan.fmu().take_idle(plan.kind, &plan.settings).filter(good)) else {
+            return new_instance(&plan);
         };
-        match fmu.reuse() {
-            Some(Reuse::Reset) => reset_or_replace(used, &fmu),
+        match plan.reuse() {
+            Some(Reuse::Reset) => reset_or_replace(used, &plan),
             Some(Reuse::Reinstantiate) => {
                 drop(used);
-                fmu.instantiate()
+                new_instance(&self.plan)
             }
-            None => self.check_reset(used, &fmu, parameters),
+            None => self.check_reset(used, parameters),
         }
     }
 
     /// Compares the first steps of the reset instance with those of a new one, and returns an instance to use.
-    fn check_reset(
-        &mut self,
-        used: RawInstance,
-        fmu: &Fmu,
-        parameters: &[f64],
-    ) -> Result<Instance<Instantiated>, FmiError> {
-        self.system.adopt(used);
+    fn check_reset(&mut self, used: RawInstance, parameters: &[f64]) -> Result<RawInstance, FmiError> {
+        let plan = Arc::clone(&self.plan);
+        self.engine.adopt(used);
         let steps = Some(PROBE_STEPS);
         let after_reset = match self.probe_after_others(parameters, steps)? {
             // A run that fails leaves no instance to reset: then at least the same run twice.
@@ -177,32 +240,27 @@ impl Simulator {
             probe => probe,
         };
         // One at a time: the FMU may not allow two.
-        drop(self.system.retire());
+        drop(self.engine.retire());
         let from_new = self.probe_new(parameters, steps, &mut Ignore)?;
         match (after_reset, from_new) {
             (Some(Probe::TimedOut), _) | (_, Probe::TimedOut) => {}
             (None | Some(Probe::Nothing), Probe::Nothing) => {}
-            (after, new) if after == Some(new) => fmu.set_reuse(Reuse::Reset),
-            _ => fmu.set_reuse(Reuse::Reinstantiate),
+            (after, new) if after == Some(new) => plan.set_reuse(Reuse::Reset),
+            _ => plan.set_reuse(Reuse::Reinstantiate),
         }
-        match (self.system.retire(), fmu.reuse()) {
-            (Some(used), Some(Reuse::Reset)) => reset_or_replace(used, fmu),
+        match (self.engine.retire(), plan.reuse()) {
+            (Some(used), Some(Reuse::Reset)) => reset_or_replace(used, &plan),
             (used, _) => {
                 drop(used);
-                fmu.instantiate()
+                new_instance(&plan)
             }
         }
     }
 
     /// Brings an instance that is new or was reset to the start of a trial run; whether that went well.
-    fn begin_probe(
-        &mut self,
-        instance: Instance<Instantiated>,
-        start_values: &Assignments,
-        parameters: &[f64],
-    ) -> bool {
+    fn begin_probe(&mut self, raw: RawInstance, start_values: &Assignments, parameters: &[f64]) -> bool {
         let _guard = FloatEnvironment::standard();
-        self.system.initialize_with(instance, start_values, parameters).is_ok()
+        each!(&mut self.engine, run => run.initialize_with(raw, start_values, parameters)).is_ok()
     }
 
     /// Makes the trial run, and returns the digest of what the FMU answered.
@@ -215,12 +273,9 @@ impl Simulator {
         observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
         let _guard = FloatEnvironment::standard();
-        let mut options = self.plan.options.clone();
-        options.limits.max_steps = steps.or(options.limits.max_steps);
-        let mut driver = Driver::new(options)?;
-        self.system.begin_digest();
-        let outcome = drive(&self.plan, &mut driver, &mut self.system, observer);
-        let digest = self.system.end_digest().map_or(Probe::Nothing, Probe::Digest);
+        each!(&mut self.engine, run => run.begin_digest());
+        let outcome = self.engine.run(&self.plan, steps, observer);
+        let digest = each!(&mut self.engine, run => run.end_digest()).map_or(Probe::Nothing, Probe::Digest);
         match outcome {
             Err(FmiError::Simulation(error)) => match error.kind {
                 ErrorKind::Cancelled => Err(FmiError::Simulation(error)),
@@ -240,14 +295,14 @@ impl Simulator {
         start_values: &Assignments,
         parameters: &[f64],
     ) -> Result<bool, FmiError> {
-        let instance = match self.fresh.take() {
-            Some(instance) => instance,
+        let raw = match self.fresh.take() {
+            Some(raw) => raw,
             None => {
-                drop(self.system.retire());
-                self.plan.fmu().instantiate()?
+                drop(self.engine.retire());
+                new_instance(&self.plan)?
             }
         };
-        Ok(self.begin_probe(instance, start_values, parameters))
+        Ok(self.begin_probe(raw, start_values, parameters))
     }
 
     /// A trial run on a new instance.
@@ -288,9 +343,9 @@ impl Simulator {
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Option<Probe>, FmiError> {
-        let Some(used) = self.system.retire() else { return Ok(None) };
-        let Ok(instance) = Instance::from_used(used, self.plan.fmu().clone()) else { return Ok(None) };
-        match self.begin_probe(instance, start_values, parameters) {
+        let Some(used) = self.engine.retire() else { return Ok(None) };
+        let Ok(raw) = instance::reset(used, self.plan.fmu()) else { return Ok(None) };
+        match self.begin_probe(raw, start_values, parameters) {
             true => self.finish_probe(steps, observer).map(Some),
             false => Ok(Some(Probe::Nothing)),
         }
@@ -314,11 +369,11 @@ impl Simulator {
     pub(crate) fn park(&mut self) {
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn_if_dependent();
-        let used = self.fresh.take().map(|instance| instance.into_raw().0).or_else(|| self.system.retire());
+        let used = self.fresh.take().or_else(|| self.engine.retire());
         if let Some(raw) = used
-            && self.plan.fmu().reuse() != Some(Reuse::Reinstantiate)
+            && self.plan.reuse() != Some(Reuse::Reinstantiate)
         {
-            self.plan.fmu().put_idle(raw, &self.plan.settings);
+            self.plan.fmu().put_idle(self.plan.kind, raw, &self.plan.settings);
         }
     }
 }
@@ -329,23 +384,17 @@ impl Drop for Simulator {
     }
 }
 
-/// Resets an instance, or makes a new one where that fails.
-fn reset_or_replace(used: RawInstance, fmu: &Fmu) -> Result<Instance<Instantiated>, FmiError> {
-    match Instance::from_used(used, fmu.clone()) {
-        Ok(instance) => Ok(instance),
-        Err(_) => {
-            fmu.set_reuse(Reuse::Reinstantiate);
-            fmu.instantiate()
-        }
-    }
+fn new_instance(plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
+    plan.fmu().instantiate_raw(plan.kind, &InstanceOptions::default())
 }
 
-/// The run itself.
-fn drive(
-    plan: &SimulationPlan,
-    driver: &mut Driver,
-    system: &mut System,
-    observer: &mut dyn Observer,
-) -> Result<Report, FmiError> {
-    driver.run(system, plan.start, plan.end, &plan.times, observer).map_err(FmiError::Simulation)
+/// Resets an instance, or makes a new one where that fails.
+fn reset_or_replace(used: RawInstance, plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
+    match instance::reset(used, plan.fmu()) {
+        Ok(raw) => Ok(raw),
+        Err(_) => {
+            plan.set_reuse(Reuse::Reinstantiate);
+            new_instance(plan)
+        }
+    }
 }

@@ -6,7 +6,8 @@
 mod promises;
 
 use fmi::description::{
-    BaseUnit, Causality, DependencyKind, Initial, ModelDescription, QuirkKind, Variability, VariableKind,
+    BaseUnit, Causality, DependencyKind, Dimension, Initial, ModelDescription, QuirkKind, Variability,
+    VariableKind,
 };
 use fmi::{FmiError, Value};
 use proptest::prelude::*;
@@ -259,7 +260,7 @@ fn versions_are_recognised_by_their_numbers() {
 }
 
 #[test]
-fn descriptions_of_fmi_1_are_read_as_far_as_they_go() {
+fn descriptions_of_fmi_1_are_read() {
     let model = parse(
         r#"<fmiModelDescription fmiVersion="1.0" modelName="bouncing ball" modelIdentifier="ball" guid="{1}"
              numberOfContinuousStates="2" numberOfEventIndicators="1" generationTool="t">
@@ -283,8 +284,8 @@ fn descriptions_of_fmi_1_are_read_as_far_as_they_go() {
     );
     assert_eq!((g.causality, g.variability), (Causality::Parameter, Variability::Fixed));
     assert_eq!(model.variable("n").unwrap().variability, Variability::Discrete);
-    assert_eq!(model.quirks.iter().map(|quirk| quirk.kind).collect::<Vec<_>>(), [QuirkKind::Unsupported]);
-    model.require_conforming().unwrap();
+    assert!(model.variable("-h").unwrap().negated && !h.negated);
+    assert!(model.quirks.is_empty(), "{:?}", model.quirks);
     let tool = parse(
         r#"<fmiModelDescription fmiVersion="1.0" modelName="m" modelIdentifier="m" guid="g" numberOfContinuousStates="0" numberOfEventIndicators="0">
            <Implementation><CoSimulation_Tool><Capabilities canHandleVariableCommunicationStepSize="true"/></CoSimulation_Tool></Implementation>
@@ -295,7 +296,7 @@ fn descriptions_of_fmi_1_are_read_as_far_as_they_go() {
 }
 
 #[test]
-fn descriptions_of_fmi_3_are_read_as_far_as_they_go() {
+fn descriptions_of_fmi_3_are_read() {
     let model = parse(
         r#"<fmiModelDescription fmiVersion="3.0.1" modelName="m" instantiationToken="{t}">
            <ModelExchange modelIdentifier="m" canGetAndSetFMUState="true"/>
@@ -309,7 +310,13 @@ fn descriptions_of_fmi_3_are_read_as_far_as_they_go() {
              <UInt16 name="n" valueReference="9" causality="output" start="3"/>
              <String name="s" valueReference="10" causality="parameter"><Start value="text"/></String>
              <Float32 name="a" valueReference="11" start="1 2 3"><Dimension start="3"/></Float32>
-             <Binary name="b" valueReference="12" causality="input"/>
+             <Binary name="b" valueReference="12" causality="output" initial="exact"><Start value="00fF"/></Binary>
+             <UInt64 name="rows" valueReference="13" causality="structuralParameter" start="2"/>
+             <Int64 name="m" valueReference="14" start="1 2 3 4 5 6"><Dimension valueReference="13"/><Dimension start="3"/>
+               <Alias name="matrix" description="the same"/></Int64>
+             <UInt64 name="big" valueReference="15" start="18446744073709551615" initial="exact"/>
+             <Clock name="c" valueReference="16" causality="input" intervalVariability="triggered"/>
+             <Boolean name="tick" valueReference="17" clocks="16"/>
            </ModelVariables>
            <ModelStructure>
              <ContinuousStateDerivative valueReference="8" dependencies="7" dependenciesKind="constant"/>
@@ -321,18 +328,46 @@ fn descriptions_of_fmi_3_are_read_as_far_as_they_go() {
         (model.fmi_version.major, model.fmi_version.text.as_str(), model.guid.as_str()),
         (3, "3.0.1", "{t}")
     );
-    assert_eq!((model.n_states(), model.n_event_indicators, model.variables.len()), (1, 1, 6));
-    assert_eq!(model.variable("der(x)").unwrap().derivative, Some(1));
-    assert_eq!(model.variable("x").unwrap().unit.as_deref(), Some("m"));
-    assert_eq!(model.variable("n").unwrap().variability, Variability::Discrete);
-    assert_eq!(model.variable("s").unwrap().variability, Variability::Fixed);
-    assert_eq!(model.structure.outputs.len(), 1);
-    assert_eq!(model.structure.outputs[0].dependencies, None); // one of them is left out
-    assert_eq!(model.variable("s").unwrap().start, Some("text".into()));
+    assert_eq!((model.n_states(), model.n_event_indicators, model.variables.len()), (1, 1, 12));
+    let variable = |name: &str| model.variable(name).unwrap();
+    assert_eq!(variable("der(x)").derivative, Some(1));
+    assert_eq!(variable("x").unit.as_deref(), Some("m"));
+    assert_eq!(
+        (variable("n").variability, variable("n").kind),
+        (Variability::Discrete, VariableKind::UInt16)
+    );
+    assert_eq!(variable("s").variability, Variability::Fixed);
+    assert_eq!(model.structure.outputs[1].dependencies.as_deref(), Some(&[6, 1][..]));
+    assert_eq!(variable("s").start, Some("text".into()));
+    assert_eq!(variable("a").start, Some(vec![1.0, 2.0, 3.0].into()));
+    assert_eq!(variable("b").start, Some(Value::Binary(vec![0, 255])));
+    assert_eq!(variable("rows").causality, Causality::StructuralParameter);
+    assert_eq!(variable("m").dimensions, [Dimension::Parameter(7), Dimension::Fixed(3)]);
+    assert_eq!(model.extents(variable("m")), [2, 3]);
+    assert_eq!(model.variable_index("matrix"), model.variable_index("m"));
+    assert_eq!(variable("big").start, Some(u64::MAX.into()));
+    assert_eq!(variable("tick").clocks, [10]);
     assert_eq!(model.structure.derivatives[0].dependencies.as_deref(), Some(&[1][..]));
-    assert!(model.model_exchange.as_ref().unwrap().capabilities.can_get_and_set_state);
-    assert!(model.quirks.iter().all(|quirk| quirk.kind == QuirkKind::Unsupported), "{:?}", model.quirks);
-    assert_eq!(model.quirks.len(), 2);
+    let exchange = model.model_exchange.as_ref().unwrap();
+    assert!(exchange.capabilities.can_get_and_set_state);
+    assert!(exchange.capabilities.completed_integrator_step_not_needed);
+    assert!(model.quirks.is_empty(), "{:?}", model.quirks);
+}
+
+#[test]
+fn dimensions_that_cannot_be_are_refused() {
+    let array = |dimension: &str| {
+        refusal(&format!(
+            r#"<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="t"><ModelExchange modelIdentifier="m"/>
+               <ModelVariables><Float64 name="p" valueReference="1" causality="parameter" start="2"/>
+               <Float64 name="a" valueReference="2">{dimension}</Float64></ModelVariables></fmiModelDescription>"#
+        ))
+    };
+    assert!(array("<Dimension/>").contains("without extent"));
+    assert!(array("<Dimension valueReference='1'/>").contains("no structural parameter"));
+    assert!(array("<Dimension valueReference='9'/>").contains("no structural parameter"));
+    let huge = "<Dimension start='4000000000'/>".repeat(3);
+    assert!(array(&huge).contains("elements or more"));
 }
 
 #[test]

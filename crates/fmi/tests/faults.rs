@@ -5,7 +5,7 @@
 mod support;
 
 use fmi::ode::{ErrorKind, Ignore, Termination};
-use fmi::{FmiError, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Status, Value};
+use fmi::{FmiError, Kind, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Status, Value};
 use std::sync::Arc;
 use support::{Folder, evil, evil_with};
 
@@ -285,8 +285,11 @@ fn fmus_that_cannot_be_run_say_why() {
     };
     let tool = refused("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" needsExecutionTool=\"true\"");
     assert!(matches!(tool, FmiError::NeedsExecutionTool { .. }), "{tool}");
-    let cs = refused("<ModelExchange ", "<CoSimulation ");
-    assert!(matches!(cs, FmiError::NoModelExchange { .. }), "{cs}");
+    let folder = evil(&[]);
+    let options = SimulateOptions::new().kind(Kind::CoSimulation);
+    let cs = SimulationPlan::new(&folder.open(), &options).unwrap_err();
+    assert!(matches!(cs, FmiError::NotOffered { .. }), "{cs}");
+    assert_eq!(cs.to_string(), "Evil offers no co-simulation; it offers model exchange");
 
     let folder = evil(&[]);
     std::fs::remove_dir_all(folder.path().join("binaries")).unwrap();

@@ -276,6 +276,7 @@ fn an_fmu_without_a_binary_is_compiled_from_its_sources() {
         "frontend/model.h",
         "frontend/instance.h",
         "frontend/fmi2.h",
+        "frontend/fmi2_common.h",
         "frontend/fmi2_me.c",
     ] {
         let from = models.join(file);

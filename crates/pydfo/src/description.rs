@@ -4,7 +4,6 @@
 use crate::{files, fmu_error, values};
 use fmi::description::{
     BaseUnit, Capabilities, Causality, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
-    VariableKind,
 };
 use fmi::{ModelDescription, Variable};
 use pyo3::exceptions::PyIndexError;
@@ -76,8 +75,7 @@ impl Fmu {
 
     /// Names of the variables that results can hold.
     fn recordable(&self) -> Vec<&str> {
-        let is_number =
-            |v: &&Variable| v.kind != VariableKind::String && v.causality != Causality::Independent;
+        let is_number = |v: &&Variable| v.kind.is_number() && v.causality != Causality::Independent;
         self.description().variables.iter().filter(is_number).map(|v| v.name.as_str()).collect()
     }
 
@@ -305,7 +303,7 @@ impl<'a> TypeFields<'a> {
 #[derive(IntoPyObject)]
 struct ItemFields<'a> {
     name: &'a str,
-    value: i32,
+    value: i64,
     description: Option<&'a str>,
 }
 

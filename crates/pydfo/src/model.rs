@@ -5,7 +5,7 @@ use crate::inputs::{self, Callbacks, Function, Table};
 use crate::interrupt::{Stop, Watch, lock};
 use crate::trajectory::Record;
 use crate::{fmu_error, logs, values};
-use fmi::description::{Causality, VariableKind};
+use fmi::description::Causality;
 use fmi::{ModelDescription, Session, SimulateOptions, Value, Variable};
 use numpy::PyReadonlyArray1;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -218,7 +218,7 @@ fn find<'a>(py: Python<'_>, description: &'a ModelDescription, name: &str) -> Py
 
 /// Outputs and states, each name once.
 fn default_outputs(description: &ModelDescription) -> Vec<String> {
-    let is_output = |v: &&Variable| v.causality == Causality::Output && v.kind != VariableKind::String;
+    let is_output = |v: &&Variable| v.causality == Causality::Output && v.kind.is_number();
     let derivatives =
         description.structure.derivatives.iter().map(|unknown| &description.variables[unknown.index]);
     let states =

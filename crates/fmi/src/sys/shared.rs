@@ -1,6 +1,7 @@
 //! What all users of one loaded library have in common, whichever way they opened it: the loader gives the same code and the
 //! same globals to everybody in the process.
 
+use super::InterfaceKind;
 use crate::error::FmiError;
 use crate::platform::{self, FileIdentity, FilePlace};
 use std::collections::HashMap;
@@ -34,8 +35,8 @@ pub(crate) struct Shared {
     dependent: AtomicBool,
     /// Two threads were seen to run instances at the same time and get the right results.
     reentrant: AtomicBool,
-    /// What is known about reset; larger is worse, and a verdict only gets worse.
-    reuse: AtomicU8,
+    /// What is known about reset, for each kind of interface; larger is worse, and a verdict only gets worse.
+    reuse: [AtomicU8; 2],
     gate: Mutex<Inside>,
     left: Condvar,
     /// Whether somebody holds the loan of a library that can be lent to one only.
@@ -126,14 +127,14 @@ impl Shared {
         self.reentrant.store(true, Ordering::Relaxed);
     }
 
-    /// The verdict on reset; 0: none.
-    pub(crate) fn reuse(&self) -> u8 {
-        self.reuse.load(Ordering::Acquire)
+    /// The verdict on reset of instances of one kind; 0: none.
+    pub(crate) fn reuse(&self, kind: InterfaceKind) -> u8 {
+        self.reuse[kind as usize].load(Ordering::Acquire)
     }
 
     /// Stores a verdict on reset, unless a worse one is known.
-    pub(crate) fn worsen_reuse(&self, verdict: u8) {
-        self.reuse.fetch_max(verdict, Ordering::AcqRel);
+    pub(crate) fn worsen_reuse(&self, kind: InterfaceKind, verdict: u8) {
+        self.reuse[kind as usize].fetch_max(verdict, Ordering::AcqRel);
     }
 
     /// Waits for a turn to run: at once, unless instances disturb each other. A thread that has a turn already is not
@@ -277,8 +278,9 @@ mod tests {
     #[test]
     fn verdicts_only_get_worse() {
         let shared = Shared::default();
-        shared.worsen_reuse(2);
-        shared.worsen_reuse(1);
-        assert_eq!(shared.reuse(), 2);
+        shared.worsen_reuse(InterfaceKind::CoSimulation, 2);
+        shared.worsen_reuse(InterfaceKind::CoSimulation, 1);
+        assert_eq!(shared.reuse(InterfaceKind::CoSimulation), 2);
+        assert_eq!(shared.reuse(InterfaceKind::ModelExchange), 0);
     }
 }

@@ -1,4 +1,4 @@
-/* An FMI 2.0 model-exchange model with one fault at a time, chosen by a macro: x' = -k x, y = x. */
+/* An FMI 2.0 model (model exchange and co-simulation) with one fault at a time, chosen by a macro: x' = -k x, y = x. */
 #include "fmi2.h"
 
 #include <math.h>
@@ -17,7 +17,7 @@
 typedef struct {
     double time, x, k, n_sets;
     int n, b;
-    int fatal;
+    int fatal, polls;
     fmi2CallbackFunctions functions;
 } Model;
 
@@ -47,6 +47,7 @@ static void start_values(Model *m) {
     K(m) = 1;
     m->n = 3;
     m->b = 1;
+    m->polls = 0;
 }
 
 static void say(Model *m, fmi2Status status, const char *text) {
@@ -312,5 +313,81 @@ EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real *x
         x[n] = 1;
 #endif
     }
+    return fmi2OK;
+}
+
+/* Co-simulation: the exact solution. */
+static void solve(Model *m, double h) {
+    m->x *= exp(-K(m) * h);
+    m->time += h;
+}
+
+EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set) {
+    Model *m = c;
+    (void)no_set;
+    if (fabs(time - m->time) > 1e-12) {
+        say(m, fmi2Error, "the step begins elsewhere");
+        return fmi2Error;
+    }
+#ifdef PARTIAL_STEPS
+    if (step > 0.0301) {
+        solve(m, 0.03);
+        return fmi2Discard;
+    }
+#endif
+#ifdef REFUSES_LONG_STEPS
+    if (step > 0.0301) return fmi2Discard;
+#endif
+#ifdef REFUSES_ALL_STEPS
+    return fmi2Discard;
+#endif
+#ifdef ENDS_ITSELF
+    if (time + step >= 0.25) {
+        solve(m, 0.25 - time);
+        return fmi2Discard;
+    }
+#endif
+#ifdef STEP_ERROR
+    if (time > 0.5) {
+        say(m, fmi2Error, "no step beyond t = 0.5");
+        return fmi2Error;
+    }
+#endif
+#if defined(PENDING) || defined(STUCK)
+    m->polls = 3;
+#endif
+    solve(m, step);
+    return m->polls > 0 ? fmi2Pending : fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetStatus(fmi2Component c, fmi2StatusKind kind, fmi2Status *value) {
+    Model *m = c;
+    if (kind != fmi2DoStepStatus) return fmi2Discard;
+#ifndef STUCK
+    m->polls--;
+#endif
+    *value = m->polls > 0 ? fmi2Pending : fmi2OK;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2CancelStep(fmi2Component c) {
+    ((Model *)c)->polls = 0;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetRealStatus(fmi2Component c, fmi2StatusKind kind, fmi2Real *value) {
+    if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+    *value = ((Model *)c)->time;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetBooleanStatus(fmi2Component c, fmi2StatusKind kind, fmi2Boolean *value) {
+    (void)c;
+    if (kind != fmi2Terminated) return fmi2Discard;
+#ifdef ENDS_ITSELF
+    *value = fmi2True;
+#else
+    *value = fmi2False;
+#endif
     return fmi2OK;
 }
