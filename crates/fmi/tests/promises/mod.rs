@@ -53,7 +53,6 @@ pub fn hold_for_description(model: &ModelDescription) {
         let dependencies = unknown.dependencies.as_ref().map(Vec::len);
         assert!(unknown.kinds.is_empty() || Some(unknown.kinds.len()) == dependencies);
     }
-    assert!(model.n_states() <= structure.derivatives.len() || structure.derivatives.is_empty());
     for variable in &model.variables {
         assert!(variable.derivative.is_none_or(|index| index < n));
         let found = model.variable(&variable.name).expect("a variable is found by its name");
