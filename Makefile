@@ -68,6 +68,7 @@ fuzz: nightly  ## fuzz archives and descriptions, FUZZ_SECONDS=600 each; wants n
 
 sanitize: nightly  ## the importer's tests under AddressSanitizer and LeakSanitizer; wants nightly Rust
 	$(call suite,sanitize,RUSTFLAGS=-Zsanitizer=address ASAN_OPTIONS=detect_leaks=1 \
+		LSAN_OPTIONS=suppressions=$(CURDIR)/tools/sanitize.supp:print_suppressions=0 \
 		cargo +nightly test --quiet -p fmufit-fmi --tests --target $(HOST) --target-dir target/sanitize)
 
 nightly:
