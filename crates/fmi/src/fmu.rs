@@ -238,6 +238,15 @@ impl Fmu {
         self.check_interface(self.choose(Kind::Auto)?)
     }
 
+    /// As [`check_runnable`](Self::check_runnable), for one way of running it.
+    ///
+    /// # Errors
+    /// As [`check_runnable`](Self::check_runnable).
+    pub fn check_runnable_as(&self, kind: Kind) -> Result<InterfaceKind, FmiError> {
+        let kind = self.choose(kind)?;
+        self.check_interface(kind).map(|_| kind)
+    }
+
     /// The interface that a simulation would use.
     ///
     /// # Errors
