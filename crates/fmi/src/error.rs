@@ -372,8 +372,8 @@ pub enum EntryProblem {
     /// A compression method other than stored and deflate.
     #[error("is compressed with method {0}; FMUs use 0 (stored) and 8 (deflate)")]
     Compression(u16),
-    /// Two entries of the same name.
-    #[error("occurs twice")]
+    /// Two entries of the same name with different contents.
+    #[error("occurs twice, with different contents")]
     Duplicate,
     /// Two entries whose names differ in case only.
     #[error("differs from \"{0}\" in upper and lower case only")]
