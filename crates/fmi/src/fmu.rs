@@ -1,7 +1,7 @@
 //! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
 
 use crate::archive::Archive;
-use crate::description::{Interface, ModelDescription, Variable, VariableKind};
+use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Instance, Instantiated};
 use crate::options::{Kind, SimulateOptions};
@@ -96,7 +96,16 @@ impl Fmu {
     pub fn open(path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
         let path = path.as_ref();
         let archive = Archive::open(path)?;
-        let description = ModelDescription::read(&archive)?;
+        let mut description = ModelDescription::read(&archive)?;
+        if let [first, others @ ..] = archive.repeated() {
+            let more = match others.len() {
+                0 => String::new(),
+                n => format!(" and {n} more"),
+            };
+            let message =
+                format!("the archive holds \"{first}\"{more} more than once, with the same content");
+            description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
+        }
         Ok(Fmu {
             inner: Arc::new(Inner {
                 model_exchange: Side::default(),
@@ -236,6 +245,15 @@ impl Fmu {
     /// [`FmiError::UnsupportedVersion`], [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
     pub fn check_runnable(&self) -> Result<&Interface, FmiError> {
         self.check_interface(self.choose(Kind::Auto)?)
+    }
+
+    /// As [`check_runnable`](Self::check_runnable), for one way of running it.
+    ///
+    /// # Errors
+    /// As [`check_runnable`](Self::check_runnable).
+    pub fn check_runnable_as(&self, kind: Kind) -> Result<InterfaceKind, FmiError> {
+        let kind = self.choose(kind)?;
+        self.check_interface(kind).map(|_| kind)
     }
 
     /// The interface that a simulation would use.

@@ -29,6 +29,20 @@ pub enum Kind {
     CoSimulation,
 }
 
+impl std::str::FromStr for Kind {
+    type Err = FmiError;
+
+    /// `auto`, `me` or `cs`, whatever the case of the letters.
+    fn from_str(text: &str) -> Result<Self, FmiError> {
+        match text.to_ascii_lowercase().as_str() {
+            "auto" => Ok(Kind::Auto),
+            "me" => Ok(Kind::ModelExchange),
+            "cs" => Ok(Kind::CoSimulation),
+            _ => Err(setting(format!("kind = '{text}' is none of 'auto', 'me', 'cs'"))),
+        }
+    }
+}
+
 /// Unit round-off of double precision.
 const U: f64 = f64::EPSILON / 2.0;
 

@@ -4,7 +4,7 @@ use crate::assign::Assignments;
 use crate::description::Variable;
 use crate::digest::Digest;
 use crate::error::FmiError;
-use crate::input::InputState;
+use crate::input::{InputPlan, InputState};
 use crate::instance::{ContinuousTime, Core, EventMode, Instance, Instantiated};
 use crate::model_exchange::MAX_EVENT_ITERATIONS;
 use crate::outputs::OutputBuffers;
@@ -33,6 +33,9 @@ pub(crate) struct System {
     /// An FMU call failed: the instance is not used again.
     broken: bool,
     inputs: InputState,
+    /// The continuous inputs as the FMU has them; none while that is not known. FMUs may allow an input to be set only
+    /// once at an instant (FMI 2.0.x, section 2.2.7, `canHandleMultipleSetPerTimeInstant`).
+    sent: Vec<f64>,
     /// The point last set in the FMU, as far as that is known.
     set_time: Option<f64>,
     set_states: Option<()>,
@@ -64,6 +67,7 @@ impl System {
             mode: Mode::Gone,
             broken: false,
             inputs: InputState::new(&plan.inputs),
+            sent: Vec::with_capacity(plan.inputs.continuous.len()),
             set_time: None,
             set_states: None,
             states: vec![0.0; n],
@@ -140,7 +144,8 @@ impl System {
             return Err(self.inputs.bad_function_value(plan.start));
         }
         self.inputs.set_held(instance.core(), &plan.inputs)?;
-        instance.core().set_reals(&plan.inputs.continuous, &self.inputs.continuous)?;
+        self.sent.clear();
+        send(&plan.inputs, &self.inputs, &mut self.sent, instance.core())?;
         self.mode = Mode::Event(instance.exit_initialization()?);
         self.set_time = None;
         self.set_states = None;
@@ -226,11 +231,17 @@ impl System {
         if self.plan.inputs.continuous.is_empty() {
             return Ok(());
         }
-        let Self { plan, inputs, mode, broken, .. } = self;
+        let Self { plan, inputs, mode, broken, sent, .. } = self;
         if !inputs.continuous_at(&plan.inputs, t) {
             return Err(CallError::Discard);
         }
-        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous, &inputs.continuous))
+        if has(sent, &inputs.continuous) {
+            return Ok(());
+        }
+        sent.clear();
+        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous, &inputs.continuous))?;
+        sent.extend_from_slice(&inputs.continuous);
+        Ok(())
     }
 
     fn note(&mut self, values: &[f64]) {
@@ -329,6 +340,22 @@ fn call<T>(
             Err(CallError::failed(error))
         }
     }
+}
+
+/// Whether the FMU has these very inputs already.
+fn has(sent: &[f64], inputs: &[f64]) -> bool {
+    sent.len() == inputs.len() && sent.iter().zip(inputs).all(|(a, b)| same_bits(*a, *b))
+}
+
+/// Sets the continuous inputs, unless the FMU has them already.
+fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut Core) -> Result<(), FmiError> {
+    if has(sent, &inputs.continuous) {
+        return Ok(());
+    }
+    sent.clear();
+    core.set_reals(&plan.continuous, &inputs.continuous)?;
+    sent.extend_from_slice(&inputs.continuous);
+    Ok(())
 }
 
 fn no_instance() -> FmiError {
@@ -447,14 +474,14 @@ impl HybridSystem for System {
             if !self.inputs.continuous_at(&plan.inputs, t) {
                 return Err(CallError::Discard);
             }
-            let inputs = &self.inputs;
             let core = match &mut self.mode {
                 Mode::Event(instance) => instance.core(),
                 _ => return Err(CallError::Discard),
             };
-            let set = inputs
+            let set = self
+                .inputs
                 .set_held(core, &plan.inputs)
-                .and_then(|()| core.set_reals(&plan.inputs.continuous, &inputs.continuous));
+                .and_then(|()| send(&plan.inputs, &self.inputs, &mut self.sent, core));
             if let Err(error) = set {
                 return Err(self.fail(error));
             }

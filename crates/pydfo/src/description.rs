@@ -5,7 +5,7 @@ use crate::{files, fmu_error, values};
 use fmi::description::{
     BaseUnit, Capabilities, Causality, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
 };
-use fmi::{ModelDescription, Variable};
+use fmi::{InterfaceKind, ModelDescription, Variable};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString};
@@ -30,9 +30,13 @@ impl Fmu {
         Ok(Self { fmu: files::open(py, path)? })
     }
 
-    /// Raises what keeps the FMU from being simulated, as far as its description tells.
-    fn check_runnable(&self, py: Python<'_>) -> PyResult<()> {
-        self.fmu.check_runnable().map(|_| ()).map_err(|e| fmu_error::raise(py, &e))
+    /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME" or "CS".
+    fn check_runnable(&self, py: Python<'_>, kind: &str) -> PyResult<&'static str> {
+        let chosen = kind.parse().and_then(|kind| self.fmu.check_runnable_as(kind));
+        match chosen.map_err(|e| fmu_error::raise(py, &e))? {
+            InterfaceKind::ModelExchange => Ok("ME"),
+            InterfaceKind::CoSimulation => Ok("CS"),
+        }
     }
 
     #[getter]

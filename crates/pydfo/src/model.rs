@@ -69,10 +69,11 @@ pub(crate) struct Request<'py> {
 #[pymethods]
 impl Model {
     #[new]
-    fn new(fmu: &Bound<'_, Fmu>) -> Self {
+    fn new(py: Python<'_>, fmu: &Bound<'_, Fmu>, kind: &str) -> PyResult<Self> {
         let fmu = fmu.get().fmu.clone();
-        let session = Box::new(Session::new(fmu.clone()));
-        Self { fmu, slot: Arc::new(Mutex::new(Slot::Here(session))) }
+        let kind = kind.parse().map_err(|e| fmu_error::raise(py, &e))?;
+        let session = Box::new(Session::of_kind(fmu.clone(), kind));
+        Ok(Self { fmu, slot: Arc::new(Mutex::new(Slot::Here(session))) })
     }
 
     /// Values of variables.

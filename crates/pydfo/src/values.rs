@@ -70,14 +70,14 @@ fn single<'py>(variable: &Variable, given: &Bound<'py, PyAny>) -> PyResult<Bound
 }
 
 fn integer(description: &ModelDescription, variable: &Variable, given: &Bound<'_, PyAny>) -> PyResult<Value> {
-    if variable.kind == VariableKind::Real {
+    if variable.kind.is_float() {
         return given.extract().map(Value::Real);
     }
-    let value: i64 = given.extract().map_err(|_| {
-        BadModelValueError::new_err(format!("{} = {given} does not fit into 64 bits", variable.name))
+    let value: i128 = given.extract().map_err(|_| {
+        BadModelValueError::new_err(format!("{} = {given} does not fit into 128 bits", variable.name))
     })?;
     let items = items(description, variable);
-    if items.is_empty() || items.iter().any(|item| item.value == value) {
+    if items.is_empty() || items.iter().any(|item| i128::from(item.value) == value) {
         return Ok(value.into());
     }
     Err(no_item(variable, &value.to_string(), items))
