@@ -46,7 +46,7 @@ def _algorithm(alg: int | str | None) -> str:
         raise ValueError(f"alg = {alg!r} is none of {known}, or a name as in minimize") from None
 
 
-def check_callback(callback: object) -> None:
+def check_callback(callback: Any) -> None:
     """Refuses what cannot be called."""
     if callback is not None and not callable(callback):
         raise TypeError(f"callback must be callable, not {callback!r}")

@@ -204,7 +204,9 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
     if hasattr(bounds, "lb") and hasattr(bounds, "ub"):
         if n is None:
             n = np.broadcast(np.asarray(bounds.lb), np.asarray(bounds.ub)).size
-        return bound("bounds.lb", bounds.lb, n, -np.inf), bound("bounds.ub", bounds.ub, n, np.inf)
+        # SciPy makes arrays of length one of scalars, which hold for all parameters.
+        lower, upper = (side[0] if np.shape(side) == (1,) else side for side in (bounds.lb, bounds.ub))
+        return bound("bounds.lb", lower, n, -np.inf), bound("bounds.ub", upper, n, np.inf)
     try:
         pairs = [tuple(pair) for pair in bounds]
     except TypeError:
