@@ -18,7 +18,7 @@ fn calibration(data: Data) -> Calibration {
 }
 
 fn fit(calibration: &Calibration, workers: usize, plan: BatchPlan) -> Fit {
-    let method = NelderMead::default().batch(plan);
+    let method = NelderMead::default().batch(plan).into();
     calibration.fit(FitOptions { workers: Some(workers), method, ..FitOptions::default() }).unwrap()
 }
 

@@ -5,7 +5,7 @@ use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
 use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
-use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
+use dfo::{Checkpoint, Evaluation, Failure, FailureKind, Objective, Outcome};
 use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Trajectory};
 use ode::ErrorKind;
 use std::sync::Arc;
@@ -22,6 +22,8 @@ pub struct Calibration {
     parameters: Vec<Parameter>,
     experiments: Vec<Prepared>,
     n_residuals: usize,
+    /// What a fit is made from, by name and in words or as a hash.
+    identity: Vec<(String, String)>,
 }
 
 /// An experiment with everything looked up.
@@ -109,6 +111,7 @@ impl CalibrationBuilder {
                 return Err(CalibrationError::Parameter { name, message: "stands there twice".to_owned() });
             }
         }
+        let identity = identity(&fmu, &experiments, &parameters, &settings);
         let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
         let experiments = experiments
@@ -116,8 +119,31 @@ impl CalibrationBuilder {
             .map(|e| Prepared::new(&fmu, e, (&names, &start), &settings))
             .collect::<Result<Vec<_>, _>>()?;
         let n_residuals = experiments.iter().map(|e| e.comparison.n_residuals()).sum();
-        Ok(Calibration { fmu, parameters, experiments, n_residuals })
+        Ok(Calibration { fmu, parameters, experiments, n_residuals, identity })
     }
+}
+
+/// What tells a calibration from another, as far as its costs go.
+fn identity(
+    fmu: &Fmu,
+    experiments: &[Experiment],
+    parameters: &[Parameter],
+    settings: &SimulationSettings,
+) -> Vec<(String, String)> {
+    let names: Vec<&str> = parameters.iter().map(Parameter::name).collect();
+    let mut all = vec![
+        ("model".to_owned(), fmu.content_hash().to_owned()),
+        ("parameter names".to_owned(), names.join(", ")),
+        ("simulation settings".to_owned(), format!("{settings:?}")),
+    ];
+    for (k, Experiment { data, outputs, inputs, start_values, window, start_time }) in
+        experiments.iter().enumerate()
+    {
+        all.push((format!("data of experiment {k}"), data.hash()));
+        let rest = (outputs, inputs, start_values, window, start_time);
+        all.push((format!("experiment {k}"), format!("{rest:?}")));
+    }
+    all
 }
 
 impl Prepared {
@@ -193,6 +219,11 @@ impl Calibration {
             parameters: Vec::new(),
             settings: SimulationSettings::default(),
         }
+    }
+
+    /// A checkpoint that knows what it belongs to.
+    pub(crate) fn tag(&self, checkpoint: Checkpoint) -> Checkpoint {
+        self.identity.iter().fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
     }
 
     /// The model.

@@ -3,7 +3,10 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
-use dfo::{ByRef, Limits, Measure, NelderMead, Progress, Report, Stop, Tolerances, Transform, WorkerPool};
+use dfo::{
+    AnyMethod, ByRef, Checkpoint, Limits, Measure, NelderMead, Progress, Report, Stop, Tolerances, Transform,
+    WorkerPool,
+};
 use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -15,7 +18,7 @@ pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 /// How a fit is made.
 pub struct FitOptions<'a> {
     /// The method with its options; default Nelder-Mead.
-    pub method: NelderMead,
+    pub method: AnyMethod,
     /// Simulations at once; default: all cores. The result does not depend on it.
     pub workers: Option<usize>,
     /// Where to start; default: the parameters' start values.
@@ -25,6 +28,17 @@ pub struct FitOptions<'a> {
     pub tolerances: Tolerances,
     /// Limits; default: those of [`dfo::minimize`].
     pub limits: Limits,
+    /// Seed of the random numbers, for methods that draw them; default: drawn, and reported.
+    pub seed: Option<u64>,
+    /// Points with their costs from an earlier fit, see [`dfo::Minimize::known`].
+    pub known: Vec<(Vec<f64>, f64)>,
+    /// How many evaluations to remember; default: the method's, see [`dfo::Minimize::cache`].
+    pub cache: Option<usize>,
+    /// Evaluations to keep in the trace; default all.
+    pub trace_limit: Option<usize>,
+    /// Where the state of the fit is written, and continued from. Model, data, parameters and settings of the
+    /// calibration identify the fit: a file of another one is refused.
+    pub checkpoint: Option<Checkpoint>,
     /// Told after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
@@ -34,11 +48,16 @@ pub struct FitOptions<'a> {
 impl Default for FitOptions<'_> {
     fn default() -> Self {
         Self {
-            method: NelderMead::default(),
+            method: NelderMead::default().into(),
             workers: None,
             start: None,
             tolerances: Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All },
             limits: Limits::default(),
+            seed: None,
+            known: Vec::new(),
+            cache: None,
+            trace_limit: None,
+            checkpoint: None,
             observer: None,
             poll: None,
         }
@@ -75,12 +94,26 @@ pub struct Fit {
     pub report: Report,
 }
 
+/// A number as people write it: small and large ones with an exponent.
+struct Short(f64);
+
+impl fmt::Display for Short {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let size = self.0.abs();
+        if size == 0.0 || (1e-4..1e7).contains(&size) {
+            write!(f, "{}", self.0)
+        } else {
+            write!(f, "{:e}", self.0)
+        }
+    }
+}
+
 impl fmt::Display for Fit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (name, value) in self.names.iter().zip(&self.x) {
-            writeln!(f, "{name} = {value}")?;
+            writeln!(f, "{name} = {}", Short(*value))?;
         }
-        writeln!(f, "cost {}, RMS {}", self.cost, self.rms)?;
+        writeln!(f, "cost {}, RMS {}", Short(self.cost), Short(self.rms))?;
         self.report.fmt(f)
     }
 }
@@ -95,7 +128,7 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit(&self, options: FitOptions<'_>) -> Result<Fit, CalibrationError> {
-        let FitOptions { method, workers, start, tolerances, limits, observer, poll } = options;
+        let FitOptions { method, workers, start, tolerances, limits, observer, poll, .. } = options;
         let workers = workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
@@ -118,19 +151,21 @@ impl Calibration {
             .transforms(&transforms)
             .scales(&sizes)
             .tolerances(tolerances)
+            .limits(limits)
+            .known(options.known)
             .pool(Arc::new(WorkerPool::new(workers)?))
             .method(method);
-        if let Some(n) = limits.max_evaluations {
-            run = run.max_evaluations(n);
+        if let Some(seed) = options.seed {
+            run = run.seed(seed);
         }
-        if let Some(n) = limits.max_iterations {
-            run = run.max_iterations(n);
+        if let Some(evaluations) = options.cache {
+            run = run.cache(evaluations);
         }
-        if let Some(time) = limits.max_time {
-            run = run.max_time(time);
+        if let Some(evaluations) = options.trace_limit {
+            run = run.trace_limit(evaluations);
         }
-        if let Some(target) = limits.target {
-            run = run.target(target);
+        if let Some(checkpoint) = options.checkpoint {
+            run = run.checkpoint(self.tag(checkpoint));
         }
         if let Some(observer) = observer {
             run = run.observer(observer);

@@ -1,6 +1,6 @@
 //! The only loop: ask -> evaluate -> tell -> observe -> stop?
 
-use crate::checkpoint::{Lent, Writer};
+use crate::checkpoint::Writer;
 use crate::error::Error;
 use crate::evaluate::{Desk, Gateway, Replay};
 use crate::method::{Batch, Method, Status};
@@ -104,30 +104,15 @@ impl<M: Method> Drive<'_, M> {
     }
 
     fn save(&mut self, replay: &[Replay]) -> Result<(), Error> {
+        let seconds = self.gateway.elapsed();
         let Some(writer) = &mut self.writer else { return Ok(()) };
-        let message = "this method cannot be continued";
-        let method = self.method.save().ok_or_else(|| Error::State { message: message.to_owned() })?;
-        let fingerprint = std::mem::take(&mut writer.fingerprint);
-        let desk = &self.gateway.desk;
-        let written = writer.write(&Lent {
-            fingerprint: &fingerprint,
-            method: &method,
-            ledger: &desk.ledger,
-            cache: &desk.cache,
-            stale: desk.stale,
-            replay,
-            observed: self.observed,
-            first_recent: self.first_recent,
-            seconds: self.gateway.elapsed(),
-            seed: self.method.seed(),
-        });
-        writer.fingerprint = fingerprint;
-        written
+        let observed = (self.observed, self.first_recent);
+        writer.write(&self.method, &self.gateway.desk, replay, observed, seconds)
     }
 }
 
 /// Limits that hold between two batches, besides those of the gateway.
-fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limits) -> Option<Termination> {
+pub(crate) fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limits) -> Option<Termination> {
     if desk.target_reached(limits) {
         return Some(Termination::Target);
     }

@@ -190,7 +190,7 @@ fn files_of_other_runs_are_refused_and_left_alone() {
     };
     let tagged = || at(&path).tag("model", "abc");
     let missing = run(1, 2.0, 1e-6, "ga", tagged().resume(Resume::Require));
-    assert!(matches!(missing, Err(Error::Checkpoint { .. })));
+    assert!(matches!(missing, Err(Error::CheckpointFile { .. })));
     run(1, 2.0, 1e-6, "ga", tagged()).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     for (what, refused) in [
@@ -219,7 +219,7 @@ fn files_of_other_runs_are_refused_and_left_alone() {
     let anew = run(2, 2.0, 1e-6, "ga", tagged().resume(Resume::Never)).unwrap();
     assert_eq!(anew.seed, Some(2));
     let nowhere = run(1, 2.0, 1e-6, "ga", at(&folder.0.join("no/such/folder")));
-    assert!(matches!(nowhere, Err(Error::Checkpoint { .. })));
+    assert!(matches!(nowhere, Err(Error::CheckpointFile { .. })));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use crate::logs;
 use crate::report::{self, LastSeen, Listener};
 use crate::settings::{Options, Settings};
 use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
-use dfo::{Measure, Progress};
+use dfo::Progress;
 use fmi::FmiError;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
@@ -264,7 +264,9 @@ impl PyCalibration {
         start: Option<Vec<f64>>,
         observer: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let Settings { method, tolerances, limits, workers } = options.check(Measure::Relative)?;
+        let Settings {
+            method, tolerances, limits, workers, seed, known, cache, trace_limit, checkpoint, ..
+        } = options.check(py)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
@@ -278,6 +280,11 @@ impl PyCalibration {
                 start,
                 tolerances,
                 limits,
+                seed,
+                known,
+                cache,
+                trace_limit,
+                checkpoint,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
                     seen.pass_on(progress, desk, hearing.as_ref())
                 })),

@@ -65,7 +65,9 @@ impl DifferentialEvolutionState {
         let adaptation = match options.scheme {
             Scheme::Classic { .. } => None,
             Scheme::Adaptive(adaptive) => {
-                let limit = setup.max_evaluations.unwrap_or(2000usize.saturating_mul(n + 1));
+                // A limit that says "none" is nothing to plan with.
+                let limit = setup.max_evaluations.filter(|m| *m < usize::MAX);
+                let limit = limit.unwrap_or(2000usize.saturating_mul(n + 1));
                 Some(Adaptation::new(adaptive, members, options.budget.unwrap_or(limit), n))
             }
         };

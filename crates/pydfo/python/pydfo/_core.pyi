@@ -19,6 +19,7 @@ __all__ = [
     "Calibration",
     "Fmu",
     "Model",
+    "Optimizer",
     "__version__",
     "build_fmu",
     "check_parameter",
@@ -33,16 +34,35 @@ __all__ = [
 __version__: str
 
 def minimize(
-    func: Callable[[npt.NDArray[np.float64]], Any],
-    x0: npt.NDArray[np.float64],
-    lower: npt.NDArray[np.float64],
-    upper: npt.NDArray[np.float64],
+    func: Callable[..., Any],
+    x0: list[float] | None,
+    lower: list[float],
+    upper: list[float],
     options: Options,
     *,
     tolerant: bool = False,
     observer: Callable[[Progress], Any] | None = None,
     detail: bool = False,
+    batches: bool = False,
 ) -> OptimizeResult: ...
+@final
+class Optimizer:
+    def __new__(
+        cls, x0: list[float] | None, lower: list[float], upper: list[float], options: Options
+    ) -> Optimizer: ...
+    def ask(
+        self, at_most: int | None
+    ) -> tuple[npt.NDArray[np.uint64], npt.NDArray[np.float64], npt.NDArray[np.float64]]: ...
+    def tell(self, id: int, value: object) -> None: ...
+    @property
+    def best(self) -> tuple[npt.NDArray[np.float64], float] | None: ...
+    @property
+    def n_pending(self) -> int: ...
+    @property
+    def termination(self) -> str | None: ...
+    def report(self) -> OptimizeResult: ...
+    def save(self) -> None: ...
+    def stop(self) -> None: ...
 def quad_err(
     t_meas: npt.NDArray[np.float64],
     y_meas: npt.NDArray[np.float64],

@@ -17,6 +17,7 @@ __all__ = [
     "BadCalibrationError",
     "BadModelValueError",
     "CalibrationError",
+    "CheckpointError",
     "FmuError",
     "Interrupted",
     "MethodNotAvailable",
@@ -106,6 +107,10 @@ class NoResult(CalibrationError):
 
 class AllStartsFailed(NoResult):
     """The objective failed at every one of the starting points."""
+
+
+class CheckpointError(PydfoError, ValueError):
+    """A checkpoint that is damaged, or belongs to another run; the message names the difference. The file is untouched."""
 
 
 class MethodNotAvailable(ValueError, NotImplementedError):
