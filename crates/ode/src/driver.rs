@@ -7,7 +7,7 @@ use crate::dop853::Dop853;
 use crate::error::{ErrorKind, Report, SimulationError, Termination};
 use crate::event::{ChatteringGuard, Domains};
 use crate::explicit_rk::ExplicitRk;
-use crate::observer::Observer;
+use crate::observer::{Observer, StepView};
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
 use crate::radau5::Radau5;
 use crate::sampling::{Here, Sampler};
@@ -502,6 +502,14 @@ where
         }
         self.discards = 0;
         self.worst_state = None;
+        if self.observer.wants_steps() {
+            let (stepper, began) = (&*self.stepper, self.t);
+            let trial = Trial { t: began, end, h, x: &self.space.x };
+            let inside = |t: f64, x: &mut [f64]| {
+                stepper.interpolate(trial, ((t - began) / h).clamp(0.0, 1.0), x);
+            };
+            self.observer.step(&StepView::new(began, at, &inside));
+        }
 
         // Slopes at both sides of an event decide whether the method must be restarted.
         let theta = if inside { (at - self.t) / h } else { 1.0 };

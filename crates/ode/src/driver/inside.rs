@@ -60,7 +60,7 @@ where
             }
         }
         let sampled = self.space.sampler.due_before(self.times, end - self.same).is_some();
-        if (bracket.is_some() || sampled)
+        if (bracket.is_some() || sampled || self.observer.wants_steps())
             && let Err(error) = self.make_ready(end, h, &mut ready)
         {
             return self.cannot_stand(h, error);
