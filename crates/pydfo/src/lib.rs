@@ -14,9 +14,11 @@ mod interrupt;
 mod logs;
 mod model;
 mod objective;
+mod py_system;
 mod quad_err;
 mod report;
 mod settings;
+mod solve;
 mod trajectory;
 mod values;
 
@@ -38,6 +40,8 @@ mod core_module {
     use super::model::Model;
     #[pymodule_export]
     use super::quad_err::quad_err;
+    #[pymodule_export]
+    use super::solve::solve;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

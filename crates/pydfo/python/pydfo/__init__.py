@@ -3,12 +3,12 @@
 `FMUModel` is a model to set, simulate and get values of; `example_fmu` has some to try.
 `Calibration` puts a model, measurements and `Parameter` objects together, and fits without the interpreter lock.
 `fmin` minimises a Python function, with the signature of the tool of the paper; `pydfo.dfo` has it together with
-`quad_err` for scripts written for that tool.
+`quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written in Python.
 """
 
 from __future__ import annotations
 
-from . import dfo
+from . import dfo, ode
 from ._calibration import Calibration
 from ._core import __version__
 from ._description import Description, Variable, read_description
@@ -65,5 +65,6 @@ __all__ = [
     "example_fmu",
     "fmin",
     "load_fmu",
+    "ode",
     "read_description",
 ]
