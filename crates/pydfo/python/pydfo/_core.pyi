@@ -14,6 +14,7 @@ from ._options import Options
 from ._parameter import Parameter
 from ._progress import Progress
 from ._result import OptimizeResult
+from .ode import OdeResult, _Problem
 
 __all__ = [
     "Calibration",
@@ -29,6 +30,7 @@ __all__ = [
     "example_names",
     "minimize",
     "quad_err",
+    "solve",
 ]
 
 __version__: str
@@ -70,6 +72,7 @@ def quad_err(
     y_sim: npt.NDArray[np.float64],
     w: npt.NDArray[np.float64] | None = None,
 ) -> float: ...
+def solve(problem: _Problem) -> OdeResult: ...
 def check_parameter(parameter: Parameter) -> None: ...
 @final
 class Calibration:
