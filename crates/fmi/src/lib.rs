@@ -14,6 +14,7 @@ mod failure;
 mod fmu;
 mod input;
 mod instance;
+mod jacobian;
 mod lanes;
 mod model_exchange;
 mod options;

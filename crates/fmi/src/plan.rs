@@ -7,6 +7,7 @@ use crate::error::FmiError;
 use crate::fmu::{Fmu, Reuse};
 use crate::input::{InputPlan, Inputs};
 use crate::instance::Core;
+use crate::jacobian::JacobianPlan;
 use crate::options::SimulateOptions;
 use crate::outputs::{OutputContext, OutputPlan, element_of};
 use crate::pool::nudge;
@@ -47,6 +48,8 @@ pub struct SimulationPlan {
     pub(crate) nominals: Vec<f64>,
     pub(crate) completed_step_not_needed: bool,
     pub(crate) kind: InterfaceKind,
+    /// How the Jacobian can be had; empty for co-simulation.
+    pub(crate) jacobian: JacobianPlan,
     /// The steps of co-simulation.
     pub(crate) communication: Option<Communication>,
     warned_of_nominals: AtomicBool,
@@ -103,6 +106,12 @@ impl SimulationPlan {
             nominals: (0..structure.states(description))
                 .map(|i| states.get(i).copied().flatten().and_then(|state| state.nominal).unwrap_or(1.0))
                 .collect(),
+            jacobian: match kind {
+                InterfaceKind::ModelExchange => {
+                    JacobianPlan::new(description, &structure, &interface.capabilities)
+                }
+                InterfaceKind::CoSimulation => JacobianPlan::default(),
+            },
             structure,
             completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
             kind,

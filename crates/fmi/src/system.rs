@@ -10,7 +10,9 @@ use crate::model_exchange::MAX_EVENT_ITERATIONS;
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
 use crate::sys::{Fault, RawInstance};
-use ode::{CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction};
+use ode::{
+    CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
+};
 use std::sync::Arc;
 
 /// What a run has of its FMU at the moment.
@@ -420,6 +422,35 @@ impl HybridSystem for System {
         all_finite(dx)?;
         self.note(dx);
         Ok(())
+    }
+
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        self.plan.jacobian.pattern.as_ref()
+    }
+
+    fn directional_derivative(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        seed: &[f64],
+        derivative: &mut [f64],
+    ) -> CallResult<bool> {
+        let plan = Arc::clone(&self.plan);
+        let Some(sides) = &plan.jacobian.directional else { return Ok(false) };
+        self.set_point(t, x)?;
+        let is_there = self.call(|raw| {
+            match raw.directional_derivative(&sides.derivatives, &sides.states, seed, derivative) {
+                // Promised, but not in the library.
+                Err(Fault::Missing(_)) => Ok(false),
+                outcome => outcome.map(|()| true),
+            }
+        })?;
+        if !is_there {
+            return Ok(false);
+        }
+        all_finite(derivative)?;
+        self.note(derivative);
+        Ok(true)
     }
 
     fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
