@@ -115,7 +115,7 @@ mod tests {
              </ModelVariables><ModelStructure><Derivatives>{unknowns}</Derivatives></ModelStructure></fmiModelDescription>"
         );
         let model = ModelDescription::parse(text.as_bytes()).unwrap();
-        let capabilities = model.model_exchange.as_ref().unwrap().capabilities.clone();
+        let capabilities = model.model_exchange.as_ref().unwrap().capabilities;
         JacobianPlan::new(&model, &Structure::default(), &capabilities)
     }
 
