@@ -373,13 +373,20 @@ impl Run<'_> {
 
     /// A step of which only a part was computed, or nothing.
     fn cut_short(&mut self, target: &Target, outcome: &StepOutcome, row_inside: bool) -> Step<()> {
-        let StepOutcome { reached, terminate, event, .. } = *outcome;
+        let StepOutcome { reached, terminate, event, may_have_ended, .. } = *outcome;
         let same = self.plan.same;
+        let can_retry = self.communication.variable;
         let reached = reached.map_or(self.t, |reached| reached.clamp(self.t, target.time));
-        if reached > self.t + same && (self.communication.variable || terminate) {
+        if reached > self.t + same && (can_retry || terminate || may_have_ended) {
             // The model stands there and goes on from there.
+            self.discards = 0;
             let regular = target.regular && reached >= target.time - same;
-            return self.arrive(reached, regular, row_inside, event && !terminate);
+            self.arrive(reached, regular, row_inside, event && !terminate)?;
+            return if can_retry || terminate {
+                Ok(())
+            } else {
+                Err(Exit::Normal(Termination::StoppedByModel))
+            };
         }
         if terminate {
             return Ok(());
@@ -395,7 +402,10 @@ impl Run<'_> {
         }
         self.stats.rejected_steps += 1;
         self.discards += 1;
-        if !self.communication.variable || self.discards > MAX_DISCARDS {
+        if !can_retry || self.discards > MAX_DISCARDS {
+            if may_have_ended && self.stats.accepted_steps > 0 {
+                return Err(Exit::Normal(Termination::StoppedByModel));
+            }
             let core = self.stepping.core()?;
             let fault = core.raw.step_refused();
             return Err(core.error(fault).into());

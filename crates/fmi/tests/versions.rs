@@ -65,6 +65,29 @@ fn co_simulation_agrees_in_all_versions() {
 }
 
 #[test]
+fn a_model_may_end_the_simulation_in_all_versions() {
+    // The stair ends at 9 s: between two communication points, and at one.
+    for (interval, last) in [(0.4, 8.8), (0.5, 9.0)] {
+        let options = SimulateOptions::new().final_time(20.0).output_interval(interval);
+        for kind in ExampleKind::ALL {
+            let fmu = open("stair", kind);
+            for way in [Kind::ModelExchange, Kind::CoSimulation] {
+                let Ok(_) = fmu.choose(way) else { continue };
+                let result = fmu.simulate(&options.clone().kind(way)).unwrap();
+                assert_eq!(
+                    (result.termination, result.end_time),
+                    (Termination::StoppedByModel, 9.0),
+                    "{kind:?}"
+                );
+                let end = *result.time.last().unwrap();
+                assert!((end - last).abs() < 1e-12, "{kind:?} {way:?}: {end}");
+                assert_eq!(result.get("counter").unwrap().last(), Some(&(1.0 + end.floor())), "{kind:?}");
+            }
+        }
+    }
+}
+
+#[test]
 fn inputs_of_all_types_reach_the_model_in_all_versions() {
     let inputs = Inputs::new()
         .series("u", vec![0.0, 0.7, 2.0, 2.0, 5.0], vec![0.0, 0.21, 0.6, 1.0, 1.0])
