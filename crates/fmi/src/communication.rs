@@ -131,12 +131,12 @@ pub(crate) struct Stepping {
 
 impl Stepping {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
-        let row = || vec![0.0; plan.outputs.len()];
+        let row = || vec![0.0; plan.outputs().len()];
         Self {
             mode: Mode::Gone,
             broken: false,
             inputs: InputState::new(&plan.inputs),
-            buffers: OutputBuffers::new(&plan.outputs),
+            buffers: OutputBuffers::new(plan.outputs()),
             before: row(),
             after: row(),
             between: row(),
@@ -591,7 +591,7 @@ impl Run<'_> {
         let time = self.t;
         let Stepping { mode, buffers, before, after, .. } = &mut *self.stepping;
         let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
-        let outputs = &self.plan.outputs;
+        let outputs = self.plan.outputs();
         instance.core().call(|raw| buffers.read(outputs, raw))?;
         let row = match place {
             Place::Before => before,
@@ -617,8 +617,8 @@ impl Run<'_> {
             let theta = (time - self.t) / (end - self.t);
             let Stepping { before, after, between, .. } = &mut *self.stepping;
             for (i, value) in between.iter_mut().enumerate() {
-                let is_time = self.plan.outputs.is_time(i);
-                *value = match (is_time, self.plan.outputs.is_continuous(i)) {
+                let is_time = self.plan.outputs().is_time(i);
+                *value = match (is_time, self.plan.outputs().is_continuous(i)) {
                     (true, _) => time,
                     (_, true) => before[i] + theta * (after[i] - before[i]),
                     (_, false) => before[i],
