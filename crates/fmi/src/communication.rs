@@ -131,12 +131,12 @@ pub(crate) struct Stepping {
 
 impl Stepping {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
-        let row = || vec![0.0; plan.outputs.len()];
+        let row = || vec![0.0; plan.outputs().len()];
         Self {
             mode: Mode::Gone,
             broken: false,
             inputs: InputState::new(&plan.inputs),
-            buffers: OutputBuffers::new(&plan.outputs),
+            buffers: OutputBuffers::new(plan.outputs()),
             before: row(),
             after: row(),
             between: row(),
@@ -373,13 +373,20 @@ impl Run<'_> {
 
     /// A step of which only a part was computed, or nothing.
     fn cut_short(&mut self, target: &Target, outcome: &StepOutcome, row_inside: bool) -> Step<()> {
-        let StepOutcome { reached, terminate, event, .. } = *outcome;
+        let StepOutcome { reached, terminate, event, may_have_ended, .. } = *outcome;
         let same = self.plan.same;
+        let can_retry = self.communication.variable;
         let reached = reached.map_or(self.t, |reached| reached.clamp(self.t, target.time));
-        if reached > self.t + same && (self.communication.variable || terminate) {
+        if reached > self.t + same && (can_retry || terminate || may_have_ended) {
             // The model stands there and goes on from there.
+            self.discards = 0;
             let regular = target.regular && reached >= target.time - same;
-            return self.arrive(reached, regular, row_inside, event && !terminate);
+            self.arrive(reached, regular, row_inside, event && !terminate)?;
+            return if can_retry || terminate {
+                Ok(())
+            } else {
+                Err(Exit::Normal(Termination::StoppedByModel))
+            };
         }
         if terminate {
             return Ok(());
@@ -395,7 +402,10 @@ impl Run<'_> {
         }
         self.stats.rejected_steps += 1;
         self.discards += 1;
-        if !self.communication.variable || self.discards > MAX_DISCARDS {
+        if !can_retry || self.discards > MAX_DISCARDS {
+            if may_have_ended && self.stats.accepted_steps > 0 {
+                return Err(Exit::Normal(Termination::StoppedByModel));
+            }
             let core = self.stepping.core()?;
             let fault = core.raw.step_refused();
             return Err(core.error(fault).into());
@@ -581,7 +591,7 @@ impl Run<'_> {
         let time = self.t;
         let Stepping { mode, buffers, before, after, .. } = &mut *self.stepping;
         let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
-        let outputs = &self.plan.outputs;
+        let outputs = self.plan.outputs();
         instance.core().call(|raw| buffers.read(outputs, raw))?;
         let row = match place {
             Place::Before => before,
@@ -607,8 +617,8 @@ impl Run<'_> {
             let theta = (time - self.t) / (end - self.t);
             let Stepping { before, after, between, .. } = &mut *self.stepping;
             for (i, value) in between.iter_mut().enumerate() {
-                let is_time = self.plan.outputs.is_time(i);
-                *value = match (is_time, self.plan.outputs.is_continuous(i)) {
+                let is_time = self.plan.outputs().is_time(i);
+                *value = match (is_time, self.plan.outputs().is_continuous(i)) {
                     (true, _) => time,
                     (_, true) => before[i] + theta * (after[i] - before[i]),
                     (_, false) => before[i],

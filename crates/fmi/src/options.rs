@@ -70,7 +70,9 @@ pub struct SimulateOptions {
     pub start_values: Vec<(String, Value)>,
     /// Real variables whose values are given anew at each run.
     pub parameters: Vec<String>,
-    /// Variables to record; default: those of causality output, or the states if there are none. Time is always there.
+    /// Variables to record: names; elements of arrays (`name[2,1]`, counted from 1); patterns, in which `*` stands for any
+    /// characters and `?` for one; `all` for everything that is a number. Default: the variables of causality output and
+    /// the states, or where there are neither, all variables that change. Time is always there.
     pub outputs: Option<Vec<String>>,
     /// Time-varying inputs.
     pub inputs: Option<Inputs>,

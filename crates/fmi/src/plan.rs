@@ -9,8 +9,9 @@ use crate::input::{InputPlan, Inputs};
 use crate::instance::Core;
 use crate::jacobian::JacobianPlan;
 use crate::options::SimulateOptions;
-use crate::outputs::{OutputContext, OutputPlan, element_of};
+use crate::outputs::{OutputContext, OutputPlan};
 use crate::pool::nudge;
+use crate::selection::{ArrayColumns, Selection, states};
 use crate::sys::InterfaceKind;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -38,10 +39,9 @@ pub struct SimulationPlan {
     /// What the parameters are where nobody gives a value.
     pub(crate) parameter_starts: Vec<f64>,
     pub(crate) inputs: InputPlan,
-    pub(crate) outputs: OutputPlan,
+    outputs: Selection,
     /// Everything that a run sets, sorted.
     pub(crate) settings: Arc<[Setting]>,
-    output_names: Vec<String>,
     pub(crate) n_states: usize,
     pub(crate) n_indicators: usize,
     /// Nominals of the states as the description says them.
@@ -98,13 +98,15 @@ impl SimulationPlan {
             parameter_names: Vec::new(),
             parameter_starts: Vec::new(),
             inputs,
-            outputs: OutputPlan::default(),
+            outputs: Selection::default(),
             settings: Arc::default(),
-            output_names: Vec::new(),
             n_states: structure.states(description),
             n_indicators: structure.indicators(description),
             nominals: (0..structure.states(description))
-                .map(|i| states.get(i).copied().flatten().and_then(|state| state.nominal).unwrap_or(1.0))
+                .map(|i| {
+                    let state = states.get(i).copied().flatten();
+                    state.and_then(|state| description.variables[state].nominal).unwrap_or(1.0)
+                })
                 .collect(),
             jacobian: match kind {
                 InterfaceKind::ModelExchange => {
@@ -209,51 +211,27 @@ impl SimulationPlan {
         &mut self,
         description: &ModelDescription,
         names: Option<&[String]>,
-        states: &[Option<&Variable>],
+        states: &[Option<usize>],
     ) -> Result<(), FmiError> {
         // A model that integrates itself does not show its states otherwise than as variables.
-        let is_me = self.kind == InterfaceKind::ModelExchange;
         let mut places: HashMap<u32, usize> = HashMap::new();
-        if is_me {
+        if self.kind == InterfaceKind::ModelExchange {
             for (i, state) in states.iter().enumerate() {
                 // The first place of an array is that of its first element.
-                state.iter().for_each(|v| {
-                    places.entry(v.value_reference).or_insert(i);
-                });
+                if let Some(state) = state {
+                    places.entry(description.variables[*state].value_reference).or_insert(i);
+                }
             }
         }
         let structure = self.structure.clone();
         let context = OutputContext { model: description, structure: &structure, states: &places };
-        let Some(names) = names else {
-            let outputs: Vec<&Variable> = description
-                .variables
-                .iter()
-                .filter(|v| v.causality == Causality::Output && v.kind.is_number())
-                .collect();
-            let mut states: Vec<&Variable> = states.iter().copied().flatten().collect();
-            states.dedup_by_key(|state| state.value_reference);
-            for variable in if outputs.is_empty() { states } else { outputs } {
-                let names = self.outputs.add(&context, variable, &variable.name, None)?;
-                self.output_names.extend(names);
+        self.outputs = match names {
+            Some(names) => Selection::of_names(&context, names)?,
+            None => {
+                let states: Vec<usize> = states.iter().copied().flatten().collect();
+                Selection::default_of(&context, &states)?
             }
-            self.outputs.finish();
-            return Ok(());
         };
-        for name in names {
-            let extents = |array: &str| Some(structure.extents(description, description.variable(array)?));
-            let added = match (resolve(description, name), element_of(name, extents)) {
-                (Ok(index), _) => self.outputs.add(&context, &description.variables[index], name, None)?,
-                (Err(_), Some((array, element))) => {
-                    let index = resolve(description, array)?;
-                    self.outputs.add(&context, &description.variables[index], name, Some(element))?
-                }
-                // Time is always there; models may or may not have a variable for it.
-                (Err(_), None) if name == "time" => continue,
-                (Err(error), None) => return Err(error),
-            };
-            self.output_names.extend(added);
-        }
-        self.outputs.finish();
         Ok(())
     }
 
@@ -311,7 +289,22 @@ impl SimulationPlan {
 
     /// Names of the outputs, in the order of [`Sample::outputs`](ode::Sample).
     pub fn output_names(&self) -> &[String] {
-        &self.output_names
+        &self.outputs.names
+    }
+
+    /// Positions in the description of the variables of the outputs; all elements of an array have the same.
+    pub fn output_variables(&self) -> &[usize] {
+        &self.outputs.variables
+    }
+
+    /// The arrays among the outputs.
+    pub fn output_arrays(&self) -> &[ArrayColumns] {
+        &self.outputs.arrays
+    }
+
+    /// Where the outputs come from.
+    pub(crate) fn outputs(&self) -> &OutputPlan {
+        &self.outputs.plan
     }
 
     /// Names of the parameters, in the order in which a run takes their values.
@@ -352,18 +345,6 @@ impl SimulationPlan {
             *nominal = corrected;
         }
     }
-}
-
-/// The state variables in the order of the state vector, those that are arrays once for each element; `None` where the
-/// description does not say which variable a derivative belongs to.
-fn states<'a>(description: &'a ModelDescription, structure: &Structure) -> Vec<Option<&'a Variable>> {
-    let mut states = Vec::new();
-    for unknown in &description.structure.derivatives {
-        let derivative = &description.variables[unknown.index];
-        let state = derivative.derivative.map(|state| &description.variables[state]);
-        states.extend(std::iter::repeat_n(state, structure.elements(description, derivative)));
-    }
-    states
 }
 
 /// Positions and values, each position once (the last value counts), and the structure that they make.

@@ -77,7 +77,7 @@ impl System {
             last_states: vec![0.0; n],
             announced: None,
             floor: f64::NEG_INFINITY,
-            buffers: OutputBuffers::new(&plan.outputs),
+            buffers: OutputBuffers::new(plan.outputs()),
             signed: Vec::new(),
             digest: None,
             plan,
@@ -386,7 +386,7 @@ impl HybridSystem for System {
     }
 
     fn n_outputs(&self) -> usize {
-        self.plan.outputs.len()
+        self.plan.outputs().len()
     }
 
     fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
@@ -466,14 +466,14 @@ impl HybridSystem for System {
 
     /// Values that are not finite are passed on: an output that is NaN is for the reader to judge.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
-        if self.plan.outputs.needs_fmu() {
+        if self.plan.outputs().needs_fmu() {
             self.set_point(t, x)?;
         }
         let Self { plan, mode, broken, buffers, .. } = self;
-        if plan.outputs.needs_fmu() {
-            call(mode, broken, |raw| buffers.read(&plan.outputs, raw))?;
+        if plan.outputs().needs_fmu() {
+            call(mode, broken, |raw| buffers.read(plan.outputs(), raw))?;
         }
-        buffers.row(&plan.outputs, t, x, y);
+        buffers.row(plan.outputs(), t, x, y);
         self.note(y);
         Ok(())
     }

@@ -95,8 +95,8 @@ fn values_that_do_not_fit_are_refused_by_name() {
         SimulationPlan::new(&fmu, &SimulateOptions::new().start_value(name, value)).unwrap_err().to_string()
     };
     for (name, value, text) in [
-        ("i8", 128.into(), "i8 is of type Int8, 128 (out of range)"),
-        ("u64", (-1).into(), "out of range"),
+        ("i8", 128.into(), "i8 is of type Int8 (8 bits, from -128 to 127), 128"),
+        ("u64", (-1).into(), "64 bits, from 0 to 18446744073709551615"),
         ("k", vec![1.0, 2.0].into(), "array of another size"),
         ("k", 1.0.into(), "one value for an array"),
         ("k", vec![1.0, f64::NAN, 1.0].into(), "NaN"),

@@ -3,7 +3,7 @@
 
 use crate::{files, fmu_error, values};
 use fmi::description::{
-    BaseUnit, Capabilities, Causality, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
+    BaseUnit, Capabilities, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
 };
 use fmi::{InterfaceKind, ModelDescription, Variable};
 use pyo3::exceptions::PyIndexError;
@@ -75,12 +75,6 @@ impl Fmu {
     fn names_of(&self, causality: &str) -> Vec<&str> {
         let variables = self.description().variables.iter();
         variables.filter(|v| v.causality.to_string() == causality).map(|v| v.name.as_str()).collect()
-    }
-
-    /// Names of the variables that results can hold.
-    fn recordable(&self) -> Vec<&str> {
-        let is_number = |v: &&Variable| v.kind.is_number() && v.causality != Causality::Independent;
-        self.description().variables.iter().filter(is_number).map(|v| v.name.as_str()).collect()
     }
 
     /// Position of a variable; None if there is none of this name.

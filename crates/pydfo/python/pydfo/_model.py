@@ -233,7 +233,9 @@ class FMUModel:
             Tables are linear between rows for continuous Real inputs, and held for all others; a time listed twice is a
             jump. Jumps are events. Functions can drive continuous Real inputs and should be smooth.
         output : str or iterable of str, optional
-            Variables to record, or "all". Default: the outputs and the states.
+            Variables to record: names, elements of arrays (``name[2,1]``, counted from 1), patterns (``*`` stands for any
+            characters, ``?`` for one), or "all". Default: the outputs and the states; where a model declares neither
+            (FMI 1.0), all variables that change.
         times : array_like, optional
             The times of the rows, ascending. A time listed twice gives the limit from the left, then the value after the
             events of that time.
@@ -309,8 +311,6 @@ class FMUModel:
     def _outputs(self, output: str | Iterable[str] | None) -> list[str] | None:
         if output is None:
             return None
-        if output == "all":
-            return self._fmu.recordable()
         return [output] if isinstance(output, str) else _names("output", output)
 
     def close(self) -> None:
