@@ -21,12 +21,14 @@ mod outputs;
 mod plan;
 pub mod platform;
 mod pool;
+mod readback;
 mod session;
 mod simulation;
 mod source;
 mod sys;
 mod system;
 mod trajectory;
+mod trial;
 
 pub use archive::{Archive, ArchiveLimits};
 pub use co_simulation::StepOutcome;

@@ -9,8 +9,9 @@ use crate::input::{InputPlan, Inputs};
 use crate::instance::Core;
 use crate::options::SimulateOptions;
 use crate::outputs::{OutputContext, OutputPlan, element_of};
-use crate::pool::nudge;
+use crate::readback::{ReadBack, ReadBackBuffers};
 use crate::sys::InterfaceKind;
+use crate::trial::nudge;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -46,6 +47,8 @@ pub struct SimulationPlan {
     /// Nominals of the states as the description says them.
     pub(crate) nominals: Vec<f64>,
     pub(crate) completed_step_not_needed: bool,
+    /// What a reused instance is asked for again.
+    pub(crate) read_back: ReadBack,
     pub(crate) kind: InterfaceKind,
     /// The steps of co-simulation.
     pub(crate) communication: Option<Communication>,
@@ -105,6 +108,7 @@ impl SimulationPlan {
                 .collect(),
             structure,
             completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
+            read_back: ReadBack::default(),
             kind,
             communication,
             warned_of_nominals: AtomicBool::new(false),
@@ -118,7 +122,16 @@ impl SimulationPlan {
             };
             let is_array = !variable.dimensions.is_empty();
             list.push(variable, value, is_array.then(|| plan.structure.elements(description, variable)))?;
+            if variable.causality != Causality::StructuralParameter {
+                plan.read_back.add_start(variable, &plan.start_values);
+            }
         }
+        for (i, name) in plan.parameter_names.iter().enumerate() {
+            if let Some(variable) = description.variable(name) {
+                plan.read_back.add_parameter(variable, i);
+            }
+        }
+        plan.read_back.finish();
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
         plan.settings = plan.all_settings();
         Ok(plan)
@@ -266,6 +279,16 @@ impl SimulationPlan {
         core.set_reals(&self.parameters, buffer)
     }
 
+    /// Whether an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one of the FMU's.
+    pub(crate) fn has_values(
+        &self,
+        core: &mut Core,
+        parameters: &[f64],
+        buffers: &mut ReadBackBuffers,
+    ) -> Result<bool, FmiError> {
+        self.read_back.agrees(core, &self.start_values, |i| parameters[i] * self.signs[i], buffers)
+    }
+
     /// The model.
     pub fn fmu(&self) -> &Fmu {
         &self.fmu
@@ -286,13 +309,23 @@ impl SimulationPlan {
         self.end
     }
 
-    /// What is known about reset for this way of running the model.
+    /// How instances are brought back to their beginning for this way of running the model, as far as is known.
     pub(crate) fn reuse(&self) -> Option<Reuse> {
         self.fmu.reuse_of(self.kind)
     }
 
     pub(crate) fn set_reuse(&self, reuse: Reuse) {
         self.fmu.set_reuse(self.kind, reuse);
+    }
+
+    /// Whether instances may be brought back by a saved state, as far as is known.
+    pub(crate) fn may_restore(&self) -> bool {
+        self.fmu.may_restore(self.kind)
+    }
+
+    /// Saved states were found not to bring instances back.
+    pub(crate) fn refuse_restore(&self) {
+        self.fmu.refuse_restore(self.kind);
     }
 
     /// How the model is run.
