@@ -226,7 +226,7 @@ impl Stepping {
         core.value(variable)
     }
 
-    fn core(&mut self) -> Result<&mut Core, FmiError> {
+    pub(crate) fn core(&mut self) -> Result<&mut Core, FmiError> {
         match &mut self.mode {
             Mode::Stepping(instance) => Ok(instance.core()),
             Mode::Gone | Mode::Spare(_) => Err(no_instance()),

@@ -64,18 +64,25 @@ impl Spares for Idle {
     }
 }
 
-/// How the instances of an FMU are brought back to their beginning between simulations.
+/// How the instances of an FMU are brought back to their beginning between simulations: the first of these ways that was
+/// seen to be right. Right means that runs have the same bits as on a new instance, also after a run with other values;
+/// which way is faster is never asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
 pub enum Reuse {
+    /// By bringing back the state saved when the instance was new (FMUs that can save states): it was seen to restore
+    /// everything, bit for bit. All values are set again afterwards, and read back.
+    Restore,
     /// By the FMU's reset function: it was seen to restore everything, bit for bit.
     Reset,
-    /// By a new instance for every simulation: reset is missing, fails, or leaves traces.
+    /// By a new instance for every simulation: nothing else is offered, or it fails, or it leaves traces.
     Reinstantiate,
 }
 
 // Verdicts as the library stores them; 0: none.
-const RESET: u8 = 1;
-const REINSTANTIATE: u8 = 2;
+const RESTORE: u8 = 1;
+const RESET: u8 = 2;
+const REINSTANTIATE: u8 = 3;
 
 /// How an instance is made.
 #[derive(Debug, Clone, Default)]
@@ -412,15 +419,16 @@ impl Fmu {
         slot.as_ref().map(|library| Arc::clone(library.shared()))
     }
 
-    /// What is known about reset, for the interface that is used where nothing else is asked for; `None` before it
-    /// was tried.
+    /// How instances are brought back to their beginning, for the interface that is used where nothing else is asked for;
+    /// `None` before it was tried.
     pub fn reuse(&self) -> Option<Reuse> {
         self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
     }
 
-    /// What is known about reset; `None` before it was tried.
+    /// How instances are brought back to their beginning; `None` before it was tried.
     pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
         match self.shared(kind)?.reuse(kind) {
+            RESTORE => Some(Reuse::Restore),
             RESET => Some(Reuse::Reset),
             REINSTANTIATE => Some(Reuse::Reinstantiate),
             _ => None,
@@ -431,6 +439,8 @@ impl Fmu {
         if let Some(shared) = self.shared(kind) {
             // Once found out, a broken reset stays broken.
             let verdict = match reuse {
+                Reuse::Restore if shared.is_restore_refused(kind) => return,
+                Reuse::Restore => RESTORE,
                 Reuse::Reset => RESET,
                 Reuse::Reinstantiate => REINSTANTIATE,
             };
@@ -438,6 +448,19 @@ impl Fmu {
         }
         if reuse == Reuse::Reinstantiate {
             self.drop_idle(kind);
+        }
+    }
+
+    /// Whether instances may be brought back by a saved state, as far as is known.
+    pub(crate) fn may_restore(&self, kind: InterfaceKind) -> bool {
+        self.interface(kind).is_some_and(|interface| interface.capabilities.can_get_and_set_state)
+            && self.shared(kind).is_none_or(|shared| !shared.is_restore_refused(kind))
+    }
+
+    /// Saved states were found not to bring instances back.
+    pub(crate) fn refuse_restore(&self, kind: InterfaceKind) {
+        if let Some(shared) = self.shared(kind) {
+            shared.refuse_restore(kind, RESTORE);
         }
     }
 }

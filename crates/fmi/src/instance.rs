@@ -4,7 +4,7 @@ use crate::assign::{self, Assignments};
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::failure::CallFailure;
-use crate::fmu::Fmu;
+use crate::fmu::{Fmu, Reuse};
 use crate::lanes;
 use crate::sys::{Experiment, Fault, LogLine, RawInstance, SavedSlot, Sizes, Status};
 use std::marker::PhantomData;
@@ -511,7 +511,14 @@ impl Instance<Initialization> {
     }
 }
 
-/// Brings an instance with a past back to its beginning.
-pub(crate) fn reset(raw: RawInstance, fmu: &Fmu) -> Result<RawInstance, FmiError> {
-    Instance::<Instantiated>::from_raw(raw, fmu.clone()).reset().map(|fresh| fresh.into_raw().0)
+/// Brings an instance with a past back to its beginning, by a saved state or the FMU's reset function.
+pub(crate) fn renew(mut raw: RawInstance, fmu: &Fmu, reuse: Reuse) -> Result<RawInstance, FmiError> {
+    if reuse != Reuse::Restore {
+        return Instance::<Instantiated>::from_raw(raw, fmu.clone()).reset().map(|fresh| fresh.into_raw().0);
+    }
+    let outcome = raw.restore_origin();
+    raw.clear_log();
+    let mut instance = Instance::<Instantiated>::from_raw(raw, fmu.clone());
+    instance.core().call(|_| outcome)?;
+    Ok(instance.into_raw().0)
 }

@@ -22,6 +22,7 @@ mod outputs;
 mod plan;
 pub mod platform;
 mod pool;
+mod readback;
 mod selection;
 mod session;
 mod simulation;
@@ -29,6 +30,7 @@ mod source;
 mod sys;
 mod system;
 mod trajectory;
+mod trial;
 
 pub use archive::{Archive, ArchiveLimits};
 pub use co_simulation::StepOutcome;

@@ -10,9 +10,10 @@ use crate::instance::Core;
 use crate::jacobian::JacobianPlan;
 use crate::options::SimulateOptions;
 use crate::outputs::{OutputContext, OutputPlan};
-use crate::pool::nudge;
+use crate::readback::{ReadBack, ReadBackBuffers};
 use crate::selection::{ArrayColumns, Selection, states};
 use crate::sys::InterfaceKind;
+use crate::trial::nudge;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -47,6 +48,8 @@ pub struct SimulationPlan {
     /// Nominals of the states as the description says them.
     pub(crate) nominals: Vec<f64>,
     pub(crate) completed_step_not_needed: bool,
+    /// What a reused instance is asked for again.
+    pub(crate) read_back: ReadBack,
     pub(crate) kind: InterfaceKind,
     /// How the Jacobian can be had; empty for co-simulation.
     pub(crate) jacobian: JacobianPlan,
@@ -116,6 +119,7 @@ impl SimulationPlan {
             },
             structure,
             completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
+            read_back: ReadBack::default(),
             kind,
             communication,
             warned_of_nominals: AtomicBool::new(false),
@@ -129,7 +133,16 @@ impl SimulationPlan {
             };
             let is_array = !variable.dimensions.is_empty();
             list.push(variable, value, is_array.then(|| plan.structure.elements(description, variable)))?;
+            if variable.causality != Causality::StructuralParameter {
+                plan.read_back.add_start(variable, &plan.start_values);
+            }
         }
+        for (i, name) in plan.parameter_names.iter().enumerate() {
+            if let Some(variable) = description.variable(name) {
+                plan.read_back.add_parameter(variable, i);
+            }
+        }
+        plan.read_back.finish();
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
         plan.settings = plan.all_settings();
         Ok(plan)
@@ -253,6 +266,16 @@ impl SimulationPlan {
         core.set_reals(&self.parameters, buffer)
     }
 
+    /// Whether an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one of the FMU's.
+    pub(crate) fn has_values(
+        &self,
+        core: &mut Core,
+        parameters: &[f64],
+        buffers: &mut ReadBackBuffers,
+    ) -> Result<bool, FmiError> {
+        self.read_back.agrees(core, &self.start_values, |i| parameters[i] * self.signs[i], buffers)
+    }
+
     /// The model.
     pub fn fmu(&self) -> &Fmu {
         &self.fmu
@@ -273,13 +296,23 @@ impl SimulationPlan {
         self.end
     }
 
-    /// What is known about reset for this way of running the model.
+    /// How instances are brought back to their beginning for this way of running the model, as far as is known.
     pub(crate) fn reuse(&self) -> Option<Reuse> {
         self.fmu.reuse_of(self.kind)
     }
 
     pub(crate) fn set_reuse(&self, reuse: Reuse) {
         self.fmu.set_reuse(self.kind, reuse);
+    }
+
+    /// Whether instances may be brought back by a saved state, as far as is known.
+    pub(crate) fn may_restore(&self) -> bool {
+        self.fmu.may_restore(self.kind)
+    }
+
+    /// Saved states were found not to bring instances back.
+    pub(crate) fn refuse_restore(&self) {
+        self.fmu.refuse_restore(self.kind);
     }
 
     /// How the model is run.

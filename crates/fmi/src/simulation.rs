@@ -5,8 +5,9 @@ use crate::communication::Stepping;
 use crate::description::Value;
 use crate::error::FmiError;
 use crate::fmu::{InstanceOptions, Reuse};
-use crate::instance;
+use crate::instance::{self, Core};
 use crate::plan::SimulationPlan;
+use crate::readback::ReadBackBuffers;
 use crate::sys::{FloatEnvironment, InterfaceKind, RawInstance, Shared};
 use crate::system::System;
 use crate::trajectory::{Recorder, Trajectory};
@@ -19,9 +20,10 @@ pub(crate) const PROBE_STEPS: u64 = 50;
 /// Runs one plan over and over, each time from a freshly reset instance: the same parameters give the same bits, whatever
 /// was run before. One thread at a time uses it ([`Send`], not `Sync`); when warm, a run allocates nothing.
 ///
-/// Before an FMU's reset function is relied on for the first time, it is put to the test: the first steps on the reset
-/// instance must have the same bits as on a new one, or from then on every run gets a new instance
-/// (see [`Fmu::reuse`](crate::Fmu::reuse)). Where a [`Pool`](crate::Pool) has found that instances of the library disturb
+/// Before an instance is used again, the way of bringing it back to its beginning is put to the test: the first steps
+/// must have the same bits as on a new instance, also after a run with other values, or from then on the next way is taken
+/// (see [`Reuse`]: a saved state, the reset function, a new instance for every run). Parameters and start values are set
+/// again for every run, and read back from an instance that was used before. Where a [`Pool`](crate::Pool) has found that instances of the library disturb
 /// each other, a run waits until no other one is under way, and has a new instance if another one was made meanwhile.
 ///
 /// ```compile_fail
@@ -35,6 +37,7 @@ pub struct Simulator {
     engine: Engine,
     /// A new or reset instance that has not been used yet.
     fresh: Option<RawInstance>,
+    buffers: ReadBackBuffers,
 }
 
 /// What makes the steps: the driver, or the FMU itself.
@@ -71,6 +74,10 @@ impl Engine {
 
     fn retire(&mut self) -> Option<RawInstance> {
         each!(self, run => run.retire())
+    }
+
+    fn core(&mut self) -> Result<&mut Core, FmiError> {
+        each!(self, run => run.core())
     }
 
     fn initialize(&mut self, raw: RawInstance, parameters: &[f64]) -> Result<(), FmiError> {
@@ -129,7 +136,7 @@ impl Simulator {
             Some(raw) => engine.adopt(raw),
             None => fresh = Some(new_instance(&plan)?),
         }
-        Ok(Self { plan, shared, engine, fresh })
+        Ok(Self { plan, shared, engine, fresh, buffers: ReadBackBuffers::default() })
     }
 
     /// The plan.
@@ -147,8 +154,7 @@ impl Simulator {
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
         let guard = FloatEnvironment::standard();
-        let instance = self.fresh_instance(parameters)?;
-        self.engine.initialize(instance, parameters)?;
+        self.start(parameters)?;
         // Instantiating or initializing may have changed the floating-point mode.
         guard.assert();
         self.engine.run(&self.plan, None, observer)
@@ -197,62 +203,111 @@ impl Simulator {
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
         let _guard = FloatEnvironment::standard();
-        let instance = self.fresh_instance(parameters)?;
-        self.engine.initialize(instance, parameters)?;
+        self.start(parameters)?;
         match &mut self.engine {
             Engine::Integrated { system, .. } => system.settle(),
             Engine::Stepping(_) => Ok(()),
         }
     }
 
-    /// A new instance, or one that was reset by a function that is known to do so.
-    fn fresh_instance(&mut self, parameters: &[f64]) -> Result<RawInstance, FmiError> {
+    /// Initializes a new instance, or one that was brought back to its beginning and has the values it was given.
+    fn start(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        let (instance, is_used) = self.fresh_instance(parameters)?;
+        self.engine.initialize(instance, parameters)?;
+        if !is_used || self.has_values(parameters).is_ok_and(|agrees| agrees) {
+            return Ok(());
+        }
+        let plan = Arc::clone(&self.plan);
+        let model = &plan.fmu().description().model_name;
+        let reuse = plan.reuse();
+        self.start_new(parameters)?;
+        let from_new = self.has_values(parameters);
+        if from_new.is_ok_and(|agrees| agrees) {
+            log::warn!("{model}: an instance that was used before does not take the values it is given");
+            match reuse {
+                Some(Reuse::Restore) => plan.refuse_restore(),
+                _ => plan.set_reuse(Reuse::Reinstantiate),
+            }
+            return Ok(());
+        }
+        log::warn!("{model}: after the initialization the model does not have the values it was given");
+        plan.read_back.set_overridden();
+        // An instance that did not answer is not to be used.
+        self.start_new(parameters)
+    }
+
+    fn start_new(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        drop(self.engine.retire());
+        let raw = new_instance(&self.plan)?;
+        self.engine.initialize(raw, parameters)
+    }
+
+    fn has_values(&mut self, parameters: &[f64]) -> Result<bool, FmiError> {
+        let core = self.engine.core()?;
+        self.plan.has_values(core, parameters, &mut self.buffers)
+    }
+
+    /// A new instance, or one that was brought back to its beginning in a way that is known to do so; and whether it was
+    /// used before.
+    fn fresh_instance(&mut self, parameters: &[f64]) -> Result<(RawInstance, bool), FmiError> {
         let good = |raw: &RawInstance| !raw.is_stale();
         if let Some(raw) = self.fresh.take().filter(good) {
-            return Ok(raw);
+            return Ok((raw, false));
         }
         let plan = Arc::clone(&self.plan);
         let used = self.engine.retire().filter(good);
         let Some(used) = used.or_else(|| plan.fmu().take_idle(plan.kind, &plan.settings).filter(good)) else {
-            return new_instance(&plan);
+            return Ok((new_instance(&plan)?, false));
         };
         match plan.reuse() {
-            Some(Reuse::Reset) => reset_or_replace(used, &plan),
             Some(Reuse::Reinstantiate) => {
                 drop(used);
-                new_instance(&self.plan)
+                Ok((new_instance(&plan)?, false))
             }
-            None => self.check_reset(used, parameters),
+            Some(reuse) => renew_or_replace(used, &plan, reuse),
+            // Made when nobody thought of using it again.
+            None if plan.may_restore() && !used.has_origin() => {
+                drop(used);
+                Ok((new_with_origin(&plan)?, false))
+            }
+            None => self.check_reuse(used, parameters),
         }
     }
 
-    /// Compares the first steps of the reset instance with those of a new one, and returns an instance to use.
-    fn check_reset(&mut self, used: RawInstance, parameters: &[f64]) -> Result<RawInstance, FmiError> {
+    /// Compares the first steps of the instance brought back to its beginning with those of a new one, and returns an
+    /// instance to use.
+    fn check_reuse(
+        &mut self,
+        used: RawInstance,
+        parameters: &[f64],
+    ) -> Result<(RawInstance, bool), FmiError> {
         let plan = Arc::clone(&self.plan);
+        let reuse = if used.has_origin() { Reuse::Restore } else { Reuse::Reset };
         self.engine.adopt(used);
         let steps = Some(PROBE_STEPS);
-        let after_reset = match self.probe_after_others(parameters, steps)? {
-            // A run that fails leaves no instance to reset: then at least the same run twice.
+        let after = match self.probe_after_others(reuse, parameters, steps)? {
+            // A run that fails leaves no instance to bring back: then at least the same run twice.
             None => {
-                self.probe_new(parameters, steps, &mut Ignore)?;
-                self.probe_reset(parameters, steps)?
+                self.probe_first(reuse, parameters, steps)?;
+                self.probe_again(reuse, &plan.start_values, parameters, steps, &mut Ignore)?
             }
             probe => probe,
         };
         // One at a time: the FMU may not allow two.
         drop(self.engine.retire());
-        let from_new = self.probe_new(parameters, steps, &mut Ignore)?;
-        match (after_reset, from_new) {
+        let from_new = self.probe_first(reuse, parameters, steps)?;
+        match (after, from_new) {
             (Some(Probe::TimedOut), _) | (_, Probe::TimedOut) => {}
             (None | Some(Probe::Nothing), Probe::Nothing) => {}
-            (after, new) if after == Some(new) => plan.set_reuse(Reuse::Reset),
+            (after, new) if after == Some(new) => plan.set_reuse(reuse),
+            _ if reuse == Reuse::Restore => plan.refuse_restore(),
             _ => plan.set_reuse(Reuse::Reinstantiate),
         }
         match (self.engine.retire(), plan.reuse()) {
-            (Some(used), Some(Reuse::Reset)) => reset_or_replace(used, &plan),
+            (Some(used), Some(known)) if known == reuse => renew_or_replace(used, &plan, reuse),
             (used, _) => {
                 drop(used);
-                new_instance(&plan)
+                Ok((new_instance(&plan)?, false))
             }
         }
     }
@@ -311,56 +366,86 @@ impl Simulator {
     /// It was cancelled; there is no new instance to be had.
     pub(crate) fn probe_new(
         &mut self,
+        start_values: &Assignments,
         parameters: &[f64],
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
-        let plan = Arc::clone(&self.plan);
-        match self.begin_new(&plan.start_values, parameters)? {
+        match self.begin_new(start_values, parameters)? {
             true => self.finish_probe(steps, observer),
             false => Ok(Probe::Nothing),
         }
     }
 
-    /// A trial run on this simulator's instance after a reset; `None` if there is none to reset, or reset fails.
+    /// Makes a new instance for the next trial run, if that has to be one that can be brought back in a certain way.
+    ///
+    /// # Errors
+    /// There is no new instance to be had.
+    pub(crate) fn renewable(&mut self, reuse: Reuse) -> Result<(), FmiError> {
+        if reuse == Reuse::Restore {
+            self.fresh = None;
+            drop(self.engine.retire());
+            self.fresh = Some(new_with_origin(&self.plan)?);
+        }
+        Ok(())
+    }
+
+    /// What all users of its library share.
+    pub(crate) fn shared(&self) -> &Shared {
+        &self.shared
+    }
+
+    /// A trial run on a new instance that can be brought back in this way afterwards.
+    ///
+    /// # Errors
+    /// It was cancelled; there is no new instance to be had.
+    pub(crate) fn probe_first(
+        &mut self,
+        reuse: Reuse,
+        parameters: &[f64],
+        steps: Option<u64>,
+    ) -> Result<Probe, FmiError> {
+        self.renewable(reuse)?;
+        let plan = Arc::clone(&self.plan);
+        self.probe_new(&plan.start_values, parameters, steps, &mut Ignore)
+    }
+
+    /// A trial run on this simulator's instance, brought back to its beginning; `None` if there is none, or it cannot be
+    /// brought back.
     ///
     /// # Errors
     /// It was cancelled.
-    pub(crate) fn probe_reset(
+    pub(crate) fn probe_again(
         &mut self,
-        parameters: &[f64],
-        steps: Option<u64>,
-    ) -> Result<Option<Probe>, FmiError> {
-        let plan = Arc::clone(&self.plan);
-        self.probe_reset_with(&plan.start_values, parameters, steps, &mut Ignore)
-    }
-
-    /// The same with other start values.
-    pub(crate) fn probe_reset_with(
-        &mut self,
+        reuse: Reuse,
         start_values: &Assignments,
         parameters: &[f64],
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Option<Probe>, FmiError> {
         let Some(used) = self.engine.retire() else { return Ok(None) };
-        let Ok(raw) = instance::reset(used, self.plan.fmu()) else { return Ok(None) };
+        let Ok(raw) = instance::renew(used, self.plan.fmu(), reuse) else { return Ok(None) };
         match self.begin_probe(raw, start_values, parameters) {
             true => self.finish_probe(steps, observer).map(Some),
             false => Ok(Some(Probe::Nothing)),
         }
     }
 
-    /// A trial run on this simulator's instance after a run with other values and a reset, which shows whether reset
-    /// leaves any of them behind; `None` if there is nothing left to reset, or reset fails.
+    /// The same after a run with other values in between, which shows whether any of them are left behind; `None` if there
+    /// is nothing to bring back, or it cannot be brought back.
+    ///
+    /// # Errors
+    /// It was cancelled.
     pub(crate) fn probe_after_others(
         &mut self,
+        reuse: Reuse,
         parameters: &[f64],
         steps: Option<u64>,
     ) -> Result<Option<Probe>, FmiError> {
-        let (start_values, others) = self.plan.other_values(parameters);
-        match self.probe_reset_with(&start_values, &others, Some(PROBE_STEPS), &mut Ignore)? {
-            Some(_) => self.probe_reset(parameters, steps),
+        let plan = Arc::clone(&self.plan);
+        let (start_values, others) = plan.other_values(parameters);
+        match self.probe_again(reuse, &start_values, &others, Some(PROBE_STEPS), &mut Ignore)? {
+            Some(_) => self.probe_again(reuse, &plan.start_values, parameters, steps, &mut Ignore),
             None => Ok(None),
         }
     }
@@ -384,17 +469,46 @@ impl Drop for Simulator {
     }
 }
 
+/// A new instance; where saved states bring instances back, with the state to bring back.
 fn new_instance(plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
+    if plan.reuse() == Some(Reuse::Restore) {
+        return new_with_origin(plan);
+    }
     plan.fmu().instantiate_raw(plan.kind, &InstanceOptions::default())
 }
 
-/// Resets an instance, or makes a new one where that fails.
-fn reset_or_replace(used: RawInstance, plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
-    match instance::reset(used, plan.fmu()) {
-        Ok(raw) => Ok(raw),
-        Err(_) => {
-            plan.set_reuse(Reuse::Reinstantiate);
-            new_instance(plan)
-        }
+/// A new instance with its state saved, unless the FMU refuses that: then it is not asked again.
+fn new_with_origin(plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
+    let new = || plan.fmu().instantiate_raw(plan.kind, &InstanceOptions::default());
+    let mut raw = new()?;
+    let saved = {
+        let _guard = FloatEnvironment::standard();
+        raw.save_origin()
+    };
+    if saved.is_err() {
+        plan.refuse_restore();
+        drop(raw);
+        return new();
     }
+    Ok(raw)
+}
+
+/// Brings an instance back to its beginning, or makes a new one where that fails; and whether it was used before.
+fn renew_or_replace(
+    used: RawInstance,
+    plan: &SimulationPlan,
+    reuse: Reuse,
+) -> Result<(RawInstance, bool), FmiError> {
+    if reuse == Reuse::Restore && !used.has_origin() {
+        drop(used);
+        return Ok((new_instance(plan)?, false));
+    }
+    if let Ok(raw) = instance::renew(used, plan.fmu(), reuse) {
+        return Ok((raw, true));
+    }
+    match reuse {
+        Reuse::Restore => plan.refuse_restore(),
+        _ => plan.set_reuse(Reuse::Reinstantiate),
+    }
+    Ok((new_instance(plan)?, false))
 }

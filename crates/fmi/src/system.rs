@@ -187,7 +187,7 @@ impl System {
         self.core()?.value(variable)
     }
 
-    fn core(&mut self) -> Result<&mut Core, FmiError> {
+    pub(crate) fn core(&mut self) -> Result<&mut Core, FmiError> {
         match &mut self.mode {
             Mode::Event(instance) => Ok(instance.core()),
             Mode::Continuous(instance) => Ok(instance.core()),

@@ -179,7 +179,7 @@ fn a_second_run_has_the_same_bits() {
     let first = simulator.trajectory(&[0.012, 0.002]).unwrap();
     let other = simulator.trajectory(&[0.010, 0.001]).unwrap();
     let second = simulator.trajectory(&[0.012, 0.002]).unwrap();
-    assert_eq!(fmu.reuse(), Some(Reuse::Reset));
+    assert_eq!(fmu.reuse(), Some(Reuse::Restore));
     assert_eq!(bits(&first), bits(&second));
     assert_eq!(first.stats, second.stats);
     assert_ne!(bits(&first), bits(&other));
@@ -194,7 +194,7 @@ fn workers_get_the_same_bits_side_by_side() {
     let folder = model("furuta");
     let pool = Pool::new(furuta(&folder.open()));
     let truth = bits(&pool.lend().unwrap().trajectory(&[0.011, 0.0015]).unwrap());
-    assert_eq!(pool.reuse().unwrap(), Reuse::Reset);
+    assert_eq!(pool.reuse().unwrap(), Reuse::Restore);
     assert!(pool.is_concurrent().unwrap());
     std::thread::scope(|scope| {
         for _ in 0..3 {

@@ -73,6 +73,8 @@ pub(crate) struct RawInstance {
     /// For messages: the time last set.
     time: Option<f64>,
     saved: Vec<Slot>,
+    /// The state it had when it was new, where somebody wants to go back to it.
+    origin: Option<SavedSlot>,
     identity: Arc<()>,
     orders: Vec<i32>,
     lanes: Vec<i64>,
@@ -137,6 +139,7 @@ impl RawInstance {
             sizes,
             time: None,
             saved: Vec::new(),
+            origin: None,
             identity: Arc::new(()),
             orders: Vec::new(),
             lanes: Vec::new(),
@@ -409,6 +412,27 @@ impl RawInstance {
         let index = self.saved.len();
         self.saved.push(Slot { pointer: std::ptr::null_mut(), token: Weak::new() });
         self.fill_slot(index, pointer, outcome)
+    }
+
+    /// Saves the state of a new instance, for [`restore_origin`](Self::restore_origin).
+    pub(crate) fn save_origin(&mut self) -> Outcome {
+        self.origin = Some(self.save_state()?);
+        Ok(())
+    }
+
+    /// Whether the state that it had when it was new is saved.
+    pub(crate) fn has_origin(&self) -> bool {
+        self.origin.is_some()
+    }
+
+    /// Brings that state back; without one, a `Discard`.
+    pub(crate) fn restore_origin(&mut self) -> Outcome {
+        let Some(origin) = self.origin.take() else {
+            return Err(Fault::Discard(self.library.binding().name(Call::RestoreState)));
+        };
+        let outcome = self.restore_state(&origin);
+        self.origin = Some(origin);
+        outcome
     }
 
     fn vacant_slot(&mut self) -> (usize, StatePointer) {

@@ -22,6 +22,8 @@ typedef struct {
     double u;
     int has_u; /* set at this instant */
 #endif
+    int restored;
+    double restored_k;
     fmi2CallbackFunctions functions;
 } Model;
 
@@ -105,6 +107,12 @@ EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return
 
 EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     (void)c;
+#ifdef OVERRIDES_K
+    K((Model *)c) = 1.5;
+#endif
+#ifdef RESTORE_STICKS
+    if (((Model *)c)->restored) K((Model *)c) = ((Model *)c)->restored_k;
+#endif
 #ifdef NO_START
     say(c, fmi2Error, "no solution for #r2# (## #r99#)");
     return fmi2Error;
@@ -123,6 +131,9 @@ EXPORT fmi2Status fmi2Reset(fmi2Component c) {
 #elif defined(RESET_KEEPS_PARAMETERS)
     m->time = 0;
     m->x = 1;
+#elif defined(RESET_TO_ZERO)
+    start_values(m);
+    m->x = 0;
 #elif defined(FAILING_RESET)
     (void)m;
     return fmi2Error;
@@ -131,6 +142,46 @@ EXPORT fmi2Status fmi2Reset(fmi2Component c) {
 #endif
     return fmi2OK;
 }
+
+#ifdef STATES
+EXPORT fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    Model *m = c;
+#ifdef SAVE_FAILS
+    say(m, fmi2Error, "nothing can be saved");
+    return fmi2Error;
+#endif
+    if (*state == NULL) *state = m->functions.allocateMemory(1, sizeof *m);
+    if (*state == NULL) return fmi2Error;
+    memcpy(*state, m, sizeof *m);
+    return fmi2OK;
+}
+
+/* Everything that was saved, parameters too. */
+EXPORT fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
+    Model *m = c;
+#ifdef RESTORE_FAILS
+    return fmi2Error;
+#endif
+#ifdef RESTORE_FORGETS
+    {
+        double k = m->k;
+        memcpy(m, state, sizeof *m);
+        m->x *= 1 + 1e-9 * k;
+    }
+#else
+    memcpy(m, state, sizeof *m);
+#endif
+    m->restored = 1;
+    m->restored_k = m->k;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    ((Model *)c)->functions.freeMemory(*state);
+    *state = NULL;
+    return fmi2OK;
+}
+#endif
 
 EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference *vr, size_t n, fmi2Real *value) {
     Model *m = c;
