@@ -7,7 +7,7 @@ use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
 use dfo::{Checkpoint, Evaluation, Failure, FailureKind, Objective, Outcome};
 use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Trajectory};
-use ode::ErrorKind;
+use ode::{ErrorKind, Stats};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -345,7 +345,7 @@ impl Calibration {
     ) -> Result<f64, CalibrationError> {
         self.check_length(x)?;
         let evaluation = Evaluation::new(0, 0, f64::INFINITY).cancellable(cancel, None);
-        self.evaluate_into(x, &evaluation, out).map_err(|no_cost| {
+        self.evaluate_into(x, &evaluation, out, &mut Stats::default()).map_err(|no_cost| {
             let at = self.describe(x);
             match no_cost {
                 NoCost::Failed { reason, source, .. } => {
@@ -366,11 +366,30 @@ impl Calibration {
         pairs.join(", ")
     }
 
+    /// The outcome of an evaluation, what it took added to `stats`.
+    pub(crate) fn evaluate_counted(
+        &self,
+        x: &[f64],
+        evaluation: &Evaluation<'_>,
+        out: Option<&mut [f64]>,
+        stats: &mut Stats,
+    ) -> Outcome {
+        match self.evaluate_into(x, evaluation, out, stats) {
+            Ok(cost) => Outcome::Value(cost),
+            Err(NoCost::Above) => Outcome::Above(evaluation.cutoff),
+            Err(NoCost::Cancelled) => Outcome::cancelled(),
+            Err(NoCost::Failed { kind, reason, .. }) => Outcome::Failed(Failure { kind, message: reason }),
+        }
+    }
+
+    /// The cost, the residuals into `out`, and what the simulations took added to `stats` (those that ended in an error
+    /// left out).
     fn evaluate_into(
         &self,
         x: &[f64],
         evaluation: &Evaluation<'_>,
         mut out: Option<&mut [f64]>,
+        stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         let mut sum = 0.0;
         let mut place = 0;
@@ -381,6 +400,9 @@ impl Calibration {
             place = end;
             let mut accumulator = Accumulator::new(comparison, evaluation, sum, part);
             let ran = experiment.pool.lend().and_then(|mut simulator| simulator.run(x, &mut accumulator));
+            if let Ok(report) = &ran {
+                *stats += report.stats;
+            }
             match accumulator.stop {
                 Some(Stop::AboveCutoff) => return Err(NoCost::Above),
                 Some(Stop::Cancelled) => return Err(NoCost::Cancelled),
@@ -407,22 +429,13 @@ impl Calibration {
 
 impl Objective for Calibration {
     fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
-        outcome(self.evaluate_into(x, evaluation, None), evaluation)
+        self.evaluate_counted(x, evaluation, None, &mut Stats::default())
     }
 
     fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
         out.clear();
         out.resize(self.n_residuals, 0.0);
-        Some(outcome(self.evaluate_into(x, evaluation, Some(out)), evaluation))
-    }
-}
-
-fn outcome(cost: Result<f64, NoCost>, evaluation: &Evaluation<'_>) -> Outcome {
-    match cost {
-        Ok(cost) => Outcome::Value(cost),
-        Err(NoCost::Above) => Outcome::Above(evaluation.cutoff),
-        Err(NoCost::Cancelled) => Outcome::cancelled(),
-        Err(NoCost::Failed { kind, reason, .. }) => Outcome::Failed(Failure { kind, message: reason }),
+        Some(self.evaluate_counted(x, evaluation, Some(out), &mut Stats::default()))
     }
 }
 

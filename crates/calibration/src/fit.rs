@@ -4,12 +4,13 @@ use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
 use dfo::{
-    AnyMethod, ByRef, Checkpoint, Limits, Measure, NelderMead, Progress, Report, Stop, Tolerances, Transform,
-    WorkerPool,
+    AnyMethod, ByRef, Checkpoint, Evaluation, Limits, Measure, NelderMead, Objective, Outcome, Progress,
+    Report, Stop, Tolerances, Transform, WorkerPool,
 };
+use ode::Stats;
 use std::fmt;
 use std::ops::ControlFlow;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
 
 /// Called after each iteration; `Break` ends the fit.
@@ -30,6 +31,9 @@ pub struct FitOptions<'a> {
     pub limits: Limits,
     /// Seed of the random numbers, for methods that draw them; default: drawn, and reported.
     pub seed: Option<u64>,
+    /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
+    /// work.
+    pub cutoffs: bool,
     /// Points with their costs from an earlier fit, see [`dfo::Minimize::known`].
     pub known: Vec<(Vec<f64>, f64)>,
     /// How many evaluations to remember; default: the method's, see [`dfo::Minimize::cache`].
@@ -54,6 +58,7 @@ impl Default for FitOptions<'_> {
             tolerances: Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All },
             limits: Limits::default(),
             seed: None,
+            cutoffs: true,
             known: Vec::new(),
             cache: None,
             trace_limit: None,
@@ -90,6 +95,9 @@ pub struct Fit {
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
+    /// What the simulations of the fit took in all: right-hand sides, steps, events. Without those of a resumed fit from
+    /// before, and without simulations that ended in an error.
+    pub stats: Stats,
     /// How the optimiser got there: counts, reason to end, trace.
     pub report: Report,
 }
@@ -114,7 +122,41 @@ impl fmt::Display for Fit {
             writeln!(f, "{name} = {}", Short(*value))?;
         }
         writeln!(f, "cost {}, RMS {}", Short(self.cost), Short(self.rms))?;
+        writeln!(f, "{} right-hand sides", self.stats.right_hand_sides)?;
         self.report.fmt(f)
+    }
+}
+
+/// The objective of one fit, which adds up what its simulations take.
+struct Counted<'a> {
+    calibration: &'a Calibration,
+    cutoffs: bool,
+    stats: Mutex<Stats>,
+}
+
+impl Counted<'_> {
+    fn add(&self, evaluate: impl FnOnce(&mut Stats) -> Outcome) -> Outcome {
+        let mut stats = Stats::default();
+        let outcome = evaluate(&mut stats);
+        // A poisoned lock is no reason to fail: the counts are whole at every instant.
+        *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
+        outcome
+    }
+}
+
+impl Objective for Counted<'_> {
+    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
+        let mut evaluation = *evaluation;
+        if !self.cutoffs {
+            evaluation.cutoff = f64::INFINITY;
+        }
+        self.add(|stats| self.calibration.evaluate_counted(x, &evaluation, None, stats))
+    }
+
+    fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
+        out.clear();
+        out.resize(self.calibration.n_residuals(), 0.0);
+        Some(self.add(|stats| self.calibration.evaluate_counted(x, evaluation, Some(out), stats)))
     }
 }
 
@@ -145,7 +187,8 @@ impl Calibration {
             self.parameters().iter().zip(&start).map(|(p, x)| self.size_of(p, *x)).collect();
         // The model's first-use test is not part of the time that the fit is given.
         self.prepare()?;
-        let mut run = dfo::minimize(ByRef(self))
+        let counted = Counted { calibration: self, cutoffs: options.cutoffs, stats: Mutex::default() };
+        let mut run = dfo::minimize(ByRef(&counted))
             .start(&start)
             .bounds(&bound(Parameter::lower), &bound(Parameter::upper))?
             .transforms(&transforms)
@@ -178,7 +221,8 @@ impl Calibration {
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let rms = (report.fun / self.n_residuals() as f64).sqrt();
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
-        Ok(Fit { x: report.x.clone(), names, cost: report.fun, rms, start_cost, report })
+        let stats = *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
+        Ok(Fit { x: report.x.clone(), names, cost: report.fun, rms, start_cost, stats, report })
     }
 
     /// Checks a start given for this fit as the parameters' own starts were checked.
