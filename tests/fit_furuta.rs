@@ -110,7 +110,6 @@ fn seeds_that_solve_it(name: &str) -> usize {
         let method: AnyMethod = name.parse().unwrap();
         let found =
             calibration.fit(FitOptions { method, seed: Some(*seed), ..FitOptions::default() }).unwrap();
-        println!("{name} {seed}: {:?} {} {}", found.x, found.cost / nearby.cost, found.report.message);
         found.cost <= 1.01 * nearby.cost
     };
     (0..10).filter(solved).count()
@@ -176,10 +175,6 @@ fn cutoffs_save_right_hand_sides_and_change_no_decision() {
             }
         }
         let (less, all) = (with.stats.right_hand_sides, without.stats.right_hand_sides);
-        println!(
-            "{name}: {above} of {} simulations given up, {less} of {all} right-hand sides",
-            with.report.n_evaluations
-        );
         match name {
             // Selection by fitness needs every cost.
             "ga" => assert_eq!((above, less), (0, all)),

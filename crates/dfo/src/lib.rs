@@ -48,6 +48,7 @@ mod drive;
 mod error;
 mod evaluate;
 mod executor;
+mod generations;
 mod genetic;
 mod ledger;
 mod method;

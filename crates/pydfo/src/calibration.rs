@@ -289,6 +289,7 @@ impl PyCalibration {
                     seen.pass_on(progress, desk, hearing.as_ref())
                 })),
                 poll: Some(Box::new(move || asked.is_asked())),
+                ..FitOptions::default()
             })
         })?;
         logs::pass_on(py)?;
