@@ -15,8 +15,7 @@ use crate::stats::Stats;
 use crate::stepper::{Attempt, Stepper, Trial};
 use crate::system::{CallError, EventCause, HybridSystem, InputStop};
 use crate::tableau::{EULER, RK4, TSIT5};
-use std::sync::atomic::Ordering;
-use std::time::Instant;
+use crate::watched::{Watch, Watched, kind_of};
 
 mod events;
 mod inside;
@@ -142,9 +141,11 @@ impl Driver {
         O: Observer + ?Sized,
     {
         let Self { options, method, space } = self;
+        let watch = Watch::new(options);
+        let system = &mut Watched { system, watch };
         macro_rules! run {
             ($stepper:expr) => {
-                Run::new(options, $stepper, space, system, (start, end), times, observer).run()
+                Run::new(options, $stepper, space, system, (start, end), times, (observer, watch)).run()
             };
         }
         match method {
@@ -216,7 +217,7 @@ struct Run<'a, S: ?Sized, M, O: ?Sized> {
     worst_state: Option<usize>,
     last_event: Option<f64>,
     stats: Stats,
-    began: Option<Instant>,
+    watch: Watch<'a>,
 }
 
 impl<'a, S, M, O> Run<'a, S, M, O>
@@ -232,7 +233,7 @@ where
         system: &'a mut S,
         (start, end): (f64, f64),
         times: &'a [f64],
-        observer: &'a mut O,
+        (observer, watch): (&'a mut O, Watch<'a>),
     ) -> Self {
         let span = end - start;
         let fixed_step = (!stepper.has_error_estimate()).then(|| options.step_size.unwrap_or(span / 500.0));
@@ -257,7 +258,7 @@ where
             worst_state: None,
             last_event: None,
             stats: Stats::default(),
-            began: options.limits.timeout.map(|_| Instant::now()),
+            watch,
         }
     }
 
@@ -363,21 +364,12 @@ where
         }
         let limits = &self.options.limits;
         let over = |limit: Option<u64>, count: u64| limit.filter(|l| count >= *l);
-        if let Some(cancel) = &self.options.cancel
-            && cancel.load(Ordering::Relaxed)
-        {
-            return Err(ErrorKind::Cancelled.into());
-        }
+        self.watch.check().map_err(ErrorKind::from)?;
         if let Some(n) = over(limits.max_steps, self.stats.accepted_steps + self.stats.rejected_steps) {
             return Err(ErrorKind::TooManySteps(n).into());
         }
         if let Some(n) = over(limits.max_right_hand_sides, self.stats.right_hand_sides) {
             return Err(ErrorKind::TooManyRightHandSides(n).into());
-        }
-        if let (Some(limit), Some(began)) = (limits.timeout, self.began)
-            && began.elapsed() >= limit
-        {
-            return Err(ErrorKind::TimedOut(limit).into());
         }
         Ok(())
     }
@@ -461,7 +453,7 @@ where
     fn refused(&mut self, h: f64, error: CallError) -> Step<Tried> {
         match error {
             CallError::Discard => Ok(Tried::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
-            CallError::Failed(e) => Err(ErrorKind::Model(e).into()),
+            CallError::Failed(e) => Err(kind_of(e).into()),
         }
     }
 
@@ -587,6 +579,6 @@ fn read_indicators<S: HybridSystem + ?Sized>(
 fn no_retreat(error: CallError) -> Exit {
     match error {
         CallError::Discard => ErrorKind::DiscardedAtRestart.into(),
-        CallError::Failed(e) => ErrorKind::Model(e).into(),
+        CallError::Failed(e) => kind_of(e).into(),
     }
 }

@@ -20,6 +20,7 @@ mod stats;
 mod stepper;
 mod system;
 mod tableau;
+mod watched;
 
 pub use driver::Driver;
 pub use error::{ErrorKind, Report, SimulationError, Termination};

@@ -67,7 +67,7 @@ impl FromStr for Method {
     }
 }
 
-/// What ends a run before its time; `None` means no limit. Limits are looked at before each trial step.
+/// What ends a run before its time; `None` means no limit. Counts are looked at before each trial step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
     /// Accepted and rejected steps together.
@@ -76,7 +76,7 @@ pub struct Limits {
     pub max_events: Option<u64>,
     /// Evaluations of the right-hand side.
     pub max_right_hand_sides: Option<u64>,
-    /// Wall-clock time; looked at between calls into the model, at every step.
+    /// Wall-clock time; looked at before each step and each evaluation.
     pub timeout: Option<Duration>,
 }
 
@@ -161,7 +161,7 @@ pub struct Options {
     pub limits: Limits,
     /// Answer to chattering; default an error.
     pub chattering: ChatteringPolicy,
-    /// Set from outside to end the run at its next step with [`ErrorKind::Cancelled`](crate::ErrorKind).
+    /// Set from outside to end the run at its next step or evaluation with [`ErrorKind::Cancelled`](crate::ErrorKind).
     pub cancel: Option<Arc<AtomicBool>>,
 }
 

@@ -40,6 +40,7 @@ pub(crate) struct Problem<'py> {
     max_step: Option<f64>,
     step: Option<f64>,
     interior_samples: Option<u32>,
+    chattering: String,
     max_steps: Option<u64>,
     max_events: Option<u64>,
     timeout: Option<f64>,
@@ -113,6 +114,7 @@ impl Problem<'_> {
             max_step: self.max_step,
             initial_step: self.first_step,
             interior_samples: self.interior_samples,
+            chattering: self.chattering.parse().map_err(bad)?,
             limits: Limits {
                 max_steps: self.max_steps,
                 max_events: self.max_events,

@@ -40,6 +40,7 @@ pub(crate) struct Counts {
     step_events: u64,
     input_events: u64,
     restarts: u64,
+    chattering: u64,
 }
 
 impl<'py> Record<'py> {
@@ -87,6 +88,7 @@ impl Counts {
             step_events: stats.step_events,
             input_events: stats.input_events,
             restarts: stats.restarts,
+            chattering: stats.chattering,
         }
     }
 }

@@ -213,6 +213,38 @@ def test_failures_are_results_that_say_why():
     assert "limit of 5 steps" in res.message and len(res.t) <= 6
 
 
+def test_sliding():
+    state = {}
+
+    def relay(t, y):
+        return [-state["sign"], 2.0 - state["sign"]]
+
+    def switch(t, y, which):
+        state["sign"] = 1.0 if y[0] > 0 else -1.0
+
+    def run(**options):
+        state["sign"] = 1.0
+        return ode.solve(relay, (0, 2), [1.0, 0.0], events=lambda t, y: y[0], on_event=switch, **options)
+
+    res = run()
+    assert not res.success and "chattering at t = " in res.message and abs(res.end_time - 1) < 1e-5
+    res = run(chattering="slide", t_eval=[2.0])
+    # Along x = 0 both fields have the same share: y' = 2.
+    assert res.success and np.abs(res.y[:, 0] - [0.0, 3.0]).max() < 1e-4 and res.stats.chattering == 1
+
+
+def test_chattering_can_be_a_warning(caplog):
+    def hysteresis(t, y):
+        return y[0] + 1e-9 * y[1]
+
+    res = ode.solve(
+        lambda t, y: [-y[1], 0.0], (0, 1), [1e-9, 1.0], "tsit5", events=hysteresis, max_events=250,
+        on_event=lambda t, y, which: [y[0], -y[1]], chattering="warn",
+    )
+    assert "limit of 250 events" in res.message and res.stats.chattering == 2
+    assert "2 times a hundred events hardly advanced time" in caplog.text
+
+
 def test_time_limit():
     def slow(t, y):
         time.sleep(2e-3)
@@ -278,6 +310,7 @@ def test_exceptions_keep_their_identity(method):
         ({"jac": [[1.0]], "method": "bdf"}, ValueError, r"jac must have the shape \(2, 2\), not \(1, 1\)"),
         ({"jac": lambda t, y: [1.0], "method": "bdf"}, ValueError, r"jac must have the shape \(2, 2\), not \(1,\)"),
         ({"jac_sparsity": [[1.0]]}, ValueError, r"jac_sparsity must have the shape \(2, 2\)"),
+        ({"chattering": "stop"}, ValueError, "unknown answer to chattering 'stop'"),
         ({"timeout": -1}, ValueError, "timeout = -1 must be a number of seconds"),
         ({"max_step": 0.0}, ValueError, "max_step = 0"),
         ({"interior_samples": -1}, ValueError, "interior_samples = -1 must not be negative"),

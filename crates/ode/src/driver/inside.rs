@@ -1,6 +1,6 @@
 //! Looking inside a step that meets the tolerance: crossings of indicators, and the step that ends at one.
 
-use super::{ErrorKind, Run, Shrink, Space, Step, Tried, U, no_retreat, read_indicators};
+use super::{Run, Shrink, Space, Step, Tried, U, kind_of, no_retreat, read_indicators};
 use crate::observer::Observer;
 use crate::stepper::{Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -123,7 +123,7 @@ where
     fn cannot_stand(&mut self, h: f64, error: CallError) -> Step<Inside> {
         match error {
             CallError::Discard => Ok(Inside::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
-            CallError::Failed(e) => Err(ErrorKind::Model(e).into()),
+            CallError::Failed(e) => Err(kind_of(e).into()),
         }
     }
 

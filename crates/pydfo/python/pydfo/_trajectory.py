@@ -43,6 +43,8 @@ class SimulationStats:
     state_events, time_events, step_events, input_events : int
     restarts : int
         Restarts of the method after events that changed something.
+    chattering : int
+        How often state events were found to follow each other while time hardly advanced, and the run went on.
     """
 
     accepted_steps: int
@@ -60,6 +62,7 @@ class SimulationStats:
     step_events: int
     input_events: int
     restarts: int
+    chattering: int
 
 
 class SimulationResult(Mapping[str, FloatArray]):

@@ -6,10 +6,11 @@ and methods for stiff systems that do not slow down where the system is not stif
 
 from __future__ import annotations
 
+import logging
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, SupportsFloat, SupportsIndex
+from typing import Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,8 @@ from ._trajectory import SimulationStats
 __all__ = ["DenseOutput", "OdeResult", "solve"]
 
 FloatArray = npt.NDArray[np.float64]
+
+_log = logging.getLogger("pydfo")
 
 #: Names of SciPy's methods and what stands for them here.
 _ALIASES = {"rk45": "tsit5", "radau": "radau5", "lsoda": "auto", "cvode": "auto"}
@@ -47,6 +50,7 @@ class _Problem:
     max_step: float | None
     step: float | None
     interior_samples: int | None
+    chattering: str
     max_steps: int | None
     max_events: int | None
     timeout: float | None
@@ -187,6 +191,7 @@ def solve(
     max_step: SupportsFloat | None = None,
     step: SupportsFloat | None = None,
     interior_samples: SupportsIndex | None = None,
+    chattering: Literal["error", "warn", "slide"] = "error",
     max_steps: SupportsFloat | None = None,
     max_events: SupportsFloat | None = None,
     timeout: SupportsFloat | None = None,
@@ -239,6 +244,10 @@ def solve(
     interior_samples : int, optional
         At how many points inside each step the events are looked at besides its end, so that a crossing and its return
         do not hide in one step. By default one where steps are long.
+    chattering : {"error", "warn", "slide"}
+        What to do where events follow each other while time hardly advances: fail; go on and log a warning (an error
+        still where time stands still); or go on in steps of 1e-5 of the span at whose ends the events happen, which
+        slides along a border that the solution cannot leave.
     max_steps, max_events : int, optional
         Limits.
     timeout : float, optional
@@ -309,11 +318,15 @@ def solve(
         max_step=None if max_step == np.inf else _options.optional_number("max_step", max_step),
         step=_options.optional_number("step", step),
         interior_samples=None if interior_samples is None else _count("interior_samples", interior_samples),
+        chattering=_options.choice("chattering", chattering),
         max_steps=_options.limit("max_steps", max_steps, 0),
         max_events=_options.limit("max_events", max_events, 0),
         timeout=_options.optional_number("timeout", timeout),
     )
-    return _core.solve(problem)
+    result = _core.solve(problem)
+    if result.stats.chattering and chattering == "warn":
+        _log.warning("solve: %d times a hundred events hardly advanced time", result.stats.chattering)
+    return result
 
 
 def _span(t_span: Sequence[SupportsFloat]) -> tuple[float, float]:
