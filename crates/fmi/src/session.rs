@@ -62,8 +62,11 @@ impl Session {
                 Starts { description, structure: &structure, given: &self.values }
                     .with_element(index, element, value)?
             }
-            // Values of arrays are checked against the sizes of a simulation, which structural parameters may change.
-            (None, value) if !variable.dimensions.is_empty() => value,
+            // How many values an array has is checked in a simulation: structural parameters may change it.
+            (None, value) if !variable.dimensions.is_empty() => {
+                let found = if let Value::Array(values) = &value { values.len() } else { 1 };
+                convert(variable, &value, Some(found))?
+            }
             (None, value) => convert(variable, &value, None)?,
         };
         match self.values.iter_mut().find(|(known, _)| *known == index) {
