@@ -140,7 +140,7 @@ impl Stepping {
             before: row(),
             after: row(),
             between: row(),
-            slopes: vec![0.0; plan.inputs.continuous.len()],
+            slopes: vec![0.0; plan.inputs.continuous.start.len()],
             signed: Vec::new(),
             initial: EventOutcome::default(),
             digest: None,
@@ -207,7 +207,7 @@ impl Stepping {
             return Err(self.inputs.bad_function_value(plan.start));
         }
         self.inputs.set_held(instance.core(), &plan.inputs)?;
-        instance.core().set_reals(&plan.inputs.continuous, &self.inputs.continuous)?;
+        instance.core().set_reals(&plan.inputs.continuous.references, &self.inputs.continuous)?;
         let (instance, outcome) = instance.begin_steps(plan.same)?;
         self.initial = outcome;
         self.mode = Mode::Stepping(instance);
@@ -511,7 +511,7 @@ impl Run<'_> {
 
     fn set_input_derivatives(&mut self, target: &Target) -> Step<()> {
         let inputs = &self.plan.inputs;
-        if !self.communication.input_derivatives || inputs.continuous.is_empty() {
+        if !self.communication.input_derivatives || inputs.continuous.references.is_empty() {
             return Ok(());
         }
         let Stepping { inputs: state, slopes, .. } = &mut *self.stepping;
@@ -523,10 +523,9 @@ impl Run<'_> {
             *slope = (end - *slope) / target.step;
         }
         let slopes = std::mem::take(&mut self.stepping.slopes);
-        let set = self
-            .stepping
-            .core()
-            .and_then(|core| core.call(|raw| raw.set_input_derivatives(&inputs.continuous, &slopes)));
+        let set = self.stepping.core().and_then(|core| {
+            core.call(|raw| raw.set_input_derivatives(&inputs.continuous.references, &slopes))
+        });
         self.stepping.slopes = slopes;
         match set {
             // Offered, but not there: then inputs are held, as for everybody else.
@@ -553,12 +552,12 @@ impl Run<'_> {
             state: false,
         };
         if cause == EventCause::default() {
-            core.set_reals(&plan.continuous, &inputs.continuous)?;
+            core.set_reals(&plan.continuous.references, &inputs.continuous)?;
             return Ok(false);
         }
         core.call(RawInstance::enter_event_mode)?;
         inputs.set_held(core, plan)?;
-        core.set_reals(&plan.continuous, &inputs.continuous)?;
+        core.set_reals(&plan.continuous.references, &inputs.continuous)?;
         let outcome = core.settle(self.t, same)?;
         self.next_event = outcome.next_time.filter(|next| *next > self.t + same);
         self.stats.events += 1;
@@ -582,7 +581,7 @@ impl Run<'_> {
             return Err(inputs.bad_function_value(self.t).into());
         }
         inputs.set_held(instance.core(), plan)?;
-        instance.core().set_reals(&plan.continuous, &inputs.continuous)?;
+        instance.core().set_reals(&plan.continuous.references, &inputs.continuous)?;
         Ok(false)
     }
 

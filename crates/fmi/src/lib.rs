@@ -19,6 +19,7 @@ mod lanes;
 mod model_exchange;
 mod options;
 mod outputs;
+mod places;
 mod plan;
 pub mod platform;
 mod pool;

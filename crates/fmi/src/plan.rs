@@ -1,6 +1,6 @@
 //! A simulation resolved against its model, once: names have become value references, everything has been checked.
 
-use crate::assign::{self, Assignments, check_settable_at_start, resolve};
+use crate::assign::{self, Assignments, check_settable_at_start};
 use crate::communication::Communication;
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
@@ -10,6 +10,7 @@ use crate::instance::Core;
 use crate::jacobian::JacobianPlan;
 use crate::options::SimulateOptions;
 use crate::outputs::{OutputContext, OutputPlan};
+use crate::places::{Place, Slots, Starts};
 use crate::readback::{ReadBack, ReadBackBuffers};
 use crate::selection::{ArrayColumns, Selection, states};
 use crate::sys::InterfaceKind;
@@ -33,9 +34,9 @@ pub struct SimulationPlan {
     /// Structural parameters, and the sizes that follow from them.
     structural_values: Assignments,
     structure: Structure,
-    parameters: Vec<u32>,
-    /// Signs of the parameters: -1 for negated aliases.
-    signs: Vec<f64>,
+    parameters: Vec<RunParameter>,
+    /// The variables that the parameters are, or are elements of.
+    parameter_slots: Slots<f64>,
     parameter_names: Vec<String>,
     /// What the parameters are where nobody gives a value.
     pub(crate) parameter_starts: Vec<f64>,
@@ -61,6 +62,16 @@ pub struct SimulationPlan {
 /// A variable that a run sets: whether before the initialization (or in it, and later), its type, its reference.
 pub(crate) type Setting = (bool, VariableKind, u32);
 
+/// A value that each run is given.
+#[derive(Debug, Clone, Copy)]
+struct RunParameter {
+    place: Place,
+    /// Where it goes among the values set.
+    slot: usize,
+    /// -1 for negated aliases.
+    sign: f64,
+}
+
 impl SimulationPlan {
     /// Resolves and checks a simulation of `fmu`. No code of the FMU is run.
     ///
@@ -83,9 +94,11 @@ impl SimulationPlan {
         };
         let method = options.method_options(&description.default_experiment);
         method.check()?;
-        let no_inputs = Inputs::default();
-        let inputs = InputPlan::new(description, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
         let (start_values, structure) = resolve_values(description, &options.start_values)?;
+        let known_structure = structure.clone();
+        let starts = Starts { description, structure: &known_structure, given: &start_values };
+        let no_inputs = Inputs::default();
+        let inputs = InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
         let states = states(description, &structure);
         let mut plan = Self {
             fmu: fmu.clone(),
@@ -97,7 +110,7 @@ impl SimulationPlan {
             start_values: Assignments::default(),
             structural_values: Assignments::default(),
             parameters: Vec::new(),
-            signs: Vec::new(),
+            parameter_slots: Slots::default(),
             parameter_names: Vec::new(),
             parameter_starts: Vec::new(),
             inputs,
@@ -124,7 +137,7 @@ impl SimulationPlan {
             communication,
             warned_of_nominals: AtomicBool::new(false),
         };
-        plan.take_parameters(description, &options.parameters, &start_values)?;
+        plan.take_parameters(&starts, &options.parameters)?;
         for (index, value) in &start_values {
             let variable = &description.variables[*index];
             let list = match variable.causality {
@@ -153,7 +166,7 @@ impl SimulationPlan {
         for values in [&self.structural_values, &self.start_values] {
             settings.extend(values.references().map(|(kind, reference)| (true, kind, reference)));
         }
-        settings.extend(self.parameters.iter().map(|reference| (true, VariableKind::Real, *reference)));
+        settings.extend(self.parameter_slots.references.iter().map(|r| (true, VariableKind::Real, *r)));
         settings.extend(self.inputs.references().map(|(kind, reference)| (false, kind, reference)));
         settings.sort_unstable();
         settings.dedup();
@@ -172,49 +185,55 @@ impl SimulationPlan {
                 .filter(|v| v.kind == VariableKind::Real && check_settable_at_start(v).is_ok())
                 .map(|v| (v.value_reference, v))
                 .collect();
-            for (reference, value) in others.reals.0.iter().zip(&mut others.reals.1) {
-                *value = variables.get(reference).map_or(*value, |variable| nudge(variable, *value));
+            let mut rest = &mut others.reals.1[..];
+            for reference in &others.reals.0 {
+                let Some(variable) = variables.get(reference) else { break };
+                let (values, others) = rest.split_at_mut(self.structure.elements(description, variable));
+                values.iter_mut().for_each(|value| *value = nudge(variable, *value));
+                rest = others;
             }
         }
-        let parameters = self.parameter_names.iter().zip(parameters);
-        let parameters = parameters
-            .map(|(name, &value)| description.variable(name).map_or(value, |variable| nudge(variable, value)))
-            .collect();
+        let variable = |parameter: &RunParameter| &description.variables[parameter.place.variable];
+        let parameters = self.parameters.iter().zip(parameters);
+        let parameters = parameters.map(|(parameter, value)| nudge(variable(parameter), *value)).collect();
         (others, parameters)
     }
 
-    fn take_parameters(
-        &mut self,
-        description: &ModelDescription,
-        names: &[String],
-        start_values: &[(usize, Value)],
-    ) -> Result<(), FmiError> {
-        let mut indices = Vec::with_capacity(names.len());
+    fn take_parameters(&mut self, starts: &Starts<'_>, names: &[String]) -> Result<(), FmiError> {
         for name in names {
-            let index = resolve(description, name)?;
-            let variable = &description.variables[index];
+            let place = Place::of_name(starts.description, starts.structure, name)?;
+            let variable = &starts.description.variables[place.variable];
             check_settable_at_start(variable)?;
-            if variable.kind != VariableKind::Real || !variable.dimensions.is_empty() {
+            if variable.kind != VariableKind::Real {
                 return Err(assign::not_settable(
                     variable,
-                    "only single variables of type Real can be parameters of a run",
+                    "only variables of type Real can be parameters of a run",
                 ));
             }
-            if indices.contains(&index) {
+            if !variable.dimensions.is_empty() && place.element.is_none() {
+                return Err(assign::not_settable(
+                    variable,
+                    "it is an array; its elements can be parameters of a run, one by one: name[1]",
+                ));
+            }
+            if self.parameters.iter().any(|known| known.place.overlaps(place)) {
                 return Err(FmiError::BadSetting { problem: format!("parameter {name} is given twice") });
             }
-            if self.inputs.driven.contains(&index) {
+            if self.inputs.driven.iter().any(|driven| driven.overlaps(place)) {
                 return Err(assign::not_settable(variable, "it is driven by the inputs"));
             }
-            indices.push(index);
-            let given = start_values.iter().find(|(i, _)| *i == index).map(|(_, value)| value);
-            self.parameter_starts.push(match given.or(variable.start.as_ref()) {
-                Some(Value::Real(x)) if x.is_finite() => *x,
-                Some(Value::Integer(i)) => *i as f64,
+            let slot = self
+                .parameter_slots
+                .place(variable.value_reference, place.element, || starts.reals(place))?;
+            let start = match (place.element, starts.of(place.variable)) {
+                (Some(_), _) => self.parameter_slots.start[slot],
+                (None, Some(Value::Real(x))) if x.is_finite() => *x,
+                (None, Some(Value::Integer(i))) => *i as f64,
                 _ => 0.0,
-            });
-            self.parameters.push(variable.value_reference);
-            self.signs.push(if variable.negated { -1.0 } else { 1.0 });
+            };
+            let sign = if variable.negated { -1.0 } else { 1.0 };
+            self.parameters.push(RunParameter { place, slot, sign });
+            self.parameter_starts.push(start);
             self.parameter_names.push(name.clone());
         }
         Ok(())
@@ -248,6 +267,11 @@ impl SimulationPlan {
         Ok(())
     }
 
+    /// Sizes of arrays.
+    pub(crate) fn structure(&self) -> &Structure {
+        &self.structure
+    }
+
     /// Gives a fresh instance its structure, start values (those of the plan or others for the same variables) and
     /// parameters; `buffer` is used on the way.
     pub(crate) fn set_up(
@@ -262,8 +286,11 @@ impl SimulationPlan {
         }
         core.apply(start_values)?;
         buffer.clear();
-        buffer.extend(parameters.iter().zip(&self.signs).map(|(value, sign)| value * sign));
-        core.set_reals(&self.parameters, buffer)
+        buffer.extend_from_slice(&self.parameter_slots.start);
+        for (parameter, value) in self.parameters.iter().zip(parameters) {
+            buffer[parameter.slot] = value * parameter.sign;
+        }
+        core.set_reals(&self.parameter_slots.references, buffer)
     }
 
     /// Whether an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one of the FMU's.
@@ -273,7 +300,7 @@ impl SimulationPlan {
         parameters: &[f64],
         buffers: &mut ReadBackBuffers,
     ) -> Result<bool, FmiError> {
-        self.read_back.agrees(core, &self.start_values, |i| parameters[i] * self.signs[i], buffers)
+        self.read_back.agrees(core, &self.start_values, |i| parameters[i] * self.parameters[i].sign, buffers)
     }
 
     /// The model.
@@ -388,16 +415,27 @@ fn resolve_values(
     let mut resolved: Vec<(usize, Value)> = Vec::with_capacity(values.len());
     let mut places: HashMap<usize, usize> = HashMap::with_capacity(values.len());
     let mut structure = Structure::default();
+    // Sizes first: they tell the elements of arrays apart.
     for (name, value) in values {
-        let index = resolve(description, name)?;
+        if let Some(index) = description.variable_index(name) {
+            let variable = &description.variables[index];
+            if variable.causality == Causality::StructuralParameter && variable.dimensions.is_empty() {
+                structure.set(index, &assign::convert(variable, value, None)?);
+            }
+        }
+    }
+    for (name, value) in values {
+        let Place { variable: index, element } = Place::of_name(description, &structure, name)?;
         let variable = &description.variables[index];
         check_settable_at_start(variable)?;
-        // Arrays are looked at when all sizes are known.
-        let is_array = !variable.dimensions.is_empty();
-        let value = if is_array { value.clone() } else { assign::convert(variable, value, None)? };
-        if variable.causality == Causality::StructuralParameter {
-            structure.set(index, &value);
-        }
+        let value =
+            match element {
+                Some(element) => Starts { description, structure: &structure, given: &resolved }
+                    .with_element(index, element, value.clone())?,
+                // Whole arrays are looked at when all is known.
+                None if !variable.dimensions.is_empty() => value.clone(),
+                None => assign::convert(variable, value, None)?,
+            };
         match places.entry(index) {
             Entry::Occupied(place) => resolved[*place.get()].1 = value,
             Entry::Vacant(place) => {

@@ -69,7 +69,7 @@ impl System {
             mode: Mode::Gone,
             broken: false,
             inputs: InputState::new(&plan.inputs),
-            sent: Vec::with_capacity(plan.inputs.continuous.len()),
+            sent: Vec::with_capacity(plan.inputs.continuous.start.len()),
             set_time: None,
             set_states: None,
             states: vec![0.0; n],
@@ -230,7 +230,7 @@ impl System {
 
     /// Sets the continuous inputs at `t`.
     fn set_inputs(&mut self, t: f64) -> CallResult<()> {
-        if self.plan.inputs.continuous.is_empty() {
+        if self.plan.inputs.continuous.references.is_empty() {
             return Ok(());
         }
         let Self { plan, inputs, mode, broken, sent, .. } = self;
@@ -241,7 +241,7 @@ impl System {
             return Ok(());
         }
         sent.clear();
-        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous, &inputs.continuous))?;
+        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous.references, &inputs.continuous))?;
         sent.extend_from_slice(&inputs.continuous);
         Ok(())
     }
@@ -355,7 +355,7 @@ fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut C
         return Ok(());
     }
     sent.clear();
-    core.set_reals(&plan.continuous, &inputs.continuous)?;
+    core.set_reals(&plan.continuous.references, &inputs.continuous)?;
     sent.extend_from_slice(&inputs.continuous);
     Ok(())
 }

@@ -7,6 +7,7 @@ use crate::interrupt::Watch;
 use crate::logs;
 use crate::report::{self, LastSeen, Listener};
 use crate::settings::{Options, Settings};
+use crate::values;
 use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
 use dfo::Progress;
 use fmi::FmiError;
@@ -58,30 +59,6 @@ pub(crate) fn check_parameter(py: Python<'_>, parameter: ParameterFields) -> PyR
     parameter.check(py).map(|_| ())
 }
 
-/// A start value of the type that Python has for it.
-#[derive(FromPyObject)]
-enum StartValue {
-    #[pyo3(transparent)]
-    Boolean(bool),
-    #[pyo3(transparent)]
-    Integer(i32),
-    #[pyo3(transparent)]
-    Real(f64),
-    #[pyo3(transparent)]
-    Text(String),
-}
-
-impl From<StartValue> for fmi::Value {
-    fn from(value: StartValue) -> Self {
-        match value {
-            StartValue::Boolean(v) => v.into(),
-            StartValue::Integer(v) => v.into(),
-            StartValue::Real(v) => v.into(),
-            StartValue::Text(v) => v.into(),
-        }
-    }
-}
-
 /// `pydfo._calibration.ExperimentFields`, field by field.
 #[derive(FromPyObject)]
 pub(crate) struct ExperimentFields {
@@ -92,7 +69,7 @@ pub(crate) struct ExperimentFields {
     outputs: Vec<(String, String, f64)>,
     /// Variable, column.
     inputs: Vec<(String, String)>,
-    start_values: Vec<(String, StartValue)>,
+    start_values: Vec<(String, Py<PyAny>)>,
     window: Option<(f64, f64)>,
     kind: String,
     start_time: Option<f64>,
@@ -120,7 +97,12 @@ impl ExperimentFields {
         })
     }
 
-    fn experiment(self) -> Result<Experiment, CalibrationError> {
+    fn start_values(&self, py: Python<'_>, fmu: &fmi::Fmu) -> PyResult<Vec<(String, fmi::Value)>> {
+        let given = self.start_values.iter().map(|(name, value)| (name.clone(), value.bind(py).clone()));
+        values::all_from_python(py, fmu.description(), given)
+    }
+
+    fn experiment(self, start_values: Vec<(String, fmi::Value)>) -> Result<Experiment, CalibrationError> {
         let data = match self.path {
             Some(path) => Data::from_csv(path)?,
             None => {
@@ -136,7 +118,7 @@ impl ExperimentFields {
         for (variable, column) in self.inputs {
             experiment = experiment.input(variable, column);
         }
-        for (variable, value) in self.start_values {
+        for (variable, value) in start_values {
             experiment = experiment.start_value(variable, value);
         }
         if let Some((from, to)) = self.window {
@@ -192,9 +174,10 @@ impl PyCalibration {
         let fmu = files::open(py, model)?;
         let settings = experiment.settings(py)?;
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
+        let start_values = experiment.start_values(py, &fmu)?;
         let built = py.detach(move || {
             let builder = calibration::Calibration::builder(fmu)
-                .experiment(experiment.experiment()?)
+                .experiment(experiment.experiment(start_values)?)
                 .settings(settings);
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
         });

@@ -3,9 +3,10 @@
 
 use crate::{files, fmu_error, values};
 use fmi::description::{
-    BaseUnit, Capabilities, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
+    BaseUnit, Capabilities, Dimension, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
 };
 use fmi::{InterfaceKind, ModelDescription, Variable};
+use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString};
@@ -331,6 +332,9 @@ struct Attributes<'a, 'py> {
     max: Option<f64>,
     nominal: Option<f64>,
     start: Option<Bound<'py, PyAny>>,
+    shape: Vec<usize>,
+    dimensions: Vec<Bound<'py, PyAny>>,
+    aliases: Vec<&'a str>,
     derivative: Option<&'a str>,
     reinit: bool,
     can_handle_multiple_set_per_time_instant: bool,
@@ -362,7 +366,23 @@ impl<'a, 'py> Attributes<'a, 'py> {
             min: v.min,
             max: v.max,
             nominal: v.nominal,
-            start: v.start.clone().map(|value| values::to_python(py, value)).transpose()?,
+            start: v
+                .start
+                .clone()
+                .map(|value| values::to_python(py, value, v.kind, &description.extents(v)))
+                .transpose()?,
+            shape: description.extents(v),
+            dimensions: v
+                .dimensions
+                .iter()
+                .map(|dimension| match dimension {
+                    Dimension::Fixed(extent) => extent.into_bound_py_any(py),
+                    Dimension::Parameter(index) => {
+                        description.variables[*index].name.as_str().into_bound_py_any(py)
+                    }
+                })
+                .collect::<PyResult<_>>()?,
+            aliases: v.aliases.iter().map(|alias| alias.name.as_str()).collect(),
             derivative: v.derivative.map(|state| description.variables[state].name.as_str()),
             reinit: v.reinit,
             can_handle_multiple_set_per_time_instant: v.can_handle_multiple_set_per_time_instant,

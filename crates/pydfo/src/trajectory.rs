@@ -1,5 +1,6 @@
 //! A recorded simulation for Python: its columns become NumPy arrays without being copied.
 
+use crate::values;
 use fmi::ode::{EventCause, Side, Stats, Termination};
 use fmi::{ModelDescription, Trajectory};
 use numpy::PyArray1;
@@ -11,9 +12,12 @@ pub(crate) struct Record<'py> {
     time: Bound<'py, PyArray1<f64>>,
     names: Vec<String>,
     columns: Vec<Bound<'py, PyArray1<f64>>>,
-    /// Type and unit of each column.
+    /// Type, NumPy's type and unit of each column.
     types: Vec<&'static str>,
+    dtypes: Vec<&'static str>,
     units: Vec<Option<String>>,
+    /// Name, first column and extents of each array.
+    arrays: Vec<(String, usize, Vec<usize>)>,
     /// Of each row: whether it is the limit from the left.
     left: Bound<'py, PyArray1<bool>>,
     event_times: Bound<'py, PyArray1<f64>>,
@@ -45,16 +49,20 @@ pub(crate) struct Counts {
 
 impl<'py> Record<'py> {
     pub(crate) fn new(py: Python<'py>, description: &ModelDescription, trajectory: Trajectory) -> Self {
-        let variables = || trajectory.names.iter().map(|name| description.variable(name));
-        let types = variables().map(|v| v.map_or("Real", |v| v.kind.name())).collect();
-        let units = variables().map(|v| v.and_then(|v| v.unit.clone())).collect();
+        let variables = || trajectory.variables.iter().map(|position| &description.variables[*position]);
+        let types = variables().map(|v| v.kind.name()).collect();
+        let dtypes = variables().map(|v| values::dtype_of(v.kind)).collect();
+        let units = variables().map(|v| v.unit.clone()).collect();
+        let arrays = trajectory.arrays.into_iter().map(|a| (a.name, a.first, a.extents)).collect();
         let left: Vec<bool> = trajectory.sides.iter().map(|side| *side == Side::Left).collect();
         let event_times: Vec<f64> = trajectory.events.iter().map(|event| event.time).collect();
         Self {
             time: PyArray1::from_vec(py, trajectory.time),
             columns: trajectory.columns.into_iter().map(|column| PyArray1::from_vec(py, column)).collect(),
             types,
+            dtypes,
             units,
+            arrays,
             left: PyArray1::from_vec(py, left),
             event_times: PyArray1::from_vec(py, event_times),
             event_kinds: trajectory.events.iter().map(|event| causes(&event.cause)).collect(),

@@ -227,7 +227,7 @@ def test_simulations_that_fail(dahlquist):
         ({"weights": ["heavy"]}, TypeError, "weights must be a number"),
         ({"start_values": {"z": 1.0}}, KeyError, '"z"'),
         ({"start_values": {"k": "a"}}, TypeError, "k is of type"),
-        ({"start_values": {"k": None}}, TypeError, "start_values"),
+        ({"start_values": {"k": None}}, TypeError, "k is of type Real, None"),
         ({"timeout": -1.0}, ValueError, "timeout = -1"),
         ({"relative_tolerance": -1.0}, ValueError, "toleran"),
         ({"solver": "magic"}, ValueError, "magic"),

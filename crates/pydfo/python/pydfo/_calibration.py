@@ -35,7 +35,7 @@ class ExperimentFields:
     columns: _data.Columns
     outputs: list[tuple[str, str, float]]
     inputs: list[tuple[str, str]]
-    start_values: list[tuple[str, bool | int | float | str]]
+    start_values: list[tuple[str, Any]]
     window: tuple[float, float] | None
     kind: str
     start_time: float | None
@@ -149,7 +149,7 @@ class Calibration:
         window: tuple[float, float] | None = None,
         timeout: SupportsFloat | None = None,
         weights: Mapping[str, float] | Sequence[float] | None = None,
-        start_values: Mapping[str, bool | int | float | str] | None = None,
+        start_values: Mapping[str, Any] | None = None,
         relative_tolerance: SupportsFloat | None = None,
         solver: str = "auto",
         step_size: SupportsFloat | None = None,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, SupportsFloat, overload
+from typing import Any, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
@@ -126,21 +126,18 @@ class FMUModel:
         """What the FMU says about itself."""
         return Description(self._fmu)
 
-    @overload
-    def get(self, name: str) -> float | int | bool | str: ...  # type: ignore[overload-overlap]
-    @overload
-    def get(self, name: Iterable[str]) -> list[float | int | bool | str]: ...
-    def get(self, name: str | Iterable[str]) -> float | int | bool | str | list[float | int | bool | str]:
+    def get(self, name: str | Iterable[str]) -> Any:
         """Values of variables: after a simulation the final ones, before it those set, else the initial ones.
 
         Parameters
         ----------
         name : str or iterable of str
+            Names of variables, or of elements of arrays (``name[2,1]``, counted from 1).
 
         Returns
         -------
-        float, int, bool or str, or a list of them
-            A scalar for a name, a list for a list. Enumerations are int.
+        float, int, bool, str, bytes or ndarray, or a list of them
+            One value for a name, a list for a list. Enumerations are int; arrays have their shape.
 
         Raises
         ------
@@ -159,9 +156,11 @@ class FMUModel:
         Parameters
         ----------
         name : str or iterable of str
-        value : float, int, bool or str, or a sequence of them
-            A scalar for a name, as many as names for a list: all are set, or none. NumPy scalars and arrays of one element
-            are scalars, too. Items of enumerations are given as int or by their names.
+            Names of variables, or of elements of arrays (``name[2,1]``, counted from 1).
+        value : float, int, bool, str, bytes or array_like, or a sequence of them
+            One value for a name, as many as names for a list: all are set, or none. NumPy scalars and arrays of one element
+            are single values, too. Arrays are given in their shape or flat, the last index varying fastest. Items of
+            enumerations are given as int or by their names.
 
         Raises
         ------
