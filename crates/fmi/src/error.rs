@@ -175,6 +175,14 @@ pub enum FmiError {
         /// The library.
         library: PathBuf,
     },
+    /// This process has made as many private copies of libraries as it may.
+    #[error("no private copy of {}: this process has made {limit} copies of libraries, and keeps them until its end", library.display())]
+    TooManyCopies {
+        /// The library.
+        library: PathBuf,
+        /// Copies a process makes.
+        limit: usize,
+    },
     /// An instance of the library answered `Fatal`: the standard lets none of its instances be used after that.
     #[error("{} is unusable in this process since one of its calls returned fatal", library.display())]
     LibraryUnusable {

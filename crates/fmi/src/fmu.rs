@@ -1,6 +1,7 @@
 //! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
 
 use crate::archive::Archive;
+use crate::copies::{CopyStore, PrivateCopy};
 use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Instance, Instantiated};
@@ -42,6 +43,8 @@ struct Inner {
 #[derive(Debug, Default)]
 struct Side {
     idle: Arc<Idle>,
+    /// Private copies of the library; made when first needed.
+    copies: OnceLock<Arc<CopyStore>>,
     library: Mutex<Option<Arc<Library>>>,
 }
 
@@ -77,6 +80,24 @@ pub enum Reuse {
     Reset,
     /// By a new instance for every simulation: nothing else is offered, or it fails, or it leaves traces.
     Reinstantiate,
+}
+
+/// How several simulations of an FMU share a process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Sharing {
+    /// At the same time, with instances of one library: these were seen to leave each other alone.
+    Together,
+    /// At the same time, each with a copy of the library of its own, because instances of one library disturb each other
+    /// or the FMU allows only one of them in a process. Every copy is a file of its own with globals of its own, and was
+    /// seen to give the same bits; the files beside the library and the resources are linked along. Shared remain the
+    /// libraries that it depends on and what the linker has marked as unique in the process: if that matters, the trial
+    /// runs see it, and simulations run [one at a time](Self::OneAtATime). There are as many copies as simulators in use
+    /// at once (and three for the trial runs), at most 64 in a process, for they are never unloaded and static
+    /// thread-local storage is small. Where no further copy can be made, simulations take turns with the library itself.
+    PrivateCopies,
+    /// One after the other, each waiting for its turn: instances disturb each other, also those of private copies.
+    OneAtATime,
 }
 
 // Verdicts as the library stores them; 0: none.
@@ -215,8 +236,18 @@ impl Fmu {
         kind: InterfaceKind,
         options: &InstanceOptions,
     ) -> Result<RawInstance, FmiError> {
+        self.check_interface(kind)?;
+        self.instantiate_in(&self.library(kind)?, kind, options)
+    }
+
+    /// Makes an instance of either kind with this library, which is that of the FMU or a copy of it.
+    pub(crate) fn instantiate_in(
+        &self,
+        library: &Arc<Library>,
+        kind: InterfaceKind,
+        options: &InstanceOptions,
+    ) -> Result<RawInstance, FmiError> {
         let interface = self.check_interface(kind)?;
-        let library = self.library(kind)?;
         let description = self.description();
         let text = |what: &str, text: &str| {
             CString::new(text)
@@ -243,7 +274,7 @@ impl Fmu {
         }
         // The FMU may change the floating-point mode of this thread and shall not.
         let _guard = FloatEnvironment::standard();
-        RawInstance::new(&library, &request, sizes, only_one)
+        RawInstance::new(library, &request, sizes, only_one)
     }
 
     /// Whether the FMU can be simulated, one way or the other; the interface that would be used.
@@ -370,6 +401,31 @@ impl Fmu {
         Ok(library)
     }
 
+    /// Lends a private copy of the library.
+    ///
+    /// # Errors
+    /// The library cannot be copied, or the copy cannot be loaded: there are too many already, the disk is full, there is
+    /// no room for its thread-local storage.
+    pub(crate) fn private_copy(&self, kind: InterfaceKind) -> Result<PrivateCopy, FmiError> {
+        let interface = self.check_interface(kind)?;
+        let library = self.library(kind)?;
+        let make = || CopyStore::new(library.path(), self.root());
+        let store = self.side(kind).copies.get_or_init(|| library.shared().copy_store(make));
+        let version = &self.description().fmi_version;
+        store.lend(|path| Library::open(path, version, kind, &interface.model_identifier))
+    }
+
+    /// How several simulations share the process; `None` before it was tried (by a [`Pool`](crate::Pool)).
+    pub fn sharing_of(&self, kind: InterfaceKind) -> Option<Sharing> {
+        let shared = self.shared(kind)?;
+        match (shared.is_dependent(), shared.copies_work()) {
+            (true, Some(true)) => Some(Sharing::PrivateCopies),
+            (true, _) => Some(Sharing::OneAtATime),
+            (false, _) if shared.is_reentrant() => Some(Sharing::Together),
+            _ => None,
+        }
+    }
+
     /// Says the path the user knows instead of that of the private folder.
     fn with_own_path(&self, error: FmiError) -> FmiError {
         match error {
@@ -463,85 +519,4 @@ impl Fmu {
             shared.refuse_restore(kind, RESTORE);
         }
     }
-}
-
-/// Opens each file once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`].
-///
-/// A file counts as unchanged while its path, identity on the disk, size and time of modification are the same; it is
-/// not read for that. Of a folder, `modelDescription.xml` and the folder itself are looked at.
-#[derive(Debug)]
-pub struct FmuCache {
-    capacity: usize,
-    /// The most recently used last.
-    entries: Mutex<Vec<(Key, Fmu)>>,
-}
-
-/// What tells one file from another, and from its earlier self.
-type Key = (PathBuf, platform::FileIdentity, Option<platform::FileIdentity>);
-
-impl FmuCache {
-    /// A cache that holds at most `capacity` FMUs (at least one); the one not used for the longest time goes first.
-    pub fn new(capacity: usize) -> Self {
-        Self { capacity: capacity.max(1), entries: Mutex::new(Vec::new()) }
-    }
-
-    /// The FMU at `path`, opened now or before.
-    ///
-    /// # Errors
-    /// As [`Fmu::open`].
-    pub fn open(&self, path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
-        let path = path.as_ref();
-        let key = key_of(path)?;
-        if let Some(fmu) = self.find(&key) {
-            return Ok(fmu);
-        }
-        // Not under the lock: opening one file does not keep others waiting. Two threads may both open a new file;
-        // the first to finish is kept.
-        let fmu = Fmu::open(path)?;
-        if let Some(first) = self.find(&key) {
-            return Ok(first);
-        }
-        let dropped: Vec<(Key, Fmu)> = {
-            let mut entries = self.entries();
-            // An older version of the same file will not be asked for again.
-            let mut dropped: Vec<_> = entries.extract_if(.., |(old, _)| old.0 == key.0).collect();
-            if entries.len() >= self.capacity {
-                dropped.push(entries.remove(0));
-            }
-            entries.push((key, fmu.clone()));
-            dropped
-        };
-        drop(dropped);
-        Ok(fmu)
-    }
-
-    /// Forgets everything. FMUs that are in use stay open.
-    pub fn clear(&self) {
-        let entries = std::mem::take(&mut *self.entries());
-        drop(entries);
-    }
-
-    fn find(&self, key: &Key) -> Option<Fmu> {
-        let mut entries = self.entries();
-        let position = entries.iter().position(|(known, _)| known == key)?;
-        let entry = entries.remove(position);
-        let fmu = entry.1.clone();
-        entries.push(entry);
-        Some(fmu)
-    }
-
-    fn entries(&self) -> std::sync::MutexGuard<'_, Vec<(Key, Fmu)>> {
-        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-fn key_of(path: &Path) -> Result<Key, FmiError> {
-    let canonical = path.canonicalize().map_err(FmiError::io("open", path))?;
-    let metadata = canonical.metadata().map_err(FmiError::io("open", path))?;
-    let inner = if metadata.is_dir() {
-        canonical.join("modelDescription.xml").metadata().ok().map(|inner| platform::file_identity(&inner))
-    } else {
-        None
-    };
-    Ok((canonical, platform::file_identity(&metadata), inner))
 }

@@ -288,6 +288,15 @@ pub(crate) fn make_executable(file: &File) -> io::Result<()> {
     Ok(())
 }
 
+/// Makes a folder appear at a second place, where systems can do so without ado.
+pub(crate) fn link_folder(folder: &Path, link: &Path) -> io::Result<()> {
+    #[cfg(unix)]
+    std::os::unix::fs::symlink(folder, link)?;
+    #[cfg(not(unix))]
+    let _ = (folder, link);
+    Ok(())
+}
+
 /// What tells a file from another, and from what it was before it was changed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct FileIdentity {

@@ -2,7 +2,7 @@
 //! can be used at once.
 
 use crate::error::FmiError;
-use crate::fmu::Reuse;
+use crate::fmu::{Reuse, Sharing};
 use crate::plan::SimulationPlan;
 use crate::simulation::Simulator;
 use crate::sys::{Loan, Shared};
@@ -15,8 +15,9 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 /// Before the first one is lent, the FMU is tested with the plan itself, from start to end (of a simulation that takes
 /// seconds: its first steps): a run on an instance that was brought back to its beginning, after one with other values,
 /// while a second instance is run in between, and while another thread runs one at the same time, must have the same bits
-/// as a run on a new instance. A way of bringing back that fails the test gives its place to the next (see [`Reuse`]). If instances disturb each other (or the FMU allows only one), one
-/// simulator is lent at a time, of all pools whose FMUs have this library, and [`lend`](Self::lend) waits.
+/// as a run on a new instance. A way of bringing back that fails the test gives its place to the next (see [`Reuse`]). If instances disturb each other (or the FMU allows only one), the
+/// same runs are tried with private copies of the library; if these do not help, one simulator is lent at a time, of all
+/// pools whose FMUs have this library, and [`lend`](Self::lend) waits (see [`Sharing`]).
 #[derive(Debug)]
 pub struct Pool {
     plan: Arc<SimulationPlan>,
@@ -37,7 +38,7 @@ struct State {
 #[derive(Debug, Clone, Copy)]
 struct Tested {
     reuse: Reuse,
-    independent: bool,
+    sharing: Sharing,
 }
 
 /// A simulator on loan; it goes back to its pool on drop.
@@ -82,14 +83,27 @@ impl Pool {
             .map(|tested| self.plan.reuse().map_or(tested.reuse, |known| known.max(tested.reuse)))
     }
 
-    /// Whether several instances can be used at the same time.
+    /// Whether several simulators can run at the same time.
     ///
     /// # Errors
     /// The FMU has to be tested first and cannot be instantiated.
     pub fn is_concurrent(&self) -> Result<bool, FmiError> {
+        self.sharing().map(|sharing| sharing != Sharing::OneAtATime)
+    }
+
+    /// How the simulators share the process.
+    ///
+    /// # Errors
+    /// The FMU has to be tested first and cannot be instantiated.
+    pub fn sharing(&self) -> Result<Sharing, FmiError> {
         let mut state = self.state();
         let tested = self.test(&mut state)?;
-        Ok(tested.independent && !self.shared()?.is_dependent())
+        let shared = self.shared()?;
+        Ok(match tested.sharing {
+            // Found by another pool since.
+            Sharing::Together if shared.is_dependent() => of_dependent(shared.copies_work()),
+            sharing => sharing,
+        })
     }
 
     /// Lends a simulator: an idle one, else a new one. Where only one may be used at a time, waits until it is returned
@@ -101,24 +115,46 @@ impl Pool {
     pub fn lend(&self) -> Result<Lease<'_>, FmiError> {
         let mut state = self.state();
         let tested = self.test(&mut state)?;
-        while !tested.independent && state.lent > 0 {
+        while tested.sharing == Sharing::OneAtATime && state.lent > 0 {
             state = self.returned.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
         state.lent += 1;
         let idle = state.idle.pop();
         drop(state);
-        let shared = self.shared();
-        let loan = shared.ok().filter(|shared| shared.is_dependent()).map(|shared| shared.borrow_alone());
-        let simulator = match idle {
-            Some(simulator) => Ok(simulator),
-            None => Simulator::new(Arc::clone(&self.plan)),
-        };
+        let (simulator, loan) = self.simulator(idle);
         match simulator {
             Ok(simulator) => Ok(Lease { pool: self, simulator: Some(simulator), loan }),
             Err(error) => {
                 self.state().lent -= 1;
                 self.returned.notify_one();
                 Err(error)
+            }
+        }
+    }
+
+    /// The idle simulator or a new one, and the loan of the library where it is not one of its own and instances disturb
+    /// each other.
+    fn simulator(&self, idle: Option<Simulator>) -> (Result<Simulator, FmiError>, Option<Loan>) {
+        let made = || Simulator::new(Arc::clone(&self.plan));
+        let shared = self.shared();
+        let borrow = |shared: &Arc<Shared>| shared.is_dependent().then(|| shared.borrow_alone());
+        let loan = || shared.as_ref().ok().and_then(borrow);
+        if let Some(idle) = idle {
+            let loan = if idle.has_copy() { None } else { loan() };
+            return (Ok(idle), loan);
+        }
+        let copies_work = shared.as_ref().is_ok_and(|shared| shared.copies_work() == Some(true));
+        if !copies_work {
+            // The loan first: the instance made last may be the only one that is right.
+            let loan = loan();
+            return (made(), loan);
+        }
+        match self.plan.fmu().private_copy(self.plan.kind) {
+            Ok(copy) => (Simulator::with_library(Arc::clone(&self.plan), Some(copy)), None),
+            Err(error) => {
+                log::warn!("simulations take turns: {error}");
+                let loan = loan();
+                (Simulator::with_library(Arc::clone(&self.plan), None), loan)
             }
         }
     }
@@ -154,7 +190,7 @@ impl Pool {
                 self.plan.fmu().description().model_name,
                 self.reference
             );
-            let cautious = Tested { reuse: Reuse::Reinstantiate, independent: false };
+            let cautious = Tested { reuse: Reuse::Reinstantiate, sharing: Sharing::OneAtATime };
             if shared.is_dependent() {
                 simulator.park();
             }
@@ -169,17 +205,20 @@ impl Pool {
                 self.plan.fmu().description().model_name
             );
         }
-        if !tested.independent {
+        if tested.sharing == Sharing::OneAtATime {
             log::warn!(
                 "{}: several instances at once cannot be relied on; simulations run one at a time",
                 self.plan.fmu().description().model_name
             );
+        }
+        if shared.is_dependent() {
             // For some FMUs the instance made last is the only one that is right: none stays beside the one in use.
-            shared.set_dependent();
             simulator.park();
             shared.free_spares();
         }
-        state.idle.push(simulator);
+        if tested.sharing != Sharing::PrivateCopies {
+            state.idle.push(simulator);
+        }
         state.tested = Some(tested);
         Ok(tested)
     }
@@ -189,13 +228,29 @@ impl Pool {
         let plan = &self.plan;
         let Some(trial) = Trial::new(plan, &self.reference, simulator)? else { return Ok(None) };
         let Some(reuse) = trial.reuse(simulator)? else { return Ok(None) };
-        if simulator.shared().is_dependent() {
-            return Ok(Some(Tested { reuse, independent: false }));
+        let shared = self.shared()?;
+        if !shared.is_dependent() {
+            let make = || Simulator::with_library(Arc::clone(plan), None);
+            match trial.independent(&make, simulator, reuse)? {
+                None => return Ok(None),
+                Some(true) => return Ok(Some(Tested { reuse, sharing: Sharing::Together })),
+                Some(false) => shared.set_dependent(),
+            }
         }
-        let make = || Simulator::new(Arc::clone(plan));
-        let independent = trial.independent(&make, simulator, reuse)?;
-        Ok(independent.map(|independent| Tested { reuse, independent }))
+        simulator.park();
+        shared.free_spares();
+        if shared.copies_work().is_none()
+            && let Some(work) = trial.copies_work(reuse)?
+        {
+            shared.set_copies_work(work);
+        }
+        Ok(Some(Tested { reuse, sharing: of_dependent(shared.copies_work()) }))
     }
+}
+
+/// How simulations share the process where instances of one library disturb each other.
+fn of_dependent(copies_work: Option<bool>) -> Sharing {
+    if copies_work == Some(true) { Sharing::PrivateCopies } else { Sharing::OneAtATime }
 }
 
 impl Deref for Lease<'_> {

@@ -2,14 +2,16 @@
 
 use crate::assign::Assignments;
 use crate::communication::Stepping;
+use crate::copies::PrivateCopy;
 use crate::description::Value;
 use crate::error::FmiError;
-use crate::fmu::{InstanceOptions, Reuse};
+use crate::fmu::Reuse;
 use crate::instance::{self, Core};
 use crate::places::{Place, element_value};
 use crate::plan::SimulationPlan;
 use crate::readback::ReadBackBuffers;
-use crate::sys::{FloatEnvironment, InterfaceKind, RawInstance, Shared};
+use crate::renewal::{new_instance, new_with_origin, renew_or_replace};
+use crate::sys::{FloatEnvironment, InterfaceKind, Library, RawInstance, Shared};
 use crate::system::System;
 use crate::trajectory::{Recorder, Trajectory};
 use ode::{Driver, ErrorKind, Ignore, Observer, Report};
@@ -25,7 +27,9 @@ pub(crate) const PROBE_STEPS: u64 = 50;
 /// must have the same bits as on a new instance, also after a run with other values, or from then on the next way is taken
 /// (see [`Reuse`]: a saved state, the reset function, a new instance for every run). Parameters and start values are set
 /// again for every run, and read back from an instance that was used before. Where a [`Pool`](crate::Pool) has found that instances of the library disturb
-/// each other, a run waits until no other one is under way, and has a new instance if another one was made meanwhile.
+/// each other, the simulator has a copy of the library of its own; where that does not help (see
+/// [`Sharing`](crate::Sharing)), a run waits until no other one is under way, and has a new instance if another one was
+/// made meanwhile.
 ///
 /// ```compile_fail
 /// fn shared_between_threads<T: Sync>() {}
@@ -34,11 +38,14 @@ pub(crate) const PROBE_STEPS: u64 = 50;
 #[derive(Debug)]
 pub struct Simulator {
     plan: Arc<SimulationPlan>,
-    shared: Arc<Shared>,
     engine: Engine,
     /// A new or reset instance that has not been used yet.
     fresh: Option<RawInstance>,
     buffers: ReadBackBuffers,
+    library: Arc<Library>,
+    shared: Arc<Shared>,
+    /// Where instances of one library disturb each other: the library is one of its own. Given back after the instances.
+    copy: Option<PrivateCopy>,
 }
 
 /// What makes the steps: the driver, or the FMU itself.
@@ -130,14 +137,61 @@ impl Simulator {
     /// # Errors
     /// Options of the method that cannot be used; the FMU cannot be loaded or instantiated.
     pub fn new(plan: Arc<SimulationPlan>) -> Result<Self, FmiError> {
+        let shared = Arc::clone(plan.fmu().library(plan.kind)?.shared());
+        let mut copy = None;
+        if shared.is_dependent() && shared.copies_work() == Some(true) {
+            match plan.fmu().private_copy(plan.kind) {
+                Ok(own) => copy = Some(own),
+                Err(error) => log::warn!("simulations take turns: {error}"),
+            }
+        }
+        Self::with_library(plan, copy)
+    }
+
+    /// Makes a simulator with a library of its own, or that of the FMU.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub(crate) fn with_library(
+        plan: Arc<SimulationPlan>,
+        copy: Option<PrivateCopy>,
+    ) -> Result<Self, FmiError> {
         let mut engine = Engine::new(&plan)?;
         let mut fresh = None;
-        let shared = Arc::clone(plan.fmu().library(plan.kind)?.shared());
-        match plan.fmu().take_idle(plan.kind, &plan.settings) {
+        let library = match &copy {
+            Some(copy) => Arc::clone(copy.library()),
+            None => plan.fmu().library(plan.kind)?,
+        };
+        let idle = if copy.is_none() { plan.fmu().take_idle(plan.kind, &plan.settings) } else { None };
+        match idle {
             Some(raw) => engine.adopt(raw),
-            None => fresh = Some(new_instance(&plan)?),
+            None => fresh = Some(new_instance(&plan, &library)?),
         }
-        Ok(Self { plan, shared, engine, fresh, buffers: ReadBackBuffers::default() })
+        let shared = Arc::clone(library.shared());
+        Ok(Self { plan, engine, fresh, buffers: ReadBackBuffers::default(), library, shared, copy })
+    }
+
+    /// Whether its library is one of its own.
+    pub(crate) fn has_copy(&self) -> bool {
+        self.copy.is_some()
+    }
+
+    /// After `Fatal` a copy is unusable, but nothing is wrong with another one.
+    fn leave_broken_copy(&mut self) -> Result<(), FmiError> {
+        if self.copy.is_none() || !self.shared.is_fatal() {
+            return Ok(());
+        }
+        drop(self.engine.retire());
+        self.fresh = None;
+        let copy = self.plan.fmu().private_copy(self.plan.kind)?;
+        self.library = Arc::clone(copy.library());
+        self.shared = Arc::clone(self.library.shared());
+        self.copy = Some(copy);
+        Ok(())
+    }
+
+    fn take_idle(&self) -> Option<RawInstance> {
+        if self.has_copy() { None } else { self.plan.fmu().take_idle(self.plan.kind, &self.plan.settings) }
     }
 
     /// The plan.
@@ -152,6 +206,7 @@ impl Simulator {
     /// be used again after an error: a broken instance is replaced.
     pub fn run(&mut self, parameters: &[f64], observer: &mut dyn Observer) -> Result<Report, FmiError> {
         self.plan.check_parameters(parameters)?;
+        self.leave_broken_copy()?;
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
         let guard = FloatEnvironment::standard();
@@ -240,7 +295,7 @@ impl Simulator {
 
     fn start_new(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         drop(self.engine.retire());
-        let raw = new_instance(&self.plan)?;
+        let raw = new_instance(&self.plan, &self.library)?;
         self.engine.initialize(raw, parameters)
     }
 
@@ -258,19 +313,19 @@ impl Simulator {
         }
         let plan = Arc::clone(&self.plan);
         let used = self.engine.retire().filter(good);
-        let Some(used) = used.or_else(|| plan.fmu().take_idle(plan.kind, &plan.settings).filter(good)) else {
-            return Ok((new_instance(&plan)?, false));
+        let Some(used) = used.or_else(|| self.take_idle().filter(good)) else {
+            return Ok((new_instance(&plan, &self.library)?, false));
         };
         match plan.reuse() {
             Some(Reuse::Reinstantiate) => {
                 drop(used);
-                Ok((new_instance(&plan)?, false))
+                Ok((new_instance(&plan, &self.library)?, false))
             }
-            Some(reuse) => renew_or_replace(used, &plan, reuse),
+            Some(reuse) => renew_or_replace(used, &plan, &self.library, reuse),
             // Made when nobody thought of using it again.
             None if plan.may_restore() && !used.has_origin() => {
                 drop(used);
-                Ok((new_with_origin(&plan)?, false))
+                Ok((new_with_origin(&plan, &self.library)?, false))
             }
             None => self.check_reuse(used, parameters),
         }
@@ -306,10 +361,12 @@ impl Simulator {
             _ => plan.set_reuse(Reuse::Reinstantiate),
         }
         match (self.engine.retire(), plan.reuse()) {
-            (Some(used), Some(known)) if known == reuse => renew_or_replace(used, &plan, reuse),
+            (Some(used), Some(known)) if known == reuse => {
+                renew_or_replace(used, &plan, &self.library, reuse)
+            }
             (used, _) => {
                 drop(used);
-                Ok((new_instance(&plan)?, false))
+                Ok((new_instance(&plan, &self.library)?, false))
             }
         }
     }
@@ -356,7 +413,7 @@ impl Simulator {
             Some(raw) => raw,
             None => {
                 drop(self.engine.retire());
-                new_instance(&self.plan)?
+                new_instance(&self.plan, &self.library)?
             }
         };
         Ok(self.begin_probe(raw, start_values, parameters))
@@ -387,7 +444,7 @@ impl Simulator {
         if reuse == Reuse::Restore {
             self.fresh = None;
             drop(self.engine.retire());
-            self.fresh = Some(new_with_origin(&self.plan)?);
+            self.fresh = Some(new_with_origin(&self.plan, &self.library)?);
         }
         Ok(())
     }
@@ -459,6 +516,7 @@ impl Simulator {
         let used = self.fresh.take().or_else(|| self.engine.retire());
         if let Some(raw) = used
             && self.plan.reuse() != Some(Reuse::Reinstantiate)
+            && self.copy.is_none()
         {
             self.plan.fmu().put_idle(self.plan.kind, raw, &self.plan.settings);
         }
@@ -469,48 +527,4 @@ impl Drop for Simulator {
     fn drop(&mut self) {
         self.park();
     }
-}
-
-/// A new instance; where saved states bring instances back, with the state to bring back.
-fn new_instance(plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
-    if plan.reuse() == Some(Reuse::Restore) {
-        return new_with_origin(plan);
-    }
-    plan.fmu().instantiate_raw(plan.kind, &InstanceOptions::default())
-}
-
-/// A new instance with its state saved, unless the FMU refuses that: then it is not asked again.
-fn new_with_origin(plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
-    let new = || plan.fmu().instantiate_raw(plan.kind, &InstanceOptions::default());
-    let mut raw = new()?;
-    let saved = {
-        let _guard = FloatEnvironment::standard();
-        raw.save_origin()
-    };
-    if saved.is_err() {
-        plan.refuse_restore();
-        drop(raw);
-        return new();
-    }
-    Ok(raw)
-}
-
-/// Brings an instance back to its beginning, or makes a new one where that fails; and whether it was used before.
-fn renew_or_replace(
-    used: RawInstance,
-    plan: &SimulationPlan,
-    reuse: Reuse,
-) -> Result<(RawInstance, bool), FmiError> {
-    if reuse == Reuse::Restore && !used.has_origin() {
-        drop(used);
-        return Ok((new_instance(plan)?, false));
-    }
-    if let Ok(raw) = instance::renew(used, plan.fmu(), reuse) {
-        return Ok((raw, true));
-    }
-    match reuse {
-        Reuse::Restore => plan.refuse_restore(),
-        _ => plan.set_reuse(Reuse::Reinstantiate),
-    }
-    Ok((new_instance(plan)?, false))
 }

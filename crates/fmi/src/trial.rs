@@ -137,6 +137,33 @@ impl<'a> Trial<'a> {
         Ok(independent)
     }
 
+    /// Whether simulators with private copies of the library give the same, and leave each other alone. That there is no
+    /// copy to be had is a no.
+    ///
+    /// # Errors
+    /// It was cancelled.
+    pub(crate) fn copies_work(&self, reuse: Reuse) -> Result<Option<bool>, FmiError> {
+        let plan = self.plan;
+        let make = || {
+            let copy = plan.fmu().private_copy(plan.kind)?;
+            Simulator::with_library(Arc::clone(plan), Some(copy))
+        };
+        let no_copy = |error: FmiError| {
+            log::warn!("{}: {error}", plan.fmu().description().model_name);
+            if is_cancelled(&error) { Err(error) } else { Ok(Some(false)) }
+        };
+        let mut simulator = match make() {
+            Ok(simulator) => simulator,
+            Err(error) => return no_copy(error),
+        };
+        match simulator.probe_new(&plan.start_values, self.base, self.steps, &mut Ignore) {
+            Ok(Probe::TimedOut) => Ok(None),
+            Ok(probe) if probe != self.truth => Ok(Some(false)),
+            Ok(_) => self.independent(&make, &mut simulator, reuse).or_else(no_copy),
+            Err(error) => no_copy(error),
+        }
+    }
+
     /// Whether a run is the same when a second instance is made, run and freed after its initialization, and again after
     /// its first event iteration.
     fn interleaved(&self, make: Make<'_>, simulator: &mut Simulator) -> Result<Option<bool>, FmiError> {

@@ -5,9 +5,11 @@
 mod support;
 
 use fmi::ode::{ErrorKind, Ignore, Termination};
-use fmi::{FmiError, Inputs, Kind, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Status, Value};
+use fmi::{
+    FmiError, Inputs, Kind, Pool, Reuse, Sharing, SimulateOptions, SimulationPlan, Simulator, Status, Value,
+};
 use std::sync::Arc;
-use support::{Folder, evil, evil_with};
+use support::{Folder, evil, evil_with, evil_with_sibling};
 
 fn plan(folder: &Folder) -> Arc<SimulationPlan> {
     Arc::new(SimulationPlan::new(&folder.open(), &SimulateOptions::new().parameters(["k"])).unwrap())
@@ -184,10 +186,17 @@ fn a_reset_that_fails_is_replaced() {
 }
 
 #[test]
-fn instances_that_share_their_memory_run_one_at_a_time() {
-    let folder = evil(&["SHARED_GLOBALS"]);
-    let pool = Pool::new(plan(&folder));
-    assert!(!pool.is_concurrent().unwrap());
+fn instances_that_share_their_memory_run_in_copies_or_one_at_a_time() {
+    for (folder, sharing) in
+        [(evil(&["SHARED_GLOBALS"]), Sharing::PrivateCopies), (evil_with_sibling(&[]), Sharing::OneAtATime)]
+    {
+        three_workers(&folder, sharing);
+    }
+}
+
+fn three_workers(folder: &Folder, sharing: Sharing) {
+    let pool = Pool::new(plan(folder));
+    assert_eq!(pool.sharing().unwrap(), sharing);
     let truth = pool.lend().unwrap().trajectory(&[1.0]).unwrap();
     std::thread::scope(|scope| {
         for _ in 0..3 {
@@ -214,7 +223,8 @@ fn only_one_instance_where_only_one_is_allowed() {
     drop(first);
     fmu.instantiate().unwrap();
     let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &SimulateOptions::new()).unwrap()));
-    assert!(!pool.is_concurrent().unwrap());
+    // Copies are other libraries, each with one instance.
+    assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies);
     let first = pool.lend().unwrap().trajectory(&[]).unwrap();
     assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap(), first);
 }

@@ -5,11 +5,14 @@
 mod support;
 
 use fmi::ode::Ignore;
-use fmi::{FmiError, Fmu, Pool, Reuse, Session, SimulateOptions, SimulationPlan, Simulator, Status};
+use fmi::{
+    FmiError, Fmu, InterfaceKind, Kind, Pool, Reuse, Session, Sharing, SimulateOptions, SimulationPlan,
+    Simulator, Status,
+};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use support::{Folder, evil, evil_with};
+use support::{Folder, evil, evil_with, evil_with_sibling, model_as};
 
 fn pool(fmu: &Fmu, options: &SimulateOptions) -> Pool {
     Pool::new(Arc::new(SimulationPlan::new(fmu, options).unwrap()))
@@ -85,10 +88,11 @@ fn what_is_found_out_about_a_library_holds_for_all_who_open_it() {
 
 #[test]
 fn two_pools_of_a_library_with_globals_do_not_run_at_once() {
-    let folder = evil(&["SHARED_GLOBALS"]);
+    // Copies do not help where the globals are those of a second library.
+    let folder = evil_with_sibling(&[]);
     let fmu = folder.open();
     let pools = [(1.0, pool(&fmu, &with_k())), (3.0, pool(&folder.open(), &with_k()))];
-    assert!(pools.iter().all(|(_, pool)| !pool.is_concurrent().unwrap()));
+    assert!(pools.iter().all(|(_, pool)| pool.sharing().unwrap() == Sharing::OneAtATime));
     run_both(&pools);
     // Values of a run are gone when another one was made.
     let plan =
@@ -109,7 +113,7 @@ fn where_only_the_last_instance_is_right_there_is_only_one() {
     let truth = folder.open().simulate(&SimulateOptions::new().start_value("k", 2.0)).unwrap();
     let fmu = folder.open();
     let pool = pool(&fmu, &with_k());
-    assert!(!pool.is_concurrent().unwrap());
+    assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies);
     for _ in 0..3 {
         assert_eq!(Some(run(&pool, 2.0)), truth.final_value("y").unwrap());
     }
@@ -119,11 +123,11 @@ fn where_only_the_last_instance_is_right_there_is_only_one() {
 fn concurrency_is_tested_also_where_no_step_is_made() {
     let folder = evil(&["SHARED_GLOBALS"]);
     let options = with_k().final_time(0.0).outputs(["twice_k"]);
-    assert!(!pool(&folder.open(), &options).is_concurrent().unwrap());
+    assert_eq!(pool(&folder.open(), &options).sharing().unwrap(), Sharing::PrivateCopies);
     // Nor is it missed where the plan has start values only.
     let folder = evil(&["SHARED_GLOBALS"]);
     let options = SimulateOptions::new().start_value("k", 2.0);
-    assert!(!pool(&folder.open(), &options).is_concurrent().unwrap());
+    assert_eq!(pool(&folder.open(), &options).sharing().unwrap(), Sharing::PrivateCopies);
 }
 
 #[test]
@@ -131,8 +135,9 @@ fn static_variables_inside_a_call_are_found_by_two_threads() {
     let folder = evil(&["STATIC_SCRATCH"]);
     let fmu = folder.open();
     let pool = pool(&fmu, &with_k());
-    assert!(!pool.is_concurrent().unwrap());
+    assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies);
     assert_eq!(pool.reuse().unwrap(), Reuse::Reset);
+    assert_eq!(fmu.sharing_of(InterfaceKind::ModelExchange), Some(Sharing::PrivateCopies));
     run_both(&[(1.0, pool), (3.0, self::pool(&fmu, &with_k()))]);
 }
 
@@ -140,7 +145,7 @@ fn static_variables_inside_a_call_are_found_by_two_threads() {
 fn an_honest_model_passes() {
     let folder = evil(&[]);
     let pool = pool(&folder.open(), &with_k());
-    assert!(pool.is_concurrent().unwrap());
+    assert_eq!(pool.sharing().unwrap(), Sharing::Together);
     assert_eq!(pool.reuse().unwrap(), Reuse::Reset);
 }
 
@@ -224,4 +229,109 @@ fn a_test_that_times_out_binds_only_its_pool() {
     let short = with_k().max_step(1e-5).timeout(Duration::from_millis(1));
     assert!(!pool(&fmu, &short).is_concurrent().unwrap());
     assert_eq!(fmu.reuse(), None);
+}
+
+/// The evil model as co-simulation.
+fn slave(faults: &[&str]) -> Folder {
+    evil_with(faults, |xml| {
+        xml.replace(
+            "<ModelExchange modelIdentifier=\"evil\"/>",
+            "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>",
+        )
+    })
+}
+
+#[test]
+fn copies_help_co_simulation_too() {
+    let folder = slave(&["SHARED_GLOBALS"]);
+    let options = with_k().kind(Kind::CoSimulation);
+    let fmu = folder.open();
+    let pools = [(1.0, pool(&fmu, &options)), (3.0, pool(&folder.open(), &options))];
+    assert!(pools.iter().all(|(_, pool)| pool.sharing().unwrap() == Sharing::PrivateCopies));
+    run_both(&pools);
+    assert!((run(&pools[1].1, 3.0) - (-3f64).exp()).abs() < 1e-12);
+}
+
+/// Two workers hold simulators at once, a third and a fourth too, and simulations outside of any pool have copies as well.
+#[test]
+fn with_copies_nobody_waits() {
+    let folder = evil(&["SHARED_GLOBALS"]);
+    let fmu = folder.open();
+    let pool = pool(&fmu, &with_k());
+    let mut leases: Vec<_> = (0..4).map(|_| pool.lend().unwrap()).collect();
+    let mut session = Session::new(fmu.clone());
+    for (i, lease) in leases.iter_mut().enumerate() {
+        lease.run(&[1.0 + i as f64], &mut Ignore).unwrap();
+    }
+    session.set("k", 9.0).unwrap();
+    session.simulate(&SimulateOptions::new()).unwrap();
+    // Each has its values still.
+    for (i, lease) in leases.iter_mut().enumerate() {
+        let k = 1.0 + i as f64;
+        assert_eq!(lease.get("twice_k").unwrap(), 2.0 * k);
+        assert!((lease.get("y").unwrap() - (-k).exp()).abs() < 1e-5);
+    }
+    assert_eq!(session.get("twice_k").unwrap(), fmi::Value::Real(18.0));
+}
+
+/// Instances made by hand are those of the FMU's own library, and the flag holds for them.
+#[test]
+fn the_flag_is_named_where_a_second_instance_is_made_by_hand() {
+    let folder = only_once();
+    let fmu = folder.open();
+    let pool = pool(&fmu, &with_k());
+    assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies);
+    let leases = [pool.lend().unwrap(), pool.lend().unwrap()];
+    let first = fmu.instantiate().unwrap();
+    let error = fmu.instantiate().unwrap_err();
+    assert!(error.to_string().contains("canBeInstantiatedOnlyOncePerProcess"), "{error}");
+    drop(first);
+    fmu.instantiate().unwrap();
+    drop(leases);
+}
+
+#[test]
+fn after_fatal_the_next_run_has_another_copy() {
+    let folder = evil(&["FATAL_ABOVE", "SHARED_GLOBALS"]);
+    let pool = pool(&folder.open(), &with_k());
+    assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies);
+    let mut lease = pool.lend().unwrap();
+    let truth = lease.trajectory(&[1.0]).unwrap();
+    let error = lease.run(&[100.0], &mut Ignore).unwrap_err();
+    assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
+    assert_eq!(lease.trajectory(&[1.0]).unwrap(), truth);
+    lease.run(&[100.0], &mut Ignore).unwrap_err();
+    drop(lease);
+    assert_eq!(pool.lend().unwrap().trajectory(&[1.0]).unwrap(), truth);
+}
+
+#[test]
+fn copies_help_all_versions() {
+    use fmi::ExampleKind::{Fmi1CoSimulation, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3};
+    for (version, kind) in [
+        (Fmi1CoSimulation, Kind::Auto),
+        (Fmi2CoSimulation, Kind::Auto),
+        (Fmi2ModelExchange, Kind::Auto),
+        (Fmi3, Kind::ModelExchange),
+        (Fmi3, Kind::CoSimulation),
+    ] {
+        // FMI 1.0 has the flag for co-simulation only, in another element.
+        let place =
+            if version == Fmi1CoSimulation { "<Capabilities" } else { "modelIdentifier=\"dahlquist\"" };
+        let flag = format!("{place} canBeInstantiatedOnlyOncePerProcess=\"true\"");
+        let folder = model_as("dahlquist", version, &[], |xml| {
+            assert!(!xml.contains("OnlyOncePerProcess"));
+            xml.replace(place, &flag)
+        });
+        let pool = pool(&folder.open(), &with_k().final_time(1.0).step_size(1e-3).kind(kind));
+        assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies, "{version:?}");
+        let mut leases = [pool.lend().unwrap(), pool.lend().unwrap()];
+        for (lease, k) in leases.iter_mut().zip([2.0, 3.0]) {
+            lease.run(&[k], &mut Ignore).unwrap();
+        }
+        for (lease, k) in leases.iter_mut().zip([2.0f64, 3.0]) {
+            let x = lease.get("x").unwrap();
+            assert!((x - (-k).exp()).abs() < 1e-4, "{version:?}: {x}");
+        }
+    }
 }

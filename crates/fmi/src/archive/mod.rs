@@ -9,9 +9,9 @@ mod private;
 mod unpack;
 
 pub(crate) use hash::{files_below, of_texts as hash_of_texts};
+pub(crate) use private::PrivateFolder;
 
 use crate::error::{EntryProblem, FmiError};
-use private::PrivateFolder;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 

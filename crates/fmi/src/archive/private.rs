@@ -16,7 +16,7 @@ const LOCK: &str = "lock";
 
 /// A folder of this process.
 #[derive(Debug)]
-pub(super) struct PrivateFolder {
+pub(crate) struct PrivateFolder {
     folder: Option<TempDir>,
     inside: PathBuf,
     /// Held until the folder goes; absent where the file system has no locks, then nobody sweeps.
@@ -27,7 +27,7 @@ pub(super) struct PrivateFolder {
 
 impl PrivateFolder {
     /// Makes an empty folder. The first call in a process removes what killed processes left behind.
-    pub(super) fn create() -> Result<Self, FmiError> {
+    pub(crate) fn create() -> Result<Self, FmiError> {
         static SWEPT: Once = Once::new();
         let base = platform::unpack_base();
         SWEPT.call_once(|| sweep(&base));
@@ -45,7 +45,7 @@ impl PrivateFolder {
         Ok(PrivateFolder { folder: Some(folder), inside, lock, owner: std::process::id() })
     }
 
-    pub(super) fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         &self.inside
     }
 }

@@ -2,6 +2,7 @@
 //! same globals to everybody in the process.
 
 use super::InterfaceKind;
+use crate::copies::CopyStore;
 use crate::error::FmiError;
 use crate::platform::{self, FileIdentity, FilePlace};
 use std::collections::HashMap;
@@ -33,6 +34,9 @@ pub(crate) struct Shared {
     fatal: AtomicBool,
     /// Instances disturb each other, or only one is allowed.
     dependent: AtomicBool,
+    /// Whether private copies of the library help where instances disturb each other; 0: not known.
+    copies: AtomicU8,
+    copy_store: Mutex<Weak<CopyStore>>,
     /// Two threads were seen to run instances at the same time and get the right results.
     reentrant: AtomicBool,
     /// How instances are brought back to their beginning, for each kind of interface; larger is worse, and a verdict only
@@ -119,6 +123,29 @@ impl Shared {
         // Under the lock of the gate, so that nobody goes in with the old answer afterwards.
         let _inside = lock(&self.gate);
         self.dependent.store(true, Ordering::Release);
+    }
+
+    /// Whether simulations with private copies of the library were seen not to disturb each other; `None`: not known.
+    pub(crate) fn copies_work(&self) -> Option<bool> {
+        match self.copies.load(Ordering::Acquire) {
+            0 => None,
+            verdict => Some(verdict == 1),
+        }
+    }
+
+    /// Stores what was found about private copies; that they do not help is not taken back.
+    pub(crate) fn set_copies_work(&self, work: bool) {
+        self.copies.fetch_max(if work { 1 } else { 2 }, Ordering::AcqRel);
+    }
+
+    /// The store of copies that all users of the library share: the one there is, or the one that is made now.
+    pub(crate) fn copy_store(&self, make: impl FnOnce() -> CopyStore) -> Arc<CopyStore> {
+        let mut known = lock(&self.copy_store);
+        known.upgrade().unwrap_or_else(|| {
+            let store = Arc::new(make());
+            *known = Arc::downgrade(&store);
+            store
+        })
     }
 
     /// Whether two threads were seen to run instances at the same time without harm.

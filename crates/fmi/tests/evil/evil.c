@@ -30,6 +30,9 @@ typedef struct {
 #ifdef SHARED_GLOBALS
 static double global_k;
 #define K(m) global_k
+#elif defined(SIBLING_GLOBALS)
+extern double sibling_k;
+#define K(m) sibling_k
 #else
 #define K(m) ((m)->k)
 #endif
@@ -354,6 +357,12 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
 #endif
 #ifdef FATAL_LATE
     if (m->time > 0.5) {
+        m->fatal = 1;
+        return fmi2Fatal;
+    }
+#endif
+#ifdef FATAL_ABOVE
+    if (K(m) > 50) {
         m->fatal = 1;
         return fmi2Fatal;
     }

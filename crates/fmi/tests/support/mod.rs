@@ -24,6 +24,11 @@ fn here() -> PathBuf {
 
 /// Compiles `sources` into the library of an unpacked FMU.
 fn compile(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&str]) {
+    compile_with(root, identifier, sources, defines, &[]);
+}
+
+/// The same with further arguments.
+fn compile_with(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&str], arguments: &[String]) {
     let folder = root.join("binaries").join(&fmi::platform::binary_folders(2)[0]);
     std::fs::create_dir_all(&folder).unwrap();
     let library = folder.join(format!("{identifier}.{}", fmi::platform::LIBRARY_EXTENSION));
@@ -34,6 +39,7 @@ fn compile(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&str])
         .arg("-I")
         .arg(here().join("models/frontend"))
         .args(sources)
+        .args(arguments)
         .arg("-lm")
         .output()
         .unwrap();
@@ -106,4 +112,16 @@ pub(crate) fn evil_with(faults: &[&str], edit: impl FnOnce(String) -> String) ->
     std::fs::write(folder.path().join("modelDescription.xml"), edit(xml)).unwrap();
     compile(folder.path(), "evil", &[here().join("tests/evil/evil.c")], faults);
     Folder { folder }
+}
+
+/// The evil model with these faults and its parameter in a second library, which lies beside its own.
+pub(crate) fn evil_with_sibling(faults: &[&str]) -> Folder {
+    let folder = evil(faults);
+    let faults: Vec<&str> = faults.iter().copied().chain(["SIBLING_GLOBALS"]).collect();
+    compile(folder.path(), "libsibling", &[here().join("tests/evil/sibling.c")], &[]);
+    let beside = folder.path().join("binaries").join(&fmi::platform::binary_folders(2)[0]);
+    let arguments =
+        [format!("-L{}", beside.display()), "-lsibling".to_owned(), "-Wl,-rpath,$ORIGIN".to_owned()];
+    compile_with(folder.path(), "evil", &[here().join("tests/evil/evil.c")], &faults, &arguments);
+    folder
 }

@@ -1,0 +1,88 @@
+//! A cache of opened FMUs, by file.
+
+use crate::error::FmiError;
+use crate::fmu::Fmu;
+use crate::platform;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// Opens each file once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`].
+///
+/// A file counts as unchanged while its path, identity on the disk, size and time of modification are the same; it is
+/// not read for that. Of a folder, `modelDescription.xml` and the folder itself are looked at.
+#[derive(Debug)]
+pub struct FmuCache {
+    capacity: usize,
+    /// The most recently used last.
+    entries: Mutex<Vec<(Key, Fmu)>>,
+}
+
+/// What tells one file from another, and from its earlier self.
+type Key = (PathBuf, platform::FileIdentity, Option<platform::FileIdentity>);
+
+impl FmuCache {
+    /// A cache that holds at most `capacity` FMUs (at least one); the one not used for the longest time goes first.
+    pub fn new(capacity: usize) -> Self {
+        Self { capacity: capacity.max(1), entries: Mutex::new(Vec::new()) }
+    }
+
+    /// The FMU at `path`, opened now or before.
+    ///
+    /// # Errors
+    /// As [`Fmu::open`].
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
+        let path = path.as_ref();
+        let key = key_of(path)?;
+        if let Some(fmu) = self.find(&key) {
+            return Ok(fmu);
+        }
+        // Not under the lock: opening one file does not keep others waiting. Two threads may both open a new file;
+        // the first to finish is kept.
+        let fmu = Fmu::open(path)?;
+        if let Some(first) = self.find(&key) {
+            return Ok(first);
+        }
+        let dropped: Vec<(Key, Fmu)> = {
+            let mut entries = self.entries();
+            // An older version of the same file will not be asked for again.
+            let mut dropped: Vec<_> = entries.extract_if(.., |(old, _)| old.0 == key.0).collect();
+            if entries.len() >= self.capacity {
+                dropped.push(entries.remove(0));
+            }
+            entries.push((key, fmu.clone()));
+            dropped
+        };
+        drop(dropped);
+        Ok(fmu)
+    }
+
+    /// Forgets everything. FMUs that are in use stay open.
+    pub fn clear(&self) {
+        let entries = std::mem::take(&mut *self.entries());
+        drop(entries);
+    }
+
+    fn find(&self, key: &Key) -> Option<Fmu> {
+        let mut entries = self.entries();
+        let position = entries.iter().position(|(known, _)| known == key)?;
+        let entry = entries.remove(position);
+        let fmu = entry.1.clone();
+        entries.push(entry);
+        Some(fmu)
+    }
+
+    fn entries(&self) -> std::sync::MutexGuard<'_, Vec<(Key, Fmu)>> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn key_of(path: &Path) -> Result<Key, FmiError> {
+    let canonical = path.canonicalize().map_err(FmiError::io("open", path))?;
+    let metadata = canonical.metadata().map_err(FmiError::io("open", path))?;
+    let inner = if metadata.is_dir() {
+        canonical.join("modelDescription.xml").metadata().ok().map(|inner| platform::file_identity(&inner))
+    } else {
+        None
+    };
+    Ok((canonical, platform::file_identity(&metadata), inner))
+}
