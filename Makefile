@@ -14,7 +14,7 @@ define suite
 printf -- '--- %s: %s s\n' "$(1)" "$$(( $$(date +%s) - start ))"
 endef
 
-.PHONY: help demo test test-rust test-python test-packaging test-long lint bench doc build clean
+.PHONY: help demo test test-rust test-python test-packaging test-long lint bench doc build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -51,6 +51,32 @@ bench: build benches/env/.venv/.done  ## side by side with the peers, in one run
 	benches/env/.venv/bin/python benches/against_fmpy.py
 	benches/env/.venv/bin/python benches/against_optimisers.py
 	cargo bench --workspace
+
+# Both want a nightly compiler; what each seed and each finding of the fuzzer showed is replayed by `make test`.
+FUZZ_SECONDS ?= 600
+FUZZ_FLAGS = -max_total_time=$(FUZZ_SECONDS) -timeout=10 -rss_limit_mb=256 -max_len=65536 -print_final_stats=1
+HOST = $(shell rustc -vV | sed -n 's/^host: //p')
+
+fuzz: nightly  ## fuzz archives and descriptions, FUZZ_SECONDS=600 each; wants nightly Rust
+	@cargo fuzz --version >/dev/null 2>&1 || cargo install --locked --quiet cargo-fuzz
+	@mkdir -p $(addprefix fuzz/corpus/,archive archive_entries description)
+	$(call suite,fuzz description,ASAN_OPTIONS=quarantine_size_mb=16 cargo +nightly fuzz run description \
+		fuzz/corpus/description fuzz/seeds/description -- $(FUZZ_FLAGS) -dict=fuzz/xml.dict)
+	$(call suite,fuzz archive,ASAN_OPTIONS=quarantine_size_mb=16 cargo +nightly fuzz run archive \
+		fuzz/corpus/archive fuzz/seeds/archive -- $(FUZZ_FLAGS))
+	$(call suite,fuzz archive_entries,ASAN_OPTIONS=quarantine_size_mb=16 cargo +nightly fuzz run archive_entries \
+		fuzz/corpus/archive_entries -- $(FUZZ_FLAGS))
+
+sanitize: nightly  ## the importer's tests under AddressSanitizer, LeakSanitizer, valgrind; wants nightly Rust
+	$(call suite,sanitize,RUSTFLAGS=-Zsanitizer=address ASAN_OPTIONS=detect_leaks=1 \
+		LSAN_OPTIONS=suppressions=$(CURDIR)/tools/sanitize.supp:print_suppressions=0 \
+		cargo +nightly test --quiet -p fmufit-fmi --tests --target $(HOST) --target-dir target/sanitize)
+	@command -v valgrind >/dev/null || { echo "valgrind is needed: it also sees what C does to our buffers"; exit 1; }
+	$(call suite,valgrind,CARGO_TARGET_$(subst -,_,$(shell echo $(HOST) | tr a-z A-Z))_RUNNER="valgrind -q --error-exitcode=9" \
+		cargo test --quiet -p fmufit-fmi --tests)
+
+nightly:
+	@rustc +nightly --version >/dev/null 2>&1 || { echo "a nightly compiler is needed: rustup toolchain install nightly"; exit 1; }
 
 doc:  ## the Rust documentation, in target/doc
 	cargo doc --workspace --no-deps

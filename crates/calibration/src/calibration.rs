@@ -177,6 +177,7 @@ impl Prepared {
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
             inputs: inputs(&experiment)?,
             relative_tolerance: settings.relative_tolerance,
+            kind: settings.kind,
             method: settings.method,
             step_size: settings.step_size,
             max_step: settings.max_step,

@@ -129,11 +129,15 @@ pub enum FmiError {
         /// The version.
         version: String,
     },
-    /// The FMU offers co-simulation only.
-    #[error("{model} offers co-simulation only; this version simulates model exchange")]
-    NoModelExchange {
+    /// The FMU cannot be run in the way asked for.
+    #[error("{model} offers no {wanted}; it offers {offered}")]
+    NotOffered {
         /// Name of the model.
         model: String,
+        /// The interface asked for.
+        wanted: String,
+        /// The interfaces there are.
+        offered: String,
     },
     /// The FMU is a front for another program.
     #[error("{model} needs the tool that made it{} (needsExecutionTool); such FMUs cannot be run", tool.as_deref().map(|t| format!(" ({t})")).unwrap_or_default())]
@@ -242,6 +246,16 @@ pub enum FmiError {
         value: Value,
         /// Type of the value.
         given: &'static str,
+    },
+    /// A number that the type of the variable has no room for.
+    #[error("{name} is of type {kind} ({} bits, from {} to {}), {value} does not fit", bits(*kind), range(*kind).0, range(*kind).1)]
+    OutOfRange {
+        /// The variable.
+        name: String,
+        /// Its type.
+        kind: VariableKind,
+        /// The value.
+        value: Value,
     },
     /// A variable that cannot be set, or not now.
     #[error("{name} cannot be set: {reason}")]
@@ -358,8 +372,8 @@ pub enum EntryProblem {
     /// A compression method other than stored and deflate.
     #[error("is compressed with method {0}; FMUs use 0 (stored) and 8 (deflate)")]
     Compression(u16),
-    /// Two entries of the same name.
-    #[error("occurs twice")]
+    /// Two entries of the same name with different contents.
+    #[error("occurs twice, with different contents")]
     Duplicate,
     /// Two entries whose names differ in case only.
     #[error("differs from \"{0}\" in upper and lower case only")]
@@ -409,6 +423,17 @@ pub enum EntryProblem {
     /// The compressed data are damaged (bad stream, wrong checksum, truncated).
     #[error("is damaged: {0}")]
     Damaged(String),
+}
+
+/// Smallest and largest value of a type of integers.
+fn range(kind: VariableKind) -> (i128, i128) {
+    kind.range().unwrap_or_default()
+}
+
+/// Width of a type of integers.
+fn bits(kind: VariableKind) -> u32 {
+    let (least, most) = range(kind);
+    i128::BITS - (most - least).leading_zeros()
 }
 
 impl FmiError {

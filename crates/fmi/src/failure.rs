@@ -141,8 +141,9 @@ fn referenced<'a>(inner: &str, description: &'a ModelDescription) -> Option<&'a 
 fn letter_of(kind: VariableKind) -> char {
     match kind {
         VariableKind::Real => 'r',
-        VariableKind::Integer | VariableKind::Enumeration => 'i',
         VariableKind::Boolean => 'b',
         VariableKind::String => 's',
+        // Types of FMI 3.0, whose messages have no references, cannot be meant.
+        _ => 'i',
     }
 }

@@ -1,15 +1,15 @@
 //! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
 
 use crate::archive::Archive;
-use crate::description::{Interface, ModelDescription, VariableKind};
+use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
-use crate::instance::{Instance, Instantiated};
-use crate::options::SimulateOptions;
+use crate::instance::{CoSimulation, Instance, Instantiated};
+use crate::options::{Kind, SimulateOptions};
 use crate::plan::{Setting, SimulationPlan};
 use crate::platform;
 use crate::simulation::Simulator;
 use crate::source;
-use crate::sys::{FloatEnvironment, Library, RawInstance, Request, Shared, Sizes, Spares};
+use crate::sys::{FloatEnvironment, InterfaceKind, Library, RawInstance, Request, Shared, Sizes, Spares};
 use crate::trajectory::Trajectory;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
@@ -26,16 +26,23 @@ pub struct Fmu {
     inner: Arc<Inner>,
 }
 
-/// Fields are dropped in this order: instances, library, folder.
+/// Fields are dropped in this order: instances and libraries, folder.
 #[derive(Debug)]
 struct Inner {
-    idle: Arc<Idle>,
-    library: Mutex<Option<Arc<Library>>>,
-    /// Value references of the variables of type Real, sorted; made when first needed.
-    real_references: OnceLock<Vec<u32>>,
+    model_exchange: Side,
+    co_simulation: Side,
+    /// Value references of the variables of type Real and their positions, sorted; made when first needed.
+    real_references: OnceLock<Vec<(u32, usize)>>,
     description: ModelDescription,
     path: PathBuf,
     archive: Archive,
+}
+
+/// One way of running the model. Fields are dropped in this order: instances, library.
+#[derive(Debug, Default)]
+struct Side {
+    idle: Arc<Idle>,
+    library: Mutex<Option<Arc<Library>>>,
 }
 
 /// Instances that nobody uses at present, each with everything that was ever set in it. Resetting may leave what was set
@@ -57,18 +64,25 @@ impl Spares for Idle {
     }
 }
 
-/// How the instances of an FMU are brought back to their beginning between simulations.
+/// How the instances of an FMU are brought back to their beginning between simulations: the first of these ways that was
+/// seen to be right. Right means that runs have the same bits as on a new instance, also after a run with other values;
+/// which way is faster is never asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
 pub enum Reuse {
+    /// By bringing back the state saved when the instance was new (FMUs that can save states): it was seen to restore
+    /// everything, bit for bit. All values are set again afterwards, and read back.
+    Restore,
     /// By the FMU's reset function: it was seen to restore everything, bit for bit.
     Reset,
-    /// By a new instance for every simulation: reset is missing, fails, or leaves traces.
+    /// By a new instance for every simulation: nothing else is offered, or it fails, or it leaves traces.
     Reinstantiate,
 }
 
 // Verdicts as the library stores them; 0: none.
-const RESET: u8 = 1;
-const REINSTANTIATE: u8 = 2;
+const RESTORE: u8 = 1;
+const RESET: u8 = 2;
+const REINSTANTIATE: u8 = 3;
 
 /// How an instance is made.
 #[derive(Debug, Clone, Default)]
@@ -89,11 +103,20 @@ impl Fmu {
     pub fn open(path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
         let path = path.as_ref();
         let archive = Archive::open(path)?;
-        let description = ModelDescription::read(&archive)?;
+        let mut description = ModelDescription::read(&archive)?;
+        if let [first, others @ ..] = archive.repeated() {
+            let more = match others.len() {
+                0 => String::new(),
+                n => format!(" and {n} more"),
+            };
+            let message =
+                format!("the archive holds \"{first}\"{more} more than once, with the same content");
+            description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
+        }
         Ok(Fmu {
             inner: Arc::new(Inner {
-                idle: Arc::default(),
-                library: Mutex::new(None),
+                model_exchange: Side::default(),
+                co_simulation: Side::default(),
                 real_references: OnceLock::new(),
                 description,
                 path: path.to_owned(),
@@ -107,20 +130,27 @@ impl Fmu {
         &self.inner.description
     }
 
+    /// The variable of type Real with this value reference (the first one, of aliases).
+    pub(crate) fn real_variable(&self, reference: u32) -> Option<&Variable> {
+        let variables = &self.description().variables;
+        let known = self.inner.real_references.get_or_init(|| {
+            let reals = variables.iter().enumerate().filter(|(_, v)| v.kind == VariableKind::Real);
+            let mut known: Vec<(u32, usize)> = reals.map(|(i, v)| (v.value_reference, i)).collect();
+            known.sort_unstable();
+            known.dedup_by_key(|(reference, _)| *reference);
+            known
+        });
+        let place = known.binary_search_by_key(&reference, |(reference, _)| *reference).ok()?;
+        Some(&variables[known[place].1])
+    }
+
     /// Refuses value references that no variable of type Real has: FMUs use them as indices without looking.
     pub(crate) fn check_real_references(
         &self,
         call: &'static str,
         references: &[u32],
     ) -> Result<(), FmiError> {
-        let known = self.inner.real_references.get_or_init(|| {
-            let reals = self.description().variables.iter().filter(|v| v.kind == VariableKind::Real);
-            let mut known: Vec<u32> = reals.map(|v| v.value_reference).collect();
-            known.sort_unstable();
-            known.dedup();
-            known
-        });
-        match references.iter().find(|reference| known.binary_search(reference).is_err()) {
+        match references.iter().find(|reference| self.real_variable(**reference).is_none()) {
             Some(&reference) => Err(FmiError::UnknownReference { call, reference }),
             None => Ok(()),
         }
@@ -163,8 +193,30 @@ impl Fmu {
     /// # Errors
     /// As [`instantiate`](Self::instantiate).
     pub fn instantiate_with(&self, options: &InstanceOptions) -> Result<Instance<Instantiated>, FmiError> {
-        let interface = self.check_runnable()?;
-        let library = self.library()?;
+        let raw = self.instantiate_raw(InterfaceKind::ModelExchange, options)?;
+        Ok(Instance::from_raw(raw, self.clone()))
+    }
+
+    /// Makes a co-simulation instance. **This loads the library and runs its code.**
+    ///
+    /// # Errors
+    /// As [`instantiate`](Self::instantiate).
+    pub fn instantiate_co_simulation(
+        &self,
+        options: &InstanceOptions,
+    ) -> Result<Instance<Instantiated, CoSimulation>, FmiError> {
+        let raw = self.instantiate_raw(InterfaceKind::CoSimulation, options)?;
+        Ok(Instance::from_raw(raw, self.clone()))
+    }
+
+    /// Makes an instance of either kind.
+    pub(crate) fn instantiate_raw(
+        &self,
+        kind: InterfaceKind,
+        options: &InstanceOptions,
+    ) -> Result<RawInstance, FmiError> {
+        let interface = self.check_interface(kind)?;
+        let library = self.library(kind)?;
         let description = self.description();
         let text = |what: &str, text: &str| {
             CString::new(text)
@@ -177,6 +229,9 @@ impl Fmu {
             name: &name,
             guid: &guid,
             resources: &resources,
+            kind,
+            event_mode: interface.capabilities.uses_event_mode(),
+            early_return: interface.capabilities.may_return_early(),
             visible: options.visible,
             logging: options.logging,
         };
@@ -188,21 +243,79 @@ impl Fmu {
         }
         // The FMU may change the floating-point mode of this thread and shall not.
         let _guard = FloatEnvironment::standard();
-        let raw = RawInstance::new(&library, &request, sizes, only_one)?;
-        Ok(Instance::from_raw(raw, self.clone()))
+        RawInstance::new(&library, &request, sizes, only_one)
     }
 
-    /// Whether this version can simulate the FMU; the interface it would use.
+    /// Whether the FMU can be simulated, one way or the other; the interface that would be used.
     ///
     /// # Errors
-    /// [`FmiError::UnsupportedVersion`], [`FmiError::NoModelExchange`], [`FmiError::NeedsExecutionTool`].
+    /// [`FmiError::UnsupportedVersion`], [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
     pub fn check_runnable(&self) -> Result<&Interface, FmiError> {
+        self.check_interface(self.choose(Kind::Auto)?)
+    }
+
+    /// As [`check_runnable`](Self::check_runnable), for one way of running it.
+    ///
+    /// # Errors
+    /// As [`check_runnable`](Self::check_runnable).
+    pub fn check_runnable_as(&self, kind: Kind) -> Result<InterfaceKind, FmiError> {
+        let kind = self.choose(kind)?;
+        self.check_interface(kind).map(|_| kind)
+    }
+
+    /// The interface that a simulation would use.
+    ///
+    /// # Errors
+    /// [`FmiError::NotOffered`].
+    pub fn choose(&self, kind: Kind) -> Result<InterfaceKind, FmiError> {
+        let wanted = match kind {
+            Kind::ModelExchange => InterfaceKind::ModelExchange,
+            Kind::CoSimulation => InterfaceKind::CoSimulation,
+            Kind::Auto if self.interface(InterfaceKind::ModelExchange).is_some() => {
+                InterfaceKind::ModelExchange
+            }
+            Kind::Auto => InterfaceKind::CoSimulation,
+        };
+        if self.interface(wanted).is_some() {
+            return Ok(wanted);
+        }
+        let description = self.description();
+        let known = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
+        let mut offered: Vec<String> = known
+            .into_iter()
+            .filter(|kind| self.interface(*kind).is_some())
+            .map(|kind| kind.to_string())
+            .collect();
+        if description.offers_scheduled_execution {
+            offered.push("scheduled execution".to_owned());
+        }
+        Err(FmiError::NotOffered {
+            model: description.model_name.clone(),
+            wanted: if kind == Kind::Auto {
+                "model exchange nor co-simulation".to_owned()
+            } else {
+                wanted.to_string()
+            },
+            offered: if offered.is_empty() { "nothing".to_owned() } else { offered.join(" and ") },
+        })
+    }
+
+    fn interface(&self, kind: InterfaceKind) -> Option<&Interface> {
+        match kind {
+            InterfaceKind::ModelExchange => self.description().model_exchange.as_ref(),
+            InterfaceKind::CoSimulation => self.description().co_simulation.as_ref(),
+        }
+    }
+
+    /// Whether the FMU can be run in this way; the interface.
+    pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface, FmiError> {
         let description = self.description();
         Library::check_version(&description.fmi_version)?;
-        let interface = description
-            .model_exchange
-            .as_ref()
-            .ok_or_else(|| FmiError::NoModelExchange { model: description.model_name.clone() })?;
+        let interface = self.interface(kind).ok_or_else(|| FmiError::NotOffered {
+            model: description.model_name.clone(),
+            wanted: kind.to_string(),
+            offered: "the other interface".to_owned(),
+        })?;
         if interface.capabilities.needs_execution_tool {
             return Err(FmiError::NeedsExecutionTool {
                 model: description.model_name.clone(),
@@ -213,13 +326,13 @@ impl Fmu {
     }
 
     /// The library for this platform, loaded at the first call; compiled before that if the FMU brings sources only.
-    pub(crate) fn library(&self) -> Result<Arc<Library>, FmiError> {
+    pub(crate) fn library(&self, kind: InterfaceKind) -> Result<Arc<Library>, FmiError> {
         // The lock is held while the library loads: a second thread waits instead of loading it again.
-        let mut slot = self.inner.library.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut slot = self.side(kind).library.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(library) = &*slot {
             return Ok(Arc::clone(library));
         }
-        let interface = self.check_runnable()?;
+        let interface = self.check_interface(kind)?;
         let description = self.description();
         let path = match platform::find_binary(
             self.root(),
@@ -249,8 +362,9 @@ impl Fmu {
                 }
             }
         };
-        let library = Arc::new(Library::open(&path, &description.fmi_version)?);
-        let idle: Weak<Idle> = Arc::downgrade(&self.inner.idle);
+        let library =
+            Arc::new(Library::open(&path, &description.fmi_version, kind, &interface.model_identifier)?);
+        let idle: Weak<Idle> = Arc::downgrade(&self.side(kind).idle);
         library.shared().add_spares(idle);
         *slot = Some(Arc::clone(&library));
         Ok(library)
@@ -266,21 +380,28 @@ impl Fmu {
         }
     }
 
+    fn side(&self, kind: InterfaceKind) -> &Side {
+        match kind {
+            InterfaceKind::ModelExchange => &self.inner.model_exchange,
+            InterfaceKind::CoSimulation => &self.inner.co_simulation,
+        }
+    }
+
     /// An instance that was used before, in which nothing was set but what `settings` set again; to be reset before use.
-    pub(crate) fn take_idle(&self, settings: &[Setting]) -> Option<RawInstance> {
-        let mut idle = self.inner.idle.lock();
+    pub(crate) fn take_idle(&self, kind: InterfaceKind, settings: &[Setting]) -> Option<RawInstance> {
+        let mut idle = self.side(kind).idle.lock();
         let covered = |set: &[Setting]| set.iter().all(|one| settings.binary_search(one).is_ok());
         let place = idle.iter().rposition(|(_, set)| covered(set))?;
         Some(idle.remove(place).0)
     }
 
     /// Keeps an instance, in which `settings` were set, for later; frees another one if there are many.
-    pub(crate) fn put_idle(&self, raw: RawInstance, settings: &Arc<[Setting]>) {
+    pub(crate) fn put_idle(&self, kind: InterfaceKind, raw: RawInstance, settings: &Arc<[Setting]>) {
         if raw.is_dead() || raw.is_stale() {
             return;
         }
         let surplus = {
-            let mut idle = self.inner.idle.lock();
+            let mut idle = self.side(kind).idle.lock();
             idle.push((raw, Arc::clone(settings)));
             (idle.len() > MAX_IDLE).then(|| idle.remove(0))
         };
@@ -288,35 +409,58 @@ impl Fmu {
     }
 
     /// Frees the idle instances.
-    pub(crate) fn drop_idle(&self) {
-        self.inner.idle.free_all();
+    pub(crate) fn drop_idle(&self, kind: InterfaceKind) {
+        self.side(kind).idle.free_all();
     }
 
     /// What all users of the library share; `None` before it is loaded.
-    pub(crate) fn shared(&self) -> Option<Arc<Shared>> {
-        let slot = self.inner.library.lock().unwrap_or_else(PoisonError::into_inner);
+    pub(crate) fn shared(&self, kind: InterfaceKind) -> Option<Arc<Shared>> {
+        let slot = self.side(kind).library.lock().unwrap_or_else(PoisonError::into_inner);
         slot.as_ref().map(|library| Arc::clone(library.shared()))
     }
 
-    /// What is known about reset; `None` before it was tried.
+    /// How instances are brought back to their beginning, for the interface that is used where nothing else is asked for;
+    /// `None` before it was tried.
     pub fn reuse(&self) -> Option<Reuse> {
-        match self.shared()?.reuse() {
+        self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
+    }
+
+    /// How instances are brought back to their beginning; `None` before it was tried.
+    pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
+        match self.shared(kind)?.reuse(kind) {
+            RESTORE => Some(Reuse::Restore),
             RESET => Some(Reuse::Reset),
             REINSTANTIATE => Some(Reuse::Reinstantiate),
             _ => None,
         }
     }
 
-    pub(crate) fn set_reuse(&self, reuse: Reuse) {
-        if let Some(shared) = self.shared() {
+    pub(crate) fn set_reuse(&self, kind: InterfaceKind, reuse: Reuse) {
+        if let Some(shared) = self.shared(kind) {
             // Once found out, a broken reset stays broken.
-            shared.worsen_reuse(match reuse {
+            let verdict = match reuse {
+                Reuse::Restore if shared.is_restore_refused(kind) => return,
+                Reuse::Restore => RESTORE,
                 Reuse::Reset => RESET,
                 Reuse::Reinstantiate => REINSTANTIATE,
-            });
+            };
+            shared.worsen_reuse(kind, verdict);
         }
         if reuse == Reuse::Reinstantiate {
-            self.drop_idle();
+            self.drop_idle(kind);
+        }
+    }
+
+    /// Whether instances may be brought back by a saved state, as far as is known.
+    pub(crate) fn may_restore(&self, kind: InterfaceKind) -> bool {
+        self.interface(kind).is_some_and(|interface| interface.capabilities.can_get_and_set_state)
+            && self.shared(kind).is_none_or(|shared| !shared.is_restore_refused(kind))
+    }
+
+    /// Saved states were found not to bring instances back.
+    pub(crate) fn refuse_restore(&self, kind: InterfaceKind) {
+        if let Some(shared) = self.shared(kind) {
+            shared.refuse_restore(kind, RESTORE);
         }
     }
 }

@@ -1,8 +1,10 @@
 //! Time-varying inputs: tables and functions; linear between rows for continuous reals, held for everything else.
 
-use crate::assign::{resolve, whole};
+use crate::assign::resolve;
 use crate::description::{Causality, ModelDescription, Variability, Variable, VariableKind};
 use crate::error::FmiError;
+use crate::instance::Core;
+use crate::lanes;
 use ode::InputStop;
 use std::fmt;
 use std::sync::Arc;
@@ -116,8 +118,8 @@ struct Held {
 #[derive(Debug, Clone, Copy)]
 enum Target {
     Real(usize),
-    Integer(usize),
-    Boolean(usize),
+    /// Group and place in it.
+    Packed(usize, usize),
 }
 
 /// The inputs of one simulation, resolved and checked.
@@ -129,8 +131,7 @@ pub(crate) struct InputPlan {
     pub(crate) continuous: Vec<u32>,
     held: Vec<Held>,
     pub(crate) held_reals: Vec<u32>,
-    pub(crate) held_integers: Vec<u32>,
-    pub(crate) held_booleans: Vec<u32>,
+    pub(crate) held_packed: Vec<(VariableKind, Vec<u32>)>,
     /// Instants of jumps, ascending.
     jumps: Vec<f64>,
     /// Jumps and kinks, ascending.
@@ -174,12 +175,21 @@ impl InputPlan {
                 return Err(bad(variable, "it is given twice".to_owned()));
             }
             plan.driven.push(index);
+            if !variable.dimensions.is_empty() {
+                return Err(bad(variable, "it is an array, and arrays cannot be driven".to_owned()));
+            }
             let is_linear =
                 variable.kind == VariableKind::Real && variable.variability == Variability::Continuous;
+            let sign = if variable.negated { -1.0 } else { 1.0 };
             match source {
                 Source::Function { function, .. } if is_linear => {
                     function_references.push(variable.value_reference);
-                    plan.functions.push(Arc::clone(function));
+                    let function = Arc::clone(function);
+                    plan.functions.push(if variable.negated {
+                        Arc::new(move |t| -function(t))
+                    } else {
+                        function
+                    });
                 }
                 Source::Function { .. } => {
                     let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
@@ -189,6 +199,7 @@ impl InputPlan {
                     check_rows(variable, times, values)?;
                     let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
                     if is_linear {
+                        let column = column.times(sign);
                         column.linear_stops(same, &mut stops);
                         plan.continuous.push(variable.value_reference);
                         plan.linear.push(column);
@@ -205,29 +216,42 @@ impl InputPlan {
     }
 
     fn hold(&mut self, variable: &Variable, column: Column) -> Result<(), FmiError> {
-        let bad_row =
-            |what: &str, fits: &dyn Fn(f64) -> bool| {
-                column.values.iter().position(|v| !fits(*v)).map(|row| {
-                    bad(variable, format!("{} in row {} is not {what}", column.values[row], row + 1))
-                })
-            };
-        let (list, target, problem): (&mut Vec<u32>, fn(usize) -> Target, _) = match variable.kind {
-            VariableKind::Real => (&mut self.held_reals, Target::Real, None),
-            VariableKind::Integer | VariableKind::Enumeration => {
-                (&mut self.held_integers, Target::Integer, bad_row("an integer", &|v| whole(v).is_some()))
-            }
-            VariableKind::Boolean => {
-                (&mut self.held_booleans, Target::Boolean, bad_row("0 or 1", &|v| v == 0.0 || v == 1.0))
-            }
-            VariableKind::String => {
-                return Err(bad(variable, "text inputs cannot vary with time".to_owned()));
-            }
-        };
-        if let Some(problem) = problem {
-            return Err(problem);
+        let kind = variable.kind;
+        if !kind.is_number() {
+            return Err(bad(variable, "text and binary inputs cannot vary with time".to_owned()));
         }
-        list.push(variable.value_reference);
-        let target = target(list.len() - 1);
+        let target = if kind == VariableKind::Real {
+            self.held_reals.push(variable.value_reference);
+            Target::Real(self.held_reals.len() - 1)
+        } else {
+            let misfit = column.values.iter().position(|v| lanes::lane_of_number(kind, *v).is_none());
+            if let Some(row) = misfit {
+                let what = match kind {
+                    VariableKind::Boolean | VariableKind::Clock => "0 or 1".to_owned(),
+                    VariableKind::Integer | VariableKind::Enumeration => "an integer".to_owned(),
+                    kind => format!("of type {kind}"),
+                };
+                return Err(bad(
+                    variable,
+                    format!("{} in row {} is not {what}", column.values[row], row + 1),
+                ));
+            }
+            let group = match self.held_packed.iter().position(|(known, _)| *known == kind) {
+                Some(group) => group,
+                None => {
+                    self.held_packed.push((kind, Vec::new()));
+                    self.held_packed.len() - 1
+                }
+            };
+            let references = &mut self.held_packed[group].1;
+            references.push(variable.value_reference);
+            Target::Packed(group, references.len() - 1)
+        };
+        let column = match (variable.negated, kind) {
+            (false, _) => column,
+            (true, VariableKind::Boolean) => column.flipped(),
+            (true, _) => column.times(-1.0),
+        };
         self.held.push(Held { column, target });
         Ok(())
     }
@@ -252,6 +276,15 @@ impl InputPlan {
         for column in self.linear.iter_mut().chain(self.held.iter_mut().map(|held| &mut held.column)) {
             column.snap(&self.jumps, self.same);
         }
+    }
+
+    /// The variables that are driven, each by its type and reference.
+    pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
+        let reals = self.continuous.iter().chain(&self.held_reals);
+        let packed = self.held_packed.iter();
+        reals
+            .map(|reference| (VariableKind::Real, *reference))
+            .chain(packed.flat_map(|(kind, list)| list.iter().map(|reference| (*kind, *reference))))
     }
 
     /// The first stop after `t`.
@@ -288,6 +321,19 @@ fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<(), 
 }
 
 impl Column {
+    /// The column with all values multiplied.
+    fn times(self, factor: f64) -> Self {
+        if factor == 1.0 {
+            return self;
+        }
+        Self { values: self.values.iter().map(|value| factor * value).collect(), ..self }
+    }
+
+    /// The column with 0 and 1 exchanged.
+    fn flipped(self) -> Self {
+        Self { values: self.values.iter().map(|value| 1.0 - value).collect(), ..self }
+    }
+
     /// Where the piecewise linear function jumps or changes its slope.
     fn linear_stops(&self, same: f64, stops: &mut Vec<InputStop>) {
         let (times, values) = (&self.times, &self.values);
@@ -377,8 +423,8 @@ pub(crate) struct InputState {
     cursors: Vec<usize>,
     pub(crate) continuous: Vec<f64>,
     pub(crate) held_reals: Vec<f64>,
-    pub(crate) held_integers: Vec<i32>,
-    pub(crate) held_booleans: Vec<bool>,
+    /// Lanes, by the groups of the plan.
+    pub(crate) held_packed: Vec<Vec<i64>>,
 }
 
 impl InputState {
@@ -389,8 +435,7 @@ impl InputState {
             cursors: vec![0; plan.linear.len()],
             continuous: vec![0.0; plan.continuous.len()],
             held_reals: vec![0.0; plan.held_reals.len()],
-            held_integers: vec![0; plan.held_integers.len()],
-            held_booleans: vec![false; plan.held_booleans.len()],
+            held_packed: plan.held_packed.iter().map(|(_, references)| vec![0; references.len()]).collect(),
         }
     }
 
@@ -401,8 +446,9 @@ impl InputState {
         self.pass(plan, t);
     }
 
-    /// Lets the jumps up to `t` happen and takes over the held values.
-    pub(crate) fn pass(&mut self, plan: &InputPlan, t: f64) {
+    /// Lets the jumps up to `t` happen and takes over the held values; whether there were any.
+    pub(crate) fn pass(&mut self, plan: &InputPlan, t: f64) -> bool {
+        let before = self.passed;
         let happened = plan.jumps.partition_point(|jump| *jump <= t + plan.same);
         self.passed = self.passed.max(happened);
         let now = match self.passed.checked_sub(1).and_then(|last| plan.jumps.get(last)) {
@@ -413,10 +459,13 @@ impl InputState {
             let value = held.column.held(now);
             match held.target {
                 Target::Real(i) => self.held_reals[i] = value,
-                Target::Integer(i) => self.held_integers[i] = whole(value).unwrap_or_default(),
-                Target::Boolean(i) => self.held_booleans[i] = value != 0.0,
+                Target::Packed(group, i) => {
+                    let kind = plan.held_packed[group].0;
+                    self.held_packed[group][i] = lanes::lane_of_number(kind, value).unwrap_or_default();
+                }
             }
         }
+        self.passed > before
     }
 
     /// Computes the continuous inputs at `t`; `false` if one is not finite. The piece between two jumps is used until
@@ -432,6 +481,24 @@ impl InputState {
             *value = function(t);
         }
         self.continuous.iter().all(|value| value.is_finite())
+    }
+}
+
+impl InputState {
+    /// Sets the held inputs, one call per type.
+    pub(crate) fn set_held(&self, core: &mut Core, plan: &InputPlan) -> Result<(), FmiError> {
+        core.set_reals(&plan.held_reals, &self.held_reals)?;
+        for ((kind, references), lanes) in plan.held_packed.iter().zip(&self.held_packed) {
+            core.call(|raw| raw.set_packed(*kind, references, lanes))?;
+        }
+        Ok(())
+    }
+
+    /// What is wrong where [`continuous_at`](Self::continuous_at) said no.
+    pub(crate) fn bad_function_value(&self, t: f64) -> FmiError {
+        let bad = self.continuous.iter().find(|value| !value.is_finite());
+        let value = bad.copied().unwrap_or(f64::NAN);
+        FmiError::NotFinite { name: format!("an input function at t = {t}"), value }
     }
 }
 

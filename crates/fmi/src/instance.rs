@@ -1,23 +1,31 @@
 //! Instances of a model and the phases of their lives; each phase is a type, and has the calls that FMI allows in it.
 
 use crate::assign::{self, Assignments};
-use crate::description::{Value, Variable, VariableKind};
+use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::failure::CallFailure;
-use crate::fmu::Fmu;
-use crate::sys::{Fault, LogLine, RawInstance, SavedSlot, Status};
+use crate::fmu::{Fmu, Reuse};
+use crate::lanes;
+use crate::sys::{Experiment, Fault, LogLine, RawInstance, SavedSlot, Sizes, Status};
 use std::marker::PhantomData;
 
-/// A live instance of an FMU in the phase `P`.
+/// A live instance of an FMU in the phase `P`, for model exchange or co-simulation.
 ///
 /// An instance can be moved to another thread but not shared ([`Send`], not `Sync`). Changing the phase takes the
 /// instance and returns it in its new phase; when the FMU answers with an error, the instance is freed (after `fatal` it
 /// is abandoned: FMI forbids even freeing it), and the error has the FMU's last log lines.
 #[derive(Debug)]
-pub struct Instance<P> {
+pub struct Instance<P, K = ModelExchange> {
     core: Box<Core>,
-    _phase: PhantomData<P>,
+    _phase: PhantomData<(P, K)>,
 }
+
+/// Kind of an instance whose equations are integrated by the importer.
+#[derive(Debug)]
+pub enum ModelExchange {}
+/// Kind of an instance that integrates itself.
+#[derive(Debug)]
+pub enum CoSimulation {}
 
 /// A phase in the life of an [`Instance`].
 pub trait Phase: sealed::Sealed {
@@ -34,6 +42,7 @@ pub trait Readable: Phase {}
 impl Readable for Initialization {}
 impl Readable for EventMode {}
 impl Readable for ContinuousTime {}
+impl Readable for StepMode {}
 impl Readable for Terminated {}
 
 mod sealed {
@@ -53,6 +62,9 @@ pub enum EventMode {}
 /// Continuous-time mode: time, states and continuous inputs are set here.
 #[derive(Debug)]
 pub enum ContinuousTime {}
+/// Between two communication points: inputs are set and steps are made here (co-simulation).
+#[derive(Debug)]
+pub enum StepMode {}
 /// Ended: values can be read.
 #[derive(Debug)]
 pub enum Terminated {}
@@ -71,6 +83,7 @@ phase!(Instantiated, |v| assign::check_settable_at_start(v));
 phase!(Initialization, |v| assign::check_settable_in_initialization(v));
 phase!(EventMode, |v| assign::check_settable_in_event_mode(v));
 phase!(ContinuousTime, |v| assign::check_settable_in_continuous_time(v));
+phase!(StepMode, |v| assign::check_settable_in_step_mode(v));
 phase!(Terminated, |v| Err(assign::not_settable(v, "the simulation has ended")));
 
 /// A saved state of an instance, to be brought back by the same instance. When it is dropped, its memory is used for the
@@ -104,9 +117,14 @@ impl SerializedState {
 pub(crate) struct Core {
     pub(crate) raw: RawInstance,
     fmu: Fmu,
+    structure: Structure,
 }
 
 impl Core {
+    pub(crate) fn fmu(&self) -> &Fmu {
+        &self.fmu
+    }
+
     /// The error behind a fault.
     pub(crate) fn error(&self, fault: Fault) -> FmiError {
         self.error_about(fault, &[], |_| false)
@@ -134,24 +152,55 @@ impl Core {
 
     /// Sets values, one call per type.
     pub(crate) fn apply(&mut self, values: &Assignments) -> Result<(), FmiError> {
-        let Assignments { reals, integers, booleans, strings } = values;
+        let Assignments { reals, packed, strings, binaries } = values;
         self.set_reals(&reals.0, &reals.1)?;
-        if !integers.0.is_empty() {
+        for (kind, references, lanes) in packed {
             self.raw
-                .set_integer(&integers.0, &integers.1)
-                .map_err(|fault| self.error_about(fault, &integers.0, is_integer))?;
-        }
-        if !booleans.0.is_empty() {
-            self.raw.set_boolean(&booleans.0, &booleans.1).map_err(|fault| {
-                self.error_about(fault, &booleans.0, |kind| kind == VariableKind::Boolean)
-            })?;
+                .set_packed(*kind, references, lanes)
+                .map_err(|fault| self.error_about(fault, references, |other| other == *kind))?;
         }
         if !strings.0.is_empty() {
             self.raw
                 .set_string(&strings.0, &strings.1)
                 .map_err(|fault| self.error_about(fault, &strings.0, |kind| kind == VariableKind::String))?;
         }
+        if !binaries.0.is_empty() {
+            self.raw
+                .set_binary(&binaries.0, &binaries.1)
+                .map_err(|fault| self.error_about(fault, &binaries.0, |kind| kind == VariableKind::Binary))?;
+        }
         Ok(())
+    }
+
+    /// Gives structural parameters their values (in configuration mode, before everything else), and makes the sizes of
+    /// the model's vectors those that follow.
+    pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<(), FmiError> {
+        if !values.is_empty() {
+            self.call(RawInstance::enter_configuration)?;
+            self.apply(values)?;
+            self.call(RawInstance::exit_configuration)?;
+        }
+        self.structure.clone_from(structure);
+        let model = self.fmu.description();
+        self.raw
+            .set_sizes(Sizes { states: structure.states(model), indicators: structure.indicators(model) });
+        Ok(())
+    }
+
+    /// Compares the sizes that the description promises with those the FMU says.
+    pub(crate) fn check_sizes(&mut self) -> Result<(), FmiError> {
+        let model = self.fmu.description();
+        let promised =
+            Sizes { states: self.structure.states(model), indicators: self.structure.indicators(model) };
+        match self.call(RawInstance::ask_sizes)? {
+            Some(found) if found != promised => Err(FmiError::BadSetting {
+                problem: format!(
+                    "the description promises {} states and {} event indicators, the FMU has {} and {}",
+                    promised.states, promised.indicators, found.states, found.indicators
+                ),
+            }),
+            _ => Ok(()),
+        }
     }
 
     /// Sets real variables.
@@ -164,29 +213,65 @@ impl Core {
             .map_err(|fault| self.error_about(fault, references, |kind| kind == VariableKind::Real))
     }
 
+    /// Refuses value references that are not those of variables of type Real, and slices that do not have as many
+    /// elements as these have values: where a reference may stand for an array, only the description knows how many.
+    pub(crate) fn check_reals(
+        &self,
+        call: &'static str,
+        references: &[u32],
+        found: usize,
+    ) -> Result<(), FmiError> {
+        self.fmu.check_real_references(call, references)?;
+        let model = self.fmu.description();
+        let expected = if model.has_arrays {
+            let variables = references.iter().filter_map(|reference| self.fmu.real_variable(*reference));
+            variables.map(|variable| self.structure.elements(model, variable)).sum()
+        } else {
+            references.len()
+        };
+        if expected == found { Ok(()) } else { Err(FmiError::Length { call, expected, found }) }
+    }
+
+    /// Number of elements of an array; `None` for a single value.
+    pub(crate) fn elements(&self, variable: &Variable) -> Option<usize> {
+        let is_array = !variable.dimensions.is_empty();
+        is_array.then(|| self.structure.elements(self.fmu.description(), variable))
+    }
+
     /// Reads a variable.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
-        let reference = [variable.value_reference];
+        let references = [variable.value_reference];
         let kind = variable.kind;
-        let result = match kind {
+        let elements = self.elements(variable);
+        let n = elements.unwrap_or(1);
+        let read = match kind {
             VariableKind::Real => {
-                let mut value = [0.0];
-                self.raw.get_real(&reference, &mut value).map(|()| Value::Real(value[0]))
-            }
-            VariableKind::Integer | VariableKind::Enumeration => {
-                let mut value = [0];
-                self.raw.get_integer(&reference, &mut value).map(|()| Value::Integer(value[0]))
-            }
-            VariableKind::Boolean => {
-                let mut value = [false];
-                self.raw.get_boolean(&reference, &mut value).map(|()| Value::Boolean(value[0]))
+                let mut values = vec![0.0; n];
+                let read = self.raw.get_real(&references, &mut values);
+                read.map(|()| values.into_iter().map(Value::Real).collect())
             }
             VariableKind::String => self
                 .raw
-                .get_string(&reference)
-                .map(|mut texts| Value::String(texts.pop().unwrap_or_default())),
+                .get_string(&references, n)
+                .map(|texts| texts.into_iter().map(Value::String).collect()),
+            VariableKind::Binary => {
+                self.raw.get_binary(&references, n).map(|all| all.into_iter().map(Value::Binary).collect())
+            }
+            kind => {
+                let mut values = vec![0; n];
+                let read = self.raw.get_packed(kind, &references, &mut values);
+                read.map(|()| values.into_iter().map(|lane| lanes::value(kind, lane)).collect::<Vec<Value>>())
+            }
         };
-        result.map_err(|fault| self.error_about(fault, &reference, |other| other == kind))
+        let mut values = read.map_err(|fault| self.error_about(fault, &references, |other| other == kind))?;
+        let value = match (elements, values.pop()) {
+            (None, Some(value)) => value,
+            (_, last) => {
+                values.extend(last);
+                Value::Array(values)
+            }
+        };
+        Ok(if variable.negated { assign::negate(value) } else { value })
     }
 
     /// Runs a raw call and words its error.
@@ -204,23 +289,14 @@ fn phase_name<P>() -> &'static str {
     path.rsplit("::").next().unwrap_or(path)
 }
 
-fn is_integer(kind: VariableKind) -> bool {
-    matches!(kind, VariableKind::Integer | VariableKind::Enumeration)
-}
-
-impl<P> Instance<P> {
+impl<P, K> Instance<P, K> {
     pub(crate) fn core(&mut self) -> &mut Core {
         &mut self.core
     }
 
     /// The same instance in another phase; the caller has made the call that leads there.
-    pub(crate) fn into_phase<Q>(self) -> Instance<Q> {
+    pub(crate) fn into_phase<Q>(self) -> Instance<Q, K> {
         Instance { core: self.core, _phase: PhantomData }
-    }
-
-    /// Whether it is not to be used any more: see [`RawInstance::is_stale`].
-    pub(crate) fn is_stale(&self) -> bool {
-        self.core.raw.is_stale()
     }
 
     /// Gives up the wrapping.
@@ -233,7 +309,7 @@ impl<P> Instance<P> {
     pub(crate) fn step_to<Q>(
         mut self,
         call: impl FnOnce(&mut RawInstance) -> Result<(), Fault>,
-    ) -> Result<Instance<Q>, FmiError> {
+    ) -> Result<Instance<Q, K>, FmiError> {
         self.core.call(call)?;
         Ok(self.into_phase())
     }
@@ -250,6 +326,21 @@ impl<P> Instance<P> {
             line.text = crate::failure::expand_references(&line.text, self.fmu().description());
         }
         (lines, dropped)
+    }
+
+    /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
+    pub(crate) fn pass_log_on(&self) {
+        if !log::log_enabled!(log::Level::Debug) {
+            return;
+        }
+        let (lines, dropped) = self.log();
+        let model = &self.fmu().description().model_name;
+        if dropped > 0 {
+            log::debug!("{model}: {dropped} earlier lines were not kept");
+        }
+        for line in lines {
+            log::debug!("{model}: {line}");
+        }
     }
 
     /// Switches the FMU's logging on or off.
@@ -300,14 +391,18 @@ impl<P> Instance<P> {
     ///
     /// # Errors
     /// The FMU cannot, or refuses; the instance is freed then.
-    pub fn reset(self) -> Result<Instance<Instantiated>, FmiError> {
-        let mut fresh: Instance<Instantiated> = self.step_to(RawInstance::reset)?;
+    pub fn reset(self) -> Result<Instance<Instantiated, K>, FmiError> {
+        let mut fresh: Instance<Instantiated, K> = self.step_to(RawInstance::reset)?;
+        // Structural parameters have their start values again.
+        if !fresh.core.structure.is_default() {
+            fresh.core.configure(&Assignments::default(), &Structure::default())?;
+        }
         fresh.core.raw.clear_log();
         Ok(fresh)
     }
 }
 
-impl<P: Readable> Instance<P> {
+impl<P: Readable, K> Instance<P, K> {
     /// Reads a variable.
     ///
     /// # Errors
@@ -323,7 +418,7 @@ impl<P: Readable> Instance<P> {
     /// # Errors
     /// The slices differ in length, a reference is not that of a variable of type Real, or the FMU refuses.
     pub fn get_reals(&mut self, references: &[u32], values: &mut [f64]) -> Result<(), FmiError> {
-        self.core.fmu.check_real_references("get_reals", references)?;
+        self.core.check_reals("get_reals", references, values.len())?;
         self.core
             .raw
             .get_real(references, values)
@@ -341,13 +436,13 @@ impl<P: Readable> Instance<P> {
         seed: &[f64],
         sensitivity: &mut [f64],
     ) -> Result<(), FmiError> {
-        self.core.fmu.check_real_references("directional_derivative", unknowns)?;
-        self.core.fmu.check_real_references("directional_derivative", knowns)?;
+        self.core.check_reals("directional_derivative", unknowns, sensitivity.len())?;
+        self.core.check_reals("directional_derivative", knowns, seed.len())?;
         self.core.call(|raw| raw.directional_derivative(unknowns, knowns, seed, sensitivity))
     }
 }
 
-impl<P: Phase> Instance<P> {
+impl<P: Phase, K> Instance<P, K> {
     /// Sets a variable.
     ///
     /// # Errors
@@ -359,8 +454,14 @@ impl<P: Phase> Instance<P> {
         let variable = &fmu.description().variables[index];
         P::check_settable(variable)?;
         let mut values = Assignments::default();
-        values.push(variable, &value.into())?;
-        self.core.apply(&values)
+        let value = value.into();
+        values.push(variable, &value, self.core.elements(variable))?;
+        if variable.causality != Causality::StructuralParameter {
+            return self.core.apply(&values);
+        }
+        let mut structure = self.core.structure.clone();
+        structure.set(index, &value);
+        self.core.configure(&values, &structure)
     }
 
     /// Brings back a state saved by this instance **in the same phase**.
@@ -378,14 +479,9 @@ impl<P: Phase> Instance<P> {
     }
 }
 
-impl Instance<Instantiated> {
+impl<K> Instance<Instantiated, K> {
     pub(crate) fn from_raw(raw: RawInstance, fmu: Fmu) -> Self {
-        Self { core: Box::new(Core { raw, fmu }), _phase: PhantomData }
-    }
-
-    /// Brings an instance with a past back to its beginning.
-    pub(crate) fn from_used(raw: RawInstance, fmu: Fmu) -> Result<Self, FmiError> {
-        Self::from_raw(raw, fmu).reset()
+        Self { core: Box::new(Core { raw, fmu, structure: Structure::default() }), _phase: PhantomData }
     }
 
     /// Sets the experiment up and enters initialization mode.
@@ -397,9 +493,11 @@ impl Instance<Instantiated> {
         start_time: f64,
         stop_time: Option<f64>,
         relative_tolerance: Option<f64>,
-    ) -> Result<Instance<Initialization>, FmiError> {
-        self.core.call(|raw| raw.setup_experiment(relative_tolerance, start_time, stop_time))?;
-        self.step_to(RawInstance::enter_initialization)
+    ) -> Result<Instance<Initialization, K>, FmiError> {
+        let experiment = Experiment { tolerance: relative_tolerance, start: start_time, stop: stop_time };
+        self.core.check_sizes()?;
+        self.core.call(|raw| raw.setup_experiment(&experiment))?;
+        self.step_to(|raw| raw.enter_initialization(&experiment))
     }
 }
 
@@ -411,4 +509,16 @@ impl Instance<Initialization> {
     pub fn exit_initialization(self) -> Result<Instance<EventMode>, FmiError> {
         self.step_to(RawInstance::exit_initialization)
     }
+}
+
+/// Brings an instance with a past back to its beginning, by a saved state or the FMU's reset function.
+pub(crate) fn renew(mut raw: RawInstance, fmu: &Fmu, reuse: Reuse) -> Result<RawInstance, FmiError> {
+    if reuse != Reuse::Restore {
+        return Instance::<Instantiated>::from_raw(raw, fmu.clone()).reset().map(|fresh| fresh.into_raw().0);
+    }
+    let outcome = raw.restore_origin();
+    raw.clear_log();
+    let mut instance = Instance::<Instantiated>::from_raw(raw, fmu.clone());
+    instance.core().call(|_| outcome)?;
+    Ok(instance.into_raw().0)
 }

@@ -17,6 +17,32 @@ pub const DEFAULT_TOLERANCE: f64 = 1e-6;
 /// More rows than this are taken for a mistake.
 const MAX_ROWS: usize = 100_000_000;
 
+/// How a model is run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Kind {
+    /// By model exchange where the FMU offers it, else by co-simulation.
+    #[default]
+    Auto,
+    /// The FMU's equations are integrated by a [`Method`].
+    ModelExchange,
+    /// The FMU integrates itself, from one communication point to the next.
+    CoSimulation,
+}
+
+impl std::str::FromStr for Kind {
+    type Err = FmiError;
+
+    /// `auto`, `me` or `cs`, whatever the case of the letters.
+    fn from_str(text: &str) -> Result<Self, FmiError> {
+        match text.to_ascii_lowercase().as_str() {
+            "auto" => Ok(Kind::Auto),
+            "me" => Ok(Kind::ModelExchange),
+            "cs" => Ok(Kind::CoSimulation),
+            _ => Err(setting(format!("kind = '{text}' is none of 'auto', 'me', 'cs'"))),
+        }
+    }
+}
+
 /// Unit round-off of double precision.
 const U: f64 = f64::EPSILON / 2.0;
 
@@ -44,15 +70,20 @@ pub struct SimulateOptions {
     pub start_values: Vec<(String, Value)>,
     /// Real variables whose values are given anew at each run.
     pub parameters: Vec<String>,
-    /// Variables to record; default: those of causality output, or the states if there are none. Time is always there.
+    /// Variables to record: names; elements of arrays (`name[2,1]`, counted from 1); patterns, in which `*` stands for any
+    /// characters and `?` for one; `all` for everything that is a number. Default: the variables of causality output and
+    /// the states, or where there are neither, all variables that change. Time is always there.
     pub outputs: Option<Vec<String>>,
     /// Time-varying inputs.
     pub inputs: Option<Inputs>,
     /// Relative tolerance; default: that of the default experiment, else 1e-6.
     pub relative_tolerance: Option<f64>,
-    /// Integration method.
+    /// How the model is run.
+    pub kind: Kind,
+    /// Integration method (model exchange).
     pub method: Method,
-    /// Step of the fixed-step methods; default: a 500th of the span.
+    /// Model exchange: step of the fixed-step methods; default: a 500th of the span. Co-simulation: the communication
+    /// step; default: that of the default experiment, else the distance of the rows.
     pub step_size: Option<f64>,
     /// Largest step of the adaptive methods.
     pub max_step: Option<f64>,
@@ -140,6 +171,13 @@ impl SimulateOptions {
         self
     }
 
+    /// Sets [`kind`](Self::kind).
+    #[must_use]
+    pub fn kind(mut self, kind: Kind) -> Self {
+        self.kind = kind;
+        self
+    }
+
     /// Sets [`method`](Self::method).
     #[must_use]
     pub fn method(mut self, method: Method) -> Self {
@@ -221,13 +259,18 @@ impl SimulateOptions {
             return Err(setting(format!("the span from {start} to {end} is too long for a number")));
         }
         let same = 100.0 * U * start.abs().max(end.abs()).max(end - start);
+        let mut interval = self.output_interval;
         let times = match (&self.times, self.output_interval, self.ncp) {
             (Some(times), ..) => snap(times, start, end, same)?,
             (_, Some(interval), _) => intervals(start, end, same, interval)?,
             (_, _, Some(0)) => return Err(setting("ncp = 0: at least one interval is needed".to_owned())),
-            (_, _, ncp) => uniform(start, end, same, ncp.unwrap_or(DEFAULT_INTERVALS))?,
+            (_, _, ncp) => {
+                let n = ncp.unwrap_or(DEFAULT_INTERVALS);
+                interval = Some((end - start) / n as f64);
+                uniform(start, end, same, n)?
+            }
         };
-        Ok(Grid { start, end, same, times })
+        Ok(Grid { start, end, same, times, interval })
     }
 }
 
@@ -239,6 +282,8 @@ pub(crate) struct Grid {
     /// Times closer than this are one.
     pub(crate) same: f64,
     pub(crate) times: Vec<f64>,
+    /// Distance of the rows, where they have one.
+    pub(crate) interval: Option<f64>,
 }
 
 fn setting(problem: String) -> FmiError {

@@ -1,12 +1,19 @@
 //! A simulation resolved against its model, once: names have become value references, everything has been checked.
 
 use crate::assign::{self, Assignments, check_settable_at_start, resolve};
-use crate::description::{Causality, ModelDescription, Value, Variable, VariableKind};
+use crate::communication::Communication;
+use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
-use crate::fmu::Fmu;
+use crate::fmu::{Fmu, Reuse};
 use crate::input::{InputPlan, Inputs};
+use crate::instance::Core;
+use crate::jacobian::JacobianPlan;
 use crate::options::SimulateOptions;
-use crate::pool::nudge;
+use crate::outputs::{OutputContext, OutputPlan};
+use crate::readback::{ReadBack, ReadBackBuffers};
+use crate::selection::{ArrayColumns, Selection, states};
+use crate::sys::InterfaceKind;
+use crate::trial::nudge;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -23,77 +30,36 @@ pub struct SimulationPlan {
     pub(crate) same: f64,
     pub(crate) times: Vec<f64>,
     pub(crate) start_values: Assignments,
-    pub(crate) parameters: Vec<u32>,
+    /// Structural parameters, and the sizes that follow from them.
+    structural_values: Assignments,
+    structure: Structure,
+    parameters: Vec<u32>,
+    /// Signs of the parameters: -1 for negated aliases.
+    signs: Vec<f64>,
     parameter_names: Vec<String>,
     /// What the parameters are where nobody gives a value.
     pub(crate) parameter_starts: Vec<f64>,
     pub(crate) inputs: InputPlan,
-    pub(crate) outputs: OutputPlan,
+    outputs: Selection,
     /// Everything that a run sets, sorted.
     pub(crate) settings: Arc<[Setting]>,
-    output_names: Vec<String>,
     pub(crate) n_states: usize,
     pub(crate) n_indicators: usize,
     /// Nominals of the states as the description says them.
     pub(crate) nominals: Vec<f64>,
     pub(crate) completed_step_not_needed: bool,
+    /// What a reused instance is asked for again.
+    pub(crate) read_back: ReadBack,
+    pub(crate) kind: InterfaceKind,
+    /// How the Jacobian can be had; empty for co-simulation.
+    pub(crate) jacobian: JacobianPlan,
+    /// The steps of co-simulation.
+    pub(crate) communication: Option<Communication>,
     warned_of_nominals: AtomicBool,
 }
 
-/// A variable that a run sets: whether before the initialization (or in it, and later), a number for its type, its
-/// reference.
-pub(crate) type Setting = (bool, u8, u32);
-
-/// Where an output comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum OutputSource {
-    Time,
-    /// A state or an alias of one: copied, without a call.
-    State(usize),
-    Real(usize),
-    Integer(usize),
-    Boolean(usize),
-}
-
-/// The outputs by type, each type for one call.
-#[derive(Debug, Default)]
-pub(crate) struct OutputPlan {
-    pub(crate) sources: Vec<OutputSource>,
-    pub(crate) reals: Vec<u32>,
-    pub(crate) integers: Vec<u32>,
-    pub(crate) booleans: Vec<u32>,
-}
-
-impl OutputPlan {
-    /// Whether a sample needs a call at all.
-    pub(crate) fn needs_fmu(&self) -> bool {
-        !(self.reals.is_empty() && self.integers.is_empty() && self.booleans.is_empty())
-    }
-
-    fn add(&mut self, variable: &Variable, states: &HashMap<u32, usize>) -> Result<(), FmiError> {
-        let reference = variable.value_reference;
-        let place = |list: &mut Vec<u32>| {
-            list.push(reference);
-            list.len() - 1
-        };
-        self.sources.push(match variable.kind {
-            _ if variable.causality == Causality::Independent => OutputSource::Time,
-            VariableKind::Real => match states.get(&reference) {
-                Some(state) => OutputSource::State(*state),
-                None => OutputSource::Real(place(&mut self.reals)),
-            },
-            VariableKind::Integer | VariableKind::Enumeration => {
-                OutputSource::Integer(place(&mut self.integers))
-            }
-            VariableKind::Boolean => OutputSource::Boolean(place(&mut self.booleans)),
-            VariableKind::String => {
-                let reason = "it is text, and results are numbers";
-                return Err(FmiError::NotAnOutput { name: variable.name.clone(), reason });
-            }
-        });
-        Ok(())
-    }
-}
+/// A variable that a run sets: whether before the initialization (or in it, and later), its type, its reference.
+pub(crate) type Setting = (bool, VariableKind, u32);
 
 impl SimulationPlan {
     /// Resolves and checks a simulation of `fmu`. No code of the FMU is run.
@@ -102,15 +68,25 @@ impl SimulationPlan {
     /// The FMU cannot be simulated by this version; a name is unknown (with the nearest names); a value has the wrong
     /// type or is not finite; a variable cannot be set; times or other options make no sense.
     pub fn new(fmu: &Fmu, options: &SimulateOptions) -> Result<Self, FmiError> {
-        let interface = fmu.check_runnable()?;
+        let kind = fmu.choose(options.kind)?;
+        let interface = fmu.check_interface(kind)?;
         let description = fmu.description();
         let grid = options.grid(&description.default_experiment)?;
+        let communication = match kind {
+            InterfaceKind::ModelExchange => None,
+            InterfaceKind::CoSimulation => Some(Communication::new(
+                options,
+                &description.default_experiment,
+                &interface.capabilities,
+                &grid,
+            )?),
+        };
         let method = options.method_options(&description.default_experiment);
         method.check()?;
         let no_inputs = Inputs::default();
         let inputs = InputPlan::new(description, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
-        let states = states(description);
-        let start_values = resolve_values(description, &options.start_values)?;
+        let (start_values, structure) = resolve_values(description, &options.start_values)?;
+        let states = states(description, &structure);
         let mut plan = Self {
             fmu: fmu.clone(),
             options: method,
@@ -119,48 +95,66 @@ impl SimulationPlan {
             same: grid.same,
             times: grid.times,
             start_values: Assignments::default(),
+            structural_values: Assignments::default(),
             parameters: Vec::new(),
+            signs: Vec::new(),
             parameter_names: Vec::new(),
             parameter_starts: Vec::new(),
             inputs,
-            outputs: OutputPlan::default(),
+            outputs: Selection::default(),
             settings: Arc::default(),
-            output_names: Vec::new(),
-            n_states: description.n_states(),
-            n_indicators: description.n_event_indicators,
-            nominals: (0..description.n_states())
-                .map(|i| states.get(i).copied().flatten().and_then(|state| state.nominal).unwrap_or(1.0))
+            n_states: structure.states(description),
+            n_indicators: structure.indicators(description),
+            nominals: (0..structure.states(description))
+                .map(|i| {
+                    let state = states.get(i).copied().flatten();
+                    state.and_then(|state| description.variables[state].nominal).unwrap_or(1.0)
+                })
                 .collect(),
+            jacobian: match kind {
+                InterfaceKind::ModelExchange => {
+                    JacobianPlan::new(description, &structure, &interface.capabilities)
+                }
+                InterfaceKind::CoSimulation => JacobianPlan::default(),
+            },
+            structure,
             completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
+            read_back: ReadBack::default(),
+            kind,
+            communication,
             warned_of_nominals: AtomicBool::new(false),
         };
         plan.take_parameters(description, &options.parameters, &start_values)?;
         for (index, value) in &start_values {
-            plan.start_values.push(&description.variables[*index], value)?;
+            let variable = &description.variables[*index];
+            let list = match variable.causality {
+                Causality::StructuralParameter => &mut plan.structural_values,
+                _ => &mut plan.start_values,
+            };
+            let is_array = !variable.dimensions.is_empty();
+            list.push(variable, value, is_array.then(|| plan.structure.elements(description, variable)))?;
+            if variable.causality != Causality::StructuralParameter {
+                plan.read_back.add_start(variable, &plan.start_values);
+            }
         }
+        for (i, name) in plan.parameter_names.iter().enumerate() {
+            if let Some(variable) = description.variable(name) {
+                plan.read_back.add_parameter(variable, i);
+            }
+        }
+        plan.read_back.finish();
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
         plan.settings = plan.all_settings();
         Ok(plan)
     }
 
     fn all_settings(&self) -> Arc<[Setting]> {
-        let Assignments { reals, integers, booleans, strings } = &self.start_values;
-        let inputs = &self.inputs;
-        let lists = [
-            (true, 0, &reals.0),
-            (true, 0, &self.parameters),
-            (true, 1, &integers.0),
-            (true, 2, &booleans.0),
-            (true, 3, &strings.0),
-            (false, 0, &inputs.continuous),
-            (false, 0, &inputs.held_reals),
-            (false, 1, &inputs.held_integers),
-            (false, 2, &inputs.held_booleans),
-        ];
-        let mut settings: Vec<Setting> = lists
-            .into_iter()
-            .flat_map(|(before, kind, list)| list.iter().map(move |reference| (before, kind, *reference)))
-            .collect();
+        let mut settings: Vec<Setting> = Vec::new();
+        for values in [&self.structural_values, &self.start_values] {
+            settings.extend(values.references().map(|(kind, reference)| (true, kind, reference)));
+        }
+        settings.extend(self.parameters.iter().map(|reference| (true, VariableKind::Real, *reference)));
+        settings.extend(self.inputs.references().map(|(kind, reference)| (false, kind, reference)));
         settings.sort_unstable();
         settings.dedup();
         settings.into()
@@ -200,10 +194,10 @@ impl SimulationPlan {
             let index = resolve(description, name)?;
             let variable = &description.variables[index];
             check_settable_at_start(variable)?;
-            if variable.kind != VariableKind::Real {
+            if variable.kind != VariableKind::Real || !variable.dimensions.is_empty() {
                 return Err(assign::not_settable(
                     variable,
-                    "only variables of type Real can be parameters of a run",
+                    "only single variables of type Real can be parameters of a run",
                 ));
             }
             if indices.contains(&index) {
@@ -216,10 +210,11 @@ impl SimulationPlan {
             let given = start_values.iter().find(|(i, _)| *i == index).map(|(_, value)| value);
             self.parameter_starts.push(match given.or(variable.start.as_ref()) {
                 Some(Value::Real(x)) if x.is_finite() => *x,
-                Some(Value::Integer(i)) => f64::from(*i),
+                Some(Value::Integer(i)) => *i as f64,
                 _ => 0.0,
             });
             self.parameters.push(variable.value_reference);
+            self.signs.push(if variable.negated { -1.0 } else { 1.0 });
             self.parameter_names.push(name.clone());
         }
         Ok(())
@@ -229,36 +224,56 @@ impl SimulationPlan {
         &mut self,
         description: &ModelDescription,
         names: Option<&[String]>,
-        states: &[Option<&Variable>],
+        states: &[Option<usize>],
     ) -> Result<(), FmiError> {
-        let places: HashMap<u32, usize> = states
-            .iter()
-            .enumerate()
-            .filter_map(|(i, state)| state.map(|v| (v.value_reference, i)))
-            .collect();
-        let Some(names) = names else {
-            let outputs: Vec<&Variable> = description
-                .variables
-                .iter()
-                .filter(|v| v.causality == Causality::Output && v.kind != VariableKind::String)
-                .collect();
-            let states: Vec<&Variable> = states.iter().copied().flatten().collect();
-            for variable in if outputs.is_empty() { states } else { outputs } {
-                self.outputs.add(variable, &places)?;
-                self.output_names.push(variable.name.clone());
+        // A model that integrates itself does not show its states otherwise than as variables.
+        let mut places: HashMap<u32, usize> = HashMap::new();
+        if self.kind == InterfaceKind::ModelExchange {
+            for (i, state) in states.iter().enumerate() {
+                // The first place of an array is that of its first element.
+                if let Some(state) = state {
+                    places.entry(description.variables[*state].value_reference).or_insert(i);
+                }
             }
-            return Ok(());
-        };
-        for name in names {
-            match resolve(description, name) {
-                Ok(index) => self.outputs.add(&description.variables[index], &places)?,
-                // Time is always there; models may or may not have a variable for it.
-                Err(_) if name == "time" => continue,
-                Err(error) => return Err(error),
-            }
-            self.output_names.push(name.clone());
         }
+        let structure = self.structure.clone();
+        let context = OutputContext { model: description, structure: &structure, states: &places };
+        self.outputs = match names {
+            Some(names) => Selection::of_names(&context, names)?,
+            None => {
+                let states: Vec<usize> = states.iter().copied().flatten().collect();
+                Selection::default_of(&context, &states)?
+            }
+        };
         Ok(())
+    }
+
+    /// Gives a fresh instance its structure, start values (those of the plan or others for the same variables) and
+    /// parameters; `buffer` is used on the way.
+    pub(crate) fn set_up(
+        &self,
+        core: &mut Core,
+        start_values: &Assignments,
+        parameters: &[f64],
+        buffer: &mut Vec<f64>,
+    ) -> Result<(), FmiError> {
+        if !self.structure.is_default() {
+            core.configure(&self.structural_values, &self.structure)?;
+        }
+        core.apply(start_values)?;
+        buffer.clear();
+        buffer.extend(parameters.iter().zip(&self.signs).map(|(value, sign)| value * sign));
+        core.set_reals(&self.parameters, buffer)
+    }
+
+    /// Whether an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one of the FMU's.
+    pub(crate) fn has_values(
+        &self,
+        core: &mut Core,
+        parameters: &[f64],
+        buffers: &mut ReadBackBuffers,
+    ) -> Result<bool, FmiError> {
+        self.read_back.agrees(core, &self.start_values, |i| parameters[i] * self.signs[i], buffers)
     }
 
     /// The model.
@@ -281,9 +296,48 @@ impl SimulationPlan {
         self.end
     }
 
+    /// How instances are brought back to their beginning for this way of running the model, as far as is known.
+    pub(crate) fn reuse(&self) -> Option<Reuse> {
+        self.fmu.reuse_of(self.kind)
+    }
+
+    pub(crate) fn set_reuse(&self, reuse: Reuse) {
+        self.fmu.set_reuse(self.kind, reuse);
+    }
+
+    /// Whether instances may be brought back by a saved state, as far as is known.
+    pub(crate) fn may_restore(&self) -> bool {
+        self.fmu.may_restore(self.kind)
+    }
+
+    /// Saved states were found not to bring instances back.
+    pub(crate) fn refuse_restore(&self) {
+        self.fmu.refuse_restore(self.kind);
+    }
+
+    /// How the model is run.
+    pub fn kind(&self) -> InterfaceKind {
+        self.kind
+    }
+
     /// Names of the outputs, in the order of [`Sample::outputs`](ode::Sample).
     pub fn output_names(&self) -> &[String] {
-        &self.output_names
+        &self.outputs.names
+    }
+
+    /// Positions in the description of the variables of the outputs; all elements of an array have the same.
+    pub fn output_variables(&self) -> &[usize] {
+        &self.outputs.variables
+    }
+
+    /// The arrays among the outputs.
+    pub fn output_arrays(&self) -> &[ArrayColumns] {
+        &self.outputs.arrays
+    }
+
+    /// Where the outputs come from.
+    pub(crate) fn outputs(&self) -> &OutputPlan {
+        &self.outputs.plan
     }
 
     /// Names of the parameters, in the order in which a run takes their values.
@@ -326,26 +380,24 @@ impl SimulationPlan {
     }
 }
 
-/// The state variables in the order of the state vector; `None` where the description does not say which variable a
-/// derivative belongs to.
-fn states(description: &ModelDescription) -> Vec<Option<&Variable>> {
-    let derivatives =
-        description.structure.derivatives.iter().map(|unknown| &description.variables[unknown.index]);
-    derivatives.map(|derivative| derivative.derivative.map(|state| &description.variables[state])).collect()
-}
-
-/// Positions and values, each position once: the last value counts.
+/// Positions and values, each position once (the last value counts), and the structure that they make.
 fn resolve_values(
     description: &ModelDescription,
     values: &[(String, Value)],
-) -> Result<Vec<(usize, Value)>, FmiError> {
+) -> Result<(Vec<(usize, Value)>, Structure), FmiError> {
     let mut resolved: Vec<(usize, Value)> = Vec::with_capacity(values.len());
     let mut places: HashMap<usize, usize> = HashMap::with_capacity(values.len());
+    let mut structure = Structure::default();
     for (name, value) in values {
         let index = resolve(description, name)?;
         let variable = &description.variables[index];
         check_settable_at_start(variable)?;
-        let value = assign::convert(variable, value)?;
+        // Arrays are looked at when all sizes are known.
+        let is_array = !variable.dimensions.is_empty();
+        let value = if is_array { value.clone() } else { assign::convert(variable, value, None)? };
+        if variable.causality == Causality::StructuralParameter {
+            structure.set(index, &value);
+        }
         match places.entry(index) {
             Entry::Occupied(place) => resolved[*place.get()].1 = value,
             Entry::Vacant(place) => {
@@ -354,5 +406,5 @@ fn resolve_values(
             }
         }
     }
-    Ok(resolved)
+    Ok((resolved, structure))
 }

@@ -4,7 +4,7 @@ use crate::assign::{check_settable_at_start, convert, resolve};
 use crate::description::Value;
 use crate::error::FmiError;
 use crate::fmu::Fmu;
-use crate::options::SimulateOptions;
+use crate::options::{Kind, SimulateOptions};
 use crate::plan::SimulationPlan;
 use crate::simulation::Simulator;
 use crate::trajectory::Trajectory;
@@ -17,6 +17,7 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub struct Session {
     fmu: Fmu,
+    kind: Kind,
     /// Position of the variable and its value, in the order of setting; each position once.
     values: Vec<(usize, Value)>,
     /// Positions set since the last simulation.
@@ -30,7 +31,12 @@ pub struct Session {
 impl Session {
     /// A session with nothing set.
     pub fn new(fmu: Fmu) -> Self {
-        Self { fmu, values: Vec::new(), pending: Vec::new(), last: None, initial: None }
+        Self::of_kind(fmu, Kind::Auto)
+    }
+
+    /// The same, for one way of running the model: that of every simulation whose options leave it open.
+    pub fn of_kind(fmu: Fmu, kind: Kind) -> Self {
+        Self { fmu, kind, values: Vec::new(), pending: Vec::new(), last: None, initial: None }
     }
 
     /// The model.
@@ -47,7 +53,10 @@ impl Session {
         let index = resolve(description, name)?;
         let variable = &description.variables[index];
         check_settable_at_start(variable)?;
-        let value = convert(variable, &value.into())?;
+        let is_array = !variable.dimensions.is_empty();
+        // Values of arrays are checked against the sizes of a simulation, which structural parameters may change.
+        let value = value.into();
+        let value = if is_array { value } else { convert(variable, &value, None)? };
         match self.values.iter_mut().find(|(known, _)| *known == index) {
             Some(entry) => entry.1 = value,
             None => self.values.push((index, value)),
@@ -99,7 +108,7 @@ impl Session {
 
     /// Forgets all values set and the last simulation.
     pub fn reset(&mut self) {
-        *self = Self::new(self.fmu.clone());
+        *self = Self::of_kind(self.fmu.clone(), self.kind);
     }
 
     /// Simulates from a freshly reset model with all values set; `start_values` of the options count on top of them for
@@ -121,6 +130,9 @@ impl Session {
 
     fn with_values(&self, options: &SimulateOptions) -> SimulateOptions {
         let mut options = options.clone();
+        if options.kind == Kind::Auto {
+            options.kind = self.kind;
+        }
         let variables = &self.fmu.description().variables;
         let mut values: Vec<(String, Value)> = self
             .values

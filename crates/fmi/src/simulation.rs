@@ -1,12 +1,14 @@
 //! One worker's simulator: a plan, a live instance, a driver and buffers, run as often as one likes.
 
 use crate::assign::{Assignments, resolve};
+use crate::communication::Stepping;
 use crate::description::Value;
 use crate::error::FmiError;
-use crate::fmu::{Fmu, Reuse};
-use crate::instance::{Instance, Instantiated};
+use crate::fmu::{InstanceOptions, Reuse};
+use crate::instance::{self, Core};
 use crate::plan::SimulationPlan;
-use crate::sys::{FloatEnvironment, RawInstance, Shared};
+use crate::readback::ReadBackBuffers;
+use crate::sys::{FloatEnvironment, InterfaceKind, RawInstance, Shared};
 use crate::system::System;
 use crate::trajectory::{Recorder, Trajectory};
 use ode::{Driver, ErrorKind, Ignore, Observer, Report};
@@ -18,10 +20,11 @@ pub(crate) const PROBE_STEPS: u64 = 50;
 /// Runs one plan over and over, each time from a freshly reset instance: the same parameters give the same bits, whatever
 /// was run before. One thread at a time uses it ([`Send`], not `Sync`); when warm, a run allocates nothing.
 ///
-/// Before an FMU's reset function is relied on for the first time, it is put to the test: the first steps on the reset
-/// instance must have the same bits as on a new one, or from then on every run gets a new instance
-/// (see [`Fmu::reuse`]). Where a [`Pool`](crate::Pool) has found that instances of the library disturb each other, a run
-/// waits until no other one is under way, and has a new instance if another one was made meanwhile.
+/// Before an instance is used again, the way of bringing it back to its beginning is put to the test: the first steps
+/// must have the same bits as on a new instance, also after a run with other values, or from then on the next way is taken
+/// (see [`Reuse`]: a saved state, the reset function, a new instance for every run). Parameters and start values are set
+/// again for every run, and read back from an instance that was used before. Where a [`Pool`](crate::Pool) has found that instances of the library disturb
+/// each other, a run waits until no other one is under way, and has a new instance if another one was made meanwhile.
 ///
 /// ```compile_fail
 /// fn shared_between_threads<T: Sync>() {}
@@ -31,10 +34,82 @@ pub(crate) const PROBE_STEPS: u64 = 50;
 pub struct Simulator {
     plan: Arc<SimulationPlan>,
     shared: Arc<Shared>,
-    driver: Driver,
-    system: System,
+    engine: Engine,
     /// A new or reset instance that has not been used yet.
-    fresh: Option<Instance<Instantiated>>,
+    fresh: Option<RawInstance>,
+    buffers: ReadBackBuffers,
+}
+
+/// What makes the steps: the driver, or the FMU itself.
+#[derive(Debug)]
+enum Engine {
+    Integrated { driver: Box<Driver>, system: Box<System> },
+    Stepping(Box<Stepping>),
+}
+
+/// The same call to whichever engine it is.
+macro_rules! each {
+    ($engine:expr, $run:ident => $call:expr) => {
+        match $engine {
+            Engine::Integrated { system: $run, .. } => $call,
+            Engine::Stepping($run) => $call,
+        }
+    };
+}
+
+impl Engine {
+    fn new(plan: &Arc<SimulationPlan>) -> Result<Self, FmiError> {
+        Ok(match plan.kind {
+            InterfaceKind::ModelExchange => Engine::Integrated {
+                driver: Box::new(Driver::new(plan.options.clone())?),
+                system: Box::new(System::new(Arc::clone(plan))),
+            },
+            InterfaceKind::CoSimulation => Engine::Stepping(Box::new(Stepping::new(Arc::clone(plan)))),
+        })
+    }
+
+    fn adopt(&mut self, raw: RawInstance) {
+        each!(self, run => run.adopt(raw));
+    }
+
+    fn retire(&mut self) -> Option<RawInstance> {
+        each!(self, run => run.retire())
+    }
+
+    fn core(&mut self) -> Result<&mut Core, FmiError> {
+        each!(self, run => run.core())
+    }
+
+    fn initialize(&mut self, raw: RawInstance, parameters: &[f64]) -> Result<(), FmiError> {
+        each!(self, run => run.initialize(raw, parameters))
+    }
+
+    /// The run itself; `steps`: at most so many.
+    fn run(
+        &mut self,
+        plan: &SimulationPlan,
+        steps: Option<u64>,
+        observer: &mut dyn Observer,
+    ) -> Result<Report, FmiError> {
+        let limited = |limits: ode::Limits| ode::Limits { max_steps: steps.or(limits.max_steps), ..limits };
+        match self {
+            Engine::Integrated { driver, system } => {
+                let mut probe;
+                let driver = if steps.is_none() {
+                    driver
+                } else {
+                    let options =
+                        ode::Options { limits: limited(plan.options.limits), ..plan.options.clone() };
+                    probe = Driver::new(options)?;
+                    &mut probe
+                };
+                driver
+                    .run(&mut **system, plan.start, plan.end, &plan.times, observer)
+                    .map_err(FmiError::Simulation)
+            }
+            Engine::Stepping(stepping) => stepping.run(&limited(plan.options.limits), observer),
+        }
+    }
 }
 
 /// What a trial run showed.
@@ -54,15 +129,14 @@ impl Simulator {
     /// # Errors
     /// Options of the method that cannot be used; the FMU cannot be loaded or instantiated.
     pub fn new(plan: Arc<SimulationPlan>) -> Result<Self, FmiError> {
-        let driver = Driver::new(plan.options.clone())?;
-        let mut system = System::new(Arc::clone(&plan));
+        let mut engine = Engine::new(&plan)?;
         let mut fresh = None;
-        let shared = Arc::clone(plan.fmu().library()?.shared());
-        match plan.fmu().take_idle(&plan.settings) {
-            Some(raw) => system.adopt(raw),
-            None => fresh = Some(plan.fmu().instantiate()?),
+        let shared = Arc::clone(plan.fmu().library(plan.kind)?.shared());
+        match plan.fmu().take_idle(plan.kind, &plan.settings) {
+            Some(raw) => engine.adopt(raw),
+            None => fresh = Some(new_instance(&plan)?),
         }
-        Ok(Self { plan, shared, driver, system, fresh })
+        Ok(Self { plan, shared, engine, fresh, buffers: ReadBackBuffers::default() })
     }
 
     /// The plan.
@@ -80,11 +154,10 @@ impl Simulator {
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
         let guard = FloatEnvironment::standard();
-        let instance = self.fresh_instance(parameters)?;
-        self.system.initialize(instance, parameters)?;
+        self.start(parameters)?;
         // Instantiating or initializing may have changed the floating-point mode.
         guard.assert();
-        drive(&self.plan, &mut self.driver, &mut self.system, observer)
+        self.engine.run(&self.plan, None, observer)
     }
 
     /// Simulates once and records all samples.
@@ -108,7 +181,7 @@ impl Simulator {
         let index = resolve(description, name)?;
         let _turn = self.shared.turn_if_dependent();
         let _guard = FloatEnvironment::standard();
-        self.system.value(&description.variables[index])
+        each!(&mut self.engine, run => run.value(&description.variables[index]))
     }
 
     /// As [`value`](Self::value), as a number: integers and Booleans too.
@@ -118,12 +191,9 @@ impl Simulator {
     pub fn get(&mut self, name: &str) -> Result<f64, FmiError> {
         match self.value(name)? {
             Value::Real(x) => Ok(x),
-            Value::Integer(i) => Ok(f64::from(i)),
+            Value::Integer(i) => Ok(i as f64),
             Value::Boolean(b) => Ok(f64::from(u8::from(b))),
-            Value::String(_) => Err(FmiError::NotAnOutput {
-                name: name.to_owned(),
-                reason: "it is text, and results are numbers",
-            }),
+            _ => Err(FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" }),
         }
     }
 
@@ -133,76 +203,119 @@ impl Simulator {
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
         let _guard = FloatEnvironment::standard();
-        let instance = self.fresh_instance(parameters)?;
-        self.system.initialize(instance, parameters)?;
-        self.system.settle()
+        self.start(parameters)?;
+        match &mut self.engine {
+            Engine::Integrated { system, .. } => system.settle(),
+            Engine::Stepping(_) => Ok(()),
+        }
     }
 
-    /// A new instance, or one that was reset by a function that is known to do so.
-    fn fresh_instance(&mut self, parameters: &[f64]) -> Result<Instance<Instantiated>, FmiError> {
-        if let Some(instance) = self.fresh.take().filter(|instance| !instance.is_stale()) {
-            return Ok(instance);
+    /// Initializes a new instance, or one that was brought back to its beginning and has the values it was given.
+    fn start(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        let (instance, is_used) = self.fresh_instance(parameters)?;
+        self.engine.initialize(instance, parameters)?;
+        if !is_used || self.has_values(parameters).is_ok_and(|agrees| agrees) {
+            return Ok(());
         }
-        let fmu = self.plan.fmu().clone();
+        let plan = Arc::clone(&self.plan);
+        let model = &plan.fmu().description().model_name;
+        let reuse = plan.reuse();
+        self.start_new(parameters)?;
+        let from_new = self.has_values(parameters);
+        if from_new.is_ok_and(|agrees| agrees) {
+            log::warn!("{model}: an instance that was used before does not take the values it is given");
+            match reuse {
+                Some(Reuse::Restore) => plan.refuse_restore(),
+                _ => plan.set_reuse(Reuse::Reinstantiate),
+            }
+            return Ok(());
+        }
+        log::warn!("{model}: after the initialization the model does not have the values it was given");
+        plan.read_back.set_overridden();
+        // An instance that did not answer is not to be used.
+        self.start_new(parameters)
+    }
+
+    fn start_new(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        drop(self.engine.retire());
+        let raw = new_instance(&self.plan)?;
+        self.engine.initialize(raw, parameters)
+    }
+
+    fn has_values(&mut self, parameters: &[f64]) -> Result<bool, FmiError> {
+        let core = self.engine.core()?;
+        self.plan.has_values(core, parameters, &mut self.buffers)
+    }
+
+    /// A new instance, or one that was brought back to its beginning in a way that is known to do so; and whether it was
+    /// used before.
+    fn fresh_instance(&mut self, parameters: &[f64]) -> Result<(RawInstance, bool), FmiError> {
         let good = |raw: &RawInstance| !raw.is_stale();
-        let used = self.system.retire().filter(good);
-        let Some(used) = used.or_else(|| fmu.take_idle(&self.plan.settings).filter(good)) else {
-            return fmu.instantiate();
+        if let Some(raw) = self.fresh.take().filter(good) {
+            return Ok((raw, false));
+        }
+        let plan = Arc::clone(&self.plan);
+        let used = self.engine.retire().filter(good);
+        let Some(used) = used.or_else(|| plan.fmu().take_idle(plan.kind, &plan.settings).filter(good)) else {
+            return Ok((new_instance(&plan)?, false));
         };
-        match fmu.reuse() {
-            Some(Reuse::Reset) => reset_or_replace(used, &fmu),
+        match plan.reuse() {
             Some(Reuse::Reinstantiate) => {
                 drop(used);
-                fmu.instantiate()
+                Ok((new_instance(&plan)?, false))
             }
-            None => self.check_reset(used, &fmu, parameters),
+            Some(reuse) => renew_or_replace(used, &plan, reuse),
+            // Made when nobody thought of using it again.
+            None if plan.may_restore() && !used.has_origin() => {
+                drop(used);
+                Ok((new_with_origin(&plan)?, false))
+            }
+            None => self.check_reuse(used, parameters),
         }
     }
 
-    /// Compares the first steps of the reset instance with those of a new one, and returns an instance to use.
-    fn check_reset(
+    /// Compares the first steps of the instance brought back to its beginning with those of a new one, and returns an
+    /// instance to use.
+    fn check_reuse(
         &mut self,
         used: RawInstance,
-        fmu: &Fmu,
         parameters: &[f64],
-    ) -> Result<Instance<Instantiated>, FmiError> {
-        self.system.adopt(used);
+    ) -> Result<(RawInstance, bool), FmiError> {
+        let plan = Arc::clone(&self.plan);
+        let reuse = if used.has_origin() { Reuse::Restore } else { Reuse::Reset };
+        self.engine.adopt(used);
         let steps = Some(PROBE_STEPS);
-        let after_reset = match self.probe_after_others(parameters, steps)? {
-            // A run that fails leaves no instance to reset: then at least the same run twice.
+        let after = match self.probe_after_others(reuse, parameters, steps)? {
+            // A run that fails leaves no instance to bring back: then at least the same run twice.
             None => {
-                self.probe_new(parameters, steps, &mut Ignore)?;
-                self.probe_reset(parameters, steps)?
+                self.probe_first(reuse, parameters, steps)?;
+                self.probe_again(reuse, &plan.start_values, parameters, steps, &mut Ignore)?
             }
             probe => probe,
         };
         // One at a time: the FMU may not allow two.
-        drop(self.system.retire());
-        let from_new = self.probe_new(parameters, steps, &mut Ignore)?;
-        match (after_reset, from_new) {
+        drop(self.engine.retire());
+        let from_new = self.probe_first(reuse, parameters, steps)?;
+        match (after, from_new) {
             (Some(Probe::TimedOut), _) | (_, Probe::TimedOut) => {}
             (None | Some(Probe::Nothing), Probe::Nothing) => {}
-            (after, new) if after == Some(new) => fmu.set_reuse(Reuse::Reset),
-            _ => fmu.set_reuse(Reuse::Reinstantiate),
+            (after, new) if after == Some(new) => plan.set_reuse(reuse),
+            _ if reuse == Reuse::Restore => plan.refuse_restore(),
+            _ => plan.set_reuse(Reuse::Reinstantiate),
         }
-        match (self.system.retire(), fmu.reuse()) {
-            (Some(used), Some(Reuse::Reset)) => reset_or_replace(used, fmu),
+        match (self.engine.retire(), plan.reuse()) {
+            (Some(used), Some(known)) if known == reuse => renew_or_replace(used, &plan, reuse),
             (used, _) => {
                 drop(used);
-                fmu.instantiate()
+                Ok((new_instance(&plan)?, false))
             }
         }
     }
 
     /// Brings an instance that is new or was reset to the start of a trial run; whether that went well.
-    fn begin_probe(
-        &mut self,
-        instance: Instance<Instantiated>,
-        start_values: &Assignments,
-        parameters: &[f64],
-    ) -> bool {
+    fn begin_probe(&mut self, raw: RawInstance, start_values: &Assignments, parameters: &[f64]) -> bool {
         let _guard = FloatEnvironment::standard();
-        self.system.initialize_with(instance, start_values, parameters).is_ok()
+        each!(&mut self.engine, run => run.initialize_with(raw, start_values, parameters)).is_ok()
     }
 
     /// Makes the trial run, and returns the digest of what the FMU answered.
@@ -215,12 +328,9 @@ impl Simulator {
         observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
         let _guard = FloatEnvironment::standard();
-        let mut options = self.plan.options.clone();
-        options.limits.max_steps = steps.or(options.limits.max_steps);
-        let mut driver = Driver::new(options)?;
-        self.system.begin_digest();
-        let outcome = drive(&self.plan, &mut driver, &mut self.system, observer);
-        let digest = self.system.end_digest().map_or(Probe::Nothing, Probe::Digest);
+        each!(&mut self.engine, run => run.begin_digest());
+        let outcome = self.engine.run(&self.plan, steps, observer);
+        let digest = each!(&mut self.engine, run => run.end_digest()).map_or(Probe::Nothing, Probe::Digest);
         match outcome {
             Err(FmiError::Simulation(error)) => match error.kind {
                 ErrorKind::Cancelled => Err(FmiError::Simulation(error)),
@@ -240,14 +350,14 @@ impl Simulator {
         start_values: &Assignments,
         parameters: &[f64],
     ) -> Result<bool, FmiError> {
-        let instance = match self.fresh.take() {
-            Some(instance) => instance,
+        let raw = match self.fresh.take() {
+            Some(raw) => raw,
             None => {
-                drop(self.system.retire());
-                self.plan.fmu().instantiate()?
+                drop(self.engine.retire());
+                new_instance(&self.plan)?
             }
         };
-        Ok(self.begin_probe(instance, start_values, parameters))
+        Ok(self.begin_probe(raw, start_values, parameters))
     }
 
     /// A trial run on a new instance.
@@ -256,56 +366,86 @@ impl Simulator {
     /// It was cancelled; there is no new instance to be had.
     pub(crate) fn probe_new(
         &mut self,
+        start_values: &Assignments,
         parameters: &[f64],
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
-        let plan = Arc::clone(&self.plan);
-        match self.begin_new(&plan.start_values, parameters)? {
+        match self.begin_new(start_values, parameters)? {
             true => self.finish_probe(steps, observer),
             false => Ok(Probe::Nothing),
         }
     }
 
-    /// A trial run on this simulator's instance after a reset; `None` if there is none to reset, or reset fails.
+    /// Makes a new instance for the next trial run, if that has to be one that can be brought back in a certain way.
+    ///
+    /// # Errors
+    /// There is no new instance to be had.
+    pub(crate) fn renewable(&mut self, reuse: Reuse) -> Result<(), FmiError> {
+        if reuse == Reuse::Restore {
+            self.fresh = None;
+            drop(self.engine.retire());
+            self.fresh = Some(new_with_origin(&self.plan)?);
+        }
+        Ok(())
+    }
+
+    /// What all users of its library share.
+    pub(crate) fn shared(&self) -> &Shared {
+        &self.shared
+    }
+
+    /// A trial run on a new instance that can be brought back in this way afterwards.
+    ///
+    /// # Errors
+    /// It was cancelled; there is no new instance to be had.
+    pub(crate) fn probe_first(
+        &mut self,
+        reuse: Reuse,
+        parameters: &[f64],
+        steps: Option<u64>,
+    ) -> Result<Probe, FmiError> {
+        self.renewable(reuse)?;
+        let plan = Arc::clone(&self.plan);
+        self.probe_new(&plan.start_values, parameters, steps, &mut Ignore)
+    }
+
+    /// A trial run on this simulator's instance, brought back to its beginning; `None` if there is none, or it cannot be
+    /// brought back.
     ///
     /// # Errors
     /// It was cancelled.
-    pub(crate) fn probe_reset(
+    pub(crate) fn probe_again(
         &mut self,
-        parameters: &[f64],
-        steps: Option<u64>,
-    ) -> Result<Option<Probe>, FmiError> {
-        let plan = Arc::clone(&self.plan);
-        self.probe_reset_with(&plan.start_values, parameters, steps, &mut Ignore)
-    }
-
-    /// The same with other start values.
-    pub(crate) fn probe_reset_with(
-        &mut self,
+        reuse: Reuse,
         start_values: &Assignments,
         parameters: &[f64],
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Option<Probe>, FmiError> {
-        let Some(used) = self.system.retire() else { return Ok(None) };
-        let Ok(instance) = Instance::from_used(used, self.plan.fmu().clone()) else { return Ok(None) };
-        match self.begin_probe(instance, start_values, parameters) {
+        let Some(used) = self.engine.retire() else { return Ok(None) };
+        let Ok(raw) = instance::renew(used, self.plan.fmu(), reuse) else { return Ok(None) };
+        match self.begin_probe(raw, start_values, parameters) {
             true => self.finish_probe(steps, observer).map(Some),
             false => Ok(Some(Probe::Nothing)),
         }
     }
 
-    /// A trial run on this simulator's instance after a run with other values and a reset, which shows whether reset
-    /// leaves any of them behind; `None` if there is nothing left to reset, or reset fails.
+    /// The same after a run with other values in between, which shows whether any of them are left behind; `None` if there
+    /// is nothing to bring back, or it cannot be brought back.
+    ///
+    /// # Errors
+    /// It was cancelled.
     pub(crate) fn probe_after_others(
         &mut self,
+        reuse: Reuse,
         parameters: &[f64],
         steps: Option<u64>,
     ) -> Result<Option<Probe>, FmiError> {
-        let (start_values, others) = self.plan.other_values(parameters);
-        match self.probe_reset_with(&start_values, &others, Some(PROBE_STEPS), &mut Ignore)? {
-            Some(_) => self.probe_reset(parameters, steps),
+        let plan = Arc::clone(&self.plan);
+        let (start_values, others) = plan.other_values(parameters);
+        match self.probe_again(reuse, &start_values, &others, Some(PROBE_STEPS), &mut Ignore)? {
+            Some(_) => self.probe_again(reuse, &plan.start_values, parameters, steps, &mut Ignore),
             None => Ok(None),
         }
     }
@@ -314,11 +454,11 @@ impl Simulator {
     pub(crate) fn park(&mut self) {
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn_if_dependent();
-        let used = self.fresh.take().map(|instance| instance.into_raw().0).or_else(|| self.system.retire());
+        let used = self.fresh.take().or_else(|| self.engine.retire());
         if let Some(raw) = used
-            && self.plan.fmu().reuse() != Some(Reuse::Reinstantiate)
+            && self.plan.reuse() != Some(Reuse::Reinstantiate)
         {
-            self.plan.fmu().put_idle(raw, &self.plan.settings);
+            self.plan.fmu().put_idle(self.plan.kind, raw, &self.plan.settings);
         }
     }
 }
@@ -329,23 +469,46 @@ impl Drop for Simulator {
     }
 }
 
-/// Resets an instance, or makes a new one where that fails.
-fn reset_or_replace(used: RawInstance, fmu: &Fmu) -> Result<Instance<Instantiated>, FmiError> {
-    match Instance::from_used(used, fmu.clone()) {
-        Ok(instance) => Ok(instance),
-        Err(_) => {
-            fmu.set_reuse(Reuse::Reinstantiate);
-            fmu.instantiate()
-        }
+/// A new instance; where saved states bring instances back, with the state to bring back.
+fn new_instance(plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
+    if plan.reuse() == Some(Reuse::Restore) {
+        return new_with_origin(plan);
     }
+    plan.fmu().instantiate_raw(plan.kind, &InstanceOptions::default())
 }
 
-/// The run itself.
-fn drive(
+/// A new instance with its state saved, unless the FMU refuses that: then it is not asked again.
+fn new_with_origin(plan: &SimulationPlan) -> Result<RawInstance, FmiError> {
+    let new = || plan.fmu().instantiate_raw(plan.kind, &InstanceOptions::default());
+    let mut raw = new()?;
+    let saved = {
+        let _guard = FloatEnvironment::standard();
+        raw.save_origin()
+    };
+    if saved.is_err() {
+        plan.refuse_restore();
+        drop(raw);
+        return new();
+    }
+    Ok(raw)
+}
+
+/// Brings an instance back to its beginning, or makes a new one where that fails; and whether it was used before.
+fn renew_or_replace(
+    used: RawInstance,
     plan: &SimulationPlan,
-    driver: &mut Driver,
-    system: &mut System,
-    observer: &mut dyn Observer,
-) -> Result<Report, FmiError> {
-    driver.run(system, plan.start, plan.end, &plan.times, observer).map_err(FmiError::Simulation)
+    reuse: Reuse,
+) -> Result<(RawInstance, bool), FmiError> {
+    if reuse == Reuse::Restore && !used.has_origin() {
+        drop(used);
+        return Ok((new_instance(plan)?, false));
+    }
+    if let Ok(raw) = instance::renew(used, plan.fmu(), reuse) {
+        return Ok((raw, true));
+    }
+    match reuse {
+        Reuse::Restore => plan.refuse_restore(),
+        _ => plan.set_reuse(Reuse::Reinstantiate),
+    }
+    Ok((new_instance(plan)?, false))
 }

@@ -2,13 +2,17 @@
 
 use crate::assign::Assignments;
 use crate::description::Variable;
+use crate::digest::Digest;
 use crate::error::FmiError;
-use crate::input::InputState;
+use crate::input::{InputPlan, InputState};
 use crate::instance::{ContinuousTime, Core, EventMode, Instance, Instantiated};
 use crate::model_exchange::MAX_EVENT_ITERATIONS;
-use crate::plan::{OutputSource, SimulationPlan};
+use crate::outputs::OutputBuffers;
+use crate::plan::SimulationPlan;
 use crate::sys::{Fault, RawInstance};
-use ode::{CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction};
+use ode::{
+    CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
+};
 use std::sync::Arc;
 
 /// What a run has of its FMU at the moment.
@@ -31,6 +35,9 @@ pub(crate) struct System {
     /// An FMU call failed: the instance is not used again.
     broken: bool,
     inputs: InputState,
+    /// The continuous inputs as the FMU has them; none while that is not known. FMUs may allow an input to be set only
+    /// once at an instant (FMI 2.0.x, section 2.2.7, `canHandleMultipleSetPerTimeInstant`).
+    sent: Vec<f64>,
     /// The point last set in the FMU, as far as that is known.
     set_time: Option<f64>,
     set_states: Option<()>,
@@ -43,11 +50,11 @@ pub(crate) struct System {
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and never gone back
     /// behind.
     floor: f64,
-    reals: Vec<f64>,
-    integers: Vec<i32>,
-    booleans: Vec<bool>,
+    buffers: OutputBuffers,
+    /// Values of parameters on their way.
+    signed: Vec<f64>,
     /// Running digest of everything that the FMU answered; only while reset is checked.
-    digest: Option<u64>,
+    digest: Option<Digest>,
 }
 
 /// Same bits, so that NaN and signed zeros count as what they are.
@@ -62,6 +69,7 @@ impl System {
             mode: Mode::Gone,
             broken: false,
             inputs: InputState::new(&plan.inputs),
+            sent: Vec::with_capacity(plan.inputs.continuous.len()),
             set_time: None,
             set_states: None,
             states: vec![0.0; n],
@@ -69,9 +77,8 @@ impl System {
             last_states: vec![0.0; n],
             announced: None,
             floor: f64::NEG_INFINITY,
-            reals: vec![0.0; plan.outputs.reals.len()],
-            integers: vec![0; plan.outputs.integers.len()],
-            booleans: vec![false; plan.outputs.booleans.len()],
+            buffers: OutputBuffers::new(plan.outputs()),
+            signed: Vec::new(),
             digest: None,
             plan,
         }
@@ -79,12 +86,12 @@ impl System {
 
     /// Starts collecting a digest of what the FMU answers.
     pub(crate) fn begin_digest(&mut self) {
-        self.digest = Some(0x9e37_79b9_7f4a_7c15);
+        self.digest = Some(Digest::default());
     }
 
     /// Ends collecting.
     pub(crate) fn end_digest(&mut self) -> Option<u64> {
-        self.digest.take()
+        self.digest.take().map(Digest::value)
     }
 
     /// Takes an instance that will have to be reset.
@@ -95,7 +102,11 @@ impl System {
 
     /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
     pub(crate) fn retire(&mut self) -> Option<RawInstance> {
-        self.pass_log_on();
+        match &self.mode {
+            Mode::Event(instance) => instance.pass_log_on(),
+            Mode::Continuous(instance) => instance.pass_log_on(),
+            Mode::Gone | Mode::Spare(_) => {}
+        }
         let instance = match std::mem::replace(&mut self.mode, Mode::Gone) {
             Mode::Gone => return None,
             Mode::Spare(raw) => return Some(raw),
@@ -107,47 +118,24 @@ impl System {
         instance.ok().map(|instance| instance.into_raw().0)
     }
 
-    /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
-    fn pass_log_on(&mut self) {
-        if !log::log_enabled!(log::Level::Debug) {
-            return;
-        }
-        let (lines, dropped) = match &self.mode {
-            Mode::Event(instance) => instance.log(),
-            Mode::Continuous(instance) => instance.log(),
-            Mode::Gone | Mode::Spare(_) => return,
-        };
-        let model = &self.plan.fmu.description().model_name;
-        if dropped > 0 {
-            log::debug!("{model}: {dropped} earlier lines were not kept");
-        }
-        for line in lines {
-            log::debug!("{model}: {line}");
-        }
-    }
-
     /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
-    pub(crate) fn initialize(
-        &mut self,
-        instance: Instance<Instantiated>,
-        parameters: &[f64],
-    ) -> Result<(), FmiError> {
+    pub(crate) fn initialize(&mut self, raw: RawInstance, parameters: &[f64]) -> Result<(), FmiError> {
         let plan = Arc::clone(&self.plan);
-        self.initialize_with(instance, &plan.start_values, parameters)
+        self.initialize_with(raw, &plan.start_values, parameters)
     }
 
     /// The same with other start values for the variables that have some in the plan.
     pub(crate) fn initialize_with(
         &mut self,
-        mut instance: Instance<Instantiated>,
+        raw: RawInstance,
         start_values: &Assignments,
         parameters: &[f64],
     ) -> Result<(), FmiError> {
         let plan = Arc::clone(&self.plan);
+        let mut instance: Instance<Instantiated> = Instance::from_raw(raw, plan.fmu().clone());
         self.mode = Mode::Gone;
         self.broken = false;
-        instance.core().apply(start_values)?;
-        instance.core().set_reals(&plan.parameters, parameters)?;
+        plan.set_up(instance.core(), start_values, parameters, &mut self.signed)?;
         let mut instance = instance.enter_initialization(
             plan.start,
             Some(plan.end),
@@ -155,10 +143,11 @@ impl System {
         )?;
         self.inputs.begin(&plan.inputs, plan.start);
         if !self.inputs.continuous_at(&plan.inputs, plan.start) {
-            return Err(self.bad_function_value(plan.start));
+            return Err(self.inputs.bad_function_value(plan.start));
         }
-        set_held(instance.core(), &plan, &self.inputs)?;
-        instance.core().set_reals(&plan.inputs.continuous, &self.inputs.continuous)?;
+        self.inputs.set_held(instance.core(), &plan.inputs)?;
+        self.sent.clear();
+        send(&plan.inputs, &self.inputs, &mut self.sent, instance.core())?;
         self.mode = Mode::Event(instance.exit_initialization()?);
         self.set_time = None;
         self.set_states = None;
@@ -177,12 +166,6 @@ impl System {
             Ok(_) | Err(CallError::Discard) => Ok(()),
             Err(CallError::Failed(error)) => Err(unbox(error)),
         }
-    }
-
-    fn bad_function_value(&self, t: f64) -> FmiError {
-        let bad = self.inputs.continuous.iter().find(|value| !value.is_finite());
-        let value = bad.copied().unwrap_or(f64::NAN);
-        FmiError::NotFinite { name: format!("an input function at t = {t}"), value }
     }
 
     /// Value of a variable at the point last committed.
@@ -204,7 +187,7 @@ impl System {
         self.core()?.value(variable)
     }
 
-    fn core(&mut self) -> Result<&mut Core, FmiError> {
+    pub(crate) fn core(&mut self) -> Result<&mut Core, FmiError> {
         match &mut self.mode {
             Mode::Event(instance) => Ok(instance.core()),
             Mode::Continuous(instance) => Ok(instance.core()),
@@ -250,18 +233,22 @@ impl System {
         if self.plan.inputs.continuous.is_empty() {
             return Ok(());
         }
-        let Self { plan, inputs, mode, broken, .. } = self;
+        let Self { plan, inputs, mode, broken, sent, .. } = self;
         if !inputs.continuous_at(&plan.inputs, t) {
             return Err(CallError::Discard);
         }
-        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous, &inputs.continuous))
+        if has(sent, &inputs.continuous) {
+            return Ok(());
+        }
+        sent.clear();
+        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous, &inputs.continuous))?;
+        sent.extend_from_slice(&inputs.continuous);
+        Ok(())
     }
 
     fn note(&mut self, values: &[f64]) {
         if let Some(digest) = &mut self.digest {
-            for value in values {
-                *digest = (*digest ^ value.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29);
-            }
+            digest.note(values);
         }
     }
 
@@ -357,21 +344,24 @@ fn call<T>(
     }
 }
 
-fn no_instance() -> FmiError {
-    FmiError::BadSetting { problem: "there is no running instance".to_owned() }
+/// Whether the FMU has these very inputs already.
+fn has(sent: &[f64], inputs: &[f64]) -> bool {
+    sent.len() == inputs.len() && sent.iter().zip(inputs).all(|(a, b)| same_bits(*a, *b))
 }
 
-/// Sets the held inputs.
-fn set_held(core: &mut Core, plan: &SimulationPlan, inputs: &InputState) -> Result<(), FmiError> {
-    let p = &plan.inputs;
-    core.set_reals(&p.held_reals, &inputs.held_reals)?;
-    if !p.held_integers.is_empty() {
-        core.call(|raw| raw.set_integer(&p.held_integers, &inputs.held_integers))?;
+/// Sets the continuous inputs, unless the FMU has them already.
+fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut Core) -> Result<(), FmiError> {
+    if has(sent, &inputs.continuous) {
+        return Ok(());
     }
-    if !p.held_booleans.is_empty() {
-        core.call(|raw| raw.set_boolean(&p.held_booleans, &inputs.held_booleans))?;
-    }
+    sent.clear();
+    core.set_reals(&plan.continuous, &inputs.continuous)?;
+    sent.extend_from_slice(&inputs.continuous);
     Ok(())
+}
+
+fn no_instance() -> FmiError {
+    FmiError::BadSetting { problem: "there is no running instance".to_owned() }
 }
 
 fn all_finite(values: &[f64]) -> CallResult<()> {
@@ -396,7 +386,7 @@ impl HybridSystem for System {
     }
 
     fn n_outputs(&self) -> usize {
-        self.plan.outputs.sources.len()
+        self.plan.outputs().len()
     }
 
     fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
@@ -434,6 +424,35 @@ impl HybridSystem for System {
         Ok(())
     }
 
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        self.plan.jacobian.pattern.as_ref()
+    }
+
+    fn directional_derivative(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        seed: &[f64],
+        derivative: &mut [f64],
+    ) -> CallResult<bool> {
+        let plan = Arc::clone(&self.plan);
+        let Some(sides) = &plan.jacobian.directional else { return Ok(false) };
+        self.set_point(t, x)?;
+        let is_there = self.call(|raw| {
+            match raw.directional_derivative(&sides.derivatives, &sides.states, seed, derivative) {
+                // Promised, but not in the library.
+                Err(Fault::Missing(_)) => Ok(false),
+                outcome => outcome.map(|()| true),
+            }
+        })?;
+        if !is_there {
+            return Ok(false);
+        }
+        all_finite(derivative)?;
+        self.note(derivative);
+        Ok(true)
+    }
+
     fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
         if z.is_empty() {
             return Ok(());
@@ -447,29 +466,14 @@ impl HybridSystem for System {
 
     /// Values that are not finite are passed on: an output that is NaN is for the reader to judge.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
-        if self.plan.outputs.needs_fmu() {
+        if self.plan.outputs().needs_fmu() {
             self.set_point(t, x)?;
         }
-        let Self { plan, mode, broken, reals, integers, booleans, .. } = self;
-        let outputs = &plan.outputs;
-        if !reals.is_empty() {
-            call(mode, broken, |raw| raw.get_real(&outputs.reals, reals))?;
+        let Self { plan, mode, broken, buffers, .. } = self;
+        if plan.outputs().needs_fmu() {
+            call(mode, broken, |raw| buffers.read(plan.outputs(), raw))?;
         }
-        if !integers.is_empty() {
-            call(mode, broken, |raw| raw.get_integer(&outputs.integers, integers))?;
-        }
-        if !booleans.is_empty() {
-            call(mode, broken, |raw| raw.get_boolean(&outputs.booleans, booleans))?;
-        }
-        for (source, value) in outputs.sources.iter().zip(y.iter_mut()) {
-            *value = match *source {
-                OutputSource::Time => t,
-                OutputSource::State(i) => x[i],
-                OutputSource::Real(i) => reals[i],
-                OutputSource::Integer(i) => f64::from(integers[i]),
-                OutputSource::Boolean(i) => f64::from(u8::from(booleans[i])),
-            };
-        }
+        buffers.row(plan.outputs(), t, x, y);
         self.note(y);
         Ok(())
     }
@@ -501,13 +505,14 @@ impl HybridSystem for System {
             if !self.inputs.continuous_at(&plan.inputs, t) {
                 return Err(CallError::Discard);
             }
-            let inputs = &self.inputs;
             let core = match &mut self.mode {
                 Mode::Event(instance) => instance.core(),
                 _ => return Err(CallError::Discard),
             };
-            let set = set_held(core, &plan, inputs)
-                .and_then(|()| core.set_reals(&plan.inputs.continuous, &inputs.continuous));
+            let set = self
+                .inputs
+                .set_held(core, &plan.inputs)
+                .and_then(|()| send(&plan.inputs, &self.inputs, &mut self.sent, core));
             if let Err(error) = set {
                 return Err(self.fail(error));
             }

@@ -3,14 +3,15 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod promises;
 mod zip_bytes;
 
-use fmi::{Archive, ArchiveLimits, EntryProblem, FmiError};
+use fmi::description::QuirkKind;
+use fmi::{Archive, ArchiveLimits, EntryProblem, FmiError, Fmu};
 use proptest::prelude::*;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::{Duration, Instant};
 use zip_bytes::{Entry, description, zip};
 
 /// A file that is gone at the end of the test.
@@ -177,6 +178,30 @@ fn names_that_collide_are_refused() {
 }
 
 #[test]
+fn a_file_may_be_packed_twice_if_it_is_the_same() {
+    let text = b"resource ".repeat(30_000);
+    let bytes = zip(&[
+        description(),
+        Entry::deflated("resources/a.txt", &text),
+        Entry::stored("resources/a.txt", &text),
+        Entry::stored("b", b""),
+        description(),
+    ]);
+    let archive = open(&bytes).unwrap();
+    assert_eq!(archive.repeated(), ["resources/a.txt", "modelDescription.xml"]);
+    assert_eq!(fs::read(archive.root().join("resources/a.txt")).unwrap(), text);
+    let fmu = Fmu::open(file(&bytes).path()).unwrap();
+    let quirk = &fmu.description().quirks[0];
+    assert!(
+        quirk.kind == QuirkKind::Duplicate && quirk.message.contains("\"resources/a.txt\" and 1 more"),
+        "{quirk}"
+    );
+    // The same size and checksum, but not the same bytes.
+    let pair = [Entry::stored("a", b"plumless"), Entry::stored("a", b"buckeroo")];
+    assert_eq!(problem_of(&pair), EntryProblem::Duplicate);
+}
+
+#[test]
 fn links_devices_and_the_like_are_refused() {
     for (mode, what) in [
         (0o120_777, "symbolic link"),
@@ -319,7 +344,6 @@ fn a_bomb_is_refused_at_once_whatever_its_header_says() {
     const SIZE: u64 = 10 << 30;
     let stream = bomb(10 << 10);
     assert!((5 << 20..15 << 20).contains(&stream.len()), "{}", stream.len());
-    let start = Instant::now();
     let honest = problem_of(&[Entry::packed("bomb", stream.clone(), SIZE, 0)]);
     assert_eq!(honest, EntryProblem::TooLarge { found: SIZE, limit: 2 << 30 });
     match problem_of(&[Entry::packed("bomb", stream.clone(), 1000, 0)]) {
@@ -331,7 +355,6 @@ fn a_bomb_is_refused_at_once_whatever_its_header_says() {
         below_the_limit,
         EntryProblem::Ratio { compressed: stream.len() as u64, size: 1 << 31, limit: 200 }
     );
-    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
 }
 
 #[test]
@@ -458,9 +481,7 @@ proptest! {
         if let Some(cut) = cut {
             bytes.truncate(cut.index(bytes.len()));
         }
-        if let Ok(archive) = open(&bytes) {
-            prop_assert!(archive.root().join("modelDescription.xml").is_file());
-        }
+        promises::hold_for_archive(file(&bytes).path());
     }
 
     #[test]
@@ -471,6 +492,6 @@ proptest! {
         let odd = Entry::deflated("a", b"12345").with(|entry| {
             *entry = Entry { sizes, local_sizes, method, flags, mode: mode & 0xffff, header_of, ..entry.clone() };
         });
-        let _ = open(&zip(&[description(), odd]));
+        promises::hold_for_archive(file(&zip(&[description(), odd])).path());
     }
 }

@@ -3,12 +3,14 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
+mod promises;
+
 use fmi::description::{
-    BaseUnit, Causality, DependencyKind, Initial, ModelDescription, QuirkKind, Variability, VariableKind,
+    BaseUnit, Causality, DependencyKind, Dimension, Initial, ModelDescription, QuirkKind, Variability,
+    VariableKind,
 };
 use fmi::{FmiError, Value};
 use proptest::prelude::*;
-use std::time::{Duration, Instant};
 
 /// A description that uses nearly everything FMI 2.0 knows, and no quirk.
 const FULL: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
@@ -258,7 +260,7 @@ fn versions_are_recognised_by_their_numbers() {
 }
 
 #[test]
-fn descriptions_of_fmi_1_are_read_as_far_as_they_go() {
+fn descriptions_of_fmi_1_are_read() {
     let model = parse(
         r#"<fmiModelDescription fmiVersion="1.0" modelName="bouncing ball" modelIdentifier="ball" guid="{1}"
              numberOfContinuousStates="2" numberOfEventIndicators="1" generationTool="t">
@@ -282,8 +284,8 @@ fn descriptions_of_fmi_1_are_read_as_far_as_they_go() {
     );
     assert_eq!((g.causality, g.variability), (Causality::Parameter, Variability::Fixed));
     assert_eq!(model.variable("n").unwrap().variability, Variability::Discrete);
-    assert_eq!(model.quirks.iter().map(|quirk| quirk.kind).collect::<Vec<_>>(), [QuirkKind::Unsupported]);
-    model.require_conforming().unwrap();
+    assert!(model.variable("-h").unwrap().negated && !h.negated);
+    assert!(model.quirks.is_empty(), "{:?}", model.quirks);
     let tool = parse(
         r#"<fmiModelDescription fmiVersion="1.0" modelName="m" modelIdentifier="m" guid="g" numberOfContinuousStates="0" numberOfEventIndicators="0">
            <Implementation><CoSimulation_Tool><Capabilities canHandleVariableCommunicationStepSize="true"/></CoSimulation_Tool></Implementation>
@@ -294,7 +296,7 @@ fn descriptions_of_fmi_1_are_read_as_far_as_they_go() {
 }
 
 #[test]
-fn descriptions_of_fmi_3_are_read_as_far_as_they_go() {
+fn descriptions_of_fmi_3_are_read() {
     let model = parse(
         r#"<fmiModelDescription fmiVersion="3.0.1" modelName="m" instantiationToken="{t}">
            <ModelExchange modelIdentifier="m" canGetAndSetFMUState="true"/>
@@ -308,7 +310,13 @@ fn descriptions_of_fmi_3_are_read_as_far_as_they_go() {
              <UInt16 name="n" valueReference="9" causality="output" start="3"/>
              <String name="s" valueReference="10" causality="parameter"><Start value="text"/></String>
              <Float32 name="a" valueReference="11" start="1 2 3"><Dimension start="3"/></Float32>
-             <Binary name="b" valueReference="12" causality="input"/>
+             <Binary name="b" valueReference="12" causality="output" initial="exact"><Start value="00fF"/></Binary>
+             <UInt64 name="rows" valueReference="13" causality="structuralParameter" start="2"/>
+             <Int64 name="m" valueReference="14" start="1 2 3 4 5 6"><Dimension valueReference="13"/><Dimension start="3"/>
+               <Alias name="matrix" description="the same"/></Int64>
+             <UInt64 name="big" valueReference="15" start="18446744073709551615" initial="exact"/>
+             <Clock name="c" valueReference="16" causality="input" intervalVariability="triggered"/>
+             <Boolean name="tick" valueReference="17" clocks="16"/>
            </ModelVariables>
            <ModelStructure>
              <ContinuousStateDerivative valueReference="8" dependencies="7" dependenciesKind="constant"/>
@@ -320,18 +328,46 @@ fn descriptions_of_fmi_3_are_read_as_far_as_they_go() {
         (model.fmi_version.major, model.fmi_version.text.as_str(), model.guid.as_str()),
         (3, "3.0.1", "{t}")
     );
-    assert_eq!((model.n_states(), model.n_event_indicators, model.variables.len()), (1, 1, 6));
-    assert_eq!(model.variable("der(x)").unwrap().derivative, Some(1));
-    assert_eq!(model.variable("x").unwrap().unit.as_deref(), Some("m"));
-    assert_eq!(model.variable("n").unwrap().variability, Variability::Discrete);
-    assert_eq!(model.variable("s").unwrap().variability, Variability::Fixed);
-    assert_eq!(model.structure.outputs.len(), 1);
-    assert_eq!(model.structure.outputs[0].dependencies, None); // one of them is left out
-    assert_eq!(model.variable("s").unwrap().start, Some("text".into()));
+    assert_eq!((model.n_states(), model.n_event_indicators, model.variables.len()), (1, 1, 12));
+    let variable = |name: &str| model.variable(name).unwrap();
+    assert_eq!(variable("der(x)").derivative, Some(1));
+    assert_eq!(variable("x").unit.as_deref(), Some("m"));
+    assert_eq!(
+        (variable("n").variability, variable("n").kind),
+        (Variability::Discrete, VariableKind::UInt16)
+    );
+    assert_eq!(variable("s").variability, Variability::Fixed);
+    assert_eq!(model.structure.outputs[1].dependencies.as_deref(), Some(&[6, 1][..]));
+    assert_eq!(variable("s").start, Some("text".into()));
+    assert_eq!(variable("a").start, Some(vec![1.0, 2.0, 3.0].into()));
+    assert_eq!(variable("b").start, Some(Value::Binary(vec![0, 255])));
+    assert_eq!(variable("rows").causality, Causality::StructuralParameter);
+    assert_eq!(variable("m").dimensions, [Dimension::Parameter(7), Dimension::Fixed(3)]);
+    assert_eq!(model.extents(variable("m")), [2, 3]);
+    assert_eq!(model.variable_index("matrix"), model.variable_index("m"));
+    assert_eq!(variable("big").start, Some(u64::MAX.into()));
+    assert_eq!(variable("tick").clocks, [10]);
     assert_eq!(model.structure.derivatives[0].dependencies.as_deref(), Some(&[1][..]));
-    assert!(model.model_exchange.as_ref().unwrap().capabilities.can_get_and_set_state);
-    assert!(model.quirks.iter().all(|quirk| quirk.kind == QuirkKind::Unsupported), "{:?}", model.quirks);
-    assert_eq!(model.quirks.len(), 2);
+    let exchange = model.model_exchange.as_ref().unwrap();
+    assert!(exchange.capabilities.can_get_and_set_state);
+    assert!(exchange.capabilities.completed_integrator_step_not_needed);
+    assert!(model.quirks.is_empty(), "{:?}", model.quirks);
+}
+
+#[test]
+fn dimensions_that_cannot_be_are_refused() {
+    let array = |dimension: &str| {
+        refusal(&format!(
+            r#"<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="t"><ModelExchange modelIdentifier="m"/>
+               <ModelVariables><Float64 name="p" valueReference="1" causality="parameter" start="2"/>
+               <Float64 name="a" valueReference="2">{dimension}</Float64></ModelVariables></fmiModelDescription>"#
+        ))
+    };
+    assert!(array("<Dimension/>").contains("without extent"));
+    assert!(array("<Dimension valueReference='1'/>").contains("no structural parameter"));
+    assert!(array("<Dimension valueReference='9'/>").contains("no structural parameter"));
+    let huge = "<Dimension start='4000000000'/>".repeat(3);
+    assert!(array(&huge).contains("elements or more"));
 }
 
 #[test]
@@ -456,9 +492,7 @@ fn entity_bombs_are_refused() {
         bomb += &format!("<!ENTITY a{i} \"&a{0};&a{0};\">", i - 1);
     }
     bomb += "]>\n<fmiModelDescription fmiVersion=\"2.0\" modelName=\"&a29;\" guid=\"\"/>";
-    let start = Instant::now();
     assert!(refusal(&bomb).contains("line 2: a document type definition"));
-    assert!(start.elapsed() < Duration::from_secs(1));
     let external = "<!DOCTYPE a SYSTEM \"file:///etc/passwd\"><fmiModelDescription fmiVersion=\"2.0\"/>";
     assert!(refusal(external).contains("document type definition"));
     assert!(refusal(&FULL.replace("by hand", "&undefined;")).contains("generationTool"));
@@ -523,28 +557,15 @@ fn large(n: usize) -> String {
     document(&variables, &format!("<Derivatives>{unknowns}</Derivatives>"))
 }
 
+/// How long it takes is the question of `benches/open.rs`.
 #[test]
-fn a_hundred_thousand_variables_take_no_time() {
-    let small = large(10_000);
-    let big = large(100_000);
-    let time = |text: &str| {
-        let start = Instant::now();
-        let model = parse(text);
-        (start.elapsed(), model)
-    };
-    let (small_time, _) = time(&small);
-    let (big_time, model) = time(&big);
-    println!("10 000 variables: {small_time:?}, 100 000: {big_time:?}");
-    // A quadratic step would take a hundred times as long; the bound for slow machines is generous.
-    assert!(big_time < 40 * small_time.max(Duration::from_millis(20)), "{small_time:?}, {big_time:?}");
-    let start = Instant::now();
+fn a_hundred_thousand_variables_are_read_and_found() {
+    let model = parse(&large(100_000));
+    assert_eq!(model.variables.len(), 100_000);
     for i in 1..=100_000 {
         assert_eq!(model.variable_index(&format!("plant.stage[{i}].massFlowRate")), Some(i - 1));
     }
-    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
-    let start = Instant::now();
     assert_eq!(model.nearest_names("plant.stage[500].masFlowRate", 1), ["plant.stage[500].massFlowRate"]);
-    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
 }
 
 proptest! {
@@ -552,12 +573,12 @@ proptest! {
 
     #[test]
     fn any_bytes_are_refused_or_read(bytes in prop::collection::vec(any::<u8>(), 0..500)) {
-        let _ = ModelDescription::parse(&bytes);
+        promises::hold_for_document(&bytes);
     }
 
     #[test]
     fn any_text_inside_the_root_is_refused_or_read(text in "[<>/=\"' a-zA-Z&;#0-9!\\[\\]?-]{0,200}") {
-        let _ = ModelDescription::parse(format!("<fmiModelDescription fmiVersion='2.0'>{text}").as_bytes());
+        promises::hold_for_document(format!("<fmiModelDescription fmiVersion='2.0'>{text}").as_bytes());
     }
 
     /// Whatever a changed document says, all indices of what is accepted are in range.
@@ -576,15 +597,6 @@ proptest! {
             let place = place.index(bytes.len());
             bytes[place] = value;
         }
-        if let Ok(model) = ModelDescription::parse(&bytes) {
-            let n = model.variables.len();
-            let structure = &model.structure;
-            for unknown in structure.outputs.iter().chain(&structure.derivatives).chain(&structure.initial_unknowns) {
-                prop_assert!(unknown.index < n);
-                prop_assert!(unknown.dependencies.iter().flatten().all(|&index| index < n));
-                prop_assert!(unknown.kinds.is_empty() || Some(unknown.kinds.len()) == unknown.dependencies.as_ref().map(Vec::len));
-            }
-            prop_assert!(model.variables.iter().all(|variable| variable.derivative.is_none_or(|index| index < n)));
-        }
+        promises::hold_for_document(&bytes);
     }
 }

@@ -5,7 +5,7 @@
 mod support;
 
 use fmi::ode::{ErrorKind, Ignore, Termination};
-use fmi::{FmiError, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Status, Value};
+use fmi::{FmiError, Inputs, Kind, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Status, Value};
 use std::sync::Arc;
 use support::{Folder, evil, evil_with};
 
@@ -229,6 +229,29 @@ fn flushing_of_denormals_neither_counts_nor_stays() {
 }
 
 #[test]
+fn inputs_are_set_once_at_an_instant() {
+    let folder = evil_with(&["ONE_SET"], |xml| {
+        let input = r#"<ScalarVariable name="u" valueReference="7" causality="input" variability="continuous"
+            canHandleMultipleSetPerTimeInstant="false"><Real start="0"/></ScalarVariable></ModelVariables>"#;
+        xml.replace("</ModelVariables>", input)
+    });
+    // A ramp from 0 to 1, a jump to 3, and 3 until the end: the integral of it at 2 is 0.5 + 3.
+    let inputs = Inputs::new().table(vec![0.0, 1.0, 1.0, 2.0], [("u", vec![0.0, 1.0, 3.0, 3.0])]);
+    let options = SimulateOptions::new()
+        .final_time(2.0)
+        .times([0.0, 0.5, 1.0, 1.0, 2.0])
+        .start_value("x", 0.0)
+        .inputs(inputs)
+        .record_events(true);
+    let result = folder.open().simulate(&options).unwrap();
+    assert_eq!(result.events.len(), 1);
+    for (time, y) in result.time.iter().zip(result.get("y").unwrap()) {
+        let expected = if *time <= 1.0 { 0.5 * time * time } else { 0.5 + 3.0 * (time - 1.0) };
+        assert!((y - expected).abs() < 1e-6, "{y} at {time}");
+    }
+}
+
+#[test]
 fn outputs_that_are_nan_are_passed_on() {
     let folder = evil(&["NAN_OUTPUT"]);
     let result = folder.open().simulate(&SimulateOptions::new().ncp(2)).unwrap();
@@ -285,8 +308,11 @@ fn fmus_that_cannot_be_run_say_why() {
     };
     let tool = refused("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" needsExecutionTool=\"true\"");
     assert!(matches!(tool, FmiError::NeedsExecutionTool { .. }), "{tool}");
-    let cs = refused("<ModelExchange ", "<CoSimulation ");
-    assert!(matches!(cs, FmiError::NoModelExchange { .. }), "{cs}");
+    let folder = evil(&[]);
+    let options = SimulateOptions::new().kind(Kind::CoSimulation);
+    let cs = SimulationPlan::new(&folder.open(), &options).unwrap_err();
+    assert!(matches!(cs, FmiError::NotOffered { .. }), "{cs}");
+    assert_eq!(cs.to_string(), "Evil offers no co-simulation; it offers model exchange");
 
     let folder = evil(&[]);
     std::fs::remove_dir_all(folder.path().join("binaries")).unwrap();

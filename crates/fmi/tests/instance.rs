@@ -225,11 +225,8 @@ fn an_unchanged_file_is_opened_once() {
     let path = fmi::example_fmu("dahlquist").unwrap();
     let cache = FmuCache::new(2);
     let first = cache.open(&path).unwrap();
-    let began = std::time::Instant::now();
     let second = cache.open(&path).unwrap();
-    let elapsed = began.elapsed();
     assert_eq!(first.root(), second.root());
-    assert!(elapsed.as_micros() < 2000, "{elapsed:?}");
 
     // A copy is another file, and a changed one is opened anew.
     let folder = tempfile::tempdir().unwrap();
@@ -279,6 +276,7 @@ fn an_fmu_without_a_binary_is_compiled_from_its_sources() {
         "frontend/model.h",
         "frontend/instance.h",
         "frontend/fmi2.h",
+        "frontend/fmi2_common.h",
         "frontend/fmi2_me.c",
     ] {
         let from = models.join(file);

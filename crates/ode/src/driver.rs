@@ -5,24 +5,26 @@ use crate::bdf::Bdf;
 use crate::control::Weights;
 use crate::dop853::Dop853;
 use crate::error::{ErrorKind, Report, SimulationError, Termination};
-use crate::event::{ChatteringGuard, Domains};
+use crate::event::Domains;
 use crate::explicit_rk::ExplicitRk;
 use crate::observer::Observer;
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
 use crate::radau5::Radau5;
-use crate::sampling::{Here, Sampler};
+use crate::sampling::Sampler;
 use crate::stats::Stats;
 use crate::stepper::{Attempt, Stepper, Trial};
-use crate::system::{CallError, CallResult, EventCause, HybridSystem, InputStop};
+use crate::system::{CallError, EventCause, HybridSystem, InputStop};
 use crate::tableau::{EULER, RK4, TSIT5};
-use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 mod events;
 mod inside;
+mod samples;
+mod sliding;
 
 use inside::{Found, Inside};
+use sliding::Sliding;
 
 /// Unit round-off of double precision.
 const U: f64 = f64::EPSILON / 2.0;
@@ -209,7 +211,7 @@ struct Run<'a, S: ?Sized, M, O: ?Sized> {
     fixed_step: Option<f64>,
     next_time_event: Option<f64>,
     input_stop: Option<InputStop>,
-    guard: ChatteringGuard,
+    sliding: Sliding,
     discards: u32,
     worst_state: Option<usize>,
     last_event: Option<f64>,
@@ -250,7 +252,7 @@ where
             fixed_step,
             next_time_event: None,
             input_stop: None,
-            guard: ChatteringGuard::new(span),
+            sliding: Sliding::new(span),
             discards: 0,
             worst_state: None,
             last_event: None,
@@ -421,7 +423,7 @@ where
         if self.space.x.is_empty() && self.space.domains.len() == 0 {
             return remaining;
         }
-        let h = self.h.min(self.options.max_step.unwrap_or(f64::INFINITY));
+        let h = self.sliding.step().unwrap_or(self.h).min(self.options.max_step.unwrap_or(f64::INFINITY));
         if remaining < 1.1 * h && (self.options.max_step.is_none_or(|m| remaining <= m)) {
             remaining
         } else if remaining < 2.0 * h {
@@ -481,6 +483,7 @@ where
             });
         }
         self.h = h;
+        self.sliding.shrink(h);
         Ok(())
     }
 
@@ -502,6 +505,7 @@ where
         }
         self.discards = 0;
         self.worst_state = None;
+        self.show_step(at, end, h);
 
         // Slopes at both sides of an event decide whether the method must be restarted.
         let theta = if inside { (at - self.t) / h } else { 1.0 };
@@ -524,14 +528,8 @@ where
         cause.input = stop.is_some_and(|stop| stop.jump);
         self.h = h_next;
         let eventful = cause != EventCause::default();
+        self.watch_events(cause, crossed)?;
         if eventful {
-            if cause.state
-                && let Some(within) = self.guard.record(at)
-            {
-                let events = ChatteringGuard::EVENTS as u64;
-                let indicator = crossed.unwrap_or_default();
-                return Err(ErrorKind::Chattering { events, within, indicator }.into());
-            }
             self.sample_left()?;
         }
         if let Some(stop) = stop {
@@ -565,37 +563,6 @@ where
         }
     }
 
-    /// Samples strictly inside the step, up to (not including) `at`. `false`: the model refused one of these points;
-    /// nothing is committed, so a smaller step can follow.
-    fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
-        while let Some(t) = self.space.sampler.due_before(self.times, at - self.same) {
-            let Space { x, x_mid, sampler, .. } = &mut *self.space;
-            let theta = ((t - self.t) / h).clamp(0.0, 1.0);
-            self.stepper.interpolate(Trial { t: self.t, end, h, x }, theta, x_mid);
-            let here = Here { t, x: x_mid, same: 0.0, record: false };
-            match sampler.deliver(self.system, self.times, &here, self.observer) {
-                Err(CallError::Discard) => return Ok(false),
-                flow => follow(flow)?,
-            }
-        }
-        Ok(true)
-    }
-
-    /// The left limit at the current time, where somebody wants it: the time is listed twice, or events are recorded.
-    fn sample_left(&mut self) -> Step<()> {
-        let Space { x, sampler, .. } = &mut *self.space;
-        let here = Here { t: self.t, x, same: self.same, record: self.options.record_events };
-        follow(sampler.deliver_left(self.system, self.times, &here, self.observer))
-    }
-
-    /// All samples still due at the current time, after everything that happened there.
-    fn sample_here(&mut self, after_event: bool) -> Step<()> {
-        let Space { x, sampler, .. } = &mut *self.space;
-        let record = after_event && self.options.record_events;
-        let here = Here { t: self.t, x, same: self.same, record };
-        follow(sampler.deliver_here(self.system, self.times, &here, self.observer))
-    }
-
     fn reached_end(&mut self) -> Step<()> {
         if self.t >= self.end - self.same { finish(Termination::Finished) } else { Ok(()) }
     }
@@ -603,14 +570,6 @@ where
 
 fn finish(termination: Termination) -> Step<()> {
     Err(Exit::Normal(termination))
-}
-
-/// The observer's word on a sample.
-fn follow(flow: CallResult<ControlFlow<()>>) -> Step<()> {
-    match flow.map_err(no_retreat)? {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => finish(Termination::StoppedByObserver),
-    }
 }
 
 /// Event indicators; a value that is not finite counts as refused.

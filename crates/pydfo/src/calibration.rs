@@ -94,6 +94,7 @@ pub(crate) struct ExperimentFields {
     inputs: Vec<(String, String)>,
     start_values: Vec<(String, StartValue)>,
     window: Option<(f64, f64)>,
+    kind: String,
     start_time: Option<f64>,
     timeout: Option<f64>,
     relative_tolerance: Option<f64>,
@@ -110,6 +111,7 @@ impl ExperimentFields {
             })
         });
         Ok(SimulationSettings {
+            kind: self.kind.parse().map_err(|e| fmu_error::raise(py, &e))?,
             method: self.solver.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
             relative_tolerance: self.relative_tolerance,
             step_size: self.step_size,

@@ -3,10 +3,9 @@
 
 use crate::{files, fmu_error, values};
 use fmi::description::{
-    BaseUnit, Capabilities, Causality, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
-    VariableKind,
+    BaseUnit, Capabilities, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
 };
-use fmi::{ModelDescription, Variable};
+use fmi::{InterfaceKind, ModelDescription, Variable};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString};
@@ -31,9 +30,13 @@ impl Fmu {
         Ok(Self { fmu: files::open(py, path)? })
     }
 
-    /// Raises what keeps the FMU from being simulated, as far as its description tells.
-    fn check_runnable(&self, py: Python<'_>) -> PyResult<()> {
-        self.fmu.check_runnable().map(|_| ()).map_err(|e| fmu_error::raise(py, &e))
+    /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME" or "CS".
+    fn check_runnable(&self, py: Python<'_>, kind: &str) -> PyResult<&'static str> {
+        let chosen = kind.parse().and_then(|kind| self.fmu.check_runnable_as(kind));
+        match chosen.map_err(|e| fmu_error::raise(py, &e))? {
+            InterfaceKind::ModelExchange => Ok("ME"),
+            InterfaceKind::CoSimulation => Ok("CS"),
+        }
     }
 
     #[getter]
@@ -72,13 +75,6 @@ impl Fmu {
     fn names_of(&self, causality: &str) -> Vec<&str> {
         let variables = self.description().variables.iter();
         variables.filter(|v| v.causality.to_string() == causality).map(|v| v.name.as_str()).collect()
-    }
-
-    /// Names of the variables that results can hold.
-    fn recordable(&self) -> Vec<&str> {
-        let is_number =
-            |v: &&Variable| v.kind != VariableKind::String && v.causality != Causality::Independent;
-        self.description().variables.iter().filter(is_number).map(|v| v.name.as_str()).collect()
     }
 
     /// Position of a variable; None if there is none of this name.
@@ -305,7 +301,7 @@ impl<'a> TypeFields<'a> {
 #[derive(IntoPyObject)]
 struct ItemFields<'a> {
     name: &'a str,
-    value: i32,
+    value: i64,
     description: Option<&'a str>,
 }
 

@@ -16,9 +16,11 @@ mod minimize;
 mod model;
 mod objective;
 mod optimizer;
+mod py_system;
 mod quad_err;
 mod report;
 mod settings;
+mod solve;
 mod trajectory;
 mod values;
 
@@ -42,6 +44,8 @@ mod core_module {
     use super::optimizer::PyOptimizer;
     #[pymodule_export]
     use super::quad_err::quad_err;
+    #[pymodule_export]
+    use super::solve::solve;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

@@ -5,7 +5,6 @@ use crate::inputs::{self, Callbacks, Function, Table};
 use crate::interrupt::{Stop, Watch, lock};
 use crate::trajectory::Record;
 use crate::{fmu_error, logs, values};
-use fmi::description::{Causality, VariableKind};
 use fmi::{ModelDescription, Session, SimulateOptions, Value, Variable};
 use numpy::PyReadonlyArray1;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -54,7 +53,7 @@ pub(crate) struct Request<'py> {
     output_interval: Option<f64>,
     ncp: Option<usize>,
     start_values: Vec<(String, Bound<'py, PyAny>)>,
-    /// None: the variables of causality output and the states.
+    /// None: those that the model shows by default.
     outputs: Option<Vec<String>>,
     tables: Vec<Table<'py>>,
     functions: Vec<Function>,
@@ -69,10 +68,11 @@ pub(crate) struct Request<'py> {
 #[pymethods]
 impl Model {
     #[new]
-    fn new(fmu: &Bound<'_, Fmu>) -> Self {
+    fn new(py: Python<'_>, fmu: &Bound<'_, Fmu>, kind: &str) -> PyResult<Self> {
         let fmu = fmu.get().fmu.clone();
-        let session = Box::new(Session::new(fmu.clone()));
-        Self { fmu, slot: Arc::new(Mutex::new(Slot::Here(session))) }
+        let kind = kind.parse().map_err(|e| fmu_error::raise(py, &e))?;
+        let session = Box::new(Session::of_kind(fmu.clone(), kind));
+        Ok(Self { fmu, slot: Arc::new(Mutex::new(Slot::Here(session))) })
     }
 
     /// Values of variables.
@@ -192,7 +192,7 @@ impl Model {
         options.output_interval = request.output_interval;
         options.ncp = request.ncp;
         options.start_values = self.pairs(py, request.start_values.into_iter())?;
-        options.outputs = Some(request.outputs.unwrap_or_else(|| default_outputs(self.fmu.description())));
+        options.outputs = request.outputs;
         options.relative_tolerance = request.relative_tolerance;
         options.method =
             request.solver.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
@@ -214,17 +214,6 @@ fn find<'a>(py: Python<'_>, description: &'a ModelDescription, name: &str) -> Py
         let nearest = description.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
         fmu_error::raise(py, &fmi::FmiError::UnknownVariable { name: name.to_owned(), nearest })
     })
-}
-
-/// Outputs and states, each name once.
-fn default_outputs(description: &ModelDescription) -> Vec<String> {
-    let is_output = |v: &&Variable| v.causality == Causality::Output && v.kind != VariableKind::String;
-    let derivatives =
-        description.structure.derivatives.iter().map(|unknown| &description.variables[unknown.index]);
-    let states =
-        derivatives.filter_map(|derivative| derivative.derivative).map(|state| &description.variables[state]);
-    let others = states.filter(|state| state.causality != Causality::Output);
-    description.variables.iter().filter(is_output).chain(others).map(|v| v.name.clone()).collect()
 }
 
 fn busy() -> PyErr {

@@ -40,7 +40,7 @@ impl PyObjective {
     /// What a call of the user's function means.
     fn outcome(&self, py: Python<'_>, id: u64, returned: PyResult<Bound<'_, PyAny>>) -> Outcome {
         match returned {
-            Ok(value) => match cost(&value) {
+            Ok(value) => match number(&value, "the objective") {
                 Ok(cost) => Outcome::Value(cost),
                 // Always an error in the program, never one of the model.
                 Err(e) => self.abort(id, e),
@@ -99,13 +99,16 @@ impl Objective for PyObjective {
 }
 
 /// The number that a Python function returned: a float or an int, a NumPy scalar, an array of one element.
-pub(crate) fn cost(value: &Bound<'_, PyAny>) -> PyResult<f64> {
+///
+/// # Errors
+/// TypeError: `who` returned something else.
+pub(crate) fn number(value: &Bound<'_, PyAny>, who: &str) -> PyResult<f64> {
     if let Ok(number) = value.cast::<PyFloat>() {
         return Ok(number.value());
     }
     let bad = |what: String| {
         PyTypeError::new_err(format!(
-            "the objective must return one number (a float, a NumPy scalar or an array of one element), not {what}"
+            "{who} must return one number (a float, a NumPy scalar or an array of one element), not {what}"
         ))
     };
     if value.is_none() {

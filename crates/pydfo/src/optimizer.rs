@@ -58,7 +58,7 @@ impl PyOptimizer {
         } else if value.is_instance_of::<PyBaseException>() {
             Outcome::failed(PyErr::from_value(value.clone()).to_string())
         } else {
-            Outcome::Value(objective::cost(value)?)
+            Outcome::Value(objective::number(value, "the objective")?)
         };
         lock(&self.inner).tell(id, outcome).map_err(|e| error::optimiser(py, &e))
     }

@@ -24,10 +24,14 @@ pub(crate) struct Record<'py> {
 }
 
 #[derive(IntoPyObject)]
-struct Counts {
+pub(crate) struct Counts {
     accepted_steps: u64,
     rejected_steps: u64,
     right_hand_sides: u64,
+    jacobians: u64,
+    directional_derivatives: u64,
+    decompositions: u64,
+    newton_iterations: u64,
     event_indicators: u64,
     samples: u64,
     events: u64,
@@ -66,11 +70,15 @@ impl<'py> Record<'py> {
 }
 
 impl Counts {
-    fn new(stats: &Stats) -> Self {
+    pub(crate) fn new(stats: &Stats) -> Self {
         Self {
             accepted_steps: stats.accepted_steps,
             rejected_steps: stats.rejected_steps,
             right_hand_sides: stats.right_hand_sides,
+            jacobians: stats.jacobians,
+            directional_derivatives: stats.directional_derivatives,
+            decompositions: stats.decompositions,
+            newton_iterations: stats.newton_iterations,
             event_indicators: stats.event_indicators,
             samples: stats.samples,
             events: stats.events,

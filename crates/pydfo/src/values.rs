@@ -4,7 +4,7 @@ use crate::fmu_error::{BadModelValueError, ModelTypeError};
 use fmi::description::{EnumerationItem, ModelDescription, VariableKind};
 use fmi::{Value, Variable};
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyFloat, PyInt, PyList, PyString, PyTuple};
+use pyo3::types::{PyBool, PyBytes, PyFloat, PyInt, PyList, PyString, PyTuple};
 
 /// A value of a model in Python.
 pub(crate) fn to_python<'py>(py: Python<'py>, value: Value) -> PyResult<Bound<'py, PyAny>> {
@@ -13,6 +13,12 @@ pub(crate) fn to_python<'py>(py: Python<'py>, value: Value) -> PyResult<Bound<'p
         Value::Integer(i) => i.into_pyobject(py)?.into_any(),
         Value::Boolean(b) => PyBool::new(py, b).to_owned().into_any(),
         Value::String(text) => text.into_pyobject(py)?.into_any(),
+        Value::Binary(bytes) => PyBytes::new(py, &bytes).into_any(),
+        Value::Array(values) => {
+            let items = values.into_iter().map(|value| to_python(py, value)).collect::<PyResult<Vec<_>>>()?;
+            PyList::new(py, items)?.into_any()
+        }
+        other => other.to_string().into_pyobject(py)?.into_any(),
     })
 }
 
@@ -64,15 +70,15 @@ fn single<'py>(variable: &Variable, given: &Bound<'py, PyAny>) -> PyResult<Bound
 }
 
 fn integer(description: &ModelDescription, variable: &Variable, given: &Bound<'_, PyAny>) -> PyResult<Value> {
-    if variable.kind == VariableKind::Real {
+    if variable.kind.is_float() {
         return given.extract().map(Value::Real);
     }
-    let value: i32 = given.extract().map_err(|_| {
-        BadModelValueError::new_err(format!("{} = {given} does not fit into 32 bits", variable.name))
+    let value: i128 = given.extract().map_err(|_| {
+        BadModelValueError::new_err(format!("{} = {given} does not fit into 128 bits", variable.name))
     })?;
     let items = items(description, variable);
-    if items.is_empty() || items.iter().any(|item| item.value == value) {
-        return Ok(Value::Integer(value));
+    if items.is_empty() || items.iter().any(|item| i128::from(item.value) == value) {
+        return Ok(value.into());
     }
     Err(no_item(variable, &value.to_string(), items))
 }
@@ -87,7 +93,7 @@ fn items<'a>(description: &'a ModelDescription, variable: &Variable) -> &'a [Enu
 fn item(description: &ModelDescription, variable: &Variable, name: &str) -> PyResult<Value> {
     let items = items(description, variable);
     match items.iter().find(|item| item.name == name) {
-        Some(item) => Ok(Value::Integer(item.value)),
+        Some(item) => Ok(item.value.into()),
         None => Err(no_item(variable, name, items)),
     }
 }

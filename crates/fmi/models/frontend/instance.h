@@ -23,10 +23,15 @@ enum {
     CONTINUOUS = 8,
     TERMINATED = 16,
     FAILED = 32,
-    ANY = 63,
+    STEP = 64,           /* between communication points (Co-Simulation) */
+    CONFIGURATION = 128, /* structural parameters are set (FMI 3.0) */
+    ANY = 255,
     /* reading after the end or after an error is allowed, for debugging */
-    READABLE = INITIALIZATION | EVENT | CONTINUOUS | TERMINATED | FAILED
+    READABLE = INITIALIZATION | EVENT | CONTINUOUS | TERMINATED | FAILED | STEP
 };
+
+/* What the front ends provide for. */
+enum { MOST_STATES = 16, MOST_INDICATORS = 16, MOST_VARIABLES = 64 };
 
 /* Log categories, as bits; the names stand in the model descriptions. */
 enum { LOG_EVENTS = 1, LOG_DISCARD = 2, LOG_ERROR = 4, LOG_ALL = 7 };
@@ -39,7 +44,9 @@ typedef struct {
     int32_t phase;    /* one of the states above */
     int32_t stale;    /* the calculated variables do not belong to the present point */
     int32_t again;    /* the event iteration is not over */
-    int32_t reserved; /* keeps the structure free of padding */
+    int32_t ended;    /* the model has ended the simulation (Co-Simulation) */
+    double next_event;             /* the next time event, or infinity (Co-Simulation) */
+    double slopes[MOST_VARIABLES]; /* derivatives of the inputs, by value reference (Co-Simulation) */
 } Situation;
 
 /* A saved state. All of an instance's saved states hang in a list: so a foreign or freed one is recognised without
@@ -139,6 +146,10 @@ static inline const char *phase_name(int phase) {
         return "event mode";
     case CONTINUOUS:
         return "continuous-time mode";
+    case STEP:
+        return "step mode";
+    case CONFIGURATION:
+        return "configuration mode";
     case TERMINATED:
         return "terminated";
     default:
@@ -198,6 +209,7 @@ static inline void restart(Instance *in) {
     }
     memset(&in->now, 0, sizeof in->now);
     in->now.stop = HUGE_VAL;
+    in->now.next_event = HUGE_VAL;
     in->now.phase = INSTANTIATED;
     in->now.stale = 1;
     in->logging = in->logging_at_start;
@@ -272,10 +284,10 @@ static inline const ModelVariable *find(unsigned reference, ModelType type) {
 static inline int settable(ModelRole role) {
     switch (role) {
     case MODEL_INPUT:
-        return INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS;
+        return INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP;
     case MODEL_TUNABLE:
     case MODEL_DISCRETE_INPUT:
-        return INSTANTIATED | INITIALIZATION | EVENT;
+        return INSTANTIATED | INITIALIZATION | EVENT | STEP;
     case MODEL_FIXED:
     case MODEL_STATE:
     case MODEL_DISCRETE_STATE:

@@ -7,8 +7,9 @@ use super::model::{ModelDescription, Quirk, QuirkKind, Unknown};
 use super::names::NameIndex;
 use super::parse::Draft;
 use super::quirks::Quirks;
+use super::structure::{MOST_ELEMENTS, Structure};
 use super::unit::Unit;
-use super::variable::{Causality, Initial, TypeDefinition, Value, Variability, Variable, VariableKind};
+use super::variable::{Causality, Dimension, Initial, TypeDefinition, Value, Variability, Variable};
 use crate::archive::MODEL_DESCRIPTION;
 use crate::error::FmiError;
 use std::collections::{HashMap, HashSet};
@@ -17,8 +18,10 @@ use std::collections::{HashMap, HashSet};
 pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription, FmiError> {
     inherit_types(&mut draft);
     resolve_derivatives(&mut draft);
+    resolve_dimensions(&mut draft)?;
     resolve_structure(&mut draft)?;
     let Draft { mut model, mut quirks, .. } = draft;
+    model.n_event_indicators = Structure::default().indicators(&model);
     check_header(&model, &mut quirks);
     check_units(&model, &mut quirks);
     check_structure(&model, &mut quirks);
@@ -29,7 +32,9 @@ pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription, FmiError> {
             check_start(variable, &mut quirks);
         }
     }
+    model.has_arrays = model.variables.iter().any(|variable| !variable.dimensions.is_empty());
     model.names = index_names(&model.variables, &mut quirks);
+    model.aliases = super::names::aliases(&model.variables);
     model.quirks = quirks.into_list();
     Ok(model)
 }
@@ -117,22 +122,69 @@ fn resolve_derivatives(draft: &mut Draft) {
     }
 }
 
-/// Brings all indices of the model structure into range. An unknown derivative cannot be left out, because the
-/// number of states would not be the model's.
+/// Refuses arrays whose dimensions are those of no structural parameter, and those too large to be meant.
+fn resolve_dimensions(draft: &mut Draft) -> Result<(), FmiError> {
+    let model = &draft.model;
+    for variable in model.variables.iter().filter(|variable| !variable.dimensions.is_empty()) {
+        let refuse = |message: String| {
+            Err(FmiError::Description { file: MODEL_DESCRIPTION, line: variable.line, message })
+        };
+        for dimension in &variable.dimensions {
+            let Dimension::Parameter(index) = *dimension else { continue };
+            let is_known = model
+                .variables
+                .get(index)
+                .is_some_and(|v| v.causality == Causality::StructuralParameter && v.kind.is_integer());
+            if !is_known {
+                return refuse(format!(
+                    "\"{}\" has a dimension that is no structural parameter",
+                    variable.name
+                ));
+            }
+        }
+        let elements = Structure::default().elements(model, variable);
+        if elements >= MOST_ELEMENTS {
+            return refuse(format!("\"{}\" has {MOST_ELEMENTS} elements or more", variable.name));
+        }
+        let given = match &variable.start {
+            Some(Value::Array(values)) => values.len(),
+            Some(_) => 1,
+            None => continue,
+        };
+        // One value stands for all.
+        if given != elements && given != 1 {
+            draft.quirks.add(QuirkKind::Start, variable.line, || {
+                format!("\"{}\" has {given} start values for {elements} elements", variable.name)
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Brings all indices of the model structure into range. An unknown derivative or event indicator cannot be left out,
+/// because their numbers would not be the model's.
 fn resolve_structure(draft: &mut Draft) -> Result<(), FmiError> {
     let n_variables = draft.model.variables.len();
     let quirks = &mut draft.quirks;
     let structure = &mut draft.model.structure;
-    let [output_lines, derivative_lines, initial_lines] = &draft.structure_lines;
-    for (unknown, &line) in structure.derivatives.iter().zip(derivative_lines) {
+    let [output_lines, derivative_lines, initial_lines, indicator_lines] = &draft.structure_lines;
+    let derivatives = structure.derivatives.iter().zip(derivative_lines).map(|pair| ("a derivative", pair));
+    let indicators =
+        structure.event_indicators.iter().zip(indicator_lines).map(|pair| ("an event indicator", pair));
+    for (what, (unknown, &line)) in derivatives.chain(indicators) {
         if unknown.index >= n_variables {
-            let message = format!("a derivative that is none of the {n_variables} variables");
+            let message = format!("{what} that is none of the {n_variables} variables");
             return Err(FmiError::Description { file: MODEL_DESCRIPTION, line, message });
         }
     }
     keep_known("output", &mut structure.outputs, output_lines, n_variables, quirks);
     keep_known("initial unknown", &mut structure.initial_unknowns, initial_lines, n_variables, quirks);
-    let lists = [&mut structure.outputs, &mut structure.derivatives, &mut structure.initial_unknowns];
+    let lists = [
+        &mut structure.outputs,
+        &mut structure.derivatives,
+        &mut structure.initial_unknowns,
+        &mut structure.event_indicators,
+    ];
     for unknown in lists.into_iter().flatten() {
         resolve_dependencies(unknown, n_variables, quirks);
     }
@@ -237,7 +289,7 @@ fn check_structure(model: &ModelDescription, quirks: &mut Quirks) {
         if !listed.insert(unknown.index) {
             complain("is listed twice in the model structure");
         }
-        if variable.kind != VariableKind::Real {
+        if !variable.kind.is_float() {
             complain("is not a Real variable");
         }
         match variable.derivative {
@@ -280,7 +332,7 @@ fn check_range(variable: &Variable, quirks: &mut Quirks) {
     }
     let start = match variable.start {
         Some(Value::Real(start)) => start,
-        Some(Value::Integer(start)) => f64::from(start),
+        Some(Value::Integer(start)) => start as f64,
         _ => return,
     };
     if start < min || start > max || start.is_nan() {
@@ -292,7 +344,9 @@ fn check_range(variable: &Variable, quirks: &mut Quirks) {
 fn check_roles(variable: &Variable, quirks: &mut Quirks) {
     use {Causality as C, Initial as I, Variability as V};
     let pair_fits = match variable.causality {
-        C::Parameter | C::CalculatedParameter => matches!(variable.variability, V::Fixed | V::Tunable),
+        C::Parameter | C::StructuralParameter | C::CalculatedParameter => {
+            matches!(variable.variability, V::Fixed | V::Tunable)
+        }
         C::Input => matches!(variable.variability, V::Discrete | V::Continuous),
         C::Output => !matches!(variable.variability, V::Fixed | V::Tunable),
         C::Local => true,
@@ -300,7 +354,7 @@ fn check_roles(variable: &Variable, quirks: &mut Quirks) {
     };
     let initial_fits = match (variable.causality, variable.variability) {
         (C::Input | C::Independent, _) => variable.initial.is_none(),
-        (C::Parameter, _) | (_, V::Constant) => variable.initial == Some(I::Exact),
+        (C::Parameter | C::StructuralParameter, _) | (_, V::Constant) => variable.initial == Some(I::Exact),
         (C::CalculatedParameter, _) | (_, V::Fixed | V::Tunable) => variable.initial != Some(I::Exact),
         _ => true,
     };

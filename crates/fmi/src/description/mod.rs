@@ -5,6 +5,7 @@ mod model;
 mod names;
 mod parse;
 mod quirks;
+mod structure;
 mod unit;
 mod variable;
 
@@ -14,7 +15,10 @@ pub use model::{
 };
 pub use unit::{BaseUnit, DisplayUnit, Unit};
 pub use variable::{
-    Causality, EnumerationItem, Initial, TypeDefinition, Value, Variability, Variable, VariableKind,
+    Alias, Causality, Dimension, EnumerationItem, Initial, TypeDefinition, Value, Variability, Variable,
+    VariableKind,
 };
+
+pub(crate) use structure::Structure;
 
 pub(crate) use parse::{BUILD_DESCRIPTION, BuildSet, build_sets};

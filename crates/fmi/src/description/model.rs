@@ -1,11 +1,13 @@
 //! The model description as a whole: header, interfaces, structure, quirks, lookup by name.
 
 use super::names::NameIndex;
+use super::structure::Structure;
 use super::unit::Unit;
 use super::variable::{TypeDefinition, Variable};
 use super::{checks, names, parse};
 use crate::archive::MODEL_DESCRIPTION;
 use crate::error::FmiError;
+use std::collections::HashMap;
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
@@ -42,6 +44,8 @@ pub struct ModelDescription {
     pub model_exchange: Option<Interface>,
     /// Co-simulation, if offered.
     pub co_simulation: Option<Interface>,
+    /// Scheduled execution is offered (FMI 3.0). It can be described, not run.
+    pub offers_scheduled_execution: bool,
     /// Units.
     pub units: Vec<Unit>,
     /// Types.
@@ -54,13 +58,17 @@ pub struct ModelDescription {
     pub variables: Vec<Variable>,
     /// Outputs, derivatives, initial unknowns.
     pub structure: ModelStructure,
-    /// Number of event indicators.
+    /// Number of event indicators, with structural parameters at their start values.
     pub n_event_indicators: usize,
     /// Number of continuous states where the file gives a number and no list of derivatives (FMI 1.0).
     pub declared_states: Option<usize>,
     /// Where the file departs from the standard.
     pub quirks: Vec<Quirk>,
+    /// Whether a variable is an array (FMI 3.0).
+    pub(crate) has_arrays: bool,
     pub(super) names: NameIndex,
+    /// Positions of variables by their further names.
+    pub(super) aliases: HashMap<String, usize>,
 }
 
 impl ModelDescription {
@@ -80,6 +88,7 @@ impl ModelDescription {
             variable_naming_convention: None,
             model_exchange: None,
             co_simulation: None,
+            offers_scheduled_execution: false,
             units: Vec::new(),
             type_definitions: Vec::new(),
             log_categories: Vec::new(),
@@ -89,7 +98,9 @@ impl ModelDescription {
             n_event_indicators: 0,
             declared_states: None,
             quirks: Vec::new(),
+            has_arrays: false,
             names: NameIndex::default(),
+            aliases: HashMap::new(),
         }
     }
 
@@ -121,9 +132,15 @@ impl ModelDescription {
         checks::require_conforming(&self.quirks)
     }
 
-    /// Number of continuous states: the length of the list of derivatives in the model structure, where there is one.
+    /// Number of continuous states: the elements of the derivatives in the model structure, where there is one; with
+    /// structural parameters at their start values.
     pub fn n_states(&self) -> usize {
-        self.declared_states.unwrap_or(self.structure.derivatives.len())
+        Structure::default().states(self)
+    }
+
+    /// Extents of an array, with structural parameters at their start values; empty for a single value.
+    pub fn extents(&self, variable: &Variable) -> Vec<usize> {
+        Structure::default().extents(self, variable)
     }
 
     /// The variable of this name; constant time.
@@ -133,7 +150,7 @@ impl ModelDescription {
 
     /// Position in [`variables`](Self::variables) of the variable of this name; constant time.
     pub fn variable_index(&self, name: &str) -> Option<usize> {
-        self.names.find(name, &self.variables)
+        self.names.find(name, &self.variables).or_else(|| self.aliases.get(name).copied())
     }
 
     /// At most `n` names of variables that `name` may have been meant for, the most similar first.
@@ -144,6 +161,7 @@ impl ModelDescription {
     /// Makes lookups by name see changes of [`variables`](Self::variables).
     pub fn rebuild_index(&mut self) {
         self.names = NameIndex::build(&self.variables, |_, _| {});
+        self.aliases = names::aliases(&self.variables);
     }
 }
 
@@ -176,7 +194,7 @@ pub struct Interface {
 }
 
 /// What an interface can do; false and 0 unless the file says more.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Capabilities {
     /// Runs only with the tool that made it installed.
@@ -205,6 +223,24 @@ pub struct Capabilities {
     pub max_output_derivative_order: u32,
     /// The model has an event mode in co-simulation (FMI 3.0).
     pub has_event_mode: bool,
+    /// A step may end before its end, at an event (FMI 3.0).
+    pub might_return_early_from_do_step: bool,
+    /// Steps must be multiples of this one (FMI 3.0).
+    pub fixed_internal_step_size: Option<f64>,
+}
+
+impl Capabilities {
+    /// Whether a co-simulation of it handles events between steps.
+    pub(crate) fn uses_event_mode(&self) -> bool {
+        self.has_event_mode
+    }
+
+    /// Whether its steps may end before their end: only where the next one may have any length.
+    pub(crate) fn may_return_early(&self) -> bool {
+        self.has_event_mode
+            && self.might_return_early_from_do_step
+            && self.can_handle_variable_communication_step_size
+    }
 }
 
 /// A category of log messages.
@@ -239,6 +275,8 @@ pub struct ModelStructure {
     pub derivatives: Vec<Unknown>,
     /// Unknowns of the initialization.
     pub initial_unknowns: Vec<Unknown>,
+    /// Event indicators (FMI 3.0).
+    pub event_indicators: Vec<Unknown>,
 }
 
 /// A variable computed by the model.

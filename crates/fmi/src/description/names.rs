@@ -1,6 +1,7 @@
 //! Lookup of variables by name: a hashed index, and suggestions for names that do not exist.
 
 use super::variable::Variable;
+use std::collections::HashMap;
 use std::hash::{BuildHasher, RandomState};
 
 /// Open-addressing table of positions in the list of variables; the names stay in the variables.
@@ -48,6 +49,17 @@ impl NameIndex {
             slot = (slot + 1) & mask;
         }
     }
+}
+
+/// Positions of variables by their aliases; of several with one name the first.
+pub(super) fn aliases(variables: &[Variable]) -> HashMap<String, usize> {
+    let mut found = HashMap::new();
+    for (position, variable) in variables.iter().enumerate() {
+        for alias in &variable.aliases {
+            found.entry(alias.name.clone()).or_insert(position);
+        }
+    }
+    found
 }
 
 /// The index is made of the variables, so it takes no part in comparisons.

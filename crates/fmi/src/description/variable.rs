@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// A scalar variable of the model. Attributes that a type definition supplies are already filled in.
+/// A variable of the model: one value, or an array of them. Attributes that a type definition supplies are already filled in.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Variable {
     /// Name, unique in the model.
@@ -48,6 +48,34 @@ pub struct Variable {
     pub derivative: Option<usize>,
     /// A state that events may set anew.
     pub reinit: bool,
+    /// The model's value with its sign (a Boolean: its truth) reversed: a negated alias of FMI 1.0.
+    pub negated: bool,
+    /// Extents of an array, the last one varying fastest; empty for a single value.
+    pub dimensions: Vec<Dimension>,
+    /// Further names of the variable.
+    pub aliases: Vec<Alias>,
+    /// Positions of the clocks it belongs to.
+    pub clocks: Vec<usize>,
+}
+
+/// Extent of an array in one direction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Dimension {
+    /// Always the same.
+    Fixed(usize),
+    /// The value of a structural parameter, by its position.
+    Parameter(usize),
+}
+
+/// A further name of a variable.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Alias {
+    /// The name; lookups find the variable by it.
+    pub name: String,
+    /// What it means.
+    pub description: Option<String>,
+    /// Unit for showing the value under this name.
+    pub display_unit: Option<String>,
 }
 
 /// A type that variables refer to by `declaredType`.
@@ -85,37 +113,97 @@ pub struct EnumerationItem {
     /// Name.
     pub name: String,
     /// The integer that stands for it.
-    pub value: i32,
+    pub value: i64,
     /// What it means.
     pub description: Option<String>,
 }
 
 /// Type of a variable.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum VariableKind {
-    /// Double precision number.
+    /// Double precision number (`Float64` of FMI 3.0).
     Real,
-    /// 32-bit integer.
+    /// Single precision number.
+    Float32,
+    /// 32-bit integer (`Int32` of FMI 3.0).
     Integer,
+    /// Signed 8-bit integer.
+    Int8,
+    /// Unsigned 8-bit integer.
+    UInt8,
+    /// Signed 16-bit integer.
+    Int16,
+    /// Unsigned 16-bit integer.
+    UInt16,
+    /// Unsigned 32-bit integer.
+    UInt32,
+    /// Signed 64-bit integer.
+    Int64,
+    /// Unsigned 64-bit integer.
+    UInt64,
     /// True or false.
     Boolean,
     /// Text.
     String,
+    /// Bytes.
+    Binary,
     /// One of the items of a type definition, passed as an integer.
     Enumeration,
+    /// A clock: true while it ticks.
+    Clock,
 }
 
 impl VariableKind {
-    /// The word FMI 2.0 uses for it.
+    /// The word of FMI 2.0 for it, and of FMI 3.0 where FMI 2.0 has none.
     pub fn name(self) -> &'static str {
         match self {
             VariableKind::Real => "Real",
+            VariableKind::Float32 => "Float32",
             VariableKind::Integer => "Integer",
+            VariableKind::Int8 => "Int8",
+            VariableKind::UInt8 => "UInt8",
+            VariableKind::Int16 => "Int16",
+            VariableKind::UInt16 => "UInt16",
+            VariableKind::UInt32 => "UInt32",
+            VariableKind::Int64 => "Int64",
+            VariableKind::UInt64 => "UInt64",
             VariableKind::Boolean => "Boolean",
             VariableKind::String => "String",
+            VariableKind::Binary => "Binary",
             VariableKind::Enumeration => "Enumeration",
+            VariableKind::Clock => "Clock",
         }
+    }
+
+    /// A floating-point number.
+    pub fn is_float(self) -> bool {
+        matches!(self, VariableKind::Real | VariableKind::Float32)
+    }
+
+    /// An integer, of an enumeration too.
+    pub fn is_integer(self) -> bool {
+        self.range().is_some()
+    }
+
+    /// Smallest and largest value of an integer type.
+    pub(crate) fn range(self) -> Option<(i128, i128)> {
+        Some(match self {
+            VariableKind::Int8 => (i8::MIN.into(), i8::MAX.into()),
+            VariableKind::UInt8 => (0, u8::MAX.into()),
+            VariableKind::Int16 => (i16::MIN.into(), i16::MAX.into()),
+            VariableKind::UInt16 => (0, u16::MAX.into()),
+            VariableKind::Integer => (i32::MIN.into(), i32::MAX.into()),
+            VariableKind::UInt32 => (0, u32::MAX.into()),
+            VariableKind::Int64 | VariableKind::Enumeration => (i64::MIN.into(), i64::MAX.into()),
+            VariableKind::UInt64 => (0, u64::MAX.into()),
+            _ => return None,
+        })
+    }
+
+    /// Whether values are numbers, so that results can hold them.
+    pub fn is_number(self) -> bool {
+        !matches!(self, VariableKind::String | VariableKind::Binary)
     }
 }
 
@@ -125,17 +213,22 @@ impl fmt::Display for VariableKind {
     }
 }
 
-/// A value of a variable. Enumerations are integers.
+/// A value of a variable. Enumerations are integers, clocks Booleans.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum Value {
     /// A number.
     Real(f64),
-    /// An integer, or the value of an enumeration.
-    Integer(i32),
+    /// An integer of any width, or the value of an enumeration.
+    Integer(i128),
     /// True or false.
     Boolean(bool),
     /// Text.
     String(String),
+    /// Bytes.
+    Binary(Vec<u8>),
+    /// The elements of an array, all of one type, the last index varying fastest.
+    Array(Vec<Value>),
 }
 
 impl Value {
@@ -146,6 +239,8 @@ impl Value {
             Value::Integer(_) => "Integer",
             Value::Boolean(_) => "Boolean",
             Value::String(_) => "String",
+            Value::Binary(_) => "Binary",
+            Value::Array(_) => "array",
         }
     }
 }
@@ -157,6 +252,17 @@ impl fmt::Display for Value {
             Value::Integer(i) => write!(f, "{i}"),
             Value::Boolean(b) => write!(f, "{b}"),
             Value::String(s) => write!(f, "{s:?}"),
+            Value::Binary(bytes) => write!(f, "{} bytes", bytes.len()),
+            Value::Array(values) => {
+                f.write_str("[")?;
+                for (i, value) in values.iter().take(10).enumerate() {
+                    if i > 0 {
+                        f.write_str(", ")?;
+                    }
+                    value.fmt(f)?;
+                }
+                f.write_str(if values.len() > 10 { ", ...]" } else { "]" })
+            }
         }
     }
 }
@@ -167,9 +273,20 @@ impl From<f64> for Value {
     }
 }
 
-impl From<i32> for Value {
-    fn from(value: i32) -> Self {
-        Value::Integer(value)
+macro_rules! from_integers {
+    ($($integer:ty),+) => {
+        $(impl From<$integer> for Value {
+            fn from(value: $integer) -> Self {
+                Value::Integer(value.into())
+            }
+        })+
+    };
+}
+from_integers!(i8, u8, i16, u16, i32, u32, i64, u64, i128);
+
+impl<T: Into<Value>> From<Vec<T>> for Value {
+    fn from(values: Vec<T>) -> Self {
+        Value::Array(values.into_iter().map(Into::into).collect())
     }
 }
 
@@ -197,6 +314,8 @@ impl From<String> for Value {
 pub enum Causality {
     /// Given from outside, constant during a simulation (or tunable between steps).
     Parameter,
+    /// A parameter that other variables' dimensions depend on (FMI 3.0).
+    StructuralParameter,
     /// Computed from parameters.
     CalculatedParameter,
     /// Given from outside.
@@ -230,8 +349,10 @@ impl Variability {
     /// do not change.
     pub(super) fn default_for(causality: Causality, kind: VariableKind) -> Variability {
         match causality {
-            Causality::Parameter | Causality::CalculatedParameter => Variability::Fixed,
-            _ if kind == VariableKind::Real => Variability::Continuous,
+            Causality::Parameter | Causality::StructuralParameter | Causality::CalculatedParameter => {
+                Variability::Fixed
+            }
+            _ if kind.is_float() => Variability::Continuous,
             _ => Variability::Discrete,
         }
     }
@@ -254,7 +375,9 @@ impl Initial {
     pub(super) fn default_for(causality: Causality, variability: Variability) -> Option<Initial> {
         match (causality, variability) {
             (Causality::Input | Causality::Independent, _) => None,
-            (Causality::Parameter, _) | (_, Variability::Constant) => Some(Initial::Exact),
+            (Causality::Parameter | Causality::StructuralParameter, _) | (_, Variability::Constant) => {
+                Some(Initial::Exact)
+            }
             _ => Some(Initial::Calculated),
         }
     }
@@ -264,6 +387,7 @@ impl fmt::Display for Causality {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Causality::Parameter => "parameter",
+            Causality::StructuralParameter => "structuralParameter",
             Causality::CalculatedParameter => "calculatedParameter",
             Causality::Input => "input",
             Causality::Output => "output",

@@ -1,15 +1,19 @@
 //! What an FMU may call back: the logger and the memory functions, and the bounded store of log lines.
 //!
-//! FMI 2.0's logger is variadic, which stable Rust can call but not define. Of the two ways out, a fixed-arity
+//! The loggers of FMI 1.0 and 2.0 are variadic, which stable Rust can call but not define. Of the two ways out, a fixed-arity
 //! function in its place loses the arguments (messages keep their `%s`), so a C shim (`logger.c`) expands the message
-//! with `vsnprintf` and passes plain bytes to [`sink`].
+//! with `vsnprintf` and passes plain bytes to [`sink`]. FMI 1.0 has no environment for its callbacks either: a message
+//! goes to the instance that is being called on the thread it comes from; messages from threads of the FMU's own are lost.
 
 use super::Status;
 use std::collections::VecDeque;
-use std::ffi::{c_char, c_int, c_void};
+use std::ffi::{CStr, c_char, c_int, c_void};
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Bytes of a message that are kept.
+const LONGEST_TEXT: usize = 2047;
 
 /// Lines kept per instance.
 const LINES: usize = 32;
@@ -143,11 +147,75 @@ unsafe extern "C" fn sink(
                 std::slice::from_raw_parts(text.cast::<u8>(), text_length),
             )
         };
-        log.lines().push(super::fmi2::status(status), category, text);
+        log.lines().push(super::status(status), category, text);
     }));
 }
 
+/// The logger of FMI 3.0, which takes a finished text.
+///
+/// # Safety
+/// `environment` is NULL or the address of a live [`Environment`]; the texts are NULL or end in NUL.
+pub(super) unsafe extern "C" fn fmi3_log(
+    environment: *mut c_void,
+    status: c_int,
+    category: *const c_char,
+    message: *const c_char,
+) {
+    if environment.is_null() {
+        return;
+    }
+    // SAFETY: FMI 3.0 hands back what it was given at instantiation (section 2.3.1).
+    let environment = unsafe { &*environment.cast::<Environment>() };
+    let length = |text: *const c_char| {
+        // SAFETY: checked for NULL, ends in NUL.
+        if text.is_null() { 0 } else { unsafe { CStr::from_ptr(text) }.to_bytes().len().min(LONGEST_TEXT) }
+    };
+    let start = |text: *const c_char| if text.is_null() { c"".as_ptr() } else { text };
+    // SAFETY: `Environment::new` paired the sink with its data; the lengths are those found.
+    unsafe {
+        (environment.sink)(
+            environment.data,
+            status,
+            start(category),
+            length(category),
+            start(message),
+            length(message),
+        );
+    }
+}
+
+/// Makes an environment that of this thread while it lives: FMI 1.0's logger is not told whose message it takes.
+#[derive(Debug)]
+pub(super) struct Current(*mut c_void);
+
+impl Current {
+    /// # Safety
+    /// The environment outlives the value.
+    pub(super) unsafe fn set(environment: *const Environment) -> Self {
+        // SAFETY: a pointer is stored; nobody looks behind it after the value is dropped.
+        Self(unsafe { fmufit_fmi1_enter(environment.cast_mut().cast()) })
+    }
+}
+
+impl Drop for Current {
+    fn drop(&mut self) {
+        // SAFETY: what was there before is there again.
+        unsafe { fmufit_fmi1_enter(self.0) };
+    }
+}
+
 unsafe extern "C" {
+    /// The logger of FMI 1.0 (`logger.c`); messages go to the environment of the thread.
+    pub(super) fn fmufit_fmi1_log(
+        component: *mut c_void,
+        instance: *const c_char,
+        status: c_int,
+        category: *const c_char,
+        message: *const c_char,
+        ...
+    );
+    /// Sets the environment of the thread and returns the one before.
+    fn fmufit_fmi1_enter(environment: *mut c_void) -> *mut c_void;
     /// The logger of FMI 2.0 (`logger.c`).
     pub(super) fn fmufit_fmi2_log(
         environment: *mut c_void,
@@ -212,6 +280,43 @@ mod tests {
         // SAFETY: a NULL environment is ignored.
         unsafe { fmufit_fmi2_log(std::ptr::null_mut(), null(), 0, null(), c"lost".as_ptr()) };
         assert_eq!(texts(&log).len(), 5);
+    }
+
+    #[test]
+    fn messages_without_environment_go_to_the_instance_being_called() {
+        let (first, second) = (Log::new(), Log::new());
+        let (one, two) = (Environment::new(&first), Environment::new(&second));
+        // SAFETY: the environments outlive the guards; the formats take no arguments.
+        let say = |text: &CStr| unsafe {
+            fmufit_fmi1_log(std::ptr::null_mut(), null(), 1, null(), text.as_ptr());
+        };
+        say(c"lost");
+        // SAFETY: as above.
+        let outer = unsafe { Current::set(&one) };
+        say(c"a");
+        {
+            // SAFETY: as above.
+            let _inner = unsafe { Current::set(&two) };
+            say(c"b");
+        }
+        say(c"c");
+        drop(outer);
+        say(c"lost");
+        assert_eq!((texts(&first), texts(&second)), (vec!["a".into(), "c".into()], vec!["b".into()]));
+    }
+
+    #[test]
+    fn finished_texts_are_taken_as_they_are() {
+        let log = Log::new();
+        let environment = Environment::new(&log);
+        let address: *mut c_void = (&raw const environment).cast_mut().cast();
+        // SAFETY: the environment is alive, the texts end in NUL or are NULL.
+        unsafe {
+            fmi3_log(address, 3, c"cat".as_ptr(), c"100 %s".as_ptr());
+            fmi3_log(address, 0, null(), null());
+            fmi3_log(std::ptr::null_mut(), 0, null(), c"lost".as_ptr());
+        }
+        assert_eq!(texts(&log), ["100 %s", ""]);
     }
 
     #[test]

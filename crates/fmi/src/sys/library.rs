@@ -1,7 +1,7 @@
 //! A loaded shared library of an FMU with its function table; what all users of the library share is in `shared.rs`.
 
 use super::platform::{self, FloatEnvironment, Handle};
-use super::{Binding, Shared, fmi2};
+use super::{Binding, InterfaceKind, Shared, fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
 use std::fmt;
@@ -28,16 +28,21 @@ impl Library {
     /// Refuses versions of the standard for which there is no binding.
     pub(crate) fn check_version(version: &FmiVersion) -> Result<(), FmiError> {
         match version.major {
-            2 => Ok(()),
+            1..=3 => Ok(()),
             _ => Err(FmiError::UnsupportedVersion { version: version.text.clone() }),
         }
     }
 
-    /// Loads the library and looks its functions up. **This runs foreign code** (the library's constructors).
+    /// Loads the library and looks up the functions of one interface. **This runs foreign code** (the library's constructors).
     ///
     /// # Errors
     /// The dynamic loader's own message, or the name of the mandatory function that is missing.
-    pub(crate) fn open(path: &Path, version: &FmiVersion) -> Result<Self, FmiError> {
+    pub(crate) fn open(
+        path: &Path,
+        version: &FmiVersion,
+        kind: InterfaceKind,
+        model_identifier: &str,
+    ) -> Result<Self, FmiError> {
         Self::check_version(version)?;
         // Loading code linked with -ffast-math changes the floating-point mode of this thread.
         let _guard = FloatEnvironment::standard();
@@ -54,8 +59,14 @@ impl Library {
         })?;
         let symbols = Symbols { handle: &handle, path };
         // SAFETY: the description says that the library follows this version of the standard.
-        let binding = unsafe { fmi2::Fmi2::load(&symbols)? };
-        Ok(Self { binding: Box::new(binding), shared, path: path.to_owned(), _handle: handle })
+        let binding: Box<dyn Binding> = unsafe {
+            match version.major {
+                1 => Box::new(fmi1::Fmi1::load(&symbols, kind, model_identifier)?),
+                2 => Box::new(fmi2::Fmi2::load(&symbols, kind)?),
+                _ => Box::new(fmi3::Fmi3::load(&symbols, kind)?),
+            }
+        };
+        Ok(Self { binding, shared, path: path.to_owned(), _handle: handle })
     }
 
     /// The function table.
@@ -95,17 +106,19 @@ impl Symbols<'_> {
     /// `T` is a function pointer type that fits the symbol, and is not called after the library is closed.
     pub(super) unsafe fn required<T: Copy>(&self, name: &'static str) -> Result<T, FmiError> {
         // SAFETY: handed on to the caller.
-        match unsafe { self.handle.get::<T>(name) } {
-            Ok(symbol) => Ok(*symbol),
-            Err(_) => Err(FmiError::MissingSymbol { library: self.path.to_owned(), symbol: name }),
-        }
+        unsafe { self.optional(name) }.ok_or_else(|| self.missing(name))
+    }
+
+    /// The error for a function that is not there.
+    pub(super) fn missing(&self, name: &'static str) -> FmiError {
+        FmiError::MissingSymbol { library: self.path.to_owned(), symbol: name }
     }
 
     /// A function that may be missing.
     ///
     /// # Safety
     /// As for [`required`](Self::required).
-    pub(super) unsafe fn optional<T: Copy>(&self, name: &'static str) -> Option<T> {
+    pub(super) unsafe fn optional<T: Copy>(&self, name: &str) -> Option<T> {
         // SAFETY: handed on to the caller.
         unsafe { self.handle.get::<T>(name) }.ok().map(|symbol| *symbol)
     }

@@ -1,7 +1,8 @@
-/* What Rust cannot write: a variadic logger callback, and the memory callbacks of FMI 2.0.
+/* What Rust cannot write: variadic logger callbacks, and the memory callbacks of FMI 1.0 and 2.0.
  *
  * The logger expands the message into a buffer of fixed size on the stack and hands pointer and length to the sink
- * that the environment names. There is no global state, and every pointer that an FMU passes may be NULL. */
+ * that the environment names. There is no global state (but one pointer per thread for FMI 1.0, see callbacks.rs),
+ * and every pointer that an FMU passes may be NULL. */
 
 #include <stdarg.h>
 #include <stddef.h>
@@ -47,15 +48,13 @@ static int is_harmless(const char *format)
     return 1;
 }
 
-void fmufit_fmi2_log(void *component_environment, const char *instance_name, int status, const char *category,
-                     const char *message, ...)
+static void expand(const struct fmufit_environment *environment, int status, const char *category,
+                   const char *message, va_list arguments)
 {
-    const struct fmufit_environment *environment = component_environment;
     char text[TEXT_SIZE];
     size_t length = 0;
     int written = -1;
 
-    (void)instance_name;
     if (environment == NULL || environment->sink == NULL) {
         return;
     }
@@ -63,10 +62,7 @@ void fmufit_fmi2_log(void *component_environment, const char *instance_name, int
         message = "";
     }
     if (is_harmless(message)) {
-        va_list arguments;
-        va_start(arguments, message);
         written = vsnprintf(text, sizeof text, message, arguments);
-        va_end(arguments);
     }
     if (written >= 0) {
         length = bounded_length(text, sizeof text - 1);
@@ -79,6 +75,42 @@ void fmufit_fmi2_log(void *component_environment, const char *instance_name, int
     }
     environment->sink(environment->data, status, category == NULL ? "" : category,
                       category == NULL ? 0 : bounded_length(category, NAME_SIZE), text, length);
+}
+
+void fmufit_fmi2_log(void *component_environment, const char *instance_name, int status, const char *category,
+                     const char *message, ...)
+{
+    va_list arguments;
+    (void)instance_name;
+    va_start(arguments, message);
+    expand(component_environment, status, category, message, arguments);
+    va_end(arguments);
+}
+
+#if defined(_MSC_VER)
+#define THREAD_LOCAL __declspec(thread)
+#else
+#define THREAD_LOCAL _Thread_local
+#endif
+
+static THREAD_LOCAL void *current_environment;
+
+void *fmufit_fmi1_enter(void *environment)
+{
+    void *before = current_environment;
+    current_environment = environment;
+    return before;
+}
+
+void fmufit_fmi1_log(void *component, const char *instance_name, int status, const char *category,
+                     const char *message, ...)
+{
+    va_list arguments;
+    (void)component;
+    (void)instance_name;
+    va_start(arguments, message);
+    expand(current_environment, status, category, message, arguments);
+    va_end(arguments);
 }
 
 void *fmufit_allocate(size_t count, size_t size)

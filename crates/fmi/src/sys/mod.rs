@@ -25,13 +25,20 @@
 //! 9. **The floating-point environment** that an FMU (or the loading of it) leaves behind is undone by
 //!    [`FloatEnvironment`].
 //!
-//! The versions of FMI stop here: [`Binding`] is one function table in house types, and `fmi2.rs` is the only file
-//! that knows how a version spells it. A further version is a further implementation and a line in `library.rs`.
+//! 10. **Buffers of small numbers** are handed out as what an FMU takes them for (`packed.rs`): never more elements than
+//!     there are lanes of 64 bits, and only types of which any bits are a value.
+//!
+//! The versions of FMI stop here: [`Binding`] is one function table in house types, and `fmi1.rs`, `fmi2.rs` and
+//! `fmi3.rs` are the only files that know how a version spells it. A further version is a further implementation and a
+//! line in `library.rs`.
 #![allow(unsafe_code)]
 
 mod callbacks;
+mod fmi1;
 mod fmi2;
+mod fmi3;
 mod library;
+mod packed;
 mod platform;
 mod raw_instance;
 mod shared;
@@ -42,9 +49,10 @@ pub(crate) use platform::FloatEnvironment;
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
 pub(crate) use shared::{Loan, Shared, Spares};
 
+use crate::description::VariableKind;
 use callbacks::Environment;
 use std::any::Any;
-use std::ffi::{CStr, c_char, c_void};
+use std::ffi::{CStr, CString, c_char, c_void};
 use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
@@ -91,6 +99,36 @@ impl fmt::Display for Status {
     }
 }
 
+/// The numbers of `fmiStatus`, which all versions share (1.0 for model exchange and 3.0 have no `Pending`).
+fn status(code: std::ffi::c_int) -> Status {
+    match code {
+        0 => Status::Ok,
+        1 => Status::Warning,
+        2 => Status::Discard,
+        3 => Status::Error,
+        4 => Status::Fatal,
+        5 => Status::Pending,
+        other => Status::Unknown(other),
+    }
+}
+
+/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 1.0 and 2.0 ask.
+fn file_uri(path: &Path) -> CString {
+    let mut uri = String::from("file://");
+    let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
+    if !text.starts_with('/') {
+        uri.push('/');
+    }
+    for byte in text.bytes() {
+        if byte.is_ascii_alphanumeric() || b"/-._~:".contains(&byte) {
+            uri.push(char::from(byte));
+        } else {
+            uri.push_str(&format!("%{byte:02X}"));
+        }
+    }
+    CString::new(uri).unwrap_or_default()
+}
+
 /// The calls, in house words; [`Binding::name`] gives the standard's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Call {
@@ -101,14 +139,13 @@ enum Call {
     ExitInitialization,
     Terminate,
     Reset,
-    GetReal,
-    GetInteger,
-    GetBoolean,
-    GetString,
-    SetReal,
-    SetInteger,
-    SetBoolean,
-    SetString,
+    Get(VariableKind),
+    Set(VariableKind),
+    EnterConfiguration,
+    ExitConfiguration,
+    CountStates,
+    CountIndicators,
+    EnterStepMode,
     SaveState,
     RestoreState,
     SerializedSize,
@@ -125,6 +162,10 @@ enum Call {
     GetDerivatives,
     GetEventIndicators,
     GetNominals,
+    DoStep,
+    StepStatus,
+    CancelStep,
+    SetInputDerivatives,
 }
 
 /// What an event iteration told.
@@ -142,6 +183,39 @@ pub(crate) struct EventInfo {
     pub(crate) next_event_time: Option<f64>,
 }
 
+/// The two ways of running a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum InterfaceKind {
+    /// The importer integrates the model.
+    ModelExchange,
+    /// The model brings its own solver and is asked to step from one communication point to the next.
+    CoSimulation,
+}
+
+impl fmt::Display for InterfaceKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            InterfaceKind::ModelExchange => "model exchange",
+            InterfaceKind::CoSimulation => "co-simulation",
+        })
+    }
+}
+
+/// What a communication step told.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct StepInfo {
+    /// How far the model got, where that is not the end of the step (or not known to be).
+    pub(crate) reached: Option<f64>,
+    /// The model wishes to end the simulation.
+    pub(crate) terminate: bool,
+    /// The model knows how far it got but has no word for the end of a simulation: it may have meant that.
+    pub(crate) may_have_ended: bool,
+    /// The model wants to enter event mode.
+    pub(crate) event: bool,
+    /// The step is still being computed.
+    pub(crate) pending: bool,
+}
+
 /// A live component and what it needs to stay alive.
 struct Created {
     component: Component,
@@ -155,11 +229,23 @@ pub(crate) struct Request<'a> {
     pub(crate) name: &'a CStr,
     pub(crate) guid: &'a CStr,
     pub(crate) resources: &'a Path,
+    pub(crate) kind: InterfaceKind,
+    /// Co-simulation: events are handled between steps, and a step may end early at one.
+    pub(crate) event_mode: bool,
+    pub(crate) early_return: bool,
     pub(crate) visible: bool,
     pub(crate) logging: bool,
 }
 
-/// The function table of one library in house types: what a version of FMI has to supply for model exchange.
+/// What an experiment is set up with.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Experiment {
+    pub(crate) tolerance: Option<f64>,
+    pub(crate) start: f64,
+    pub(crate) stop: Option<f64>,
+}
+
+/// The function table of one library in house types: what a version of FMI has to supply.
 ///
 /// # Safety
 /// For all `unsafe` methods: `component` was made by this binding, is not freed and not dead, and no other call on
@@ -171,37 +257,108 @@ trait Binding: Send + Sync {
     unsafe fn instantiate(&self, request: &Request<'_>, environment: &Environment) -> Option<Created>;
     unsafe fn free_instance(&self, component: Component);
     unsafe fn set_debug_logging(&self, component: Component, on: bool) -> Status;
-    unsafe fn setup_experiment(
-        &self,
-        component: Component,
-        tolerance: Option<f64>,
-        start: f64,
-        stop: Option<f64>,
-    ) -> Status;
-    unsafe fn enter_initialization(&self, component: Component) -> Status;
+    /// Before the initialization, where a version has a call for it.
+    unsafe fn setup_experiment(&self, component: Component, experiment: &Experiment) -> Status {
+        let _ = (component, experiment);
+        Status::Ok
+    }
+    unsafe fn enter_initialization(&self, component: Component, experiment: &Experiment) -> Status;
     unsafe fn exit_initialization(&self, component: Component) -> Status;
     unsafe fn terminate(&self, component: Component) -> Status;
     unsafe fn reset(&self, component: Component) -> Status;
+    /// Whether a reference may stand for several values. If not, there are as many values as references.
+    fn has_arrays(&self) -> bool {
+        false
+    }
     unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Status;
-    unsafe fn get_integer(&self, component: Component, references: &[u32], values: &mut [i32]) -> Status;
-    unsafe fn get_boolean(&self, component: Component, references: &[u32], values: &mut [i32]) -> Status;
+    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status;
+    /// Values of all other kinds of numbers, in lanes (see `lanes.rs`).
+    unsafe fn get_packed(
+        &self,
+        component: Component,
+        kind: VariableKind,
+        references: &[u32],
+        lanes: &mut [i64],
+    ) -> Status;
+    /// The lanes are used up.
+    unsafe fn set_packed(
+        &self,
+        component: Component,
+        kind: VariableKind,
+        references: &[u32],
+        lanes: &mut [i64],
+    ) -> Status;
     unsafe fn get_string(
         &self,
         component: Component,
         references: &[u32],
         values: &mut [*const c_char],
     ) -> Status;
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status;
-    unsafe fn set_integer(&self, component: Component, references: &[u32], values: &[i32]) -> Status;
-    unsafe fn set_boolean(&self, component: Component, references: &[u32], values: &[i32]) -> Status;
     unsafe fn set_string(&self, component: Component, references: &[u32], values: &[*const c_char])
     -> Status;
-    unsafe fn save_state(&self, component: Component, state: &mut StatePointer) -> Status;
-    unsafe fn restore_state(&self, component: Component, state: StatePointer) -> Status;
-    unsafe fn free_state(&self, component: Component, state: &mut StatePointer) -> Status;
-    unsafe fn serialized_size(&self, component: Component, state: StatePointer, size: &mut usize) -> Status;
-    unsafe fn serialize(&self, component: Component, state: StatePointer, bytes: &mut [u8]) -> Status;
-    unsafe fn deserialize(&self, component: Component, bytes: &[u8], state: &mut StatePointer) -> Status;
+    /// Addresses and sizes of binary values; they stay valid until the next call on the component.
+    unsafe fn get_binary(
+        &self,
+        component: Component,
+        references: &[u32],
+        sizes: &mut [usize],
+        values: &mut [*const u8],
+    ) -> Status {
+        let _ = (component, references, sizes, values);
+        Status::Missing
+    }
+    unsafe fn set_binary(
+        &self,
+        component: Component,
+        references: &[u32],
+        sizes: &[usize],
+        values: &[*const u8],
+    ) -> Status {
+        let _ = (component, references, sizes, values);
+        Status::Missing
+    }
+    unsafe fn enter_configuration(&self, component: Component) -> Status {
+        let _ = component;
+        Status::Missing
+    }
+    unsafe fn exit_configuration(&self, component: Component) -> Status {
+        let _ = component;
+        Status::Missing
+    }
+    /// Number of continuous states, where it can change.
+    unsafe fn count_states(&self, component: Component, count: &mut usize) -> Status {
+        let _ = (component, count);
+        Status::Missing
+    }
+    /// Number of event indicators, where it can change.
+    unsafe fn count_indicators(&self, component: Component, count: &mut usize) -> Status {
+        let _ = (component, count);
+        Status::Missing
+    }
+    unsafe fn save_state(&self, component: Component, state: &mut StatePointer) -> Status {
+        let _ = (component, state);
+        Status::Missing
+    }
+    unsafe fn restore_state(&self, component: Component, state: StatePointer) -> Status {
+        let _ = (component, state);
+        Status::Missing
+    }
+    unsafe fn free_state(&self, component: Component, state: &mut StatePointer) -> Status {
+        let _ = (component, state);
+        Status::Missing
+    }
+    unsafe fn serialized_size(&self, component: Component, state: StatePointer, size: &mut usize) -> Status {
+        let _ = (component, state, size);
+        Status::Missing
+    }
+    unsafe fn serialize(&self, component: Component, state: StatePointer, bytes: &mut [u8]) -> Status {
+        let _ = (component, state, bytes);
+        Status::Missing
+    }
+    unsafe fn deserialize(&self, component: Component, bytes: &[u8], state: &mut StatePointer) -> Status {
+        let _ = (component, bytes, state);
+        Status::Missing
+    }
     unsafe fn directional_derivative(
         &self,
         component: Component,
@@ -209,7 +366,10 @@ trait Binding: Send + Sync {
         knowns: &[u32],
         seed: &[f64],
         sensitivity: &mut [f64],
-    ) -> Status;
+    ) -> Status {
+        let _ = (component, unknowns, knowns, seed, sensitivity);
+        Status::Missing
+    }
     unsafe fn enter_event_mode(&self, component: Component) -> Status;
     unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Status;
     unsafe fn enter_continuous_time_mode(&self, component: Component) -> Status;
@@ -226,4 +386,35 @@ trait Binding: Send + Sync {
     unsafe fn get_derivatives(&self, component: Component, derivatives: &mut [f64]) -> Status;
     unsafe fn get_event_indicators(&self, component: Component, indicators: &mut [f64]) -> Status;
     unsafe fn get_nominals(&self, component: Component, nominals: &mut [f64]) -> Status;
+    /// One communication step. `Discard` is for steps of which nothing or only a part was computed, also because the
+    /// model ends the simulation; `Pending` for steps that go on.
+    unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status;
+    /// How a pending step stands; as for `do_step`.
+    unsafe fn step_status(&self, component: Component, info: &mut StepInfo) -> Status;
+    unsafe fn cancel_step(&self, component: Component) -> Status;
+    /// Back from event mode (co-simulation).
+    unsafe fn enter_step_mode(&self, component: Component) -> Status {
+        let _ = component;
+        Status::Missing
+    }
+    /// Derivatives (of these orders) of real inputs with respect to time.
+    unsafe fn set_input_derivatives(
+        &self,
+        component: Component,
+        references: &[u32],
+        orders: &[i32],
+        values: &[f64],
+    ) -> Status;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn uris_are_percent_encoded() {
+        let uri = |path: &str| file_uri(Path::new(path)).into_string().unwrap();
+        assert_eq!(uri("/tmp/a-b_c.d/resources"), "file:///tmp/a-b_c.d/resources");
+        assert_eq!(uri("/tmp/a b/{\u{e4}}"), "file:///tmp/a%20b/%7B%C3%A4%7D");
+    }
 }

@@ -1,7 +1,10 @@
 //! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
 
 use super::callbacks::{Environment, Log};
-use super::{Call, Component, EventInfo, Library, LogLine, Request, StatePointer, Status};
+use super::{
+    Call, Component, EventInfo, Experiment, Library, LogLine, Request, StatePointer, Status, StepInfo,
+};
+use crate::description::VariableKind;
 use crate::error::FmiError;
 use std::any::Any;
 use std::ffi::{CStr, CString, c_char};
@@ -70,8 +73,11 @@ pub(crate) struct RawInstance {
     /// For messages: the time last set.
     time: Option<f64>,
     saved: Vec<Slot>,
+    /// The state it had when it was new, where somebody wants to go back to it.
+    origin: Option<SavedSlot>,
     identity: Arc<()>,
-    scratch: Vec<i32>,
+    orders: Vec<i32>,
+    lanes: Vec<i64>,
     // What the component may reach; dropped by hand, after it, and not at all when it is dead.
     keep: ManuallyDrop<Arc<dyn Any + Send + Sync>>,
     environment: ManuallyDrop<Arc<Environment>>,
@@ -133,8 +139,10 @@ impl RawInstance {
             sizes,
             time: None,
             saved: Vec::new(),
+            origin: None,
             identity: Arc::new(()),
-            scratch: Vec::new(),
+            orders: Vec::new(),
+            lanes: Vec::new(),
             keep: ManuallyDrop::new(created.keep),
             environment: ManuallyDrop::new(environment),
             log: ManuallyDrop::new(log),
@@ -247,18 +255,37 @@ impl RawInstance {
         run!(self, Call::SetDebugLogging, |b, c| b.set_debug_logging(c, on))
     }
 
-    pub(crate) fn setup_experiment(
-        &mut self,
-        tolerance: Option<f64>,
-        start: f64,
-        stop: Option<f64>,
-    ) -> Outcome {
-        self.time = Some(start);
-        run!(self, Call::SetupExperiment, |b, c| b.setup_experiment(c, tolerance, start, stop))
+    pub(crate) fn setup_experiment(&mut self, experiment: &Experiment) -> Outcome {
+        self.time = Some(experiment.start);
+        run!(self, Call::SetupExperiment, |b, c| b.setup_experiment(c, experiment))
     }
 
-    pub(crate) fn enter_initialization(&mut self) -> Outcome {
-        run!(self, Call::EnterInitialization, |b, c| b.enter_initialization(c))
+    pub(crate) fn enter_initialization(&mut self, experiment: &Experiment) -> Outcome {
+        run!(self, Call::EnterInitialization, |b, c| b.enter_initialization(c, experiment))
+    }
+
+    pub(crate) fn enter_configuration(&mut self) -> Outcome {
+        run!(self, Call::EnterConfiguration, |b, c| b.enter_configuration(c))
+    }
+
+    pub(crate) fn exit_configuration(&mut self) -> Outcome {
+        run!(self, Call::ExitConfiguration, |b, c| b.exit_configuration(c))
+    }
+
+    /// The sizes of the model's vectors as the FMU says them now, where it has a say.
+    pub(crate) fn ask_sizes(&mut self) -> Result<Option<Sizes>, Fault> {
+        let Sizes { mut states, mut indicators } = self.sizes;
+        match run!(self, Call::CountStates, |b, c| b.count_states(c, &mut states)) {
+            Err(Fault::Missing(_)) => return Ok(None),
+            outcome => outcome?,
+        }
+        run!(self, Call::CountIndicators, |b, c| b.count_indicators(c, &mut indicators))?;
+        Ok(Some(Sizes { states, indicators }))
+    }
+
+    /// Changes the sizes of the model's vectors, after the structure of the model was.
+    pub(crate) fn set_sizes(&mut self, sizes: Sizes) {
+        self.sizes = sizes;
     }
 
     pub(crate) fn exit_initialization(&mut self) -> Outcome {
@@ -274,36 +301,35 @@ impl RawInstance {
         run!(self, Call::Reset, |b, c| b.reset(c))
     }
 
-    pub(crate) fn get_real(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
-        self.length(Call::GetReal, references.len(), values.len())?;
-        run!(self, Call::GetReal, |b, c| b.get_real(c, references, values))
-    }
-
-    pub(crate) fn get_integer(&mut self, references: &[u32], values: &mut [i32]) -> Outcome {
-        self.length(Call::GetInteger, references.len(), values.len())?;
-        run!(self, Call::GetInteger, |b, c| b.get_integer(c, references, values))
-    }
-
-    pub(crate) fn get_boolean(&mut self, references: &[u32], values: &mut [bool]) -> Outcome {
-        self.length(Call::GetBoolean, references.len(), values.len())?;
-        let mut raw = std::mem::take(&mut self.scratch);
-        raw.clear();
-        raw.resize(values.len(), 0);
-        let outcome = self.get_raw_boolean(references, &mut raw);
-        for (value, raw) in values.iter_mut().zip(&raw) {
-            *value = *raw != 0;
+    /// As many values as references, or more where references may stand for arrays (how many is the caller's to know:
+    /// the FMU is told the number of values).
+    fn lengths(&self, call: Call, references: usize, values: usize) -> Outcome {
+        if self.library.binding().has_arrays() {
+            return Ok(());
         }
-        self.scratch = raw;
-        outcome
+        self.length(call, references, values)
     }
 
-    fn get_raw_boolean(&mut self, references: &[u32], values: &mut [i32]) -> Outcome {
-        run!(self, Call::GetBoolean, |b, c| b.get_boolean(c, references, values))
+    pub(crate) fn get_real(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
+        self.lengths(Call::Get(VariableKind::Real), references.len(), values.len())?;
+        run!(self, Call::Get(VariableKind::Real), |b, c| b.get_real(c, references, values))
     }
 
-    pub(crate) fn get_string(&mut self, references: &[u32]) -> Result<Vec<String>, Fault> {
-        let mut pointers: Vec<*const c_char> = vec![std::ptr::null(); references.len()];
-        run!(self, Call::GetString, |b, c| b.get_string(c, references, &mut pointers))?;
+    /// Values of any kind of number but `Real`, in lanes.
+    pub(crate) fn get_packed(
+        &mut self,
+        kind: VariableKind,
+        references: &[u32],
+        lanes: &mut [i64],
+    ) -> Outcome {
+        self.lengths(Call::Get(kind), references.len(), lanes.len())?;
+        run!(self, Call::Get(kind), |b, c| b.get_packed(c, kind, references, lanes))
+    }
+
+    pub(crate) fn get_string(&mut self, references: &[u32], count: usize) -> Result<Vec<String>, Fault> {
+        self.lengths(Call::Get(VariableKind::String), references.len(), count)?;
+        let mut pointers: Vec<*const c_char> = vec![std::ptr::null(); count];
+        run!(self, Call::Get(VariableKind::String), |b, c| b.get_string(c, references, &mut pointers))?;
         Ok(pointers
             .into_iter()
             .map(|pointer| {
@@ -311,40 +337,64 @@ impl RawInstance {
                     return String::new();
                 }
                 // SAFETY: strings an FMU returns end in NUL and stay valid until the next call on it (FMI 2.0.x,
-                // section 2.1.7), and there is none before the copy.
+                // section 2.1.7; the same in 1.0 and 3.0), and there is none before the copy.
                 unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned()
             })
             .collect())
     }
 
+    pub(crate) fn get_binary(&mut self, references: &[u32], count: usize) -> Result<Vec<Vec<u8>>, Fault> {
+        let call = Call::Get(VariableKind::Binary);
+        self.lengths(call, references.len(), count)?;
+        let mut sizes = vec![0; count];
+        let mut pointers: Vec<*const u8> = vec![std::ptr::null(); count];
+        run!(self, call, |b, c| b.get_binary(c, references, &mut sizes, &mut pointers))?;
+        Ok(pointers
+            .into_iter()
+            .zip(sizes)
+            .map(|(pointer, size)| {
+                if pointer.is_null() || size == 0 {
+                    return Vec::new();
+                }
+                // SAFETY: the FMU says how many bytes there are; they stay valid until the next call on it (FMI 3.0,
+                // section 2.2.6.2), and there is none before the copy.
+                unsafe { std::slice::from_raw_parts(pointer, size) }.to_vec()
+            })
+            .collect())
+    }
+
     pub(crate) fn set_real(&mut self, references: &[u32], values: &[f64]) -> Outcome {
-        self.length(Call::SetReal, references.len(), values.len())?;
-        run!(self, Call::SetReal, |b, c| b.set_real(c, references, values))
+        self.lengths(Call::Set(VariableKind::Real), references.len(), values.len())?;
+        run!(self, Call::Set(VariableKind::Real), |b, c| b.set_real(c, references, values))
     }
 
-    pub(crate) fn set_integer(&mut self, references: &[u32], values: &[i32]) -> Outcome {
-        self.length(Call::SetInteger, references.len(), values.len())?;
-        run!(self, Call::SetInteger, |b, c| b.set_integer(c, references, values))
-    }
-
-    pub(crate) fn set_boolean(&mut self, references: &[u32], values: &[bool]) -> Outcome {
-        self.length(Call::SetBoolean, references.len(), values.len())?;
-        let mut raw = std::mem::take(&mut self.scratch);
-        raw.clear();
-        raw.extend(values.iter().map(|&value| i32::from(value)));
-        let outcome = self.set_raw_boolean(references, &raw);
-        self.scratch = raw;
+    /// Values of any kind of number but `Real`, in lanes.
+    pub(crate) fn set_packed(&mut self, kind: VariableKind, references: &[u32], lanes: &[i64]) -> Outcome {
+        self.lengths(Call::Set(kind), references.len(), lanes.len())?;
+        let mut copy = std::mem::take(&mut self.lanes);
+        copy.clear();
+        copy.extend_from_slice(lanes);
+        let outcome = self.set_copied(kind, references, &mut copy);
+        self.lanes = copy;
         outcome
     }
 
-    fn set_raw_boolean(&mut self, references: &[u32], values: &[i32]) -> Outcome {
-        run!(self, Call::SetBoolean, |b, c| b.set_boolean(c, references, values))
+    fn set_copied(&mut self, kind: VariableKind, references: &[u32], lanes: &mut [i64]) -> Outcome {
+        run!(self, Call::Set(kind), |b, c| b.set_packed(c, kind, references, lanes))
     }
 
     pub(crate) fn set_string(&mut self, references: &[u32], values: &[CString]) -> Outcome {
-        self.length(Call::SetString, references.len(), values.len())?;
+        self.lengths(Call::Set(VariableKind::String), references.len(), values.len())?;
         let pointers: Vec<*const c_char> = values.iter().map(|value| value.as_ptr()).collect();
-        run!(self, Call::SetString, |b, c| b.set_string(c, references, &pointers))
+        run!(self, Call::Set(VariableKind::String), |b, c| b.set_string(c, references, &pointers))
+    }
+
+    pub(crate) fn set_binary(&mut self, references: &[u32], values: &[Vec<u8>]) -> Outcome {
+        let call = Call::Set(VariableKind::Binary);
+        self.lengths(call, references.len(), values.len())?;
+        let sizes: Vec<usize> = values.iter().map(Vec::len).collect();
+        let pointers: Vec<*const u8> = values.iter().map(|value| value.as_ptr()).collect();
+        run!(self, call, |b, c| b.set_binary(c, references, &sizes, &pointers))
     }
 
     /// Saves the state in a place whose token is gone, or a new one.
@@ -362,6 +412,27 @@ impl RawInstance {
         let index = self.saved.len();
         self.saved.push(Slot { pointer: std::ptr::null_mut(), token: Weak::new() });
         self.fill_slot(index, pointer, outcome)
+    }
+
+    /// Saves the state of a new instance, for [`restore_origin`](Self::restore_origin).
+    pub(crate) fn save_origin(&mut self) -> Outcome {
+        self.origin = Some(self.save_state()?);
+        Ok(())
+    }
+
+    /// Whether the state that it had when it was new is saved.
+    pub(crate) fn has_origin(&self) -> bool {
+        self.origin.is_some()
+    }
+
+    /// Brings that state back; without one, a `Discard`.
+    pub(crate) fn restore_origin(&mut self) -> Outcome {
+        let Some(origin) = self.origin.take() else {
+            return Err(Fault::Discard(self.library.binding().name(Call::RestoreState)));
+        };
+        let outcome = self.restore_state(&origin);
+        self.origin = Some(origin);
+        outcome
     }
 
     fn vacant_slot(&mut self) -> (usize, StatePointer) {
@@ -435,8 +506,8 @@ impl RawInstance {
         seed: &[f64],
         sensitivity: &mut [f64],
     ) -> Outcome {
-        self.length(Call::DirectionalDerivative, knowns.len(), seed.len())?;
-        self.length(Call::DirectionalDerivative, unknowns.len(), sensitivity.len())?;
+        self.lengths(Call::DirectionalDerivative, knowns.len(), seed.len())?;
+        self.lengths(Call::DirectionalDerivative, unknowns.len(), sensitivity.len())?;
         run!(self, Call::DirectionalDerivative, |b, c| {
             b.directional_derivative(c, unknowns, knowns, seed, sensitivity)
         })
@@ -491,6 +562,63 @@ impl RawInstance {
     pub(crate) fn get_nominals(&mut self, nominals: &mut [f64]) -> Outcome {
         self.length(Call::GetNominals, self.sizes.states, nominals.len())?;
         run!(self, Call::GetNominals, |b, c| b.get_nominals(c, nominals))
+    }
+
+    /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says how far the
+    /// model got, and the answer is `false`. A pending step has to be asked for with [`step_status`](Self::step_status).
+    pub(crate) fn do_step(&mut self, time: f64, step: f64, info: &mut StepInfo) -> Result<bool, Fault> {
+        self.time = Some(time);
+        let outcome = run!(self, Call::DoStep, |b, c| b.do_step(c, time, step, info));
+        completed(outcome, info)
+    }
+
+    /// The fault of a step of which nothing was computed.
+    pub(crate) fn step_refused(&self) -> Fault {
+        Fault::Discard(self.library.binding().name(Call::DoStep))
+    }
+
+    /// How a pending step stands; as [`do_step`](Self::do_step).
+    pub(crate) fn step_status(&mut self, info: &mut StepInfo) -> Result<bool, Fault> {
+        let outcome = run!(self, Call::StepStatus, |b, c| b.step_status(c, info));
+        completed(outcome, info)
+    }
+
+    pub(crate) fn enter_step_mode(&mut self) -> Outcome {
+        run!(self, Call::EnterStepMode, |b, c| b.enter_step_mode(c))
+    }
+
+    /// Gives a pending step up. An instance that does not let go is abandoned: nothing may be called on it meanwhile.
+    pub(crate) fn abandon_step(&mut self) {
+        self.dead |= self.cancel_step().is_err();
+    }
+
+    fn cancel_step(&mut self) -> Outcome {
+        run!(self, Call::CancelStep, |b, c| b.cancel_step(c))
+    }
+
+    /// Sets first derivatives of real inputs with respect to time.
+    pub(crate) fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Outcome {
+        self.length(Call::SetInputDerivatives, references.len(), values.len())?;
+        let mut orders = std::mem::take(&mut self.orders);
+        orders.clear();
+        orders.resize(values.len(), 1);
+        let outcome = self.set_derivatives_of(references, &orders, values);
+        self.orders = orders;
+        outcome
+    }
+
+    fn set_derivatives_of(&mut self, references: &[u32], orders: &[i32], values: &[f64]) -> Outcome {
+        run!(self, Call::SetInputDerivatives, |b, c| b.set_input_derivatives(c, references, orders, values))
+    }
+}
+
+/// Whether a step was completed; `false` for one that was cut short or is pending.
+fn completed(outcome: Outcome, info: &StepInfo) -> Result<bool, Fault> {
+    match outcome {
+        Ok(()) => Ok(true),
+        Err(Fault::Discard(_)) => Ok(false),
+        Err(Fault::Failed(failed)) if failed.status == Status::Pending && info.pending => Ok(false),
+        Err(fault) => Err(fault),
     }
 }
 

@@ -1,6 +1,7 @@
 //! What all users of one loaded library have in common, whichever way they opened it: the loader gives the same code and the
 //! same globals to everybody in the process.
 
+use super::InterfaceKind;
 use crate::error::FmiError;
 use crate::platform::{self, FileIdentity, FilePlace};
 use std::collections::HashMap;
@@ -34,8 +35,11 @@ pub(crate) struct Shared {
     dependent: AtomicBool,
     /// Two threads were seen to run instances at the same time and get the right results.
     reentrant: AtomicBool,
-    /// What is known about reset; larger is worse, and a verdict only gets worse.
-    reuse: AtomicU8,
+    /// How instances are brought back to their beginning, for each kind of interface; larger is worse, and a verdict only
+    /// gets worse.
+    reuse: [AtomicU8; 2],
+    /// For each kind of interface: saved states do not bring an instance back to its beginning.
+    no_restore: [AtomicBool; 2],
     gate: Mutex<Inside>,
     left: Condvar,
     /// Whether somebody holds the loan of a library that can be lent to one only.
@@ -126,14 +130,27 @@ impl Shared {
         self.reentrant.store(true, Ordering::Relaxed);
     }
 
-    /// The verdict on reset; 0: none.
-    pub(crate) fn reuse(&self) -> u8 {
-        self.reuse.load(Ordering::Acquire)
+    /// The verdict on bringing instances of one kind back to their beginning; 0: none.
+    pub(crate) fn reuse(&self, kind: InterfaceKind) -> u8 {
+        self.reuse[kind as usize].load(Ordering::Acquire)
     }
 
-    /// Stores a verdict on reset, unless a worse one is known.
-    pub(crate) fn worsen_reuse(&self, verdict: u8) {
-        self.reuse.fetch_max(verdict, Ordering::AcqRel);
+    /// Stores a verdict, unless a worse one is known.
+    pub(crate) fn worsen_reuse(&self, kind: InterfaceKind, verdict: u8) {
+        self.reuse[kind as usize].fetch_max(verdict, Ordering::AcqRel);
+    }
+
+    /// From now on, no instance of this kind is brought back by a saved state. `verdict` is the one that said it could be
+    /// done: if it stands, there is none afterwards, and the next way has to be tested.
+    pub(crate) fn refuse_restore(&self, kind: InterfaceKind, verdict: u8) {
+        self.no_restore[kind as usize].store(true, Ordering::Release);
+        let reuse = &self.reuse[kind as usize];
+        let _ = reuse.compare_exchange(verdict, 0, Ordering::AcqRel, Ordering::Acquire);
+    }
+
+    /// Whether saved states were found not to bring instances of this kind back.
+    pub(crate) fn is_restore_refused(&self, kind: InterfaceKind) -> bool {
+        self.no_restore[kind as usize].load(Ordering::Acquire)
     }
 
     /// Waits for a turn to run: at once, unless instances disturb each other. A thread that has a turn already is not
@@ -277,8 +294,9 @@ mod tests {
     #[test]
     fn verdicts_only_get_worse() {
         let shared = Shared::default();
-        shared.worsen_reuse(2);
-        shared.worsen_reuse(1);
-        assert_eq!(shared.reuse(), 2);
+        shared.worsen_reuse(InterfaceKind::CoSimulation, 2);
+        shared.worsen_reuse(InterfaceKind::CoSimulation, 1);
+        assert_eq!(shared.reuse(InterfaceKind::CoSimulation), 2);
+        assert_eq!(shared.reuse(InterfaceKind::ModelExchange), 0);
     }
 }

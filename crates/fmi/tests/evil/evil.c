@@ -1,4 +1,4 @@
-/* An FMI 2.0 model-exchange model with one fault at a time, chosen by a macro: x' = -k x, y = x. */
+/* An FMI 2.0 model (model exchange and co-simulation) with one fault at a time, chosen by a macro: x' = -k x, y = x. */
 #include "fmi2.h"
 
 #include <math.h>
@@ -17,7 +17,13 @@
 typedef struct {
     double time, x, k, n_sets;
     int n, b;
-    int fatal;
+    int fatal, polls;
+#ifdef ONE_SET
+    double u;
+    int has_u; /* set at this instant */
+#endif
+    int restored;
+    double restored_k;
     fmi2CallbackFunctions functions;
 } Model;
 
@@ -47,6 +53,10 @@ static void start_values(Model *m) {
     K(m) = 1;
     m->n = 3;
     m->b = 1;
+    m->polls = 0;
+#ifdef ONE_SET
+    m->has_u = 0;
+#endif
 }
 
 static void say(Model *m, fmi2Status status, const char *text) {
@@ -97,6 +107,12 @@ EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return
 
 EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     (void)c;
+#ifdef OVERRIDES_K
+    K((Model *)c) = 1.5;
+#endif
+#ifdef RESTORE_STICKS
+    if (((Model *)c)->restored) K((Model *)c) = ((Model *)c)->restored_k;
+#endif
 #ifdef NO_START
     say(c, fmi2Error, "no solution for #r2# (## #r99#)");
     return fmi2Error;
@@ -115,6 +131,9 @@ EXPORT fmi2Status fmi2Reset(fmi2Component c) {
 #elif defined(RESET_KEEPS_PARAMETERS)
     m->time = 0;
     m->x = 1;
+#elif defined(RESET_TO_ZERO)
+    start_values(m);
+    m->x = 0;
 #elif defined(FAILING_RESET)
     (void)m;
     return fmi2Error;
@@ -123,6 +142,46 @@ EXPORT fmi2Status fmi2Reset(fmi2Component c) {
 #endif
     return fmi2OK;
 }
+
+#ifdef STATES
+EXPORT fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    Model *m = c;
+#ifdef SAVE_FAILS
+    say(m, fmi2Error, "nothing can be saved");
+    return fmi2Error;
+#endif
+    if (*state == NULL) *state = m->functions.allocateMemory(1, sizeof *m);
+    if (*state == NULL) return fmi2Error;
+    memcpy(*state, m, sizeof *m);
+    return fmi2OK;
+}
+
+/* Everything that was saved, parameters too. */
+EXPORT fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
+    Model *m = c;
+#ifdef RESTORE_FAILS
+    return fmi2Error;
+#endif
+#ifdef RESTORE_FORGETS
+    {
+        double k = m->k;
+        memcpy(m, state, sizeof *m);
+        m->x *= 1 + 1e-9 * k;
+    }
+#else
+    memcpy(m, state, sizeof *m);
+#endif
+    m->restored = 1;
+    m->restored_k = m->k;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    ((Model *)c)->functions.freeMemory(*state);
+    *state = NULL;
+    return fmi2OK;
+}
+#endif
 
 EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference *vr, size_t n, fmi2Real *value) {
     Model *m = c;
@@ -164,6 +223,16 @@ EXPORT fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference *vr, siz
             }
             K(m) = value[i];
             break;
+#ifdef ONE_SET
+        case 7:
+            if (m->has_u) {
+                say(m, fmi2Error, "the input is set twice at one instant");
+                return fmi2Error;
+            }
+            m->u = value[i];
+            m->has_u = 1;
+            break;
+#endif
         default: return fmi2Error;
         }
     }
@@ -194,7 +263,13 @@ EXPORT fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference *vr, 
     return fmi2OK;
 }
 
-EXPORT fmi2Status fmi2EnterEventMode(fmi2Component c) { (void)c; return fmi2OK; }
+EXPORT fmi2Status fmi2EnterEventMode(fmi2Component c) {
+    (void)c;
+#ifdef ONE_SET
+    ((Model *)c)->has_u = 0; /* the next instant of super-dense time */
+#endif
+    return fmi2OK;
+}
 
 EXPORT fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     (void)c;
@@ -223,6 +298,9 @@ EXPORT fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_se
 }
 
 EXPORT fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
+#ifdef ONE_SET
+    if (time != ((Model *)c)->time) ((Model *)c)->has_u = 0;
+#endif
     ((Model *)c)->time = time;
     return fmi2OK;
 }
@@ -244,6 +322,9 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
     Model *m = c;
     if (n != 1) return fmi2Error;
     dx[0] = -K(m) * m->x;
+#ifdef ONE_SET
+    dx[0] = m->u;
+#endif
 #ifdef LAST_ONLY
     dx[0] = -last->k * m->x;
 #endif
@@ -312,5 +393,81 @@ EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real *x
         x[n] = 1;
 #endif
     }
+    return fmi2OK;
+}
+
+/* Co-simulation: the exact solution. */
+static void solve(Model *m, double h) {
+    m->x *= exp(-K(m) * h);
+    m->time += h;
+}
+
+EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set) {
+    Model *m = c;
+    (void)no_set;
+    if (fabs(time - m->time) > 1e-12) {
+        say(m, fmi2Error, "the step begins elsewhere");
+        return fmi2Error;
+    }
+#ifdef PARTIAL_STEPS
+    if (step > 0.0301) {
+        solve(m, 0.03);
+        return fmi2Discard;
+    }
+#endif
+#ifdef REFUSES_LONG_STEPS
+    if (step > 0.0301) return fmi2Discard;
+#endif
+#ifdef REFUSES_ALL_STEPS
+    return fmi2Discard;
+#endif
+#ifdef ENDS_ITSELF
+    if (time + step >= 0.25) {
+        solve(m, 0.25 - time);
+        return fmi2Discard;
+    }
+#endif
+#ifdef STEP_ERROR
+    if (time > 0.5) {
+        say(m, fmi2Error, "no step beyond t = 0.5");
+        return fmi2Error;
+    }
+#endif
+#if defined(PENDING) || defined(STUCK)
+    m->polls = 3;
+#endif
+    solve(m, step);
+    return m->polls > 0 ? fmi2Pending : fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetStatus(fmi2Component c, fmi2StatusKind kind, fmi2Status *value) {
+    Model *m = c;
+    if (kind != fmi2DoStepStatus) return fmi2Discard;
+#ifndef STUCK
+    m->polls--;
+#endif
+    *value = m->polls > 0 ? fmi2Pending : fmi2OK;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2CancelStep(fmi2Component c) {
+    ((Model *)c)->polls = 0;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetRealStatus(fmi2Component c, fmi2StatusKind kind, fmi2Real *value) {
+    if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+    *value = ((Model *)c)->time;
+    return fmi2OK;
+}
+
+EXPORT fmi2Status fmi2GetBooleanStatus(fmi2Component c, fmi2StatusKind kind, fmi2Boolean *value) {
+    (void)c;
+    if (kind != fmi2Terminated) return fmi2Discard;
+#ifdef ENDS_ITSELF
+    *value = fmi2True;
+#else
+    *value = fmi2False;
+#endif
     return fmi2OK;
 }

@@ -1,9 +1,21 @@
 //! FMUs for the tests: the bundled models, and small C sources with one fault each, compiled into temporary folders.
 #![allow(dead_code, clippy::unwrap_used)]
 
-use fmi::Fmu;
+use fmi::{ExampleKind, Fmu};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+
+/// The bundled models and how long to simulate them (not beyond an end of their own).
+pub(crate) const MODELS: [(&str, f64); 8] = [
+    ("dahlquist", 5.0),
+    ("van_der_pol", 5.0),
+    ("bouncing_ball", 2.9),
+    ("stair", 8.5),
+    ("furuta", 5.0),
+    ("switched_input", 3.0),
+    ("quad_tank", 20.0),
+    ("exhaust", 5.0),
+];
 
 /// Where the sources are.
 fn here() -> PathBuf {
@@ -49,6 +61,36 @@ pub(crate) fn model(name: &str) -> Folder {
     let model = here().join("models").join(name);
     std::fs::copy(model.join("modelDescription.xml"), folder.path().join("modelDescription.xml")).unwrap();
     compile(folder.path(), name, &[model.join("model.c"), here().join("models/frontend/fmi2_me.c")], &[]);
+    Folder { folder }
+}
+
+/// One of the bundled models in another version, compiled with these macros and an edited description.
+pub(crate) fn model_as(
+    name: &str,
+    kind: ExampleKind,
+    defines: &[&str],
+    edit: impl FnOnce(String) -> String,
+) -> Folder {
+    let folder = tempfile::tempdir().unwrap();
+    let packed = Fmu::open(fmi::example_fmu_as(name, kind).unwrap()).unwrap();
+    let xml = std::fs::read_to_string(packed.root().join("modelDescription.xml")).unwrap();
+    std::fs::write(folder.path().join("modelDescription.xml"), edit(xml)).unwrap();
+    let mut sources: Vec<PathBuf> = std::fs::read_dir(packed.root().join("sources"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "c"))
+        .collect();
+    sources.sort();
+    compile(folder.path(), name, &sources, defines);
+    Folder { folder }
+}
+
+/// The FMI 3.0 model with arrays and all types (`tests/arrays`).
+pub(crate) fn arrays() -> Folder {
+    let folder = tempfile::tempdir().unwrap();
+    let source = here().join("tests/arrays");
+    std::fs::copy(source.join("modelDescription.xml"), folder.path().join("modelDescription.xml")).unwrap();
+    compile(folder.path(), "arrays", &[source.join("arrays.c")], &[]);
     Folder { folder }
 }
 

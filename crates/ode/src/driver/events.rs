@@ -69,8 +69,10 @@ where
         if !(same_states && same_slope) || outcome.nominals_changed {
             self.stats.restarts += 1;
             self.stepper.forget();
-            self.estimate_step()?;
-            self.h = self.h.min(before);
+            if self.sliding.step().is_none() {
+                self.estimate_step()?;
+                self.h = self.h.min(before);
+            }
         }
         Ok(())
     }

@@ -4,12 +4,13 @@
 `Calibration` puts a model, measurements and `Parameter` objects together, and fits without the interpreter lock.
 `minimize` minimises any Python function, and `Optimizer` lets you drive: ask for points, tell their costs;
 `scipy_method` makes the methods usable in ``scipy.optimize.minimize``. `fmin` has the signature of the tool of the
-paper; `pydfo.dfo` has it together with `quad_err` for scripts written for that tool.
+paper; `pydfo.dfo` has it together with `quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written
+in Python.
 """
 
 from __future__ import annotations
 
-from . import dfo
+from . import dfo, ode
 from ._calibration import Calibration
 from ._core import __version__
 from ._description import Description, Variable, read_description
@@ -75,6 +76,7 @@ __all__ = [
     "fmin",
     "load_fmu",
     "minimize",
+    "ode",
     "read_description",
     "scipy_method",
 ]

@@ -37,6 +37,7 @@ class ExperimentFields:
     inputs: list[tuple[str, str]]
     start_values: list[tuple[str, bool | int | float | str]]
     window: tuple[float, float] | None
+    kind: str
     start_time: float | None
     timeout: float | None
     relative_tolerance: float | None
@@ -119,9 +120,12 @@ class Calibration:
     solver : str
         "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler".
     step_size, max_step : float, optional
-        Step of the fixed-step methods; largest step of the others; in s.
+        Step of the fixed-step methods, or the communication step of co-simulation; largest step of the other methods;
+        in s.
     start_time : float, optional
         Where simulations start, in s; default: the model's default experiment, else 0.
+    kind : {"auto", "ME", "CS"}, optional
+        How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
 
     Raises
     ------
@@ -151,6 +155,7 @@ class Calibration:
         step_size: SupportsFloat | None = None,
         max_step: SupportsFloat | None = None,
         start_time: SupportsFloat | None = None,
+        kind: str | None = None,
     ) -> None:
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
@@ -171,6 +176,7 @@ class Calibration:
             inputs=driven,
             start_values=list((start_values or {}).items()),
             window=span,
+            kind=_options.choice("kind", getattr(model, "kind", "auto") if kind is None else kind),
             start_time=_options.optional_number("start_time", start_time),
             timeout=_options.optional_number("timeout", timeout),
             relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),

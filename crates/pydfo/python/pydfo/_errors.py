@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ._result import OptimizeResult, Trace
+    from .ode import OdeResult
 
 __all__ = [
     "AllStartsFailed",
@@ -118,12 +119,13 @@ class MethodNotAvailable(ValueError, NotImplementedError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C ended a run; the best point seen is in hand.
+    """Ctrl-C ended a run; the best point seen, or the part of the solution that there is, is in hand.
 
     Attributes
     ----------
-    result : OptimizeResult or None
-        The result up to the interrupt (of a fit: a `Fit`); None if no point had a finite cost yet.
+    result : OptimizeResult or OdeResult or None
+        The result up to the interrupt (of a fit: a `Fit`, of `pydfo.ode.solve`: an `OdeResult`); None if no point had a
+        finite cost yet.
     """
 
-    result: OptimizeResult | None = None
+    result: OptimizeResult | OdeResult | None = None

@@ -29,7 +29,12 @@ class SimulationStats:
     ----------
     accepted_steps, rejected_steps : int
     right_hand_sides, event_indicators : int
-        Evaluations.
+        Evaluations; the right-hand sides for differences of a Jacobian count.
+    jacobians, directional_derivatives : int
+        Jacobians made, and directional derivatives that the model was asked for.
+    decompositions : int
+        Decompositions of matrices; Radau5 makes two at a time, a real and a complex one.
+    newton_iterations : int
     samples : int
         Rows.
     events : int
@@ -43,6 +48,10 @@ class SimulationStats:
     accepted_steps: int
     rejected_steps: int
     right_hand_sides: int
+    jacobians: int
+    directional_derivatives: int
+    decompositions: int
+    newton_iterations: int
     event_indicators: int
     samples: int
     events: int

@@ -3,6 +3,7 @@
 use super::xml::Element;
 use crate::description::model::QuirkKind;
 use crate::description::quirks::Quirks;
+use crate::description::variable::{Value, VariableKind};
 use crate::error::FmiError;
 use std::borrow::Cow;
 
@@ -81,6 +82,37 @@ impl<'e> Attributes<'e> {
         self.parsed(name, "an integer", quirks, parse_integer)
     }
 
+    pub(super) fn hexadecimal(&self, name: &str, quirks: &mut Quirks) -> Option<Vec<u8>> {
+        self.parsed(name, "hexadecimal", quirks, parse_hexadecimal)
+    }
+
+    pub(super) fn wide_integer(&self, name: &str, quirks: &mut Quirks) -> Option<i64> {
+        self.parsed(name, "an integer", quirks, |text| {
+            parse_wide_integer(text, VariableKind::Int64).and_then(|value| i64::try_from(value).ok())
+        })
+    }
+
+    /// The start value of a variable of this kind; several words are the elements of an array.
+    pub(super) fn start(&self, kind: VariableKind, is_array: bool, quirks: &mut Quirks) -> Option<Value> {
+        let one = |text: &str| match kind {
+            VariableKind::Boolean | VariableKind::Clock => parse_boolean(text).map(Value::Boolean),
+            VariableKind::String => Some(Value::String(text.to_owned())),
+            VariableKind::Binary => parse_hexadecimal(text).map(Value::Binary),
+            kind if kind.is_float() => parse_real(text).map(Value::Real),
+            kind => parse_wide_integer(text, kind).map(Value::Integer),
+        };
+        if !is_array {
+            // White space belongs to a text.
+            return match kind {
+                VariableKind::String => self.text("start").map(Value::String),
+                _ => self.parsed("start", "a value of its type", quirks, one),
+            };
+        }
+        self.parsed("start", "a list of values of its type", quirks, |text| {
+            text.split_ascii_whitespace().map(one).collect::<Option<Vec<Value>>>().map(Value::Array)
+        })
+    }
+
     pub(super) fn count(&self, name: &str, quirks: &mut Quirks) -> Option<u32> {
         self.parsed(name, "a count", quirks, |text| text.parse().ok())
     }
@@ -140,6 +172,27 @@ pub(super) fn parse_integer(text: &str) -> Option<i32> {
         let integer = value as i32;
         (f64::from(integer) == value).then_some(integer)
     })
+}
+
+/// An integer within the range of its type, also as "3.0".
+pub(super) fn parse_wide_integer(text: &str, kind: VariableKind) -> Option<i128> {
+    let (least, most) = kind.range()?;
+    let value = text.parse().ok().or_else(|| {
+        let value: f64 = text.parse().ok()?;
+        let integer = value as i128;
+        (integer as f64 == value).then_some(integer)
+    })?;
+    (least..=most).contains(&value).then_some(value)
+}
+
+/// Bytes written as pairs of hexadecimal digits.
+pub(super) fn parse_hexadecimal(text: &str) -> Option<Vec<u8>> {
+    let digits: Vec<u8> = text.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
+    let digit = |b: u8| char::from(b).to_digit(16).map(|d| d as u8);
+    if digits.len() % 2 == 1 {
+        return None;
+    }
+    digits.chunks(2).map(|pair| Some(16 * digit(pair[0])? + digit(pair[1])?)).collect()
 }
 
 pub(super) fn parse_boolean(text: &str) -> Option<bool> {

@@ -4,9 +4,9 @@
 use super::attributes::Attributes;
 use super::xml::{Element, Xml};
 use super::{Draft, Flags, shared};
-use crate::description::model::{Capabilities, Interface, QuirkKind};
+use crate::description::model::{Capabilities, Interface};
 use crate::description::unit::{DisplayUnit, Unit};
-use crate::description::variable::{Causality, Initial, Value, Variability, Variable, VariableKind};
+use crate::description::variable::{Causality, Initial, Variability, Variable, VariableKind};
 use crate::error::FmiError;
 
 pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
@@ -140,14 +140,7 @@ fn values(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draf
     variable.min = attributes.real("min", quirks);
     variable.max = attributes.real("max", quirks);
     variable.nominal = attributes.real("nominal", quirks);
-    variable.start = match variable.kind {
-        VariableKind::Real => attributes.real("start", quirks).map(Value::Real),
-        VariableKind::Integer | VariableKind::Enumeration => {
-            attributes.integer("start", quirks).map(Value::Integer)
-        }
-        VariableKind::Boolean => attributes.boolean("start", quirks).map(Value::Boolean),
-        VariableKind::String => attributes.text("start").map(Value::String),
-    };
+    variable.start = attributes.start(variable.kind, false, quirks);
     attributes.boolean("fixed", quirks).unwrap_or(true)
 }
 
@@ -181,9 +174,7 @@ fn roles(attributes: &Attributes<'_>, variable: &mut Variable, fixed: bool, draf
         (_, Some(_)) => Some(Initial::Approx),
         (_, None) => Some(Initial::Calculated),
     };
-    if attributes.get("alias") == Some("negatedAlias") {
-        quirks.add(QuirkKind::Unsupported, attributes.line, || {
-            format!("\"{}\" is another variable with the sign reversed; its values are not", variable.name)
-        });
-    }
+    // The start value is that of the alias, as the file gives it; what the model holds has the other sign.
+    variable.negated =
+        attributes.get("alias") == Some("negatedAlias") && variable.kind != VariableKind::String;
 }

@@ -4,7 +4,7 @@ use super::attributes::Attributes;
 use super::xml::{Element, Xml};
 use super::{Draft, Flags, StructureList, shared};
 use crate::description::model::{Interface, QuirkKind, Unknown};
-use crate::description::variable::{Value, Variable, VariableKind};
+use crate::description::variable::{Variable, VariableKind};
 use crate::error::FmiError;
 
 pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
@@ -133,14 +133,7 @@ fn variable(
 fn value_attributes(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) -> Flags {
     let quirks = &mut draft.quirks;
     variable.declared_type = attributes.text("declaredType");
-    variable.start = match variable.kind {
-        VariableKind::Real => attributes.real("start", quirks).map(Value::Real),
-        VariableKind::Integer | VariableKind::Enumeration => {
-            attributes.integer("start", quirks).map(Value::Integer)
-        }
-        VariableKind::Boolean => attributes.boolean("start", quirks).map(Value::Boolean),
-        VariableKind::String => attributes.text("start").map(Value::String),
-    };
+    variable.start = attributes.start(variable.kind, false, quirks);
     if matches!(variable.kind, VariableKind::Boolean | VariableKind::String) {
         return Flags::default();
     }

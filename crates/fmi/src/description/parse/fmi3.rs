@@ -1,17 +1,28 @@
-//! Model descriptions of FMI 3.0, as far as the house types go: header, interfaces, scalar variables of the types
-//! that FMI 2.0 has too, model structure. What has no house type yet is left out and listed as a quirk.
+//! Model descriptions of FMI 3.0 (specification 3.0.1, chapters 2.4, 3.3 and 4.3): all types of variables, arrays,
+//! aliases, clocks as variables. Scheduled execution has no house type: it is named and left out.
 
 use super::attributes::Attributes;
 use super::xml::{Element, Xml};
 use super::{Draft, Flags, NOWHERE, StructureList, shared};
 use crate::description::model::{Interface, QuirkKind, Unknown};
-use crate::description::variable::{Value, Variable, VariableKind};
+use crate::description::variable::{Alias, Dimension, Value, Variable, VariableKind};
 use crate::error::FmiError;
 use std::collections::HashMap;
 
 /// Positions of variables by value reference, which FMI 3.0 uses where FMI 2.0 has positions; `None` for variables
 /// left out.
 type Positions = HashMap<u32, Option<usize>>;
+
+/// What refers to variables that may stand further down: the clocks of a variable, as a list, and by value reference
+/// its dimensions.
+#[derive(Default)]
+struct Later {
+    /// Position and value reference of the state.
+    derivatives: Vec<(usize, u32)>,
+    /// Position, number of the dimension, value reference.
+    dimensions: Vec<(usize, usize, u32)>,
+    clocks: Vec<(usize, Vec<u32>)>,
+}
 
 pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
     shared::header(&Attributes::of(root)?, "instantiationToken", draft)?;
@@ -20,7 +31,10 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
         match element.name() {
             "ModelExchange" => draft.model.model_exchange = Some(interface(&element, draft)?),
             "CoSimulation" => draft.model.co_simulation = Some(interface(&element, draft)?),
-            "ScheduledExecution" => unsupported(draft, &element, "scheduled execution"),
+            "ScheduledExecution" => {
+                draft.model.offers_scheduled_execution = true;
+                unsupported(draft, &element, "scheduled execution");
+            }
             "UnitDefinitions" => shared::units(xml, &element, draft)?,
             "TypeDefinitions" => type_definitions(xml, &element, draft)?,
             "LogCategories" => shared::log_categories(xml, &element, draft)?,
@@ -39,25 +53,36 @@ fn unsupported(draft: &mut Draft, element: &Element<'_>, what: &str) {
 
 fn interface(element: &Element<'_>, draft: &mut Draft) -> Result<Interface, FmiError> {
     let attributes = Attributes::of(element)?;
+    let mut capabilities = shared::capabilities(&attributes, draft);
+    capabilities.completed_integrator_step_not_needed =
+        !attributes.flag("needsCompletedIntegratorStep", &mut draft.quirks);
     Ok(Interface {
         model_identifier: shared::model_identifier(&attributes)?,
-        capabilities: shared::capabilities(&attributes, draft),
+        capabilities,
         source_files: Vec::new(),
     })
 }
 
-/// The house type for an element like `<Float64>` or `<Float64Type>`, whatever its width.
+/// The house type for an element like `<Float64>` or `<Float64Type>`.
 fn kind(element: &str) -> Option<VariableKind> {
-    match element.strip_suffix("Type").unwrap_or(element) {
-        "Float32" | "Float64" => Some(VariableKind::Real),
-        "Int8" | "UInt8" | "Int16" | "UInt16" | "Int32" | "UInt32" | "Int64" | "UInt64" => {
-            Some(VariableKind::Integer)
-        }
-        "Boolean" => Some(VariableKind::Boolean),
-        "String" => Some(VariableKind::String),
-        "Enumeration" => Some(VariableKind::Enumeration),
-        _ => None,
-    }
+    Some(match element.strip_suffix("Type").unwrap_or(element) {
+        "Float64" => VariableKind::Real,
+        "Float32" => VariableKind::Float32,
+        "Int8" => VariableKind::Int8,
+        "UInt8" => VariableKind::UInt8,
+        "Int16" => VariableKind::Int16,
+        "UInt16" => VariableKind::UInt16,
+        "Int32" => VariableKind::Integer,
+        "UInt32" => VariableKind::UInt32,
+        "Int64" => VariableKind::Int64,
+        "UInt64" => VariableKind::UInt64,
+        "Boolean" => VariableKind::Boolean,
+        "String" => VariableKind::String,
+        "Binary" => VariableKind::Binary,
+        "Enumeration" => VariableKind::Enumeration,
+        "Clock" => VariableKind::Clock,
+        _ => return None,
+    })
 }
 
 fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
@@ -80,7 +105,7 @@ fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) 
 
 fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<Positions, FmiError> {
     let mut positions = Positions::new();
-    let mut derivatives = Vec::new();
+    let mut later = Later::default();
     while let Some(element) = xml.child(parent.level)? {
         let attributes = Attributes::of(&element)?;
         let Some(kind) = kind(element.name()) else {
@@ -90,21 +115,46 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
             continue;
         };
         let mut variable = shared::plain_variable(&attributes, kind)?;
-        let flags = scalar_attributes(&attributes, &mut variable, draft);
-        variable_children(xml, &element, &mut variable, draft)?;
         let position = draft.model.variables.len();
+        let flags = scalar_attributes(&attributes, &mut variable, draft);
+        let texts = variable_children(xml, &element, &mut variable, draft, (position, &mut later))?;
+        let is_array = !variable.dimensions.is_empty();
+        variable.start = match kind {
+            VariableKind::String | VariableKind::Binary => start_of_texts(texts, is_array),
+            _ => attributes.start(kind, is_array, &mut draft.quirks),
+        };
         if let Some(state) = attributes.count("derivative", &mut draft.quirks) {
-            derivatives.push((position, state));
+            later.derivatives.push((position, state));
+        }
+        if let Some(clocks) = attributes.counts("clocks", &mut draft.quirks) {
+            later.clocks.push((position, clocks));
         }
         positions.entry(variable.value_reference).or_insert(Some(position));
         draft.model.variables.push(variable);
         draft.flags.push(flags);
     }
-    for (position, state) in derivatives {
-        let state = positions.get(&state).copied().flatten().unwrap_or(NOWHERE);
-        draft.model.variables[position].derivative = Some(state);
+    let position = |reference: u32| positions.get(&reference).copied().flatten().unwrap_or(NOWHERE);
+    let variables = &mut draft.model.variables;
+    for (variable, state) in later.derivatives {
+        variables[variable].derivative = Some(position(state));
+    }
+    for (variable, dimension, reference) in later.dimensions {
+        variables[variable].dimensions[dimension] = Dimension::Parameter(position(reference));
+    }
+    for (variable, clocks) in later.clocks {
+        let known = clocks.into_iter().map(position).filter(|clock| *clock != NOWHERE);
+        variables[variable].clocks = known.collect();
     }
     Ok(positions)
+}
+
+/// One value, or those of an array.
+fn start_of_texts(mut values: Vec<Value>, is_array: bool) -> Option<Value> {
+    match (values.is_empty(), is_array) {
+        (true, _) => None,
+        (false, true) => Some(Value::Array(values)),
+        (false, false) => Some(values.swap_remove(0)),
+    }
 }
 
 fn scalar_attributes(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) -> Flags {
@@ -120,17 +170,6 @@ fn scalar_attributes(attributes: &Attributes<'_>, variable: &mut Variable, draft
     variable.reinit = attributes.flag("reinit", quirks);
     variable.can_handle_multiple_set_per_time_instant =
         attributes.boolean("canHandleMultipleSetPerTimeInstant", quirks).unwrap_or(true);
-    // Several words are the start values of an array, which is reported with its dimensions.
-    let is_scalar = attributes.get("start").is_some_and(|start| start.split_ascii_whitespace().count() == 1);
-    variable.start = match variable.kind {
-        _ if !is_scalar => None,
-        VariableKind::Real => attributes.real("start", quirks).map(Value::Real),
-        VariableKind::Integer | VariableKind::Enumeration => {
-            attributes.integer("start", quirks).map(Value::Integer)
-        }
-        VariableKind::Boolean => attributes.boolean("start", quirks).map(Value::Boolean),
-        VariableKind::String => None,
-    };
     let relative_quantity = attributes.boolean("relativeQuantity", quirks);
     let unbounded = attributes.boolean("unbounded", quirks);
     variable.relative_quantity = relative_quantity.unwrap_or(false);
@@ -138,29 +177,46 @@ fn scalar_attributes(attributes: &Attributes<'_>, variable: &mut Variable, draft
     Flags { relative_quantity: relative_quantity.is_some(), unbounded: unbounded.is_some() }
 }
 
-/// `<Dimension>`, and `<Start value="..."/>` of texts.
+/// `<Dimension>`, `<Alias>`, and `<Start value="..."/>` of texts and binary variables, which is returned.
 fn variable_children(
     xml: &mut Xml<'_>,
     element: &Element<'_>,
     variable: &mut Variable,
     draft: &mut Draft,
-) -> Result<(), FmiError> {
+    (position, later): (usize, &mut Later),
+) -> Result<Vec<Value>, FmiError> {
+    let mut starts = Vec::new();
     while let Some(child) = xml.child(element.level)? {
+        let attributes = Attributes::of(&child)?;
+        let quirks = &mut draft.quirks;
         match child.name() {
             "Dimension" => {
-                unsupported(
-                    draft,
-                    &child,
-                    &format!("\"{}\" is an array; all but its first element", variable.name),
-                );
+                let extent = attributes.count("start", quirks);
+                if let Some(reference) = attributes.count("valueReference", quirks) {
+                    later.dimensions.push((position, variable.dimensions.len(), reference));
+                } else if extent.is_none() {
+                    return Err(
+                        attributes.error(format!("\"{}\" has a dimension without extent", variable.name))
+                    );
+                }
+                variable.dimensions.push(Dimension::Fixed(extent.unwrap_or(0) as usize));
             }
-            "Start" if variable.start.is_none() && variable.kind == VariableKind::String => {
-                variable.start = Attributes::of(&child)?.text("value").map(Value::String);
+            "Alias" => variable.aliases.push(Alias {
+                name: attributes.required("name")?.to_owned(),
+                description: attributes.text("description"),
+                display_unit: attributes.text("displayUnit"),
+            }),
+            "Start" if variable.kind == VariableKind::String => {
+                starts.push(Value::String(attributes.expected("value", quirks)));
+            }
+            "Start" if variable.kind == VariableKind::Binary => {
+                let bytes = attributes.hexadecimal("value", quirks);
+                starts.push(Value::Binary(bytes.unwrap_or_default()));
             }
             _ => {}
         }
     }
-    Ok(())
+    Ok(starts)
 }
 
 fn structure(
@@ -174,10 +230,7 @@ fn structure(
             "Output" => StructureList::Outputs,
             "ContinuousStateDerivative" => StructureList::Derivatives,
             "InitialUnknown" => StructureList::InitialUnknowns,
-            "EventIndicator" => {
-                draft.model.n_event_indicators += 1;
-                continue;
-            }
+            "EventIndicator" => StructureList::EventIndicators,
             _ => continue,
         };
         let attributes = Attributes::of(&element)?;

@@ -29,8 +29,9 @@ pub(super) struct Draft {
     pub(super) quirks: Quirks,
     /// For each variable which of its flags the file sets, so that a type does not overrule them.
     pub(super) flags: Vec<Flags>,
-    /// Lines of the unknowns in the model structure, in the order of outputs, derivatives, initial unknowns.
-    pub(super) structure_lines: [Vec<u32>; 3],
+    /// Lines of the unknowns in the model structure, in the order of outputs, derivatives, initial unknowns, event
+    /// indicators.
+    pub(super) structure_lines: [Vec<u32>; 4],
 }
 
 /// Flags that a variable sets itself, and that its type would else supply.
@@ -94,12 +95,13 @@ fn version(root: &Attributes<'_>) -> Result<FmiVersion, FmiError> {
     }
 }
 
-/// The three lists of the model structure.
+/// The lists of the model structure.
 #[derive(Clone, Copy)]
 enum StructureList {
     Outputs,
     Derivatives,
     InitialUnknowns,
+    EventIndicators,
 }
 
 impl Draft {
@@ -109,6 +111,7 @@ impl Draft {
             StructureList::Outputs => (&mut structure.outputs, &mut self.structure_lines[0]),
             StructureList::Derivatives => (&mut structure.derivatives, &mut self.structure_lines[1]),
             StructureList::InitialUnknowns => (&mut structure.initial_unknowns, &mut self.structure_lines[2]),
+            StructureList::EventIndicators => (&mut structure.event_indicators, &mut self.structure_lines[3]),
         };
         unknowns.push(unknown);
         lines.push(line);

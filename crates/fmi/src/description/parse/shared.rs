@@ -15,7 +15,7 @@ const LONGEST_ARRAY: u32 = 10_000_000;
 
 pub(super) const CAUSALITIES: &[(&str, Causality)] = &[
     ("parameter", Causality::Parameter),
-    ("structuralParameter", Causality::Parameter),
+    ("structuralParameter", Causality::StructuralParameter),
     ("calculatedParameter", Causality::CalculatedParameter),
     ("input", Causality::Input),
     ("output", Causality::Output),
@@ -112,6 +112,10 @@ pub(super) fn capabilities(attributes: &Attributes<'_>, draft: &mut Draft) -> Ca
         can_interpolate_inputs: flag(&["canInterpolateInputs"]),
         can_run_asynchronuously: flag(&["canRunAsynchronuously"]),
         has_event_mode: flag(&["hasEventMode"]),
+        might_return_early_from_do_step: flag(&["mightReturnEarlyFromDoStep"]),
+        fixed_internal_step_size: attributes
+            .real("fixedInternalStepSize", quirks)
+            .filter(|step| step.is_finite() && *step > 0.0),
         max_output_derivative_order: attributes.count("maxOutputDerivativeOrder", quirks).unwrap_or(0),
     }
 }
@@ -206,10 +210,10 @@ pub(super) fn items(
             continue;
         }
         let attributes = Attributes::of(&element)?;
-        let next = i32::try_from(items.len() + 1).unwrap_or(i32::MAX);
+        let next = items.len() as i64 + 1;
         items.push(EnumerationItem {
             name: attributes.expected("name", &mut draft.quirks),
-            value: attributes.integer("value", &mut draft.quirks).unwrap_or(next),
+            value: attributes.wide_integer("value", &mut draft.quirks).unwrap_or(next),
             description: attributes.text("description"),
         });
     }
@@ -275,6 +279,10 @@ pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) ->
         start: None,
         derivative: None,
         reinit: false,
+        negated: false,
+        dimensions: Vec::new(),
+        aliases: Vec::new(),
+        clocks: Vec::new(),
     })
 }
 
@@ -284,7 +292,7 @@ pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable, draft:
     variable.causality = attributes.choice("causality", CAUSALITIES, quirks).unwrap_or(Causality::Local);
     variable.variability = match attributes.choice("variability", VARIABILITIES, quirks) {
         // The schema's default fits Real variables; everything else cannot be continuous.
-        Some(Variability::Continuous) if variable.kind != VariableKind::Real => {
+        Some(Variability::Continuous) if !variable.kind.is_float() => {
             quirks.add(QuirkKind::Combination, attributes.line, || {
                 format!("{} \"{}\" is continuous; taken as discrete", variable.kind, variable.name)
             });

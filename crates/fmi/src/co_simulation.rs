@@ -1,0 +1,133 @@
+//! The running mode of co-simulation: communication steps from point to point.
+
+use crate::error::FmiError;
+use crate::instance::{CoSimulation, Core, Initialization, Instance, StepMode, Terminated};
+use crate::model_exchange::MAX_EVENT_ITERATIONS;
+use crate::sys::{RawInstance, StepInfo};
+use ode::EventOutcome;
+use std::thread;
+use std::time::Duration;
+
+/// What became of a communication step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
+pub struct StepOutcome {
+    /// The model stands at the end of the step.
+    pub complete: bool,
+    /// Where it stands otherwise, if it says so.
+    pub reached: Option<f64>,
+    /// The model wishes to end the simulation here.
+    pub terminate: bool,
+    /// The model wants its events handled here: see [`Instance::handle_events`](Instance::handle_events).
+    pub event: bool,
+    /// The step was cut short by a model that cannot say whether it wishes to end the simulation (FMI 1.0): if it makes
+    /// no further step of whatever length, it does.
+    pub may_have_ended: bool,
+}
+
+/// How often a step that is computed in the background is asked for.
+const POLL: Duration = Duration::from_micros(100);
+
+impl Core {
+    /// One communication step. A step that goes on in the background is waited for as long as `keep_waiting` says so,
+    /// and then cancelled (`None`).
+    pub(crate) fn do_step(
+        &mut self,
+        time: f64,
+        step: f64,
+        keep_waiting: &mut dyn FnMut() -> bool,
+    ) -> Result<Option<StepOutcome>, FmiError> {
+        let mut info = StepInfo::default();
+        let mut complete = self.call(|raw| raw.do_step(time, step, &mut info))?;
+        while info.pending {
+            if !keep_waiting() {
+                self.raw.abandon_step();
+                return Ok(None);
+            }
+            thread::sleep(POLL);
+            info = StepInfo::default();
+            complete = self.call(|raw| raw.step_status(&mut info))?;
+        }
+        let StepInfo { reached, terminate, event, may_have_ended, .. } = info;
+        Ok(Some(StepOutcome { complete, reached, terminate, event, may_have_ended }))
+    }
+}
+
+impl Core {
+    /// Whether events are handled between steps.
+    pub(crate) fn has_event_mode(&self) -> bool {
+        let interface = self.fmu().description().co_simulation.as_ref();
+        interface.is_some_and(|interface| interface.capabilities.uses_event_mode())
+    }
+
+    /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model ends the
+    /// simulation.
+    pub(crate) fn settle(&mut self, time: f64, tolerance: f64) -> Result<EventOutcome, FmiError> {
+        let outcome = self.iterate_events(time, tolerance, MAX_EVENT_ITERATIONS)?;
+        if !outcome.terminate {
+            self.call(RawInstance::enter_step_mode)?;
+        }
+        Ok(outcome)
+    }
+}
+
+impl Instance<Initialization, CoSimulation> {
+    /// Ends the initialization; the initial events happen.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
+        self.begin_steps(0.0).map(|(instance, _)| instance)
+    }
+
+    /// The same, with what the initial events told.
+    pub(crate) fn begin_steps(
+        self,
+        tolerance: f64,
+    ) -> Result<(Instance<StepMode, CoSimulation>, EventOutcome), FmiError> {
+        let mut instance: Instance<StepMode, CoSimulation> =
+            self.step_to(RawInstance::exit_initialization)?;
+        let core = instance.core();
+        let time = core.raw.time().unwrap_or(0.0);
+        let outcome =
+            if core.has_event_mode() { core.settle(time, tolerance)? } else { EventOutcome::default() };
+        Ok((instance, outcome))
+    }
+}
+
+impl Instance<StepMode, CoSimulation> {
+    /// Lets the model compute the step from `time`, where it stands, to `time + step`.
+    ///
+    /// # Errors
+    /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
+    pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome, FmiError> {
+        Ok(self.core().do_step(time, step, &mut || true)?.unwrap_or_default())
+    }
+
+    /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.
+    ///
+    /// # Errors
+    /// The FMU has no event mode, or refuses.
+    pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome, FmiError> {
+        let core = self.core();
+        core.call(RawInstance::enter_event_mode)?;
+        core.settle(time, 0.0)
+    }
+
+    /// Sets the first derivatives of real inputs with respect to time, for the next step.
+    ///
+    /// # Errors
+    /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or refuses.
+    pub fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Result<(), FmiError> {
+        self.core().check_reals("set_input_derivatives", references, values.len())?;
+        self.core().call(|raw| raw.set_input_derivatives(references, values))
+    }
+
+    /// Ends the simulation.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn terminate(self) -> Result<Instance<Terminated, CoSimulation>, FmiError> {
+        self.step_to(RawInstance::terminate)
+    }
+}

@@ -1,0 +1,78 @@
+//! Sizes of arrays: dimensions that are numbers, and those that are values of structural parameters.
+
+use super::model::ModelDescription;
+use super::variable::{Dimension, Value, Variable};
+
+/// More elements than this make no variable.
+pub(crate) const MOST_ELEMENTS: usize = 100_000_000;
+
+/// Values of structural parameters, where they are not the start values.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Structure {
+    values: Vec<(usize, usize)>,
+}
+
+impl Structure {
+    /// Whether all structural parameters have their start values.
+    pub(crate) fn is_default(&self) -> bool {
+        self.values.is_empty()
+    }
+
+    /// Sets the structural parameter at a position; negative values count as 0.
+    pub(crate) fn set(&mut self, index: usize, value: &Value) {
+        let Value::Integer(value) = value else { return };
+        let value = usize::try_from(*value).unwrap_or(0);
+        match self.values.iter_mut().find(|(known, _)| *known == index) {
+            Some(entry) => entry.1 = value,
+            None => self.values.push((index, value)),
+        }
+    }
+
+    /// Extents of a variable; empty for a single value.
+    pub(crate) fn extents(&self, model: &ModelDescription, variable: &Variable) -> Vec<usize> {
+        variable.dimensions.iter().map(|dimension| self.extent(model, *dimension)).collect()
+    }
+
+    fn extent(&self, model: &ModelDescription, dimension: Dimension) -> usize {
+        let index = match dimension {
+            Dimension::Fixed(extent) => return extent,
+            Dimension::Parameter(index) => index,
+        };
+        if let Some((_, value)) = self.values.iter().find(|(known, _)| *known == index) {
+            return *value;
+        }
+        match model.variables.get(index).and_then(|parameter| parameter.start.as_ref()) {
+            Some(Value::Integer(value)) => usize::try_from(*value).unwrap_or(0),
+            _ => 0,
+        }
+    }
+
+    /// Number of values of a variable, at most [`MOST_ELEMENTS`].
+    pub(crate) fn elements(&self, model: &ModelDescription, variable: &Variable) -> usize {
+        let product = variable
+            .dimensions
+            .iter()
+            .try_fold(1usize, |n, dimension| n.checked_mul(self.extent(model, *dimension)));
+        product.unwrap_or(MOST_ELEMENTS).min(MOST_ELEMENTS)
+    }
+
+    /// Number of continuous states.
+    pub(crate) fn states(&self, model: &ModelDescription) -> usize {
+        match model.declared_states {
+            Some(n) => n,
+            None => self.sum(model, &model.structure.derivatives),
+        }
+    }
+
+    /// Number of event indicators.
+    pub(crate) fn indicators(&self, model: &ModelDescription) -> usize {
+        match &model.structure.event_indicators[..] {
+            [] => model.n_event_indicators,
+            list => self.sum(model, list),
+        }
+    }
+
+    fn sum(&self, model: &ModelDescription, unknowns: &[super::Unknown]) -> usize {
+        unknowns.iter().map(|unknown| self.elements(model, &model.variables[unknown.index])).sum()
+    }
+}

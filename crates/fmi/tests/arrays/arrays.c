@@ -1,0 +1,199 @@
+/* An FMI 3.0 model (model exchange and co-simulation) with what the example models lack: x' = -k .* x with n states in
+ * one array, a matrix, all widths of integers, texts and bytes. Lenient, but strict about the numbers of values. */
+#include "fmi3.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define MOST 5
+
+typedef struct {
+    uint64_t n;
+    double time, x[MOST], k[MOST], sum;
+    float f32;
+    int8_t i8; uint8_t u8; int16_t i16; uint16_t u16; int32_t i32; uint32_t u32; int64_t i64; uint64_t u64;
+    int64_t choice;
+    int32_t matrix[6];
+    bool flags[2];
+    char text[2][16];
+    uint8_t bytes[16];
+    size_t n_bytes;
+    int configuring;
+} Model;
+
+static void start_values(Model *m) {
+    int i;
+    memset(m, 0, sizeof *m);
+    m->n = 3;
+    for (i = 0; i < MOST; i++) { m->x[i] = i + 1; m->k[i] = 1; }
+    m->f32 = 0.5f; m->i8 = -8; m->u8 = 208; m->i16 = -16; m->u16 = 60016; m->i32 = -32; m->u32 = 4000000032u;
+    m->i64 = -64; m->u64 = 18000000000000000064u; m->choice = 2;
+    for (i = 0; i < 6; i++) m->matrix[i] = i;
+    m->flags[0] = true;
+    strcpy(m->text[0], "one"); strcpy(m->text[1], "two");
+    m->bytes[0] = 0xca; m->bytes[1] = 0xfe; m->n_bytes = 2;
+}
+
+static fmi3Instance make(fmi3String token) {
+    Model *m;
+    if (strcmp(token, "{arrays}") != 0) return NULL;
+    m = malloc(sizeof *m);
+    if (m != NULL) start_values(m);
+    return m;
+}
+
+FMI3_EXPORT fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
+                                                      fmi3Boolean visible, fmi3Boolean logging,
+                                                      fmi3InstanceEnvironment environment, fmi3LogMessageCallback log) {
+    (void)name, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
+    return make(token);
+}
+FMI3_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
+                                                     fmi3Boolean visible, fmi3Boolean logging, fmi3Boolean event_mode,
+                                                     fmi3Boolean early, const fmi3ValueReference r[], size_t n,
+                                                     fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+                                                     fmi3IntermediateUpdateCallback update) {
+    (void)name, (void)resources, (void)visible, (void)logging, (void)environment, (void)log, (void)r, (void)n;
+    (void)update;
+    return event_mode || early ? NULL : make(token);
+}
+FMI3_EXPORT void fmi3FreeInstance(fmi3Instance i) { free(i); }
+FMI3_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance i, bool td, double t, double start, bool sd, double s) {
+    (void)td, (void)t, (void)sd, (void)s;
+    ((Model *)i)->time = start;
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance i) { (void)i; return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3Terminate(fmi3Instance i) { (void)i; return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3Reset(fmi3Instance i) { start_values(i); return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3EnterConfigurationMode(fmi3Instance i) { ((Model *)i)->configuring = 1; return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance i) { ((Model *)i)->configuring = 0; return fmi3OK; }
+
+/* Copies the values of one variable after the other; the numbers must fit. */
+#define ACCESS(type, c_type, FIND)                                                                                    \
+    FMI3_EXPORT fmi3Status fmi3Get##type(fmi3Instance i, const fmi3ValueReference r[], size_t n, c_type v[], size_t nv) { \
+        Model *m = i;                                                                                                 \
+        size_t at = 0, j, count;                                                                                      \
+        for (j = 0; j < n; j++) {                                                                                     \
+            c_type *p = NULL;                                                                                         \
+            count = 1;                                                                                                \
+            switch (r[j]) { FIND }                                                                                    \
+            if (p == NULL || at + count > nv) return fmi3Error;                                                       \
+            memcpy(v + at, p, count * sizeof *p);                                                                     \
+            at += count;                                                                                              \
+        }                                                                                                             \
+        return at == nv ? fmi3OK : fmi3Error;                                                                         \
+    }                                                                                                                 \
+    FMI3_EXPORT fmi3Status fmi3Set##type(fmi3Instance i, const fmi3ValueReference r[], size_t n, const c_type v[], size_t nv) { \
+        Model *m = i;                                                                                                 \
+        size_t at = 0, j, count;                                                                                      \
+        for (j = 0; j < n; j++) {                                                                                     \
+            c_type *p = NULL;                                                                                         \
+            count = 1;                                                                                                \
+            switch (r[j]) { FIND }                                                                                    \
+            if (p == NULL || at + count > nv) return fmi3Error;                                                       \
+            memcpy(p, v + at, count * sizeof *p);                                                                     \
+            at += count;                                                                                              \
+        }                                                                                                             \
+        return at == nv ? fmi3OK : fmi3Error;                                                                         \
+    }
+static double *derivatives(Model *m) {
+    static double dx[MOST]; /* one instance at a time reads it */
+    size_t j;
+    for (j = 0; j < m->n; j++) dx[j] = -m->k[j] * m->x[j];
+    return dx;
+}
+static double *sum(Model *m) {
+    size_t j;
+    m->sum = 0;
+    for (j = 0; j < m->n; j++) m->sum += m->x[j];
+    return &m->sum;
+}
+ACCESS(Float64, double, case 0: p = &m->time; break; case 2: p = m->x; count = m->n; break;
+       case 3: p = derivatives(m); count = m->n; break; case 4: p = m->k; count = m->n; break; case 5: p = sum(m); break;)
+ACCESS(Float32, float, case 10: p = &m->f32; break;)
+ACCESS(Int8, int8_t, case 11: p = &m->i8; break;)
+ACCESS(UInt8, uint8_t, case 12: p = &m->u8; break;)
+ACCESS(Int16, int16_t, case 13: p = &m->i16; break;)
+ACCESS(UInt16, uint16_t, case 14: p = &m->u16; break;)
+ACCESS(Int32, int32_t, case 15: p = &m->i32; break; case 21: p = m->matrix; count = 6; break;)
+ACCESS(UInt32, uint32_t, case 16: p = &m->u32; break;)
+ACCESS(Int64, int64_t, case 17: p = &m->i64; break; case 19: p = &m->choice; break;)
+ACCESS(UInt64, uint64_t, case 1: p = m->configuring || v != NULL ? &m->n : NULL; break; case 18: p = &m->u64; break;)
+ACCESS(Boolean, bool, case 20: p = m->flags; count = 2; break;)
+
+FMI3_EXPORT fmi3Status fmi3GetString(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3String v[], size_t nv) {
+    Model *m = i;
+    if (n != 1 || r[0] != 22 || nv != 2) return fmi3Error;
+    v[0] = m->text[0]; v[1] = m->text[1];
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3SetString(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3String v[], size_t nv) {
+    Model *m = i;
+    if (n != 1 || r[0] != 22 || nv != 2 || strlen(v[0]) > 15 || strlen(v[1]) > 15) return fmi3Error;
+    strcpy(m->text[0], v[0]); strcpy(m->text[1], v[1]);
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3GetBinary(fmi3Instance i, const fmi3ValueReference r[], size_t n, size_t s[], fmi3Binary v[], size_t nv) {
+    Model *m = i;
+    if (n != 1 || r[0] != 23 || nv != 1) return fmi3Error;
+    s[0] = m->n_bytes; v[0] = m->bytes;
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3SetBinary(fmi3Instance i, const fmi3ValueReference r[], size_t n, const size_t s[], const fmi3Binary v[], size_t nv) {
+    Model *m = i;
+    if (n != 1 || r[0] != 23 || nv != 1 || s[0] > sizeof m->bytes) return fmi3Error;
+    memcpy(m->bytes, v[0], s[0]); m->n_bytes = s[0];
+    return fmi3OK;
+}
+
+FMI3_EXPORT fmi3Status fmi3EnterEventMode(fmi3Instance i) { (void)i; return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance i, bool *a, bool *t, bool *nc, bool *vc, bool *d, double *next) {
+    (void)i;
+    *a = *t = *nc = *vc = *d = false;
+    *next = 0;
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance i) { (void)i; return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3CompletedIntegratorStep(fmi3Instance i, bool p, bool *e, bool *t) {
+    (void)i, (void)p;
+    *e = *t = false;
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3SetTime(fmi3Instance i, double t) { ((Model *)i)->time = t; return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3SetContinuousStates(fmi3Instance i, const double x[], size_t n) {
+    Model *m = i;
+    if (n != m->n) return fmi3Error;
+    memcpy(m->x, x, n * sizeof *x);
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3GetContinuousStates(fmi3Instance i, double x[], size_t n) {
+    Model *m = i;
+    if (n != m->n) return fmi3Error;
+    memcpy(x, m->x, n * sizeof *x);
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance i, double dx[], size_t n) {
+    Model *m = i;
+    if (n != m->n) return fmi3Error;
+    memcpy(dx, derivatives(m), n * sizeof *dx);
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3GetEventIndicators(fmi3Instance i, double z[], size_t n) { (void)i, (void)z; return n ? fmi3Error : fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance i, double x[], size_t n) {
+    (void)i;
+    while (n-- > 0) x[n] = 1;
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance i, size_t *n) { *n = ((Model *)i)->n; return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance i, size_t *n) { (void)i; *n = 0; return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance i, double t, double h, bool p, bool *e, bool *term, bool *early, double *last) {
+    Model *m = i;
+    size_t j;
+    (void)p;
+    for (j = 0; j < m->n; j++) m->x[j] *= exp(-m->k[j] * h);
+    m->time = *last = t + h;
+    *e = *term = *early = false;
+    return fmi3OK;
+}

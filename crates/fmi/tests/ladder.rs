@@ -1,0 +1,145 @@
+//! The ways of bringing an instance back to its beginning, and how liars among them are found out.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use fmi::ode::Ignore;
+use fmi::{Fmu, InterfaceKind, Kind, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator};
+use std::sync::Arc;
+use support::{Folder, evil_with, model};
+
+/// An evil model that says it can save and restore states, of both kinds.
+fn with_states(faults: &[&str]) -> Folder {
+    let faults: Vec<&str> = faults.iter().copied().chain(["STATES"]).collect();
+    evil_with(&faults, |xml| {
+        let able = "modelIdentifier=\"evil\" canGetAndSetFMUstate=\"true\"";
+        xml.replace(
+            "<ModelExchange modelIdentifier=\"evil\"/>",
+            &format!("<ModelExchange {able}/><CoSimulation {able} canHandleVariableCommunicationStepSize=\"true\"/>"),
+        )
+    })
+}
+
+fn options(kind: Kind) -> SimulateOptions {
+    SimulateOptions::new().parameters(["k"]).kind(kind)
+}
+
+fn plan(fmu: &Fmu, kind: Kind) -> Arc<SimulationPlan> {
+    Arc::new(SimulationPlan::new(fmu, &options(kind)).unwrap())
+}
+
+const KINDS: [Kind; 2] = [Kind::ModelExchange, Kind::CoSimulation];
+
+fn interface(kind: Kind) -> InterfaceKind {
+    if kind == Kind::CoSimulation { InterfaceKind::CoSimulation } else { InterfaceKind::ModelExchange }
+}
+
+/// What new instances give.
+fn truths(folder: &Folder, kind: Kind) -> Vec<(f64, Vec<f64>)> {
+    let run = |k: f64| {
+        let options = SimulateOptions::new().start_value("k", k).kind(kind);
+        (k, folder.open().simulate(&options).unwrap().get("y").unwrap().to_vec())
+    };
+    [1.0, 2.0, 1.0, 0.5, 3.0, 1.0].map(run).to_vec()
+}
+
+/// Runs with many values have the bits of new instances, from a pool and from a simulator alone; how the pool does it.
+fn check(faults: &[&str], kind: Kind) -> Reuse {
+    let folder = with_states(faults);
+    let truths = truths(&folder, kind);
+    let fmu = folder.open();
+    let mut alone = Simulator::new(plan(&fmu, kind)).unwrap();
+    for (k, truth) in &truths {
+        assert_eq!(alone.trajectory(&[*k]).unwrap().get("y").unwrap(), truth, "{faults:?} {k}");
+    }
+    let known = fmu.reuse_of(interface(kind));
+    // Another file of the library: it starts without a verdict.
+    let folder = with_states(faults);
+    let pool = Pool::new(plan(&folder.open(), kind));
+    for (k, truth) in &truths {
+        assert_eq!(
+            pool.lend().unwrap().trajectory(&[*k]).unwrap().get("y").unwrap(),
+            truth,
+            "{faults:?} {k}"
+        );
+    }
+    assert!(pool.is_concurrent().unwrap());
+    assert_eq!(known, Some(pool.reuse().unwrap()), "{faults:?}");
+    pool.reuse().unwrap()
+}
+
+#[test]
+fn a_saved_state_comes_first_where_it_is_right() {
+    for kind in KINDS {
+        assert_eq!(check(&[], kind), Reuse::Restore);
+        // It does not matter what the reset function does.
+        assert_eq!(check(&["LYING_RESET"], kind), Reuse::Restore);
+        assert_eq!(check(&["FAILING_RESET"], kind), Reuse::Restore);
+    }
+}
+
+#[test]
+fn the_next_way_is_taken_where_states_do_not_come_back() {
+    for kind in KINDS {
+        for fault in ["SAVE_FAILS", "RESTORE_FAILS", "RESTORE_FORGETS", "RESTORE_STICKS"] {
+            assert_eq!(check(&[fault], kind), Reuse::Reset, "{fault}");
+        }
+        assert_eq!(check(&["RESTORE_FORGETS", "RESET_TO_ZERO"], kind), Reuse::Reinstantiate);
+        assert_eq!(check(&["SAVE_FAILS", "FAILING_RESET"], kind), Reuse::Reinstantiate);
+    }
+}
+
+#[test]
+fn states_without_the_functions_are_not_used() {
+    let folder = evil_with(&[], |xml| {
+        xml.replace("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" canGetAndSetFMUstate=\"true\"")
+    });
+    let pool = Pool::new(plan(&folder.open(), Kind::Auto));
+    assert_eq!(pool.reuse().unwrap(), Reuse::Reset);
+}
+
+/// The model restores the old parameter at the end of the initialization, which the test at the values of the
+/// description cannot see.
+#[test]
+fn parameters_that_a_restored_state_brings_back_are_seen_by_reading_them() {
+    for kind in KINDS {
+        let folder = with_states(&["RESTORE_STICKS"]);
+        let fmu = folder.open();
+        let mut simulator = Simulator::new(plan(&fmu, kind)).unwrap();
+        let truth = |k: f64| {
+            let options = SimulateOptions::new().start_value("k", k).kind(kind);
+            folder.open().simulate(&options).unwrap().get("y").unwrap().to_vec()
+        };
+        for _ in 0..3 {
+            simulator.run(&[1.0], &mut Ignore).unwrap();
+        }
+        assert_eq!(fmu.reuse_of(interface(kind)), Some(Reuse::Restore));
+        for k in [2.0, 3.0, 1.0, 2.0] {
+            assert_eq!(simulator.trajectory(&[k]).unwrap().get("y").unwrap(), truth(k));
+        }
+        assert_eq!(fmu.reuse_of(interface(kind)), Some(Reuse::Reset));
+    }
+}
+
+/// New instances do not have the values given either: nothing is wrong with the restored ones.
+#[test]
+fn a_model_that_overrides_a_parameter_by_itself_is_no_liar() {
+    let folder = with_states(&["OVERRIDES_K"]);
+    let fmu = folder.open();
+    let mut simulator = Simulator::new(plan(&fmu, Kind::ModelExchange)).unwrap();
+    let first = simulator.trajectory(&[1.0]).unwrap();
+    for k in [1.0, 2.0, 3.0, 1.0, 2.0, 2.0] {
+        assert_eq!(simulator.trajectory(&[k]).unwrap().columns, first.columns);
+    }
+    assert_eq!(fmu.reuse(), Some(Reuse::Restore));
+}
+
+#[test]
+fn the_bundled_models_come_back_by_their_states() {
+    let folder = model("furuta");
+    let options = SimulateOptions::new().final_time(2.0).parameters(["armFriction"]);
+    let pool = Pool::new(Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap()));
+    assert_eq!(pool.reuse().unwrap(), Reuse::Restore);
+    assert!(pool.is_concurrent().unwrap());
+}

@@ -1,0 +1,82 @@
+//! What every opened archive and every accepted description promises, whatever the bytes were: for property tests,
+//! the replay of kept inputs, and the fuzz targets.
+#![allow(clippy::unwrap_used, clippy::expect_used, unreachable_pub, dead_code)]
+
+use fmi::description::QuirkKind;
+use fmi::{Archive, ArchiveLimits, FmiError, ModelDescription};
+use std::fs;
+use std::path::Path;
+
+/// Small enough that an honest reading of any input needs little memory and time.
+pub const SMALL: ArchiveLimits = ArchiveLimits {
+    entries: 200,
+    file_bytes: 4 << 20,
+    total_bytes: 8 << 20,
+    ratio: 200,
+    ratio_free_bytes: 1 << 20,
+};
+
+/// Opens the archive at `path` under [`SMALL`] limits: an error that says something, or a folder within the limits
+/// with a model description in it and nothing but files and folders, gone with the archive.
+pub fn hold_for_archive(path: &Path) {
+    match Archive::open_with(path, &SMALL) {
+        Err(error) => assert_says_something(&error),
+        Ok(archive) => {
+            let root = archive.root().to_owned();
+            assert!(root.join("modelDescription.xml").is_file());
+            assert!(size_below(&root) <= SMALL.total_bytes);
+            match ModelDescription::read(&archive) {
+                Err(error) => assert_says_something(&error),
+                Ok(description) => hold_for_description(&description),
+            }
+            drop(archive);
+            assert!(!root.exists());
+        }
+    }
+}
+
+/// Parses any bytes as a model description.
+pub fn hold_for_document(bytes: &[u8]) {
+    match ModelDescription::parse(bytes) {
+        Err(error) => assert_says_something(&error),
+        Ok(description) => hold_for_description(&description),
+    }
+}
+
+/// All indices are in range, all variables are found by name, and every quirk says something.
+pub fn hold_for_description(model: &ModelDescription) {
+    let n = model.variables.len();
+    let structure = &model.structure;
+    for unknown in structure.outputs.iter().chain(&structure.derivatives).chain(&structure.initial_unknowns) {
+        assert!(unknown.index < n);
+        assert!(unknown.dependencies.iter().flatten().all(|&index| index < n));
+        let dependencies = unknown.dependencies.as_ref().map(Vec::len);
+        assert!(unknown.kinds.is_empty() || Some(unknown.kinds.len()) == dependencies);
+    }
+    for variable in &model.variables {
+        assert!(variable.derivative.is_none_or(|index| index < n));
+        let found = model.variable(&variable.name).expect("a variable is found by its name");
+        assert_eq!(found.name, variable.name);
+    }
+    if let Some(first) = model.variables.first() {
+        assert!(model.nearest_names(&first.name, 2).len() <= 2);
+    }
+    let departs = model.quirks.iter().any(|quirk| quirk.kind != QuirkKind::Unsupported);
+    assert_eq!(model.require_conforming().is_err(), departs);
+    assert!(model.quirks.iter().all(|quirk| !quirk.message.is_empty()));
+}
+
+fn assert_says_something(error: &FmiError) {
+    assert!(error.to_string().len() > 10, "{error}");
+}
+
+/// Bytes of all files below a folder that holds nothing but files and folders.
+fn size_below(folder: &Path) -> u64 {
+    let sizes = fs::read_dir(folder).unwrap().map(|entry| {
+        let path = entry.unwrap().path();
+        let metadata = path.symlink_metadata().unwrap();
+        assert!(metadata.is_file() || metadata.is_dir(), "{}", path.display());
+        if metadata.is_dir() { size_below(&path) } else { metadata.len() }
+    });
+    sizes.sum()
+}
