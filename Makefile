@@ -49,6 +49,7 @@ test-long: build  ## what takes long: many runs, memory
 
 bench: build benches/env/.venv/.done  ## side by side with the peers, in one run
 	benches/env/.venv/bin/python benches/against_fmpy.py
+	benches/env/.venv/bin/python benches/against_optimisers.py
 	cargo bench --workspace
 
 # Both want a nightly compiler; what each seed and each finding of the fuzzer showed is replayed by `make test`.

@@ -212,9 +212,20 @@ pub(crate) struct Writer {
     next: Instant,
 }
 
+/// A file beside the checkpoint that takes its place once it is whole.
+fn beside(path: &Path) -> Result<tempfile::NamedTempFile, Error> {
+    let folder = match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    };
+    tempfile::NamedTempFile::new_in(folder).map_err(|e| file_failed(path, &e))
+}
+
 impl Writer {
-    pub(crate) fn new(options: Checkpoint, fingerprint: Vec<(String, String)>) -> Self {
-        Self { next: Instant::now() + options.interval, options, fingerprint }
+    /// Checks that there is a place to write to, before anything is computed.
+    pub(crate) fn new(options: Checkpoint, fingerprint: Vec<(String, String)>) -> Result<Self, Error> {
+        beside(&options.path)?;
+        Ok(Self { next: Instant::now() + options.interval, options, fingerprint })
     }
 
     /// Whether it is time for another.
@@ -248,11 +259,7 @@ impl Writer {
         };
         let begin = Instant::now();
         let payload = postcard::to_allocvec(&snapshot).map_err(|e| failed(path, e))?;
-        let folder = match path.parent() {
-            Some(folder) if folder != Path::new("") => folder,
-            _ => Path::new("."),
-        };
-        let mut file = tempfile::NamedTempFile::new_in(folder).map_err(|e| file_failed(path, &e))?;
+        let mut file = beside(path)?;
         file.write_all(MARK)
             .and_then(|()| file.write_all(&crc32fast::hash(&payload).to_le_bytes()))
             .and_then(|()| file.write_all(&payload))

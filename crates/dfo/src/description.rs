@@ -133,7 +133,7 @@ impl<M: MethodOptions> Description<M> {
             (begun.observed, begun.first_recent) = (stored.observed, stored.first_recent);
             begun.before = stored.seconds;
         }
-        begun.writer = Some(Writer::new(options, fingerprint));
+        begun.writer = Some(Writer::new(options, fingerprint)?);
         Ok(begun)
     }
 }

@@ -335,7 +335,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
         let (cancel, mut observer, mut poll) = (cancel.unwrap_or_default(), observer, poll);
         let poll = poll.as_mut().map(|p| p.as_mut() as &mut dyn FnMut() -> bool);
         let gateway = Gateway::new(executor, desk, limits, before, &cancel, poll);
-        let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent };
+        let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
         drive.run(observer.as_deref_mut())
     }
 }

@@ -140,7 +140,8 @@ impl Optimizer {
     /// again. [`Outcome::Abort`] ends the run.
     ///
     /// # Errors
-    /// An id that was not handed out, or was answered already; a checkpoint that cannot be written.
+    /// An id that was not handed out, or was answered already; a checkpoint that cannot be written (the answer counts
+    /// all the same).
     pub fn tell(&mut self, id: u64, outcome: Outcome) -> Result<(), Error> {
         let work = &self.desk.work;
         let place = (0..work.len()).find(|&k| work.id(k) == id && self.answers[k] == Answer::Out);
@@ -163,25 +164,23 @@ impl Optimizer {
         self.seconds[k] = self.handed[k].elapsed().as_secs_f64();
         if abort.is_some() || self.answers.iter().all(|a| *a == Answer::In) {
             let truncated = self.desk.is_truncated().then_some(Termination::MaxEvaluations);
-            self.complete(abort.or(truncated))?;
-            self.advance()?;
+            let completed = self.complete(abort.or(truncated));
+            return completed.and(self.advance());
         }
         Ok(())
     }
 
     /// Enters the batch as far as it is known and tells the method.
     fn complete(&mut self, stopped: Option<Termination>) -> Result<(), Error> {
-        if stopped.is_some() {
-            // The state before this batch, and what is known of the batch.
-            self.save()?;
-        }
+        // The state before this batch, and what is known of the batch. A file that cannot be written costs no answer.
+        let saved = if stopped.is_some() { self.save() } else { Ok(()) };
         self.desk.close(&self.batch, &self.outcomes, &self.seconds);
         self.method.tell(self.desk.outcomes())?;
         self.desk.ledger.settle(self.method.used());
         self.desk.ledger.trim(false);
         self.ended = end(&self.method, &self.desk, &self.limits, stopped.as_ref(), false);
         self.written = stopped.is_some();
-        Ok(())
+        saved
     }
 
     /// Writes the checkpoint where a round has ended, if it is time to.

@@ -6,6 +6,7 @@ import concurrent.futures
 import multiprocessing
 import os
 import random
+import shutil
 import signal
 import time
 
@@ -153,3 +154,23 @@ def test_ctrl_c_with_an_executor_leaves_out_what_has_not_begun(tmp_path):
     assert info.value.result.nfev == len(started) == 30
     assert timeless(minimize(func, **run, checkpoint=tmp_path / "run")) == whole
     assert len(started) == 300
+
+
+def test_a_file_that_cannot_be_written_any_more_costs_no_result(tmp_path):
+    place = tmp_path / "place"
+    place.mkdir()
+    calls = []
+
+    def func(x):
+        calls.append(1)
+        if len(calls) == 100:
+            shutil.rmtree(place)
+        return rosenbrock(x)
+
+    run = {**RUN, "method": "de", "max_evaluations": 5000, "options": {"checkpoint_interval": 0.0}}
+    res = minimize(func, **run, checkpoint=place / "run")
+    assert (res.status, res.termination, res.success) == (7, "not-saved", False) and res.nfev >= 100
+    assert res.fun == rosenbrock(res.x) == res.trace.fun.min() and "cannot be saved" in res.message
+    with pytest.raises(FileNotFoundError):
+        minimize(func, **run, checkpoint=place / "run")
+    assert len(calls) == res.nfev

@@ -27,6 +27,7 @@ STATUS: Final[dict[str, int]] = {
     "stopped-by-observer": 4,
     "interrupted": 5,
     "aborted": 6,
+    "not-saved": 7,
 }
 
 
@@ -167,7 +168,8 @@ class OptimizeResult:
         Whether the method came to its own end, or reached the target.
     status : int
         0 converged, 10 target reached, 20 the search collapsed, 30 all parameters fixed, 40 nothing new for long;
-        1 evaluations, 2 iterations, 3 time used up; 4 stopped by a callback, 5 interrupted, 6 ended by an exception.
+        1 evaluations, 2 iterations, 3 time used up; 4 stopped by a callback, 5 interrupted, 6 ended by an exception,
+        7 the checkpoint could not be written.
     termination : str
         The same in a word.
     message : str
