@@ -23,6 +23,7 @@ def test_every_method_runs_in_scipy_as_alone(method):
     assert isinstance(res, optimize.OptimizeResult) and res.x.tobytes() == alone.x.tobytes()
     assert (res.fun, res.nfev, res.nit, res.message) == (alone.fun, alone.nfev, alone.nit, alone.message)
     assert res.success == alone.success and res.status == alone.status
+    assert f"nfev: {res.nfev}" in str(res)
 
 
 def test_tolerances_arguments_and_options_are_carried_over():

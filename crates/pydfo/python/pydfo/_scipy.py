@@ -95,9 +95,14 @@ def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
         )
         if display:
             print(result)
-        return _result_class()(dict(result.items()))
+        # SciPy's result cannot be printed with an empty dictionary in it.
+        return _result_class()({name: value for name, value in result.items() if not _is_empty(value)})
 
     return run
+
+
+def _is_empty(value: Any) -> bool:
+    return isinstance(value, dict) and not value
 
 
 def _result_class() -> Any:
