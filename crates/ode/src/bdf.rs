@@ -495,7 +495,7 @@ impl Stepper for Bdf {
     fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) {
         let n = system.n_states();
         self.jacobian.begin(system);
-        self.lu.resize(n);
+        self.lu.begin(n, self.jacobian.pattern());
         let Self { f, correction, last_correction, inverse, x, rhs, increment, z, z_new, .. } = self;
         let single = [f, correction, last_correction, inverse, x, rhs, increment];
         for v in single.into_iter().chain(z).chain(z_new) {

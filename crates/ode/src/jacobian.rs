@@ -54,7 +54,7 @@ impl JacobianPattern {
     }
 
     /// The rows of column `k`, ascending.
-    fn column(&self, k: usize) -> &[usize] {
+    pub(crate) fn column(&self, k: usize) -> &[usize] {
         &self.rows[self.starts[k]..self.starts[k + 1]]
     }
 
@@ -135,6 +135,21 @@ impl Jacobian {
         if pattern != self.pattern.as_ref() {
             self.pattern = pattern.cloned();
             self.groups = self.pattern.as_ref().map(Groups::new).unwrap_or_default();
+        }
+    }
+
+    /// The places that may differ from zero, if they are known.
+    pub(crate) fn pattern(&self) -> Option<&JacobianPattern> {
+        self.pattern.as_ref()
+    }
+
+    /// Calls `f(i, k, value)` for every entry that may differ from zero, column by column.
+    pub(crate) fn each(&self, mut f: impl FnMut(usize, usize, f64)) {
+        for (k, column) in self.values.chunks_exact(self.n.max(1)).enumerate() {
+            match &self.pattern {
+                Some(pattern) => pattern.column(k).iter().for_each(|&i| f(i, k, column[i])),
+                None => column.iter().enumerate().for_each(|(i, j)| f(i, k, *j)),
+            }
         }
     }
 

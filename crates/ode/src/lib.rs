@@ -16,6 +16,7 @@ mod observer;
 mod options;
 mod radau5;
 mod sampling;
+mod sparse_lu;
 mod stats;
 mod stepper;
 mod system;

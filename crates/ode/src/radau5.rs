@@ -107,18 +107,14 @@ pub(crate) struct Radau5 {
 
 impl Radau5 {
     /// Weighted norm of the Jacobian times `h`, an upper bound of the spectral radius; `None` without a Jacobian.
-    pub(crate) fn stiffness(&self, h: f64) -> Option<f64> {
+    pub(crate) fn stiffness(&mut self, h: f64) -> Option<f64> {
         if !self.has_jacobian || self.mass.is_some() {
             return None;
         }
-        let n = self.f.len();
-        let largest_row = (0..n)
-            .map(|i| {
-                let row: f64 = (0..n).map(|k| self.jacobian.values[i + n * k].abs() / self.inverse[k]).sum();
-                row * self.inverse[i]
-            })
-            .fold(0.0, f64::max);
-        Some(h * largest_row)
+        let Self { jacobian, inverse, stage_x: rows, .. } = self;
+        rows.fill(0.0);
+        jacobian.each(|i, k, j| rows[i] += j.abs() / inverse[k]);
+        Some(h * rows.iter().zip(&*inverse).map(|(row, inverse)| row * inverse).fold(0.0, f64::max))
     }
 
     /// How many evaluations a Jacobian takes.
@@ -147,9 +143,7 @@ impl Radau5 {
         let (mut growth, mut quotient) = (1.0, 0.0);
         for count in 0..2 * HALF {
             product.fill(0.0);
-            for (column, v) in jacobian.values.chunks_exact(v.len()).zip(&*v) {
-                product.iter_mut().zip(column).for_each(|(p, j)| *p += j * v);
-            }
+            jacobian.each(|i, k, j| product[i] += j * v[k]);
             let (before, after) = (scaled_norm(v, inverse), scaled_norm(product, inverse));
             if after == 0.0 || !after.is_finite() {
                 return Ok((0.0, 0.0));
@@ -398,8 +392,10 @@ impl Stepper for Radau5 {
             }
             (Some(m), mass) => *mass = Some(m.to_vec()),
         }
-        self.real.resize(n);
-        self.complex.resize(n);
+        // A mass matrix has places of its own.
+        let pattern = self.jacobian.pattern().filter(|_| self.mass.is_none());
+        self.real.begin(n, pattern);
+        self.complex.begin(n, pattern);
         let Self { f, f_new, stage_x, inverse, error, defect, z, w, stage_f, trial, last, .. } = self;
         let single = [f, f_new, stage_x, inverse, error, defect];
         let triple = [z, w, stage_f, &mut trial.p, &mut last.p];

@@ -295,3 +295,30 @@ fn steps_can_be_looked_into() {
         assert!(steps.ends[at][1][1] < -4.0 && steps.ends[at + 1][0][1] > 3.0, "{}", method.name());
     }
 }
+
+#[test]
+fn the_same_bits_on_every_thread_and_in_every_instance() {
+    let methods = [ADAPTIVE, &[Method::Rk4, Method::Euler]].concat();
+    for method in methods {
+        let run = move || {
+            let mut seen = Recorder::default();
+            let mut driver = driver(method, 1e-7);
+            let mut ball = Ball { v_min: 0.1, resting: false };
+            let times: Vec<f64> = (0..=30).map(|k| 0.1 * f64::from(k)).collect();
+            let report = driver.run(&mut ball, 0.0, 3.0, &times, &mut seen).unwrap();
+            let stiff = problems::stiff::all().remove(0);
+            let end = match method {
+                Method::Rk4 | Method::Euler => None,
+                _ => Some(stiff.run(method, 1e-6)),
+            };
+            let rows: Vec<Vec<u64>> =
+                seen.rows.iter().map(|row| row.3.iter().map(|x| x.to_bits()).collect()).collect();
+            (rows, seen.event_times(), report.stats, end.map(|(digits, stats)| (digits.to_bits(), stats)))
+        };
+        let here = run();
+        let others: Vec<_> = (0..3).map(|_| std::thread::spawn(run)).collect();
+        for other in others {
+            assert_eq!(other.join().unwrap(), here, "{}", method.name());
+        }
+    }
+}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pydfo import FMUModel, example_fmu
+from pydfo import Calibration, FMUModel, Parameter, example_fmu
 
 #: The record, which is not part of the project.
 RECORD = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "exhaust_measurements.csv"
@@ -61,3 +61,55 @@ def test_the_nominal_trajectory():
     assert np.sum(calibration**2) == pytest.approx(290580.7, rel=1e-6)
     assert np.sqrt(np.mean(calibration**2)) == pytest.approx(21.9885, abs=1e-4)
     assert np.sqrt(np.mean(validation**2)) == pytest.approx(13.5848, abs=1e-4)
+
+
+@pytest.fixture
+def record():
+    if not RECORD.exists():
+        pytest.skip(f"no reference data: {RECORD} does not exist")
+    return np.genfromtxt(RECORD, delimiter=",", names=True)
+
+
+@pytest.mark.parametrize("solver", ["radau5", "bdf", "auto"])
+def test_every_stiff_method_gives_the_nominal_trajectory(solver, record):
+    inputs = {name: record[name] for name in ["time", *INPUTS]}
+
+    def run(solver, rtol):
+        model = FMUModel(example_fmu("exhaust"))
+        return model.simulate(
+            0, 1800, times=record["time"], input=inputs, output=STATES, solver=solver, relative_tolerance=rtol
+        )
+
+    reference, res = run("radau5", 1e-11), run(solver, 1e-8)
+    # BDF steps over the kinks of the inputs, after some of which it is off by a hundred times the tolerance for a while.
+    rows = [1, 60, 300, 600, 1200, 1800] if solver == "bdf" else slice(None)
+    for name in STATES:
+        within = 1e-2 if name.startswith("p") else 1e-4
+        off = np.abs(res[name] - reference[name])
+        assert off[rows].max() < within and off.max() < 20 * within, name
+    # "auto" begins with Tsit5, notices, and goes on with Newton's method.
+    assert res.stats.jacobians > 0 and res.stats.newton_iterations > 0
+    explicit = run("tsit5", 1e-8)
+    assert res.stats.right_hand_sides < explicit.stats.right_hand_sides
+
+
+def test_the_cost_is_smooth_across_the_kinks_of_the_inputs(record):
+    """Inputs change their slope at each of 600 times: a cost at rtol 1e-6 must not tell by noise."""
+    first = record["time"] <= 600
+    names = ["C1", "G1", "C2", "G2"]
+    start = [2500.0, 120.0, 9000.0, 80.0]
+    data = {name: record[name][first] for name in ["time", *INPUTS, "T_out"]}
+    calibration = Calibration(
+        example_fmu("exhaust"),
+        data=data,
+        inputs=INPUTS,
+        outputs={"T_out": "T_out"},
+        parameters=[Parameter(name, value, 0.1 * value, 10 * value) for name, value in zip(names, start)],
+        relative_tolerance=1e-6,
+        solver="radau5",
+    )
+    cost = calibration.cost(start)
+    for k in range(4):
+        moved = list(start)
+        moved[k] *= 1 + 1e-9
+        assert abs(calibration.cost(moved) / cost - 1) < 1e-8

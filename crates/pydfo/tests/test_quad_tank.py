@@ -94,6 +94,18 @@ def test_the_fits(n, start, outlets, cost, rms, final):
     assert (res.final("u1"), res.final("u2")) == (6, 5)
 
 
+@pytest.mark.parametrize("solver", ["auto", "radau5", "dop853"])
+def test_the_cost_is_smooth_across_the_kinks_of_the_voltages(solver):
+    """Voltages change their slope at each second: a cost at rtol 1e-6 must not tell by noise."""
+    problem = calibration(4, record(), solver=solver, relative_tolerance=1e-6)
+    start = [3e-6] * 4
+    cost = problem.cost(start)
+    for k in range(4):
+        moved = list(start)
+        moved[k] *= 1 + 1e-9
+        assert abs(problem.cost(moved) / cost - 1) < 1e-8
+
+
 @pytest.mark.parametrize(
     ("n", "outlets", "cost"), [(2, [2.6555, 2.7097], 3.911e-5), (4, [2.6564, 2.6998, 3.0059, 2.9297], 1.243e-4)]
 )
