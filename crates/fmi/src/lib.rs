@@ -24,6 +24,7 @@ mod outputs;
 mod places;
 mod plan;
 pub mod platform;
+mod points;
 mod pool;
 mod readback;
 mod renewal;

@@ -1,7 +1,6 @@
 //! A simulation resolved against its model, once: names have become value references, everything has been checked.
 
 use crate::assign::{self, Assignments, check_settable_at_start};
-use crate::communication::Communication;
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::fmu::{Fmu, Reuse};
@@ -11,6 +10,7 @@ use crate::jacobian::JacobianPlan;
 use crate::options::SimulateOptions;
 use crate::outputs::{OutputContext, OutputPlan};
 use crate::places::{Place, Slots, Starts};
+use crate::points::Communication;
 use crate::readback::{ReadBack, ReadBackBuffers};
 use crate::selection::{ArrayColumns, Selection, states};
 use crate::sys::InterfaceKind;

@@ -1,8 +1,15 @@
 //! The functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
 use super::callbacks::{Environment, fmi3_log};
+use super::fmi3_functions::{
+    CompletedStep, Count, DeserializeState, DirectionalDerivative, DoStep, EnterInitialization, Flag, Get,
+    GetBinary, GetClock, GetState, GetVector, InstantiateCoSimulation, InstantiateModelExchange, Plain,
+    SerializeState, Set, SetBinary, SetClock, SetDebugLogging, SetState, SetTime, SetVector, StateSize,
+    UpdateDiscreteStates,
+};
+use super::fmi3_numbers::{Numbers, get_name, set_name};
 use super::library::Symbols;
-use super::packed::{self, Element};
+use super::packed;
 use super::{
     Binding, Call, Component, Created, EventInfo, Experiment, InterfaceKind, Request, StatePointer, Status,
     StepInfo, status,
@@ -11,70 +18,6 @@ use crate::description::VariableKind;
 use crate::error::FmiError;
 use std::ffi::{CString, c_char, c_int, c_void};
 use std::sync::Arc;
-
-/// A C `bool` as an FMU may write it: any bits are tolerated.
-type Flag = u8;
-type LogMessage = unsafe extern "C" fn(*mut c_void, c_int, *const c_char, *const c_char);
-
-type InstantiateModelExchange = unsafe extern "C" fn(
-    *const c_char,
-    *const c_char,
-    *const c_char,
-    bool,
-    bool,
-    *mut c_void,
-    LogMessage,
-) -> Component;
-type InstantiateCoSimulation = unsafe extern "C" fn(
-    *const c_char,
-    *const c_char,
-    *const c_char,
-    bool,
-    bool,
-    bool,
-    bool,
-    *const u32,
-    usize,
-    *mut c_void,
-    LogMessage,
-    *const c_void,
-) -> Component;
-type Plain = unsafe extern "C" fn(Component) -> c_int;
-type EnterInitialization = unsafe extern "C" fn(Component, bool, f64, f64, bool, f64) -> c_int;
-type SetDebugLogging = unsafe extern "C" fn(Component, bool, usize, *const *const c_char) -> c_int;
-type Get<T> = unsafe extern "C" fn(Component, *const u32, usize, *mut T, usize) -> c_int;
-type Set<T> = unsafe extern "C" fn(Component, *const u32, usize, *const T, usize) -> c_int;
-type GetBinary =
-    unsafe extern "C" fn(Component, *const u32, usize, *mut usize, *mut *const u8, usize) -> c_int;
-type SetBinary =
-    unsafe extern "C" fn(Component, *const u32, usize, *const usize, *const *const u8, usize) -> c_int;
-type GetClock = unsafe extern "C" fn(Component, *const u32, usize, *mut Flag) -> c_int;
-type SetClock = unsafe extern "C" fn(Component, *const u32, usize, *const Flag) -> c_int;
-type GetState = unsafe extern "C" fn(Component, *mut StatePointer) -> c_int;
-type SetState = unsafe extern "C" fn(Component, StatePointer) -> c_int;
-type StateSize = unsafe extern "C" fn(Component, StatePointer, *mut usize) -> c_int;
-type SerializeState = unsafe extern "C" fn(Component, StatePointer, *mut u8, usize) -> c_int;
-type DeserializeState = unsafe extern "C" fn(Component, *const u8, usize, *mut StatePointer) -> c_int;
-type DirectionalDerivative = unsafe extern "C" fn(
-    Component,
-    *const u32,
-    usize,
-    *const u32,
-    usize,
-    *const f64,
-    usize,
-    *mut f64,
-    usize,
-) -> c_int;
-type UpdateDiscreteStates =
-    unsafe extern "C" fn(Component, *mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;
-type CompletedStep = unsafe extern "C" fn(Component, bool, *mut Flag, *mut Flag) -> c_int;
-type SetTime = unsafe extern "C" fn(Component, f64) -> c_int;
-type GetVector = unsafe extern "C" fn(Component, *mut f64, usize) -> c_int;
-type SetVector = unsafe extern "C" fn(Component, *const f64, usize) -> c_int;
-type Count = unsafe extern "C" fn(Component, *mut usize) -> c_int;
-type DoStep =
-    unsafe extern "C" fn(Component, f64, f64, bool, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;
 
 /// The function table. The standard demands nearly all of these functions; FMUs that leave out what they do not need
 /// are known, so only what every simulation needs must be there.
@@ -106,120 +49,6 @@ pub(super) struct Fmi3 {
     serialize: Option<SerializeState>,
     deserialize: Option<DeserializeState>,
     directional_derivative: Option<DirectionalDerivative>,
-}
-
-/// Getters and setters of numbers but `Float64`.
-macro_rules! numbers {
-    ($($kind:ident, $type:ty, $get:ident $get_name:literal, $set:ident $set_name:literal;)+) => {
-        struct Numbers {
-            $($get: Option<Get<$type>>, $set: Option<Set<$type>>,)+
-        }
-
-        impl Numbers {
-            /// # Safety
-            /// As for [`Fmi3::load`].
-            unsafe fn load(symbols: &Symbols<'_>) -> Self {
-                // SAFETY: as in `Fmi3::load`.
-                unsafe {
-                    Self { $($get: symbols.optional($get_name), $set: symbols.optional($set_name),)+ }
-                }
-            }
-
-            /// # Safety
-            /// As for the methods of [`Binding`].
-            unsafe fn get(
-                &self,
-                component: Component,
-                kind: VariableKind,
-                references: &[u32],
-                lanes: &mut [i64],
-            ) -> Status {
-                match kind {
-                    // SAFETY: the caller's promises are those of the trait.
-                    $(VariableKind::$kind => unsafe { get_numbers(component, self.$get, references, lanes) },)+
-                    _ => Status::Missing,
-                }
-            }
-
-            /// # Safety
-            /// As for the methods of [`Binding`].
-            unsafe fn set(
-                &self,
-                component: Component,
-                kind: VariableKind,
-                references: &[u32],
-                lanes: &mut [i64],
-            ) -> Status {
-                match kind {
-                    // SAFETY: the caller's promises are those of the trait.
-                    $(VariableKind::$kind => unsafe { set_numbers(component, self.$set, references, lanes) },)+
-                    _ => Status::Missing,
-                }
-            }
-        }
-
-        fn get_name(kind: VariableKind) -> &'static str {
-            match kind {
-                $(VariableKind::$kind => $get_name,)+
-                VariableKind::Real => "fmi3GetFloat64",
-                VariableKind::Enumeration => "fmi3GetInt64",
-                VariableKind::String => "fmi3GetString",
-                VariableKind::Binary => "fmi3GetBinary",
-                VariableKind::Clock => "fmi3GetClock",
-            }
-        }
-
-        fn set_name(kind: VariableKind) -> &'static str {
-            match kind {
-                $(VariableKind::$kind => $set_name,)+
-                VariableKind::Real => "fmi3SetFloat64",
-                VariableKind::Enumeration => "fmi3SetInt64",
-                VariableKind::String => "fmi3SetString",
-                VariableKind::Binary => "fmi3SetBinary",
-                VariableKind::Clock => "fmi3SetClock",
-            }
-        }
-    };
-}
-numbers! {
-    Float32, f32, get_float32 "fmi3GetFloat32", set_float32 "fmi3SetFloat32";
-    Int8, i8, get_int8 "fmi3GetInt8", set_int8 "fmi3SetInt8";
-    UInt8, u8, get_uint8 "fmi3GetUInt8", set_uint8 "fmi3SetUInt8";
-    Int16, i16, get_int16 "fmi3GetInt16", set_int16 "fmi3SetInt16";
-    UInt16, u16, get_uint16 "fmi3GetUInt16", set_uint16 "fmi3SetUInt16";
-    Integer, i32, get_int32 "fmi3GetInt32", set_int32 "fmi3SetInt32";
-    UInt32, u32, get_uint32 "fmi3GetUInt32", set_uint32 "fmi3SetUInt32";
-    Int64, i64, get_int64 "fmi3GetInt64", set_int64 "fmi3SetInt64";
-    UInt64, u64, get_uint64 "fmi3GetUInt64", set_uint64 "fmi3SetUInt64";
-    Boolean, Flag, get_boolean "fmi3GetBoolean", set_boolean "fmi3SetBoolean";
-}
-
-/// # Safety
-/// As for the methods of [`Binding`]; the function takes elements of this type.
-unsafe fn get_numbers<T: Element>(
-    component: Component,
-    function: Option<Get<T>>,
-    references: &[u32],
-    lanes: &mut [i64],
-) -> Status {
-    let Some(function) = function else { return Status::Missing };
-    let (list, n, count) = (references.as_ptr(), references.len(), lanes.len());
-    // SAFETY: the caller's promises; there is room for as many values as the FMU is told.
-    status(packed::get::<T>(lanes, |values| unsafe { function(component, list, n, values, count) }))
-}
-
-/// # Safety
-/// As for the methods of [`Binding`]; the function takes elements of this type.
-unsafe fn set_numbers<T: Element>(
-    component: Component,
-    function: Option<Set<T>>,
-    references: &[u32],
-    lanes: &mut [i64],
-) -> Status {
-    let Some(function) = function else { return Status::Missing };
-    let (list, n, count) = (references.as_ptr(), references.len(), lanes.len());
-    // SAFETY: the caller's promises; there are as many values as the FMU is told.
-    status(packed::set::<T>(lanes, |values| unsafe { function(component, list, n, values, count) }))
 }
 
 enum Interface {

@@ -37,6 +37,8 @@ mod callbacks;
 mod fmi1;
 mod fmi2;
 mod fmi3;
+mod fmi3_functions;
+mod fmi3_numbers;
 mod library;
 mod packed;
 mod platform;
