@@ -140,7 +140,7 @@ pub enum FmiError {
         offered: String,
     },
     /// The FMU is a front for another program.
-    #[error("{model} needs the tool that made it{} (needsExecutionTool); such FMUs cannot be run", tool.as_deref().map(|t| format!(" ({t})")).unwrap_or_default())]
+    #[error("{model} needs the tool that made it{} (needsExecutionTool)", tool.as_deref().map(|t| format!(" ({t})")).unwrap_or_default())]
     NeedsExecutionTool {
         /// Name of the model.
         model: String,

@@ -5,6 +5,7 @@ use crate::copies::{CopyStore, PrivateCopy};
 use crate::description::{Interface, ModelDescription, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Instance, Instantiated};
+use crate::open_options::OpenOptions;
 use crate::options::{Kind, SimulateOptions};
 use crate::plan::{Setting, SimulationPlan};
 use crate::platform;
@@ -36,6 +37,7 @@ struct Inner {
     real_references: OnceLock<Vec<(u32, usize)>>,
     description: ModelDescription,
     path: PathBuf,
+    options: OpenOptions,
     archive: Archive,
 }
 
@@ -122,8 +124,16 @@ impl Fmu {
     /// # Errors
     /// Everything that can be wrong with the file; see [`FmiError`].
     pub fn open(path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
+        Self::open_with(path, &OpenOptions::default())
+    }
+
+    /// Opens a `.fmu` file or an unpacked folder with other limits, or to be loaded in another way.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let path = path.as_ref();
-        let archive = Archive::open(path)?;
+        let archive = Archive::open_with(path, &options.limits)?;
         let description = ModelDescription::read(&archive)?;
         Ok(Fmu {
             inner: Arc::new(Inner {
@@ -132,6 +142,7 @@ impl Fmu {
                 real_references: OnceLock::new(),
                 description,
                 path: path.to_owned(),
+                options: options.clone(),
                 archive,
             }),
         })
@@ -329,7 +340,7 @@ impl Fmu {
             wanted: kind.to_string(),
             offered: "the other interface".to_owned(),
         })?;
-        if interface.capabilities.needs_execution_tool {
+        if interface.capabilities.needs_execution_tool && !self.inner.options.tool_is_present {
             return Err(FmiError::NeedsExecutionTool {
                 model: description.model_name.clone(),
                 tool: description.generation_tool.clone(),
@@ -375,8 +386,7 @@ impl Fmu {
                 }
             }
         };
-        let library =
-            Arc::new(Library::open(&path, &description.fmi_version, kind, &interface.model_identifier)?);
+        let library = Arc::new(self.load(&path, kind, interface)?);
         let idle: Weak<Idle> = Arc::downgrade(&self.side(kind).idle);
         library.shared().add_spares(idle);
         *slot = Some(Arc::clone(&library));
@@ -393,8 +403,12 @@ impl Fmu {
         let library = self.library(kind)?;
         let make = || CopyStore::new(library.path(), self.root());
         let store = self.side(kind).copies.get_or_init(|| library.shared().copy_store(make));
+        store.lend(|path| self.load(path, kind, interface))
+    }
+
+    fn load(&self, path: &Path, kind: InterfaceKind, interface: &Interface) -> Result<Library, FmiError> {
         let version = &self.description().fmi_version;
-        store.lend(|path| Library::open(path, version, kind, &interface.model_identifier))
+        Library::open(path, version, kind, &interface.model_identifier, &self.inner.options.loader)
     }
 
     /// How several simulations share the process; `None` before it was tried (by a [`Pool`](crate::Pool)).

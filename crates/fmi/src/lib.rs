@@ -18,6 +18,7 @@ mod input;
 mod instance;
 mod lanes;
 mod model_exchange;
+mod open_options;
 mod options;
 mod outputs;
 mod plan;
@@ -48,6 +49,7 @@ pub use instance::{
 };
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use ode;
+pub use open_options::{LoaderOptions, OpenOptions};
 pub use options::{DEFAULT_INTERVALS, DEFAULT_TOLERANCE, Kind, SimulateOptions};
 pub use plan::SimulationPlan;
 pub use pool::{Lease, Pool};

@@ -185,9 +185,10 @@ fn a_reset_that_fails_is_replaced() {
 
 #[test]
 fn instances_that_share_their_memory_run_in_copies_or_one_at_a_time() {
-    for (folder, sharing) in
-        [(evil(&["SHARED_GLOBALS"]), Sharing::PrivateCopies), (evil_with_sibling(&[]), Sharing::OneAtATime)]
-    {
+    for (folder, sharing) in [
+        (evil(&["SHARED_GLOBALS"]), Sharing::PrivateCopies),
+        (evil_with_sibling(&[], "sibling"), Sharing::OneAtATime),
+    ] {
         three_workers(&folder, sharing);
     }
 }

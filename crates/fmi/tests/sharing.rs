@@ -89,7 +89,7 @@ fn what_is_found_out_about_a_library_holds_for_all_who_open_it() {
 #[test]
 fn two_pools_of_a_library_with_globals_do_not_run_at_once() {
     // Copies do not help where the globals are those of a second library.
-    let folder = evil_with_sibling(&[]);
+    let folder = evil_with_sibling(&[], "sibling");
     let fmu = folder.open();
     let pools = [(1.0, pool(&fmu, &with_k())), (3.0, pool(&folder.open(), &with_k()))];
     assert!(pools.iter().all(|(_, pool)| pool.sharing().unwrap() == Sharing::OneAtATime));

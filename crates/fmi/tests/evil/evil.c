@@ -39,6 +39,13 @@ static Model *last;
 #ifdef STATIC_SCRATCH
 static volatile double scratch;
 #endif
+#ifdef CLASHES
+/* A function of the C library; which one is called is a matter of how this library is loaded. */
+EXPORT int atoi(const char *text) { (void)text; return 7; }
+#endif
+#ifdef UNDEFINED_SYMBOL
+extern double not_there(double);
+#endif
 #ifdef THREAD_DATA
 #include <pthread.h>
 static pthread_key_t key;
@@ -299,6 +306,12 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
     Model *m = c;
     if (n != 1) return fmi2Error;
     dx[0] = -K(m) * m->x;
+#ifdef CLASHES
+    dx[0] = -atoi("3") * m->x;
+#endif
+#ifdef UNDEFINED_SYMBOL
+    if (m->time > 1e9) dx[0] = not_there(m->x);
+#endif
 #ifdef LAST_ONLY
     dx[0] = -last->k * m->x;
 #endif
