@@ -11,7 +11,9 @@ use crate::plan::{Setting, SimulationPlan};
 use crate::platform;
 use crate::simulation::Simulator;
 use crate::source;
-use crate::sys::{FloatEnvironment, InterfaceKind, Library, RawInstance, Request, Shared, Sizes, Spares};
+use crate::sys::{
+    FloatEnvironment, InterfaceKind, Library, LogFilter, RawInstance, Request, Shared, Sizes, Spares,
+};
 use crate::trajectory::Trajectory;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
@@ -112,8 +114,11 @@ const REINSTANTIATE: u8 = 3;
 pub struct InstanceOptions {
     /// Name of the instance, for log messages; default: the name of the model.
     pub name: Option<String>,
-    /// Ask the FMU to log.
+    /// Ask the FMU to log. FMUs log what they think important without being asked, too.
     pub logging: bool,
+    /// Which lines of the log are kept (see [`Instance::log`]); an FMU that logs more than some lines a call is held to
+    /// four a call and its errors, and the rest is counted.
+    pub log_filter: LogFilter,
     /// Let the FMU show windows.
     pub visible: bool,
 }
@@ -267,6 +272,7 @@ impl Fmu {
             early_return: interface.capabilities.may_return_early(),
             visible: options.visible,
             logging: options.logging,
+            log_filter: options.log_filter,
         };
         let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
         let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;

@@ -319,7 +319,8 @@ impl<P, K> Instance<P, K> {
         &self.core.fmu
     }
 
-    /// The last lines the FMU logged, oldest first, and the number of earlier ones that were not kept.
+    /// The last lines the FMU logged, oldest first, and the number of others that were not kept: earlier ones, and those
+    /// beyond the rate limit (see [`InstanceOptions`](crate::InstanceOptions)).
     pub fn log(&self) -> (Vec<LogLine>, u64) {
         let (mut lines, dropped) = self.core.raw.log();
         for line in &mut lines {
@@ -336,7 +337,7 @@ impl<P, K> Instance<P, K> {
         let (lines, dropped) = self.log();
         let model = &self.fmu().description().model_name;
         if dropped > 0 {
-            log::debug!("{model}: {dropped} earlier lines were not kept");
+            log::debug!("{model}: {dropped} other lines were not kept");
         }
         for line in lines {
             log::debug!("{model}: {line}");

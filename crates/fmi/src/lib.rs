@@ -56,5 +56,5 @@ pub use pool::{Lease, Pool};
 pub use session::Session;
 pub use simulation::Simulator;
 pub use source::{build_library, clear_caches, pack};
-pub use sys::{InterfaceKind, LogLine, Status};
+pub use sys::{InterfaceKind, LogFilter, LogLine, Status};
 pub use trajectory::Trajectory;
