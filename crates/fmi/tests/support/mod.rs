@@ -125,3 +125,32 @@ pub(crate) fn evil_with_sibling(faults: &[&str], name: &str) -> Folder {
     compile_with(folder.path(), "evil", &[here().join("tests/evil/evil.c")], &faults, &arguments);
     folder
 }
+
+/// The equation with faults (`tests/evil/model.c`) with one of the bundled front ends.
+pub(crate) fn faulty(kind: ExampleKind, defines: &[&str]) -> Folder {
+    let folder = tempfile::tempdir().unwrap();
+    let packed = Fmu::open(fmi::example_fmu_as("dahlquist", kind).unwrap()).unwrap();
+    let xml = std::fs::read_to_string(packed.root().join("modelDescription.xml")).unwrap();
+    let xml = match kind {
+        ExampleKind::Fmi3 => {
+            // An indicator is a variable there.
+            let variable = "<Float64 name=\"z\" valueReference=\"4\"/>\n  </ModelVariables>";
+            let indicator = "<EventIndicator valueReference=\"4\"/>\n  </ModelStructure>";
+            xml.replacen("</ModelVariables>", variable, 1).replacen("</ModelStructure>", indicator, 1)
+        }
+        _ => {
+            let xml = xml.replace("numberOfEventIndicators=\"0\"", "");
+            xml.replacen("modelName=", "numberOfEventIndicators=\"1\" modelName=", 1)
+        }
+    };
+    std::fs::write(folder.path().join("modelDescription.xml"), xml).unwrap();
+    let mut sources: Vec<PathBuf> = std::fs::read_dir(packed.root().join("sources"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "c"))
+        .filter(|path| path.file_name().is_some_and(|name| name != "model.c"))
+        .collect();
+    sources.push(here().join("tests/evil/model.c"));
+    compile(folder.path(), "dahlquist", &sources, defines);
+    Folder { folder }
+}
