@@ -100,7 +100,8 @@ pub enum Sharing {
     /// at once (and three for the trial runs), at most 64 in a process, for they are never unloaded and static
     /// thread-local storage is small. Where no further copy can be made, simulations take turns with the library itself.
     PrivateCopies,
-    /// One after the other, each waiting for its turn: instances disturb each other, also those of private copies.
+    /// One after the other, each waiting for its turn: instances disturb each other, also those of private copies, or they
+    /// write into the resources that all of them share.
     OneAtATime,
 }
 

@@ -335,3 +335,20 @@ fn copies_help_all_versions() {
         }
     }
 }
+
+#[test]
+fn writing_into_the_resources_is_detected() {
+    let folder = evil(&["WRITES_RESOURCES"]);
+    std::fs::create_dir(folder.path().join("resources")).unwrap();
+    let fmu = folder.open();
+    let trace = fmu.root().join("resources/trace.txt");
+    let first = pool(&fmu, &with_k());
+    assert_eq!(first.written_resource().unwrap(), Some(trace));
+    assert_eq!(first.sharing().unwrap(), Sharing::OneAtATime);
+    run_both(&[(1.0, first), (3.0, pool(&folder.open(), &with_k()))]);
+
+    let folder = evil(&[]);
+    std::fs::create_dir(folder.path().join("resources")).unwrap();
+    let pool = pool(&folder.open(), &with_k());
+    assert_eq!((pool.written_resource().unwrap(), pool.sharing().unwrap()), (None, Sharing::Together));
+}

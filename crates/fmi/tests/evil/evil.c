@@ -2,6 +2,7 @@
 #include "fmi2.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #ifdef FLUSHES
@@ -81,6 +82,18 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     if (m == NULL) return NULL;
     memcpy(&m->functions, functions, sizeof *functions);
     start_values(m);
+#ifdef WRITES_RESOURCES
+    {
+        char path[4096];
+        FILE *file;
+        snprintf(path, sizeof path, "%s/trace.txt", resources + strlen("file://"));
+        file = fopen(path, "a");
+        if (file != NULL) {
+            fputs("made\n", file);
+            fclose(file);
+        }
+    }
+#endif
 #ifdef LAST_ONLY
     last = m;
 #endif
