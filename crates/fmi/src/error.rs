@@ -216,7 +216,7 @@ pub enum FmiError {
         /// Rounds allowed.
         limit: u32,
     },
-    /// A saved state of another instance, or written by an instance of another FMU.
+    /// A saved state of another instance, or written by an instance of another FMU or of another kind.
     #[error("the saved state belongs to another instance")]
     ForeignState,
     /// A saved state of another phase: the instance would be in one and its type would say another.
