@@ -140,7 +140,7 @@ pub enum FmiError {
         offered: String,
     },
     /// The FMU is a front for another program.
-    #[error("{model} needs the tool that made it{} (needsExecutionTool); such FMUs cannot be run", tool.as_deref().map(|t| format!(" ({t})")).unwrap_or_default())]
+    #[error("{model} needs the tool that made it{} (needsExecutionTool)", tool.as_deref().map(|t| format!(" ({t})")).unwrap_or_default())]
     NeedsExecutionTool {
         /// Name of the model.
         model: String,
@@ -216,7 +216,7 @@ pub enum FmiError {
         /// Rounds allowed.
         limit: u32,
     },
-    /// A saved state of another instance, or written by an instance of another FMU.
+    /// A saved state of another instance, or written by an instance of another FMU or of another kind.
     #[error("the saved state belongs to another instance")]
     ForeignState,
     /// A saved state of another phase: the instance would be in one and its type would say another.

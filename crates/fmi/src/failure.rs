@@ -19,7 +19,7 @@ pub struct CallFailure {
     pub time: Option<f64>,
     /// The last lines the instance logged, oldest first; references to variables are expanded to names.
     pub log: Vec<LogLine>,
-    /// How many earlier lines are not shown.
+    /// How many other lines are not shown: earlier ones, and those beyond the rate limit.
     pub dropped_log_lines: u64,
 }
 
@@ -47,7 +47,7 @@ impl fmt::Display for CallFailure {
             }
         }
         if self.dropped_log_lines > 0 {
-            write!(f, " (and {} lines before)", self.dropped_log_lines)?;
+            write!(f, " (and {} other lines)", self.dropped_log_lines)?;
         }
         Ok(())
     }

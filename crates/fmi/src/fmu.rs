@@ -5,12 +5,15 @@ use crate::copies::{CopyStore, PrivateCopy};
 use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Instance, Instantiated};
+use crate::open_options::OpenOptions;
 use crate::options::{Kind, SimulateOptions};
 use crate::plan::{Setting, SimulationPlan};
 use crate::platform;
 use crate::simulation::Simulator;
 use crate::source;
-use crate::sys::{FloatEnvironment, InterfaceKind, Library, RawInstance, Request, Shared, Sizes, Spares};
+use crate::sys::{
+    FloatEnvironment, InterfaceKind, Library, LogFilter, RawInstance, Request, Shared, Sizes, Spares,
+};
 use crate::trajectory::Trajectory;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
@@ -36,6 +39,7 @@ struct Inner {
     real_references: OnceLock<Vec<(u32, usize)>>,
     description: ModelDescription,
     path: PathBuf,
+    options: OpenOptions,
     archive: Archive,
 }
 
@@ -96,7 +100,8 @@ pub enum Sharing {
     /// at once (and three for the trial runs), at most 64 in a process, for they are never unloaded and static
     /// thread-local storage is small. Where no further copy can be made, simulations take turns with the library itself.
     PrivateCopies,
-    /// One after the other, each waiting for its turn: instances disturb each other, also those of private copies.
+    /// One after the other, each waiting for its turn: instances disturb each other, also those of private copies, or they
+    /// write into the resources that all of them share.
     OneAtATime,
 }
 
@@ -110,8 +115,11 @@ const REINSTANTIATE: u8 = 3;
 pub struct InstanceOptions {
     /// Name of the instance, for log messages; default: the name of the model.
     pub name: Option<String>,
-    /// Ask the FMU to log.
+    /// Ask the FMU to log. FMUs log what they think important without being asked, too.
     pub logging: bool,
+    /// Which lines of the log are kept (see [`Instance::log`]); an FMU that logs more than some lines a call is held to
+    /// four a call and its errors, and the rest is counted.
+    pub log_filter: LogFilter,
     /// Let the FMU show windows.
     pub visible: bool,
 }
@@ -122,8 +130,16 @@ impl Fmu {
     /// # Errors
     /// Everything that can be wrong with the file; see [`FmiError`].
     pub fn open(path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
+        Self::open_with(path, &OpenOptions::default())
+    }
+
+    /// Opens a `.fmu` file or an unpacked folder with other limits, or to be loaded in another way.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let path = path.as_ref();
-        let archive = Archive::open(path)?;
+        let archive = Archive::open_with(path, &options.limits)?;
         let mut description = ModelDescription::read(&archive)?;
         if let [first, others @ ..] = archive.repeated() {
             let more = match others.len() {
@@ -141,6 +157,7 @@ impl Fmu {
                 real_references: OnceLock::new(),
                 description,
                 path: path.to_owned(),
+                options: options.clone(),
                 archive,
             }),
         })
@@ -265,6 +282,7 @@ impl Fmu {
             early_return: interface.capabilities.may_return_early(),
             visible: options.visible,
             logging: options.logging,
+            log_filter: options.log_filter,
         };
         let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
         let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
@@ -347,7 +365,7 @@ impl Fmu {
             wanted: kind.to_string(),
             offered: "the other interface".to_owned(),
         })?;
-        if interface.capabilities.needs_execution_tool {
+        if interface.capabilities.needs_execution_tool && !self.inner.options.tool_is_present {
             return Err(FmiError::NeedsExecutionTool {
                 model: description.model_name.clone(),
                 tool: description.generation_tool.clone(),
@@ -393,8 +411,7 @@ impl Fmu {
                 }
             }
         };
-        let library =
-            Arc::new(Library::open(&path, &description.fmi_version, kind, &interface.model_identifier)?);
+        let library = Arc::new(self.load(&path, kind, interface)?);
         let idle: Weak<Idle> = Arc::downgrade(&self.side(kind).idle);
         library.shared().add_spares(idle);
         *slot = Some(Arc::clone(&library));
@@ -411,8 +428,12 @@ impl Fmu {
         let library = self.library(kind)?;
         let make = || CopyStore::new(library.path(), self.root());
         let store = self.side(kind).copies.get_or_init(|| library.shared().copy_store(make));
+        store.lend(|path| self.load(path, kind, interface))
+    }
+
+    fn load(&self, path: &Path, kind: InterfaceKind, interface: &Interface) -> Result<Library, FmiError> {
         let version = &self.description().fmi_version;
-        store.lend(|path| Library::open(path, version, kind, &interface.model_identifier))
+        Library::open(path, version, kind, &interface.model_identifier, &self.inner.options.loader)
     }
 
     /// How several simulations share the process; `None` before it was tried (by a [`Pool`](crate::Pool)).

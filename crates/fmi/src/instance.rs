@@ -95,13 +95,15 @@ pub struct SavedState {
     phase: &'static str,
 }
 
-/// The bytes of a saved state, for any instance of the same FMU. Only [`Instance::serialize`] makes them: FMUs read
+/// The bytes of a saved state, for any instance of the same kind of the same FMU. Only [`Instance::serialize`] makes them: FMUs read
 /// them without looking.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SerializedState {
     bytes: Vec<u8>,
     /// Hash of the FMU's content.
     fmu: String,
+    /// The way of running it.
+    kind: &'static str,
     phase: &'static str,
 }
 
@@ -319,7 +321,8 @@ impl<P, K> Instance<P, K> {
         &self.core.fmu
     }
 
-    /// The last lines the FMU logged, oldest first, and the number of earlier ones that were not kept.
+    /// The last lines the FMU logged, oldest first, and the number of others that were not kept: earlier ones, and those
+    /// beyond the rate limit (see [`InstanceOptions`](crate::InstanceOptions)).
     pub fn log(&self) -> (Vec<LogLine>, u64) {
         let (mut lines, dropped) = self.core.raw.log();
         for line in &mut lines {
@@ -336,7 +339,7 @@ impl<P, K> Instance<P, K> {
         let (lines, dropped) = self.log();
         let model = &self.fmu().description().model_name;
         if dropped > 0 {
-            log::debug!("{model}: {dropped} earlier lines were not kept");
+            log::debug!("{model}: {dropped} other lines were not kept");
         }
         for line in lines {
             log::debug!("{model}: {line}");
@@ -367,15 +370,16 @@ impl<P, K> Instance<P, K> {
     pub fn serialize(&mut self, state: &SavedState) -> Result<SerializedState, FmiError> {
         self.check_own(state)?;
         let bytes = self.core.call(|raw| raw.serialize(&state.slot))?;
-        Ok(SerializedState { bytes, fmu: self.core.fmu.content_hash().to_owned(), phase: state.phase })
+        let fmu = self.core.fmu.content_hash().to_owned();
+        Ok(SerializedState { bytes, fmu, kind: std::any::type_name::<K>(), phase: state.phase })
     }
 
     /// Makes a saved state of bytes that an instance of the same FMU has written.
     ///
     /// # Errors
-    /// [`FmiError::ForeignState`] for a state of another FMU; the FMU cannot, or refuses.
+    /// [`FmiError::ForeignState`] for a state of another FMU, or of the other kind of instance; the FMU cannot, or refuses.
     pub fn deserialize(&mut self, state: &SerializedState) -> Result<SavedState, FmiError> {
-        if state.fmu != self.core.fmu.content_hash() {
+        if state.fmu != self.core.fmu.content_hash() || state.kind != std::any::type_name::<K>() {
             return Err(FmiError::ForeignState);
         }
         let slot = self.core.call(|raw| raw.deserialize(&state.bytes))?;

@@ -1,6 +1,7 @@
 //! Lends each worker a simulator with an instance of its own; finds out how instances can be reused, and whether several
 //! can be used at once.
 
+use crate::archive::Snapshot;
 use crate::error::FmiError;
 use crate::fmu::{Reuse, Sharing};
 use crate::plan::SimulationPlan;
@@ -8,6 +9,7 @@ use crate::simulation::Simulator;
 use crate::sys::{Loan, Shared};
 use crate::trial::Trial;
 use std::ops::{Deref, DerefMut};
+use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Simulators of one plan, for any number of workers.
@@ -32,6 +34,7 @@ struct State {
     idle: Vec<Simulator>,
     lent: usize,
     tested: Option<Tested>,
+    written: Option<PathBuf>,
 }
 
 /// What the test found.
@@ -104,6 +107,17 @@ impl Pool {
             Sharing::Together if shared.is_dependent() => of_dependent(shared.copies_work()),
             sharing => sharing,
         })
+    }
+
+    /// A file below the FMU's `resources` that the trial runs wrote, made or removed. All instances share the resources,
+    /// so simulations run one at a time then.
+    ///
+    /// # Errors
+    /// The FMU has to be tested first and cannot be instantiated.
+    pub fn written_resource(&self) -> Result<Option<PathBuf>, FmiError> {
+        let mut state = self.state();
+        self.test(&mut state)?;
+        Ok(state.written.clone())
     }
 
     /// Lends a simulator: an idle one, else a new one. Where only one may be used at a time, waits until it is returned
@@ -181,8 +195,11 @@ impl Pool {
         }
         let _loan = shared.is_dependent().then(|| shared.borrow_alone());
         let _turn = shared.turn();
+        let resources = Snapshot::of(&self.plan.fmu().root().join("resources"));
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
-        let Some(tested) = self.examine(&mut simulator)? else {
+        let examined = self.examine(&mut simulator)?;
+        state.written = resources.first_change();
+        let Some(mut tested) = examined else {
             // It says nothing about the FMU, so it binds nobody but this pool.
             log::warn!(
                 "{}: the model cannot be simulated at {:?}, so reset and concurrency cannot be tested; simulations run \
@@ -198,6 +215,17 @@ impl Pool {
             state.tested = Some(cautious);
             return Ok(cautious);
         };
+        if let Some(file) = &state.written {
+            log::warn!(
+                "{}: simulations write into the resources, which all instances share: {}",
+                self.plan.fmu().description().model_name,
+                file.display()
+            );
+            // Copies of the library would share them too.
+            tested.sharing = Sharing::OneAtATime;
+            shared.set_copies_work(false);
+            shared.set_dependent();
+        }
         self.plan.set_reuse(tested.reuse);
         if tested.reuse == Reuse::Reinstantiate {
             log::warn!(

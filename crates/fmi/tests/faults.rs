@@ -6,7 +6,8 @@ mod support;
 
 use fmi::ode::{ErrorKind, Ignore, Termination};
 use fmi::{
-    FmiError, Inputs, Kind, Pool, Reuse, Sharing, SimulateOptions, SimulationPlan, Simulator, Status, Value,
+    FmiError, Inputs, InstanceOptions, Kind, LogFilter, Pool, Reuse, Sharing, SimulateOptions,
+    SimulationPlan, Simulator, Status, Value,
 };
 use std::sync::Arc;
 use support::{Folder, evil, evil_with, evil_with_sibling};
@@ -145,6 +146,30 @@ fn a_flood_of_odd_log_messages_is_bounded() {
     let texts: Vec<&str> = lines[28..].iter().map(|line| line.text.as_str()).collect();
     assert_eq!(texts[..3], ["", "100 % sure, %", "bad \u{fffd}\u{fffd} bytes"]);
     assert!(texts[3].starts_with("x = 1 of "), "{texts:?}");
+    // From now on some lines a call; all are counted.
+    instance.get_derivatives(&mut [0.0]).unwrap();
+    let (lines, dropped) = instance.log();
+    assert_eq!((lines.len(), dropped), (32, 1568));
+}
+
+#[test]
+fn the_reason_of_an_error_comes_through_a_flood() {
+    let error = fails(&["LOG_FLOOD", "ERROR_LATE"]);
+    let failure = error.call_failure().unwrap();
+    assert_eq!(failure.log.last().unwrap().text, "broken beyond t = 0.5");
+    // At least the initial right-hand side and one step were made before.
+    assert!(failure.dropped_log_lines > 2 * 800 - 8, "{}", failure.dropped_log_lines);
+}
+
+#[test]
+fn lines_below_the_level_asked_for_are_not_kept() {
+    let folder = evil(&["LOG_FLOOD"]);
+    let options = InstanceOptions { log_filter: LogFilter::Errors, ..InstanceOptions::default() };
+    let instance = folder.open().instantiate_with(&options).unwrap();
+    let instance = instance.enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap().enter_continuous_time().unwrap();
+    instance.get_derivatives(&mut [0.0]).unwrap();
+    assert_eq!(instance.log(), (Vec::new(), 0));
 }
 
 #[test]
@@ -187,9 +212,10 @@ fn a_reset_that_fails_is_replaced() {
 
 #[test]
 fn instances_that_share_their_memory_run_in_copies_or_one_at_a_time() {
-    for (folder, sharing) in
-        [(evil(&["SHARED_GLOBALS"]), Sharing::PrivateCopies), (evil_with_sibling(&[]), Sharing::OneAtATime)]
-    {
+    for (folder, sharing) in [
+        (evil(&["SHARED_GLOBALS"]), Sharing::PrivateCopies),
+        (evil_with_sibling(&[], "sibling"), Sharing::OneAtATime),
+    ] {
         three_workers(&folder, sharing);
     }
 }

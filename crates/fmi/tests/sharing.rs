@@ -89,7 +89,7 @@ fn what_is_found_out_about_a_library_holds_for_all_who_open_it() {
 #[test]
 fn two_pools_of_a_library_with_globals_do_not_run_at_once() {
     // Copies do not help where the globals are those of a second library.
-    let folder = evil_with_sibling(&[]);
+    let folder = evil_with_sibling(&[], "sibling");
     let fmu = folder.open();
     let pools = [(1.0, pool(&fmu, &with_k())), (3.0, pool(&folder.open(), &with_k()))];
     assert!(pools.iter().all(|(_, pool)| pool.sharing().unwrap() == Sharing::OneAtATime));
@@ -334,4 +334,21 @@ fn copies_help_all_versions() {
             assert!((x - (-k).exp()).abs() < 1e-4, "{version:?}: {x}");
         }
     }
+}
+
+#[test]
+fn writing_into_the_resources_is_detected() {
+    let folder = evil(&["WRITES_RESOURCES"]);
+    std::fs::create_dir(folder.path().join("resources")).unwrap();
+    let fmu = folder.open();
+    let trace = fmu.root().join("resources/trace.txt");
+    let first = pool(&fmu, &with_k());
+    assert_eq!(first.written_resource().unwrap(), Some(trace));
+    assert_eq!(first.sharing().unwrap(), Sharing::OneAtATime);
+    run_both(&[(1.0, first), (3.0, pool(&folder.open(), &with_k()))]);
+
+    let folder = evil(&[]);
+    std::fs::create_dir(folder.path().join("resources")).unwrap();
+    let pool = pool(&folder.open(), &with_k());
+    assert_eq!((pool.written_resource().unwrap(), pool.sharing().unwrap()), (None, Sharing::Together));
 }

@@ -6,10 +6,12 @@ mod entries;
 mod hash;
 mod names;
 mod private;
+mod snapshot;
 mod unpack;
 
 pub(crate) use hash::{files_below, of_texts as hash_of_texts};
 pub(crate) use private::PrivateFolder;
+pub(crate) use snapshot::Snapshot;
 
 use crate::error::{EntryProblem, FmiError};
 use std::fs::File;

@@ -10,6 +10,7 @@ use std::collections::VecDeque;
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Bytes of a message that are kept.
@@ -17,6 +18,44 @@ const LONGEST_TEXT: usize = 2047;
 
 /// Lines kept per instance.
 const LINES: usize = 32;
+
+/// The rate limit, counted in calls of the FMU and not in time, so that the same run leaves the same lines: an instance
+/// may log so many lines at once,
+const BURST: i32 = 64;
+/// gets leave for so many more with every call,
+const PER_CALL: i32 = 4;
+/// and when it has used that up, may still log so many errors. The lines beyond are counted, and neither expanded nor kept.
+const ERRORS_BEYOND: i32 = 64;
+
+/// Which lines of an FMU's log are kept; the others are not even expanded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
+pub enum LogFilter {
+    /// All.
+    #[default]
+    All,
+    /// Lines whose status is not ok.
+    Warnings,
+    /// Lines whose status is error, fatal or unknown.
+    Errors,
+    /// None.
+    Nothing,
+}
+
+impl LogFilter {
+    fn lets_pass(self, status: Status) -> bool {
+        match self {
+            LogFilter::All => true,
+            LogFilter::Warnings => !matches!(status, Status::Ok | Status::Pending),
+            LogFilter::Errors => is_error(status),
+            LogFilter::Nothing => false,
+        }
+    }
+}
+
+fn is_error(status: Status) -> bool {
+    matches!(status, Status::Error | Status::Fatal | Status::Unknown(_))
+}
 
 /// A line that an FMU logged.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -78,22 +117,58 @@ fn copy_lossy(bytes: &[u8], target: &mut String) {
 
 /// The log of one instance. FMUs may log from threads of their own, hence the mutex.
 #[derive(Debug)]
-pub(super) struct Log(Mutex<Lines>);
+pub(super) struct Log {
+    lines: Mutex<Lines>,
+    filter: LogFilter,
+    /// Lines that may still be logged; below zero for errors only.
+    credit: AtomicI32,
+    /// Lines beyond the rate limit.
+    refused: AtomicU64,
+}
 
 impl Log {
-    pub(super) fn new() -> Self {
-        Self(Mutex::new(Lines { kept: VecDeque::with_capacity(LINES), dropped: 0 }))
+    pub(super) fn new(filter: LogFilter) -> Self {
+        Self {
+            lines: Mutex::new(Lines { kept: VecDeque::with_capacity(LINES), dropped: 0 }),
+            filter,
+            credit: AtomicI32::new(BURST),
+            refused: AtomicU64::new(0),
+        }
+    }
+
+    /// Notes that the FMU is called.
+    #[inline]
+    pub(super) fn begin_call(&self) {
+        let credit = self.credit.load(Ordering::Relaxed);
+        if credit < BURST {
+            self.credit.store((credit + PER_CALL).min(BURST), Ordering::Relaxed);
+        }
+    }
+
+    /// Whether a line is to be expanded and kept.
+    fn admits(&self, status: Status) -> bool {
+        if !self.filter.lets_pass(status) {
+            return false;
+        }
+        let least = if is_error(status) { -ERRORS_BEYOND } else { 0 };
+        let take = |credit: i32| (credit > least).then_some(credit - 1);
+        let admitted = self.credit.fetch_update(Ordering::Relaxed, Ordering::Relaxed, take).is_ok();
+        if !admitted {
+            self.refused.fetch_add(1, Ordering::Relaxed);
+        }
+        admitted
     }
 
     fn lines(&self) -> MutexGuard<'_, Lines> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.lines.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The last `n` lines, oldest first, and how many earlier ones there were.
+    /// The last `n` lines that were kept, oldest first, and how many others there were.
     pub(super) fn last(&self, n: usize) -> (Vec<LogLine>, u64) {
         let lines = self.lines();
         let skip = lines.kept.len().saturating_sub(n);
-        (lines.kept.iter().skip(skip).cloned().collect(), lines.dropped + skip as u64)
+        let others = lines.dropped + skip as u64 + self.refused.load(Ordering::Relaxed);
+        (lines.kept.iter().skip(skip).cloned().collect(), others)
     }
 
     /// Forgets the lines.
@@ -101,6 +176,8 @@ impl Log {
         let mut lines = self.lines();
         lines.kept.clear();
         lines.dropped = 0;
+        self.credit.store(BURST, Ordering::Relaxed);
+        self.refused.store(0, Ordering::Relaxed);
     }
 }
 
@@ -108,6 +185,7 @@ impl Log {
 #[repr(C)]
 #[derive(Debug)]
 pub(super) struct Environment {
+    admits: unsafe extern "C" fn(*mut c_void, c_int) -> c_int,
     sink: unsafe extern "C" fn(*mut c_void, c_int, *const c_char, usize, *const c_char, usize),
     data: *mut c_void,
 }
@@ -120,8 +198,19 @@ unsafe impl Sync for Environment {}
 impl Environment {
     /// An environment whose messages go to `log`, which must outlive every component that knows the environment.
     pub(super) fn new(log: &Log) -> Self {
-        Self { sink, data: std::ptr::from_ref(log).cast_mut().cast() }
+        Self { admits, sink, data: std::ptr::from_ref(log).cast_mut().cast() }
     }
+}
+
+/// Tells the C shim whether a message is wanted.
+///
+/// # Safety
+/// `data` is the address of a live [`Log`].
+unsafe extern "C" fn admits(data: *mut c_void, status: c_int) -> c_int {
+    // SAFETY: `Environment::new` stored the address of a `Log` that outlives the component (invariant 3). Nothing here
+    // panics.
+    let log = unsafe { &*data.cast::<Log>() };
+    c_int::from(log.admits(super::status(status)))
 }
 
 /// Takes a message from the C shim.
@@ -166,6 +255,10 @@ pub(super) unsafe extern "C" fn fmi3_log(
     }
     // SAFETY: FMI 3.0 hands back what it was given at instantiation (section 2.3.1).
     let environment = unsafe { &*environment.cast::<Environment>() };
+    // SAFETY: `Environment::new` paired the function with its data.
+    if unsafe { (environment.admits)(environment.data, status) } == 0 {
+        return;
+    }
     let length = |text: *const c_char| {
         // SAFETY: checked for NULL, ends in NUL.
         if text.is_null() { 0 } else { unsafe { CStr::from_ptr(text) }.to_bytes().len().min(LONGEST_TEXT) }
@@ -247,7 +340,7 @@ mod tests {
 
     #[test]
     fn messages_are_expanded() {
-        let log = Log::new();
+        let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         // SAFETY: the arguments fit the format.
         unsafe {
@@ -269,7 +362,7 @@ mod tests {
 
     #[test]
     fn null_pointers_bad_formats_and_bad_bytes_are_tolerated() {
-        let log = Log::new();
+        let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         send(&environment, null());
         send(&environment, c"100 %".as_ptr());
@@ -283,8 +376,70 @@ mod tests {
     }
 
     #[test]
+    fn a_flood_is_counted_and_errors_come_through() {
+        let log = Log::new(LogFilter::All);
+        let environment = Environment::new(&log);
+        // SAFETY: the environment is alive; the format takes no arguments.
+        let say = |status, text: &CStr| unsafe {
+            let environment = (&raw const environment).cast_mut().cast();
+            fmufit_fmi2_log(environment, null(), status, null(), text.as_ptr());
+        };
+        for _ in 0..1000 {
+            say(1, c"warning");
+        }
+        assert_eq!(log.refused.load(Ordering::Relaxed), 936);
+        say(3, c"error");
+        say(1, c"warning");
+        let (lines, others) = log.last(2);
+        assert_eq!(lines.last().unwrap().text, "error");
+        assert_eq!(others, 1000);
+        for _ in 0..100 {
+            say(4, c"fatal");
+        }
+        assert_eq!(log.refused.load(Ordering::Relaxed), 937 + 100 - 63);
+        // Every call gives leave for some lines.
+        log.begin_call();
+        say(1, c"not yet");
+        assert!(texts(&log).iter().all(|text| text != "not yet"));
+        for _ in 0..16 {
+            log.begin_call();
+        }
+        for _ in 0..5 {
+            say(0, c"again");
+        }
+        assert_eq!(texts(&log).iter().filter(|text| *text == "again").count(), 4);
+        log.clear();
+        say(0, c"new");
+        assert_eq!(log.last(9).1, 0);
+    }
+
+    #[test]
+    fn lines_that_nobody_wants_are_not_counted() {
+        for (filter, expected) in [
+            (LogFilter::All, &["0", "1", "2", "3", "4", "9"][..]),
+            (LogFilter::Warnings, &["1", "2", "3", "4", "9"]),
+            (LogFilter::Errors, &["3", "4", "9"]),
+            (LogFilter::Nothing, &[]),
+        ] {
+            let log = Log::new(filter);
+            let environment = Environment::new(&log);
+            for (status, text) in [(0, c"0"), (1, c"1"), (2, c"2"), (3, c"3"), (4, c"4"), (9, c"9")] {
+                // SAFETY: the environment is alive; the formats take no arguments.
+                unsafe {
+                    let environment: *mut c_void = (&raw const environment).cast_mut().cast();
+                    fmufit_fmi2_log(environment, null(), status, null(), text.as_ptr());
+                    fmi3_log(environment, status, null(), text.as_ptr());
+                }
+            }
+            let twice: Vec<&str> = expected.iter().flat_map(|text| [*text, *text]).collect();
+            assert_eq!(texts(&log), twice, "{filter:?}");
+            assert_eq!(log.last(99).1, 0);
+        }
+    }
+
+    #[test]
     fn messages_without_environment_go_to_the_instance_being_called() {
-        let (first, second) = (Log::new(), Log::new());
+        let (first, second) = (Log::new(LogFilter::All), Log::new(LogFilter::All));
         let (one, two) = (Environment::new(&first), Environment::new(&second));
         // SAFETY: the environments outlive the guards; the formats take no arguments.
         let say = |text: &CStr| unsafe {
@@ -307,7 +462,7 @@ mod tests {
 
     #[test]
     fn finished_texts_are_taken_as_they_are() {
-        let log = Log::new();
+        let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         let address: *mut c_void = (&raw const environment).cast_mut().cast();
         // SAFETY: the environment is alive, the texts end in NUL or are NULL.
@@ -321,7 +476,7 @@ mod tests {
 
     #[test]
     fn long_messages_are_cut_and_a_flood_is_counted() {
-        let log = Log::new();
+        let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         let long = std::ffi::CString::new(vec![b'a'; 10_000]).unwrap();
         send(&environment, long.as_ptr());

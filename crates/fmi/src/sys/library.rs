@@ -4,6 +4,7 @@ use super::platform::{self, FloatEnvironment, Handle};
 use super::{Binding, InterfaceKind, Shared, fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
+use crate::open_options::LoaderOptions;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -42,8 +43,12 @@ impl Library {
         version: &FmiVersion,
         kind: InterfaceKind,
         model_identifier: &str,
+        options: &LoaderOptions,
     ) -> Result<Self, FmiError> {
         Self::check_version(version)?;
+        platform::check(options).map_err(|option| FmiError::BadSetting {
+            problem: format!("the loader of this system has no option {option}"),
+        })?;
         // Loading code linked with -ffast-math changes the floating-point mode of this thread.
         let _guard = FloatEnvironment::standard();
         let shared = Shared::of(path)?;
@@ -51,7 +56,7 @@ impl Library {
             return Err(FmiError::LibraryUnusable { library: path.to_owned() });
         }
         // SAFETY: the user asked to run this FMU, and running its constructors is part of that.
-        let handle = unsafe { platform::open(path) }.map_err(|error| {
+        let handle = unsafe { platform::open(path, options) }.map_err(|error| {
             if Arc::strong_count(&shared) <= 2 {
                 Shared::forget(path);
             }

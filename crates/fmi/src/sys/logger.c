@@ -1,6 +1,6 @@
 /* What Rust cannot write: variadic logger callbacks, and the memory callbacks of FMI 1.0 and 2.0.
  *
- * The logger expands the message into a buffer of fixed size on the stack and hands pointer and length to the sink
+ * The logger asks whether a message is wanted at all, expands it into a buffer of fixed size on the stack and hands pointer and length to the sink
  * that the environment names. There is no global state (but one pointer per thread for FMI 1.0, see callbacks.rs),
  * and every pointer that an FMU passes may be NULL. */
 
@@ -15,6 +15,7 @@
 
 /* The same layout as `Environment` in callbacks.rs. */
 struct fmufit_environment {
+    int (*admits)(void *data, int status);
     void (*sink)(void *data, int status, const char *category, size_t category_length, const char *text,
                  size_t text_length);
     void *data;
@@ -55,7 +56,7 @@ static void expand(const struct fmufit_environment *environment, int status, con
     size_t length = 0;
     int written = -1;
 
-    if (environment == NULL || environment->sink == NULL) {
+    if (environment == NULL || environment->sink == NULL || !environment->admits(environment->data, status)) {
         return;
     }
     if (message == NULL) {

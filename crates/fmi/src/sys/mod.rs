@@ -45,7 +45,7 @@ mod platform;
 mod raw_instance;
 mod shared;
 
-pub use callbacks::LogLine;
+pub use callbacks::{LogFilter, LogLine};
 pub(crate) use library::Library;
 pub(crate) use platform::FloatEnvironment;
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
@@ -237,6 +237,7 @@ pub(crate) struct Request<'a> {
     pub(crate) early_return: bool,
     pub(crate) visible: bool,
     pub(crate) logging: bool,
+    pub(crate) log_filter: LogFilter,
 }
 
 /// What an experiment is set up with.

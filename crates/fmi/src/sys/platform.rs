@@ -1,5 +1,6 @@
 //! What differs between systems and processors in this room: how a library is opened, and the floating-point mode.
 
+use crate::open_options::LoaderOptions;
 use std::path::Path;
 
 /// Never closed: a thread that has called the FMU may hold data of its own for it (thread-specific data, `thread_local`
@@ -10,15 +11,32 @@ pub(super) type Handle = std::mem::ManuallyDrop<libloading::os::unix::Library>;
 #[cfg(not(unix))]
 pub(super) type Handle = libloading::Library;
 
-/// Opens a shared library with all its symbols bound and none of them offered to other libraries.
+/// `RTLD_DEEPBIND` of glibc (`dlfcn.h`), where there is such a flag.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const DEEPBIND: Option<std::ffi::c_int> = Some(8);
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+const DEEPBIND: Option<std::ffi::c_int> = None;
+
+/// Whether the loader can do what is asked of it; else the option that it does not have.
+pub(super) fn check(options: &LoaderOptions) -> Result<(), &'static str> {
+    match options {
+        LoaderOptions { deepbind: true, .. } if DEEPBIND.is_none() => Err("deepbind"),
+        LoaderOptions { lazy: true, .. } if cfg!(not(unix)) => Err("lazy"),
+        _ => Ok(()),
+    }
+}
+
+/// Opens a shared library and offers none of its symbols to other libraries.
 ///
 /// # Safety
 /// Runs the library's constructors, which is foreign code.
 #[cfg(unix)]
-pub(super) unsafe fn open(path: &Path) -> Result<Handle, libloading::Error> {
-    use libloading::os::unix::{RTLD_LOCAL, RTLD_NOW};
+pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Handle, libloading::Error> {
+    use libloading::os::unix::{RTLD_LAZY, RTLD_LOCAL, RTLD_NOW};
+    let when = if options.lazy { RTLD_LAZY } else { RTLD_NOW };
+    let deep = DEEPBIND.filter(|_| options.deepbind).unwrap_or(0);
     // SAFETY: handed on to the caller.
-    unsafe { libloading::os::unix::Library::open(Some(path), RTLD_NOW | RTLD_LOCAL) }
+    unsafe { libloading::os::unix::Library::open(Some(path), when | RTLD_LOCAL | deep) }
         .map(std::mem::ManuallyDrop::new)
 }
 
@@ -27,7 +45,7 @@ pub(super) unsafe fn open(path: &Path) -> Result<Handle, libloading::Error> {
 /// # Safety
 /// Runs the library's constructors, which is foreign code.
 #[cfg(not(unix))]
-pub(super) unsafe fn open(path: &Path) -> Result<Handle, libloading::Error> {
+pub(super) unsafe fn open(path: &Path, _: &LoaderOptions) -> Result<Handle, libloading::Error> {
     // SAFETY: handed on to the caller.
     unsafe { Handle::new(path) }
 }

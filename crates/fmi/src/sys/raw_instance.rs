@@ -117,7 +117,7 @@ impl RawInstance {
             shared.live.fetch_sub(1, Ordering::Relaxed);
             return Err(FmiError::OnlyOneInstance { library: library.path().to_owned() });
         }
-        let log = Arc::new(Log::new());
+        let log = Arc::new(Log::new(request.log_filter));
         let environment = Arc::new(Environment::new(&log));
         // SAFETY: the environment and the log it points to are on the heap and kept until the component is gone.
         let created = unsafe { library.binding().instantiate(request, &environment) };
@@ -240,6 +240,7 @@ impl RawInstance {
 macro_rules! run {
     ($self:ident, $call:expr, |$binding:ident, $component:ident| $body:expr) => {{
         $self.alive($call)?;
+        $self.log.begin_call();
         let status = {
             let ($binding, $component) = ($self.library.binding(), $self.component);
             // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of this

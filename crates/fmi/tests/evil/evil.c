@@ -2,6 +2,7 @@
 #include "fmi2.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #ifdef FLUSHES
@@ -43,6 +44,13 @@ static Model *last;
 #ifdef STATIC_SCRATCH
 static volatile double scratch;
 #endif
+#ifdef CLASHES
+/* A function of the C library; which one is called is a matter of how this library is loaded. */
+EXPORT int atoi(const char *text) { (void)text; return 7; }
+#endif
+#ifdef UNDEFINED_SYMBOL
+extern double not_there(double);
+#endif
 #ifdef THREAD_DATA
 #include <pthread.h>
 static pthread_key_t key;
@@ -81,6 +89,18 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     if (m == NULL) return NULL;
     memcpy(&m->functions, functions, sizeof *functions);
     start_values(m);
+#ifdef WRITES_RESOURCES
+    {
+        char path[4096];
+        FILE *file;
+        snprintf(path, sizeof path, "%s/trace.txt", resources + strlen("file://"));
+        file = fopen(path, "a");
+        if (file != NULL) {
+            fputs("made\n", file);
+            fclose(file);
+        }
+    }
+#endif
 #ifdef LAST_ONLY
     last = m;
 #endif
@@ -327,6 +347,12 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
     dx[0] = -K(m) * m->x;
 #ifdef ONE_SET
     dx[0] = m->u;
+#endif
+#ifdef CLASHES
+    dx[0] = -atoi("3") * m->x;
+#endif
+#ifdef UNDEFINED_SYMBOL
+    if (m->time > 1e9) dx[0] = not_there(m->x);
 #endif
 #ifdef LAST_ONLY
     dx[0] = -last->k * m->x;

@@ -33,7 +33,7 @@ fn compile_with(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&
     std::fs::create_dir_all(&folder).unwrap();
     let library = folder.join(format!("{identifier}.{}", fmi::platform::LIBRARY_EXTENSION));
     let output = Command::new("cc")
-        .args(["-shared", "-fPIC", "-O1", "-ffp-contract=off", "-o"])
+        .args(["-shared", "-fPIC", "-O1", "-ffp-contract=off", "-fno-builtin-atoi", "-Wl,-z,lazy", "-o"])
         .arg(&library)
         .args(defines.iter().map(|define| format!("-D{define}")))
         .arg("-I")
@@ -114,14 +114,43 @@ pub(crate) fn evil_with(faults: &[&str], edit: impl FnOnce(String) -> String) ->
     Folder { folder }
 }
 
-/// The evil model with these faults and its parameter in a second library, which lies beside its own.
-pub(crate) fn evil_with_sibling(faults: &[&str]) -> Folder {
+/// The evil model with these faults and its parameter in a second library, which lies beside its own. The loader knows
+/// libraries by their names: of two with one name in a process it takes the first.
+pub(crate) fn evil_with_sibling(faults: &[&str], name: &str) -> Folder {
     let folder = evil(faults);
     let faults: Vec<&str> = faults.iter().copied().chain(["SIBLING_GLOBALS"]).collect();
-    compile(folder.path(), "libsibling", &[here().join("tests/evil/sibling.c")], &[]);
+    compile(folder.path(), &format!("lib{name}"), &[here().join("tests/evil/sibling.c")], &[]);
     let beside = folder.path().join("binaries").join(&fmi::platform::binary_folders(2)[0]);
-    let arguments =
-        [format!("-L{}", beside.display()), "-lsibling".to_owned(), "-Wl,-rpath,$ORIGIN".to_owned()];
+    let arguments = [format!("-L{}", beside.display()), format!("-l{name}"), "-Wl,-rpath,$ORIGIN".to_owned()];
     compile_with(folder.path(), "evil", &[here().join("tests/evil/evil.c")], &faults, &arguments);
     folder
+}
+
+/// The equation with faults (`tests/evil/model.c`) with one of the bundled front ends.
+pub(crate) fn faulty(kind: ExampleKind, defines: &[&str]) -> Folder {
+    let folder = tempfile::tempdir().unwrap();
+    let packed = Fmu::open(fmi::example_fmu_as("dahlquist", kind).unwrap()).unwrap();
+    let xml = std::fs::read_to_string(packed.root().join("modelDescription.xml")).unwrap();
+    let xml = match kind {
+        ExampleKind::Fmi3 => {
+            // An indicator is a variable there.
+            let variable = "<Float64 name=\"z\" valueReference=\"4\"/>\n  </ModelVariables>";
+            let indicator = "<EventIndicator valueReference=\"4\"/>\n  </ModelStructure>";
+            xml.replacen("</ModelVariables>", variable, 1).replacen("</ModelStructure>", indicator, 1)
+        }
+        _ => {
+            let xml = xml.replace("numberOfEventIndicators=\"0\"", "");
+            xml.replacen("modelName=", "numberOfEventIndicators=\"1\" modelName=", 1)
+        }
+    };
+    std::fs::write(folder.path().join("modelDescription.xml"), xml).unwrap();
+    let mut sources: Vec<PathBuf> = std::fs::read_dir(packed.root().join("sources"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "c"))
+        .filter(|path| path.file_name().is_some_and(|name| name != "model.c"))
+        .collect();
+    sources.push(here().join("tests/evil/model.c"));
+    compile(folder.path(), "dahlquist", &sources, defines);
+    Folder { folder }
 }

@@ -1,0 +1,74 @@
+//! How libraries are loaded: what lies beside them, whose symbols come first, what the loader says.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use fmi::{FmiError, Fmu, LoaderOptions, OpenOptions, SimulateOptions};
+use support::{Folder, evil, evil_with, evil_with_sibling};
+
+fn open(folder: &Folder, loader: LoaderOptions) -> Fmu {
+    Fmu::open_with(folder.path(), &OpenOptions { loader, ..OpenOptions::default() }).unwrap()
+}
+
+/// y(1) of y' = -k y, y(0) = 1.
+fn end(fmu: &Fmu, k: f64) -> Result<f64, FmiError> {
+    let options = SimulateOptions::new().start_value("k", k).relative_tolerance(1e-8);
+    fmu.simulate(&options).map(|result| result.final_value("y").unwrap().unwrap())
+}
+
+#[test]
+fn a_library_beside_that_of_the_model_is_found() {
+    let folder = evil_with_sibling(&[], "present");
+    assert!((end(&folder.open(), 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
+}
+
+#[test]
+fn what_the_loader_says_is_passed_on_word_by_word() {
+    let folder = evil_with_sibling(&[], "absent");
+    let beside = folder.path().join("binaries").join(&fmi::platform::binary_folders(2)[0]);
+    std::fs::remove_file(beside.join(format!("libabsent.{}", fmi::platform::LIBRARY_EXTENSION))).unwrap();
+    let error = end(&folder.open(), 1.0).unwrap_err();
+    let FmiError::LoadFailed { message, .. } = &error else { panic!("{error}") };
+    assert!(message.starts_with("libabsent.so: cannot open shared object file"), "{message}");
+
+    let folder = evil(&["UNDEFINED_SYMBOL"]);
+    let error = end(&folder.open(), 1.0).unwrap_err();
+    let FmiError::LoadFailed { message, .. } = &error else { panic!("{error}") };
+    assert!(message.contains("undefined symbol: not_there"), "{message}");
+}
+
+#[test]
+fn functions_that_are_never_called_may_be_missing_where_the_loader_is_lazy() {
+    let folder = evil(&["UNDEFINED_SYMBOL"]);
+    // The refusal leaves nothing behind.
+    end(&folder.open(), 1.0).unwrap_err();
+    let fmu = open(&folder, LoaderOptions { lazy: true, ..LoaderOptions::default() });
+    assert!((end(&fmu, 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
+}
+
+/// The model calls `atoi("3")`, and has an `atoi` of its own that always answers 7.
+#[test]
+fn symbols_of_the_library_come_first_where_that_is_asked_for() {
+    if std::env::var_os("ASAN_OPTIONS").is_some() {
+        return; // the address sanitizer ends a process that asks for it
+    }
+    let folder = evil(&["CLASHES"]);
+    assert!((end(&folder.open(), 1.0).unwrap() - (-3f64).exp()).abs() < 1e-7);
+    let folder = evil(&["CLASHES"]);
+    let fmu = open(&folder, LoaderOptions { deepbind: true, ..LoaderOptions::default() });
+    assert!((end(&fmu, 1.0).unwrap() - (-7f64).exp()).abs() < 1e-7);
+}
+
+#[test]
+fn an_fmu_that_needs_its_tool_runs_where_the_tool_is_said_to_be_there() {
+    let folder = evil_with(&[], |xml| {
+        xml.replace("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" needsExecutionTool=\"true\"")
+    });
+    let error = end(&folder.open(), 1.0).unwrap_err();
+    assert!(matches!(error, FmiError::NeedsExecutionTool { .. }), "{error}");
+    assert!(error.to_string().contains("needsExecutionTool"), "{error}");
+    let options = OpenOptions { tool_is_present: true, ..OpenOptions::default() };
+    let fmu = Fmu::open_with(folder.path(), &options).unwrap();
+    assert!((end(&fmu, 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
+}
