@@ -148,6 +148,11 @@ impl Stepping {
         }
     }
 
+    /// The outputs as they were read last.
+    pub(crate) fn buffers(&self) -> &OutputBuffers {
+        &self.buffers
+    }
+
     /// Starts collecting a digest of what the FMU answers.
     pub(crate) fn begin_digest(&mut self) {
         self.digest = Some(Digest::default());
@@ -194,6 +199,7 @@ impl Stepping {
         let plan = Arc::clone(&self.plan);
         self.mode = Mode::Gone;
         self.broken = false;
+        self.buffers.begin();
         let mut instance: Instance<Instantiated, CoSimulation> = Instance::from_raw(raw, plan.fmu().clone());
         plan.set_up(instance.core(), start_values, parameters, &mut self.signed)?;
         let ends_exactly = plan.communication.as_ref().is_some_and(|c| c.ends_exactly);
@@ -587,7 +593,7 @@ impl Run<'_> {
             Place::Before => before,
             Place::After => after,
         };
-        buffers.row(outputs, time, &[], row);
+        buffers.row(outputs, time, self.plan.same, &[], row);
         Ok(())
     }
 

@@ -26,6 +26,7 @@ mod simulation;
 mod source;
 mod sys;
 mod system;
+mod texts;
 mod trajectory;
 
 pub use archive::{Archive, ArchiveLimits};
@@ -43,10 +44,11 @@ pub use instance::{
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use ode;
 pub use options::{DEFAULT_INTERVALS, DEFAULT_TOLERANCE, Kind, SimulateOptions};
+pub use outputs::Recorded;
 pub use plan::SimulationPlan;
 pub use pool::{Lease, Pool};
 pub use session::Session;
 pub use simulation::Simulator;
 pub use source::{build_library, clear_caches, pack};
 pub use sys::{InterfaceKind, LogLine, Status};
-pub use trajectory::Trajectory;
+pub use trajectory::{Trajectory, ValueColumn};

@@ -8,7 +8,7 @@ use crate::fmu::{Fmu, Reuse};
 use crate::input::{InputPlan, Inputs};
 use crate::instance::Core;
 use crate::options::SimulateOptions;
-use crate::outputs::{OutputContext, OutputPlan, element_of};
+use crate::outputs::{OutputContext, OutputPlan, Recorded, element_of};
 use crate::pool::nudge;
 use crate::sys::InterfaceKind;
 use std::collections::HashMap;
@@ -216,15 +216,12 @@ impl SimulationPlan {
         let structure = self.structure.clone();
         let context = OutputContext { model: description, structure: &structure, states: &places };
         let Some(names) = names else {
-            let outputs: Vec<&Variable> = description
-                .variables
-                .iter()
-                .filter(|v| v.causality == Causality::Output && v.kind.is_number())
-                .collect();
+            let outputs: Vec<&Variable> =
+                description.variables.iter().filter(|v| v.causality == Causality::Output).collect();
             let mut states: Vec<&Variable> = states.iter().copied().flatten().collect();
             states.dedup_by_key(|state| state.value_reference);
             for variable in if outputs.is_empty() { states } else { outputs } {
-                let names = self.outputs.add(&context, variable, &variable.name, None)?;
+                let names = self.outputs.add(&context, variable, &variable.name, None);
                 self.output_names.extend(names);
             }
             self.outputs.finish();
@@ -233,10 +230,10 @@ impl SimulationPlan {
         for name in names {
             let extents = |array: &str| Some(structure.extents(description, description.variable(array)?));
             let added = match (resolve(description, name), element_of(name, extents)) {
-                (Ok(index), _) => self.outputs.add(&context, &description.variables[index], name, None)?,
+                (Ok(index), _) => self.outputs.add(&context, &description.variables[index], name, None),
                 (Err(_), Some((array, element))) => {
                     let index = resolve(description, array)?;
-                    self.outputs.add(&context, &description.variables[index], name, Some(element))?
+                    self.outputs.add(&context, &description.variables[index], name, Some(element))
                 }
                 // Time is always there; models may or may not have a variable for it.
                 (Err(_), None) if name == "time" => continue,
@@ -300,9 +297,33 @@ impl SimulationPlan {
         self.kind
     }
 
-    /// Names of the outputs, in the order of [`Sample::outputs`](ode::Sample).
+    /// Names of the outputs that are numbers, in the order of [`Sample::outputs`](ode::Sample). Behind them a sample has
+    /// numbers that stand for texts and the like; a [`Trajectory`](crate::Trajectory) has their values.
     pub fn output_names(&self) -> &[String] {
         &self.output_names
+    }
+
+    /// The variables recorded, in the order in which they were asked for.
+    pub fn recorded(&self) -> &[Recorded] {
+        &self.outputs.recorded
+    }
+
+    /// Refuses outputs that are not single numbers, so that there is one column for each name.
+    ///
+    /// # Errors
+    /// [`FmiError::NotAnOutput`] names the first one.
+    pub fn require_single_numbers(&self) -> Result<(), FmiError> {
+        let reason = |recorded: &Recorded| match () {
+            () if !recorded.kind.is_number() => Some("it is text or binary, and numbers are needed"),
+            () if !recorded.extents.is_empty() => {
+                Some("it is an array, and single numbers are needed: its elements")
+            }
+            () => None,
+        };
+        match self.recorded().iter().find_map(|recorded| Some((recorded, reason(recorded)?))) {
+            Some((recorded, reason)) => Err(FmiError::NotAnOutput { name: recorded.name.clone(), reason }),
+            None => Ok(()),
+        }
     }
 
     /// Names of the parameters, in the order in which a run takes their values.

@@ -161,7 +161,8 @@ impl Simulator {
     pub fn trajectory(&mut self, parameters: &[f64]) -> Result<Trajectory, FmiError> {
         let mut recorder = Recorder::new(&self.plan);
         let report = self.run(parameters, &mut recorder)?;
-        Ok(recorder.finish(&self.plan, report))
+        let buffers = each!(&self.engine, run => run.buffers());
+        Ok(recorder.finish(&self.plan, &buffers.table, report))
     }
 
     /// Value of a variable where the last run ended (after a step inside of which it was stopped: at the end of the

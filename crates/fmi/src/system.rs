@@ -82,6 +82,11 @@ impl System {
         }
     }
 
+    /// The outputs as they were read last.
+    pub(crate) fn buffers(&self) -> &OutputBuffers {
+        &self.buffers
+    }
+
     /// Starts collecting a digest of what the FMU answers.
     pub(crate) fn begin_digest(&mut self) {
         self.digest = Some(Digest::default());
@@ -133,6 +138,7 @@ impl System {
         let mut instance: Instance<Instantiated> = Instance::from_raw(raw, plan.fmu().clone());
         self.mode = Mode::Gone;
         self.broken = false;
+        self.buffers.begin();
         plan.set_up(instance.core(), start_values, parameters, &mut self.signed)?;
         let mut instance = instance.enter_initialization(
             plan.start,
@@ -442,7 +448,7 @@ impl HybridSystem for System {
         if plan.outputs.needs_fmu() {
             call(mode, broken, |raw| buffers.read(&plan.outputs, raw))?;
         }
-        buffers.row(&plan.outputs, t, x, y);
+        buffers.row(&plan.outputs, t, plan.same, x, y);
         self.note(y);
         Ok(())
     }

@@ -88,6 +88,79 @@ fn values_of_all_types_are_set_and_read() {
 }
 
 #[test]
+fn outputs_of_every_type_are_sampled_at_the_same_rows() {
+    let folder = arrays();
+    let fmu = folder.open();
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = SimulateOptions::new().kind(kind).ncp(10);
+        let wanted = ["label", "sum", "count", "text", "matrix", "blob", "u64", "text[2]", "time", "f32"];
+        let result = fmu.simulate(&options.clone().outputs(wanted)).unwrap();
+        let recorded: Vec<(&str, &[usize])> =
+            result.recorded.iter().map(|r| (r.name.as_str(), r.extents.as_slice())).collect();
+        assert_eq!(
+            recorded,
+            [
+                ("label", &[][..]),
+                ("sum", &[]),
+                ("count", &[]),
+                ("text", &[2]),
+                ("matrix", &[2, 3]),
+                ("blob", &[]),
+                ("u64", &[]),
+                ("text[2]", &[]),
+                ("time", &[]),
+                ("f32", &[])
+            ]
+        );
+        let mut names = vec!["sum".to_owned(), "count".to_owned()];
+        names.extend((1..=2).flat_map(|i| (1..=3).map(move |j| format!("matrix[{i},{j}]"))));
+        names.extend(["u64", "time", "f32"].map(str::to_owned));
+        assert_eq!(result.names, names);
+        let value_names: Vec<&str> = result.values.iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(value_names, ["label", "count", "text[1]", "text[2]", "blob", "u64", "text[2]"]);
+        for column in &result.values {
+            assert_eq!(column.values.len(), 11, "{}", column.name);
+        }
+
+        let bytes = [0u8, 1, 255];
+        for row in 0..11 {
+            let label: Value = if row < 5 { "early" } else { "late" }.into();
+            assert_eq!(result.values_of("label").unwrap()[row], label, "row {row}");
+            let count = (1i64 << 53) + 1 + i64::try_from(row).unwrap();
+            assert_eq!(result.values_of("count").unwrap()[row], count.into());
+            // The number is the nearest one there is.
+            assert_eq!(result.get("count").unwrap()[row], count as f64);
+            assert_eq!(result.values_of("blob").unwrap()[row], Value::Binary(bytes[..row % 4].to_vec()));
+            assert_eq!(result.values_of("u64").unwrap()[row], 18_000_000_000_000_000_064u64.into());
+            assert_eq!(result.values_of("text[2]").unwrap()[row], "two".into());
+        }
+        let error = result.values_of("sum").unwrap_err().to_string();
+        assert!(error.contains("label, count"), "{error}");
+
+        // By default everything of causality output, text too; again with the same instance and other texts.
+        let mut session = Session::of_kind(fmu.clone(), kind);
+        let result = session.simulate(&options).unwrap();
+        assert_eq!(result.recorded.len(), 3);
+        session.set("text", vec!["", "\u{1f600}"]).unwrap();
+        let again = session.simulate(&options.clone().outputs(["text"])).unwrap();
+        assert!(again.names.is_empty());
+        assert_eq!(again.values_of("text[1]").unwrap(), vec![Value::from(""); 11]);
+        assert_eq!(again.values_of("text[2]").unwrap(), vec![Value::from("\u{1f600}"); 11]);
+
+        let plan = |outputs: &[&str]| {
+            SimulationPlan::new(&fmu, &options.clone().outputs(outputs.iter().copied())).unwrap()
+        };
+        assert!(plan(&["sum", "x[2]", "count"]).require_single_numbers().is_ok());
+        for (outputs, why) in
+            [(["sum", "label"], "label cannot be an output"), (["x", "sum"], "its elements")]
+        {
+            let error = plan(&outputs).require_single_numbers().unwrap_err().to_string();
+            assert!(error.contains(why), "{error}");
+        }
+    }
+}
+
+#[test]
 fn values_that_do_not_fit_are_refused_by_name() {
     let folder = arrays();
     let fmu = folder.open();
@@ -95,8 +168,8 @@ fn values_that_do_not_fit_are_refused_by_name() {
         SimulationPlan::new(&fmu, &SimulateOptions::new().start_value(name, value)).unwrap_err().to_string()
     };
     for (name, value, text) in [
-        ("i8", 128.into(), "i8 is of type Int8, 128 (out of range)"),
-        ("u64", (-1).into(), "out of range"),
+        ("i8", 128.into(), "i8 is of type Int8 (8 bits, from -128 to 127), 128 does not fit"),
+        ("u64", (-1).into(), "-1 does not fit"),
         ("k", vec![1.0, 2.0].into(), "array of another size"),
         ("k", 1.0.into(), "one value for an array"),
         ("k", vec![1.0, f64::NAN, 1.0].into(), "NaN"),
@@ -107,7 +180,7 @@ fn values_that_do_not_fit_are_refused_by_name() {
         let problem = problem(name, value);
         assert!(problem.contains(text), "{problem}");
     }
-    for (output, text) in [("text", "text or binary"), ("x[4]", "no variable"), ("x[0]", "no variable")] {
+    for (output, text) in [("text[3]", "no variable"), ("x[4]", "no variable"), ("x[0]", "no variable")] {
         let error =
             SimulationPlan::new(&fmu, &SimulateOptions::new().outputs([output])).unwrap_err().to_string();
         assert!(error.contains(text), "{error}");
