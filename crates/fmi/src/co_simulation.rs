@@ -59,13 +59,22 @@ impl Core {
 
     /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model ends the
     /// simulation.
-    pub(crate) fn settle(&mut self, time: f64, tolerance: f64) -> Result<EventOutcome, FmiError> {
-        let outcome = self.iterate_events(time, tolerance, MAX_EVENT_ITERATIONS)?;
+    pub(crate) fn settle(
+        &mut self,
+        time: f64,
+        events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome, FmiError>,
+    ) -> Result<EventOutcome, FmiError> {
+        let outcome = events(self, time)?;
         if !outcome.terminate {
             self.call(RawInstance::enter_step_mode)?;
         }
         Ok(outcome)
     }
+}
+
+/// The events that the model makes by itself.
+fn just_events(core: &mut Core, time: f64) -> Result<EventOutcome, FmiError> {
+    core.iterate_events(time, 0.0, MAX_EVENT_ITERATIONS)
 }
 
 impl Instance<Initialization, CoSimulation> {
@@ -74,20 +83,20 @@ impl Instance<Initialization, CoSimulation> {
     /// # Errors
     /// The FMU refuses.
     pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
-        self.begin_steps(0.0).map(|(instance, _)| instance)
+        self.begin_steps(just_events).map(|(instance, _)| instance)
     }
 
-    /// The same, with what the initial events told.
+    /// The same with events made by `events`, and what they told.
     pub(crate) fn begin_steps(
         self,
-        tolerance: f64,
+        events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome, FmiError>,
     ) -> Result<(Instance<StepMode, CoSimulation>, EventOutcome), FmiError> {
         let mut instance: Instance<StepMode, CoSimulation> =
             self.step_to(RawInstance::exit_initialization)?;
         let core = instance.core();
         let time = core.raw.time().unwrap_or(0.0);
         let outcome =
-            if core.has_event_mode() { core.settle(time, tolerance)? } else { EventOutcome::default() };
+            if core.has_event_mode() { core.settle(time, events)? } else { EventOutcome::default() };
         Ok((instance, outcome))
     }
 }
@@ -108,7 +117,7 @@ impl Instance<StepMode, CoSimulation> {
     pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome, FmiError> {
         let core = self.core();
         core.call(RawInstance::enter_event_mode)?;
-        core.settle(time, 0.0)
+        core.settle(time, just_events)
     }
 
     /// Sets the first derivatives of real inputs with respect to time, for the next step.

@@ -6,6 +6,7 @@
 //! not, samples between two points are interpolated, and the last step may reach beyond the final time.
 
 use crate::assign::Assignments;
+use crate::clocks::{ClockState, Tick};
 use crate::co_simulation::StepOutcome;
 use crate::description::{Capabilities, DefaultExperiment, Variable};
 use crate::digest::Digest;
@@ -116,6 +117,7 @@ pub(crate) struct Stepping {
     broken: bool,
     inputs: InputState,
     buffers: OutputBuffers,
+    clocks: ClockState,
     /// Rows of outputs at the beginning and the end of a step, and one in between.
     before: Vec<f64>,
     after: Vec<f64>,
@@ -137,6 +139,7 @@ impl Stepping {
             broken: false,
             inputs: InputState::new(&plan.inputs),
             buffers: OutputBuffers::new(&plan.outputs),
+            clocks: ClockState::default(),
             before: row(),
             after: row(),
             between: row(),
@@ -151,6 +154,11 @@ impl Stepping {
     /// The outputs as they were read last.
     pub(crate) fn buffers(&self) -> &OutputBuffers {
         &self.buffers
+    }
+
+    /// The ticks of all clocks in the last run.
+    pub(crate) fn take_ticks(&mut self) -> Vec<Tick> {
+        std::mem::take(&mut self.clocks.ticks)
     }
 
     /// Starts collecting a digest of what the FMU answers.
@@ -214,7 +222,12 @@ impl Stepping {
         }
         self.inputs.set_held(instance.core(), &plan.inputs)?;
         instance.core().set_reals(&plan.inputs.continuous, &self.inputs.continuous)?;
-        let (instance, outcome) = instance.begin_steps(plan.same)?;
+        self.clocks.begin(&plan.clocks, instance.core(), plan.start)?;
+        let Self { clocks, buffers, .. } = self;
+        let (instance, outcome) = instance.begin_steps(|core, time| {
+            let recorded = &plan.outputs.clocks;
+            clocks.settle(&plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
+        })?;
         self.initial = outcome;
         self.mode = Mode::Stepping(instance);
         Ok(())
@@ -348,6 +361,7 @@ impl Run<'_> {
         self.check_limits()?;
         let target = self.target();
         self.tried = target.step;
+        self.check_ticks(&target)?;
         // Only a model that cannot stop at a row makes it necessary to look on both sides of it.
         let row_inside = self.row_before(target.time).is_some();
         if row_inside {
@@ -499,6 +513,23 @@ impl Run<'_> {
         Target { time, step, regular }
     }
 
+    /// Refuses to step over a tick: a model that takes steps of one length only may not be able to stop there.
+    fn check_ticks(&self, target: &Target) -> Step<()> {
+        let (clocks, same) = (&self.stepping.clocks, self.plan.same);
+        match clocks.next(&self.plan.clocks) {
+            Some(tick) if tick < target.time - same && !self.communication.variable => {
+                let name = self.plan.clocks.name_of_next(clocks).unwrap_or_default();
+                let problem = format!(
+                    "the clock {name} ticks at {tick}, within the step from {} to {}, and the model takes no steps of \
+                     other lengths than {}: choose a step that meets the ticks",
+                    self.t, target.time, target.step
+                );
+                Err(FmiError::BadSetting { problem }.into())
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The next requested time, if it lies between here and `limit`.
     fn row_before(&self, limit: f64) -> Option<f64> {
         let row = self.plan.times.get(self.next_row).copied();
@@ -535,7 +566,7 @@ impl Run<'_> {
     /// model ends the simulation.
     fn set_inputs_at_events(&mut self, event: bool) -> Step<bool> {
         let (plan, same) = (&self.plan.inputs, self.plan.same);
-        let Stepping { inputs, mode, .. } = &mut *self.stepping;
+        let Stepping { inputs, mode, clocks, buffers, .. } = &mut *self.stepping;
         let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
         let core = instance.core();
         let jumped = inputs.pass(plan, self.t);
@@ -555,7 +586,10 @@ impl Run<'_> {
         core.call(RawInstance::enter_event_mode)?;
         inputs.set_held(core, plan)?;
         core.set_reals(&plan.continuous, &inputs.continuous)?;
-        let outcome = core.settle(self.t, same)?;
+        let outcome = core.settle(self.t, |core, time| {
+            let recorded = &self.plan.outputs.clocks;
+            clocks.settle(&self.plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
+        })?;
         self.next_event = outcome.next_time.filter(|next| *next > self.t + same);
         self.stats.events += 1;
         self.stats.input_events += u64::from(cause.input);
@@ -614,6 +648,10 @@ impl Run<'_> {
             let Stepping { before, after, between, .. } = &mut *self.stepping;
             for (i, value) in between.iter_mut().enumerate() {
                 let is_time = self.plan.outputs.is_time(i);
+                if self.plan.outputs.is_tick(i) {
+                    *value = 0.0;
+                    continue;
+                }
                 *value = match (is_time, self.plan.outputs.is_continuous(i)) {
                     (true, _) => time,
                     (_, true) => before[i] + theta * (after[i] - before[i]),

@@ -4,6 +4,7 @@
 pub mod archive;
 mod assign;
 mod binary;
+mod clocks;
 mod co_simulation;
 mod communication;
 pub mod description;
@@ -30,6 +31,7 @@ mod texts;
 mod trajectory;
 
 pub use archive::{Archive, ArchiveLimits};
+pub use clocks::Tick;
 pub use co_simulation::StepOutcome;
 pub use description::{ModelDescription, Value, Variable};
 pub use error::{EntryProblem, FmiError};

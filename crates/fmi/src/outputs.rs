@@ -106,6 +106,11 @@ impl OutputPlan {
         self.columns[column].source == OutputSource::Time
     }
 
+    /// Whether a column tells the ticks of a clock, which are only at events.
+    pub(crate) fn is_tick(&self, column: usize) -> bool {
+        matches!(self.columns[column].source, OutputSource::Tick(_))
+    }
+
     /// Whether a column may be interpolated.
     pub(crate) fn is_continuous(&self, column: usize) -> bool {
         self.columns[column].is_continuous

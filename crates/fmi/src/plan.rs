@@ -1,6 +1,7 @@
 //! A simulation resolved against its model, once: names have become value references, everything has been checked.
 
 use crate::assign::{self, Assignments, check_settable_at_start, resolve};
+use crate::clocks::ClockPlan;
 use crate::communication::Communication;
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
@@ -37,6 +38,7 @@ pub struct SimulationPlan {
     /// What the parameters are where nobody gives a value.
     pub(crate) parameter_starts: Vec<f64>,
     pub(crate) inputs: InputPlan,
+    pub(crate) clocks: ClockPlan,
     pub(crate) outputs: OutputPlan,
     /// Everything that a run sets, sorted.
     pub(crate) settings: Arc<[Setting]>,
@@ -79,6 +81,12 @@ impl SimulationPlan {
         method.check()?;
         let no_inputs = Inputs::default();
         let inputs = InputPlan::new(description, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
+        let has_events = kind == InterfaceKind::ModelExchange || interface.capabilities.uses_event_mode();
+        if !has_events && !inputs.clocks.ticks.is_empty() {
+            let problem =
+                "the inputs trigger clocks, which takes an event mode, and this co-simulation has none";
+            return Err(FmiError::BadSetting { problem: problem.to_owned() });
+        }
         let (start_values, structure) = resolve_values(description, &options.start_values)?;
         let states = states(description, &structure);
         let mut plan = Self {
@@ -94,6 +102,11 @@ impl SimulationPlan {
             signs: Vec::new(),
             parameter_names: Vec::new(),
             parameter_starts: Vec::new(),
+            clocks: match has_events {
+                true => ClockPlan::new(description, &inputs.clocks, grid.same),
+                // Clocks tick in event mode.
+                false => ClockPlan::default(),
+            },
             inputs,
             outputs: OutputPlan::default(),
             settings: Arc::default(),

@@ -161,8 +161,9 @@ impl Simulator {
     pub fn trajectory(&mut self, parameters: &[f64]) -> Result<Trajectory, FmiError> {
         let mut recorder = Recorder::new(&self.plan);
         let report = self.run(parameters, &mut recorder)?;
+        let ticks = each!(&mut self.engine, run => run.take_ticks());
         let buffers = each!(&self.engine, run => run.buffers());
-        Ok(recorder.finish(&self.plan, &buffers.table, report))
+        Ok(recorder.finish(&self.plan, &buffers.table, ticks, report))
     }
 
     /// Value of a variable where the last run ended (after a step inside of which it was stopped: at the end of the

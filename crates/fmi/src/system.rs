@@ -1,12 +1,12 @@
 //! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
 
 use crate::assign::Assignments;
+use crate::clocks::{ClockState, Tick};
 use crate::description::Variable;
 use crate::digest::Digest;
 use crate::error::FmiError;
 use crate::input::{InputPlan, InputState};
 use crate::instance::{ContinuousTime, Core, EventMode, Instance, Instantiated};
-use crate::model_exchange::MAX_EVENT_ITERATIONS;
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
 use crate::sys::{Fault, RawInstance};
@@ -49,6 +49,7 @@ pub(crate) struct System {
     /// behind.
     floor: f64,
     buffers: OutputBuffers,
+    clocks: ClockState,
     /// Values of parameters on their way.
     signed: Vec<f64>,
     /// Running digest of everything that the FMU answered; only while reset is checked.
@@ -76,6 +77,7 @@ impl System {
             announced: None,
             floor: f64::NEG_INFINITY,
             buffers: OutputBuffers::new(&plan.outputs),
+            clocks: ClockState::default(),
             signed: Vec::new(),
             digest: None,
             plan,
@@ -85,6 +87,11 @@ impl System {
     /// The outputs as they were read last.
     pub(crate) fn buffers(&self) -> &OutputBuffers {
         &self.buffers
+    }
+
+    /// The ticks of all clocks in the last run.
+    pub(crate) fn take_ticks(&mut self) -> Vec<Tick> {
+        std::mem::take(&mut self.clocks.ticks)
     }
 
     /// Starts collecting a digest of what the FMU answers.
@@ -152,6 +159,7 @@ impl System {
         self.inputs.set_held(instance.core(), &plan.inputs)?;
         self.sent.clear();
         send(&plan.inputs, &self.inputs, &mut self.sent, instance.core())?;
+        self.clocks.begin(&plan.clocks, instance.core(), plan.start)?;
         self.mode = Mode::Event(instance.exit_initialization()?);
         self.set_time = None;
         self.set_states = None;
@@ -305,11 +313,15 @@ impl System {
     }
 
     fn iterate_events(&mut self, t: f64) -> CallResult<EventOutcome> {
-        let tolerance = self.plan.same;
-        let outcome = self.core().and_then(|core| core.iterate_events(t, tolerance, MAX_EVENT_ITERATIONS));
-        match outcome {
-            Ok(outcome) => {
-                self.announced = outcome.next_time;
+        let Self { plan, mode, clocks, buffers, .. } = self;
+        let core = match mode {
+            Mode::Event(instance) => Ok(instance.core()),
+            _ => Err(no_instance()),
+        };
+        let recorded = &plan.outputs.clocks;
+        match core.and_then(|core| clocks.settle(&plan.clocks, core, t, (recorded, buffers))) {
+            Ok((outcome, announced)) => {
+                self.announced = announced;
                 self.note_outcome(&outcome);
                 Ok(outcome)
             }

@@ -1,5 +1,6 @@
 //! A recorded simulation: columns of numbers and of other values, events, what it cost.
 
+use crate::clocks::Tick;
 use crate::description::Value;
 use crate::error::FmiError;
 use crate::outputs::Recorded;
@@ -26,6 +27,8 @@ pub struct Trajectory {
     pub sides: Vec<Side>,
     /// The events.
     pub events: Vec<EventRecord>,
+    /// The ticks of clocks, in the order of their times.
+    pub ticks: Vec<Tick>,
     /// What it cost.
     pub stats: Stats,
     /// How it ended.
@@ -108,7 +111,13 @@ impl Recorder {
     }
 
     /// Puts the trajectory together; the table has the values that numbers in columns without names stand for.
-    pub(crate) fn finish(mut self, plan: &SimulationPlan, table: &ValueTable, report: Report) -> Trajectory {
+    pub(crate) fn finish(
+        mut self,
+        plan: &SimulationPlan,
+        table: &ValueTable,
+        ticks: Vec<Tick>,
+        report: Report,
+    ) -> Trajectory {
         let unnamed = self.columns.split_off(plan.output_names().len());
         let mut rest = &unnamed[..];
         let mut values = Vec::with_capacity(plan.outputs.values.len());
@@ -125,6 +134,7 @@ impl Recorder {
             recorded: plan.recorded().to_vec(),
             sides: self.sides,
             events: self.events,
+            ticks,
             stats: report.stats,
             termination: report.termination,
             end_time: report.time,

@@ -1,13 +1,14 @@
 //! The functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
 use super::callbacks::{Environment, fmi3_log};
+use super::fmi3_clocks::ClockFunctions;
 use super::library::Symbols;
 use super::packed::{self, Element};
 use super::{
-    Binding, Call, Component, Created, EventInfo, Experiment, InterfaceKind, Request, StatePointer, Status,
-    StepInfo, status,
+    Binding, Call, Component, Created, EventInfo, Experiment, InterfaceKind, IntervalAnswer, Request,
+    StatePointer, Status, StepInfo, status,
 };
-use crate::description::VariableKind;
+use crate::description::{Interval, VariableKind};
 use crate::error::FmiError;
 use std::ffi::{CString, c_char, c_int, c_void};
 use std::sync::Arc;
@@ -93,6 +94,7 @@ pub(super) struct Fmi3 {
     set_binary: Option<SetBinary>,
     get_clock: Option<GetClock>,
     set_clock: Option<SetClock>,
+    clocks: ClockFunctions,
     reset: Option<Plain>,
     set_debug_logging: Option<SetDebugLogging>,
     enter_configuration_mode: Option<Plain>,
@@ -291,6 +293,7 @@ impl Fmi3 {
                 set_binary: symbols.optional("fmi3SetBinary"),
                 get_clock: symbols.optional("fmi3GetClock"),
                 set_clock: symbols.optional("fmi3SetClock"),
+                clocks: ClockFunctions::load(symbols),
                 reset: symbols.optional("fmi3Reset"),
                 set_debug_logging: symbols.optional("fmi3SetDebugLogging"),
                 enter_configuration_mode: symbols.optional("fmi3EnterConfigurationMode"),
@@ -376,6 +379,8 @@ impl Binding for Fmi3 {
             // Of FMI 2.0.
             Call::StepStatus | Call::CancelStep => "(pending steps)",
             Call::SetInputDerivatives => "(input derivatives)",
+            Call::GetInterval => "fmi3GetInterval",
+            Call::GetShift => "fmi3GetShift",
         }
     }
 
@@ -783,6 +788,28 @@ impl Binding for Fmi3 {
 
     unsafe fn cancel_step(&self, _: Component) -> Status {
         Status::Missing
+    }
+
+    unsafe fn get_interval(
+        &self,
+        component: Component,
+        clock: u32,
+        fraction: bool,
+        answer: &mut IntervalAnswer,
+    ) -> Status {
+        // SAFETY: the caller's promises are those of the trait.
+        unsafe { self.clocks.interval(component, clock, fraction, answer) }
+    }
+
+    unsafe fn get_shift(
+        &self,
+        component: Component,
+        clock: u32,
+        fraction: bool,
+        shift: &mut Interval,
+    ) -> Status {
+        // SAFETY: the same.
+        unsafe { self.clocks.shift(component, clock, fraction, shift) }
     }
 
     unsafe fn set_input_derivatives(&self, _: Component, _: &[u32], _: &[c_int], _: &[f64]) -> Status {

@@ -37,6 +37,7 @@ mod callbacks;
 mod fmi1;
 mod fmi2;
 mod fmi3;
+mod fmi3_clocks;
 mod library;
 mod packed;
 mod platform;
@@ -49,7 +50,7 @@ pub(crate) use platform::FloatEnvironment;
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
 pub(crate) use shared::{Loan, Shared, Spares};
 
-use crate::description::VariableKind;
+use crate::description::{Interval, VariableKind};
 use callbacks::Environment;
 use std::any::Any;
 use std::ffi::{CStr, CString, c_char, c_void};
@@ -166,6 +167,8 @@ enum Call {
     StepStatus,
     CancelStep,
     SetInputDerivatives,
+    GetInterval,
+    GetShift,
 }
 
 /// What an event iteration told.
@@ -181,6 +184,22 @@ pub(crate) struct EventInfo {
     pub(crate) values_changed: bool,
     /// The next time event.
     pub(crate) next_event_time: Option<f64>,
+}
+
+/// What a model says about the interval before the next tick of a clock.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct IntervalAnswer {
+    pub(crate) qualifier: Qualifier,
+    pub(crate) interval: Interval,
+}
+
+/// How an interval is meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Qualifier {
+    NotYetKnown,
+    /// As told before.
+    Unchanged,
+    Changed,
 }
 
 /// The two ways of running a model.
@@ -393,6 +412,28 @@ trait Binding: Send + Sync {
     /// Back from event mode (co-simulation).
     unsafe fn enter_step_mode(&self, component: Component) -> Status {
         let _ = component;
+        Status::Missing
+    }
+    /// The interval before the next tick of a clock, as a fraction or not.
+    unsafe fn get_interval(
+        &self,
+        component: Component,
+        clock: u32,
+        fraction: bool,
+        answer: &mut IntervalAnswer,
+    ) -> Status {
+        let _ = (component, clock, fraction, answer);
+        Status::Missing
+    }
+    /// From the start to the first tick of a clock.
+    unsafe fn get_shift(
+        &self,
+        component: Component,
+        clock: u32,
+        fraction: bool,
+        shift: &mut Interval,
+    ) -> Status {
+        let _ = (component, clock, fraction, shift);
         Status::Missing
     }
     /// Derivatives (of these orders) of real inputs with respect to time.

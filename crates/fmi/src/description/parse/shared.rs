@@ -283,6 +283,8 @@ pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) ->
         dimensions: Vec::new(),
         aliases: Vec::new(),
         clocks: Vec::new(),
+        clock: None,
+        intermediate_update: false,
     })
 }
 
