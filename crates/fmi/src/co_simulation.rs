@@ -3,7 +3,7 @@
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Core, Initialization, Instance, StepMode, Terminated};
 use crate::model_exchange::MAX_EVENT_ITERATIONS;
-use crate::sys::{RawInstance, StepInfo};
+use crate::sys::{MidStep, RawInstance, StepInfo};
 use ode::EventOutcome;
 use std::thread;
 use std::time::Duration;
@@ -26,16 +26,16 @@ pub struct StepOutcome {
 const POLL: Duration = Duration::from_micros(100);
 
 impl Core {
-    /// One communication step. A step that goes on in the background is waited for as long as `keep_waiting` says so,
+    /// One communication step: time and length. `mid_step` is asked when the model calls back. A step that goes on in the background is waited for as long as `keep_waiting` says so,
     /// and then cancelled (`None`).
     pub(crate) fn do_step(
         &mut self,
-        time: f64,
-        step: f64,
+        span: (f64, f64),
+        mid_step: &mut dyn MidStep,
         keep_waiting: &mut dyn FnMut() -> bool,
     ) -> Result<Option<StepOutcome>, FmiError> {
         let mut info = StepInfo::default();
-        let mut complete = self.call(|raw| raw.do_step(time, step, &mut info))?;
+        let mut complete = self.call(|raw| raw.do_step(span, &mut info, mid_step))?;
         while info.pending {
             if !keep_waiting() {
                 self.raw.abandon_step();
@@ -107,7 +107,7 @@ impl Instance<StepMode, CoSimulation> {
     /// # Errors
     /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
     pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome, FmiError> {
-        Ok(self.core().do_step(time, step, &mut || true)?.unwrap_or_default())
+        Ok(self.core().do_step((time, step), &mut (), &mut || true)?.unwrap_or_default())
     }
 
     /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.

@@ -11,12 +11,12 @@ use crate::co_simulation::StepOutcome;
 use crate::description::{Capabilities, DefaultExperiment, Variable};
 use crate::digest::Digest;
 use crate::error::FmiError;
-use crate::input::InputState;
+use crate::input::{InputPlan, InputState};
 use crate::instance::{CoSimulation, Core, Instance, Instantiated, StepMode};
 use crate::options::{Grid, SimulateOptions};
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
-use crate::sys::RawInstance;
+use crate::sys::{MidStep, RawInstance, Update};
 use ode::{
     ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Report, Sample, Side,
     SimulationError, Stats, Termination,
@@ -123,6 +123,8 @@ pub(crate) struct Stepping {
     after: Vec<f64>,
     between: Vec<f64>,
     slopes: Vec<f64>,
+    /// Inputs on their way during a step.
+    intermediate: Vec<f64>,
     /// Values of parameters on their way.
     signed: Vec<f64>,
     /// What the initial events told.
@@ -144,6 +146,7 @@ impl Stepping {
             after: row(),
             between: row(),
             slopes: vec![0.0; plan.inputs.continuous.len()],
+            intermediate: Vec::with_capacity(plan.inputs.intermediate.0.len()),
             signed: Vec::new(),
             initial: EventOutcome::default(),
             digest: None,
@@ -369,11 +372,15 @@ impl Run<'_> {
         }
         self.set_input_derivatives(&target)?;
         let (limits, began, cancel) = (*self.limits, self.began, &self.plan.options.cancel);
-        let mut keep_waiting = || {
+        let goes_on = || {
             limits.timeout.is_none_or(|limit| began.elapsed() < limit)
                 && !cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed))
         };
-        let Some(outcome) = self.stepping.core()?.do_step(self.t, target.step, &mut keep_waiting)? else {
+        let Stepping { inputs, mode, intermediate, .. } = &mut *self.stepping;
+        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
+        let mut between = Between { plan: &self.plan.inputs, inputs, values: intermediate, goes_on };
+        let step = instance.core().do_step((self.t, target.step), &mut between, &mut { goes_on })?;
+        let Some(outcome) = step else {
             self.stepping.broken = true;
             self.check_limits()?;
             return Err(Exit::Error(ErrorKind::Cancelled));
@@ -708,6 +715,27 @@ impl Run<'_> {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(Exit::Normal(Termination::StoppedByObserver)),
         }
+    }
+}
+
+/// What is done when the model calls back during a step: its inputs there, and an end where the run is to end.
+struct Between<'a, F> {
+    plan: &'a InputPlan,
+    inputs: &'a mut InputState,
+    values: &'a mut Vec<f64>,
+    goes_on: F,
+}
+
+impl<F: Fn() -> bool + Send> MidStep for Between<'_, F> {
+    fn update(&mut self, update: &Update, set: &mut dyn FnMut(&[u32], &[f64])) -> bool {
+        let (places, references) = &self.plan.intermediate;
+        // What is not finite is said at the next communication point.
+        if update.set_requested && !places.is_empty() && self.inputs.continuous_at(self.plan, update.time) {
+            self.values.clear();
+            self.values.extend(places.iter().map(|place| self.inputs.continuous[*place]));
+            set(references, self.values);
+        }
+        !(self.goes_on)()
     }
 }
 

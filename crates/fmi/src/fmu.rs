@@ -1,7 +1,7 @@
 //! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
 
 use crate::archive::Archive;
-use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
+use crate::description::{Causality, Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Instance, Instantiated};
 use crate::options::{Kind, SimulateOptions};
@@ -218,6 +218,13 @@ impl Fmu {
         let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
         let guid = text("guid", &description.guid)?;
         let resources = self.root().join("resources");
+        let is_intermediate = |v: &&Variable| {
+            v.intermediate_update && v.causality == Causality::Input && v.kind == VariableKind::Real
+        };
+        let intermediate: Vec<u32> = match interface.capabilities.provides_intermediate_update {
+            true => description.variables.iter().filter(is_intermediate).map(|v| v.value_reference).collect(),
+            false => Vec::new(),
+        };
         let request = Request {
             name: &name,
             guid: &guid,
@@ -225,6 +232,7 @@ impl Fmu {
             kind,
             event_mode: interface.capabilities.uses_event_mode(),
             early_return: interface.capabilities.may_return_early(),
+            intermediate: &intermediate,
             visible: options.visible,
             logging: options.logging,
         };

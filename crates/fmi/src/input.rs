@@ -139,6 +139,8 @@ pub(crate) struct InputPlan {
     stops: Vec<InputStop>,
     /// Times closer than this are one.
     same: f64,
+    /// Of the continuous ones those that can be set during a communication step: places, and references.
+    pub(crate) intermediate: (Vec<usize>, Vec<u32>),
     /// Positions of the variables that are driven.
     pub(crate) driven: Vec<usize>,
     /// What is said about clocks and their inputs.
@@ -219,6 +221,14 @@ impl InputPlan {
             }
         }
         plan.continuous.append(&mut function_references);
+        let driven = plan.driven.iter().map(|index| &description.variables[*index]);
+        let intermediate = driven.filter(|v| v.intermediate_update && v.kind == VariableKind::Real);
+        for reference in intermediate.map(|v| v.value_reference) {
+            if let Some(place) = plan.continuous.iter().position(|known| *known == reference) {
+                plan.intermediate.0.push(place);
+                plan.intermediate.1.push(reference);
+            }
+        }
         plan.take_stops(stops);
         Ok(plan)
     }

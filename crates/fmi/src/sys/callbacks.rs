@@ -106,7 +106,7 @@ impl Log {
 
 /// What `componentEnvironment` points to; the same layout as in `logger.c`.
 #[repr(C)]
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Environment {
     sink: unsafe extern "C" fn(*mut c_void, c_int, *const c_char, usize, *const c_char, usize),
     data: *mut c_void,

@@ -2,14 +2,16 @@
 
 use super::callbacks::{Environment, fmi3_log};
 use super::fmi3_clocks::ClockFunctions;
+use super::fmi3_intermediate::{IntermediateUpdate, StepEnvironment, intermediate_update};
 use super::library::Symbols;
 use super::packed::{self, Element};
 use super::{
-    Binding, Call, Component, Created, EventInfo, Experiment, InterfaceKind, IntervalAnswer, Request,
-    StatePointer, Status, StepInfo, status,
+    Binding, Call, Component, Created, EventInfo, Experiment, InterfaceKind, IntervalAnswer, MidStep,
+    Request, StatePointer, Status, StepInfo, status,
 };
 use crate::description::{Interval, VariableKind};
 use crate::error::FmiError;
+use std::any::Any;
 use std::ffi::{CString, c_char, c_int, c_void};
 use std::sync::Arc;
 
@@ -38,7 +40,7 @@ type InstantiateCoSimulation = unsafe extern "C" fn(
     usize,
     *mut c_void,
     LogMessage,
-    *const c_void,
+    IntermediateUpdate,
 ) -> Component;
 type Plain = unsafe extern "C" fn(Component) -> c_int;
 type EnterInitialization = unsafe extern "C" fn(Component, bool, f64, f64, bool, f64) -> c_int;
@@ -394,7 +396,13 @@ impl Binding for Fmi3 {
         path.push(std::path::MAIN_SEPARATOR);
         let resources = CString::new(path).unwrap_or_default();
         let resources = if request.resources.is_dir() { resources.as_ptr() } else { std::ptr::null() };
-        let environment: *mut c_void = std::ptr::from_ref(environment).cast_mut().cast();
+        let mut keep: Arc<dyn Any + Send + Sync> = Arc::new(());
+        let mut environment_of: *mut c_void = std::ptr::from_ref(environment).cast_mut().cast();
+        if let Interface::CoSimulation(_) = &self.interface {
+            let step_environment = Arc::new(StepEnvironment::new(environment));
+            environment_of = Arc::as_ptr(&step_environment).cast_mut().cast();
+            keep = step_environment;
+        }
         // SAFETY: the strings end in NUL; the environment is kept by the caller until the component is gone.
         let component = unsafe {
             match &self.interface {
@@ -404,10 +412,9 @@ impl Binding for Fmi3 {
                     resources,
                     request.visible,
                     request.logging,
-                    environment,
+                    environment_of,
                     fmi3_log,
                 ),
-                // No intermediate variables are wanted, so no callback is needed for them.
                 Interface::CoSimulation(functions) => (functions.instantiate)(
                     request.name.as_ptr(),
                     request.guid.as_ptr(),
@@ -416,15 +423,15 @@ impl Binding for Fmi3 {
                     request.logging,
                     request.event_mode,
                     request.early_return,
-                    std::ptr::null(),
-                    0,
-                    environment,
+                    request.intermediate.as_ptr(),
+                    request.intermediate.len(),
+                    environment_of,
                     fmi3_log,
-                    std::ptr::null(),
+                    intermediate_update,
                 ),
             }
         };
-        if component.is_null() { None } else { Some(Created { component, keep: Arc::new(()) }) }
+        if component.is_null() { None } else { Some(Created { component, keep }) }
     }
 
     unsafe fn free_instance(&self, component: Component) {
@@ -779,6 +786,22 @@ impl Binding for Fmi3 {
                 Status::Discard
             }
             other => other,
+        }
+    }
+
+    unsafe fn do_step_with(
+        &self,
+        component: Component,
+        (time, step): (f64, f64),
+        info: &mut StepInfo,
+        keep: &(dyn Any + Send + Sync),
+        mid_step: &mut dyn MidStep,
+    ) -> Status {
+        // SAFETY: the caller's promises are those of `do_step`.
+        let mut make = || unsafe { self.do_step(component, time, step, info) };
+        match keep.downcast_ref::<StepEnvironment>() {
+            Some(environment) => environment.during(mid_step, component, self.set_float64, make),
+            None => make(),
         }
     }
 

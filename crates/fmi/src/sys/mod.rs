@@ -38,6 +38,7 @@ mod fmi1;
 mod fmi2;
 mod fmi3;
 mod fmi3_clocks;
+mod fmi3_intermediate;
 mod library;
 mod packed;
 mod platform;
@@ -233,6 +234,28 @@ pub(crate) struct StepInfo {
     pub(crate) pending: bool,
 }
 
+/// A model calls back during a communication step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Update {
+    /// Where the model stands.
+    pub(crate) time: f64,
+    /// It takes new values of continuous inputs.
+    pub(crate) set_requested: bool,
+}
+
+/// What an importer does when a model calls back during a communication step, maybe on another thread.
+pub(crate) trait MidStep: Send {
+    /// May set real inputs (value references and values); returns whether the step is to end here, if that can be.
+    fn update(&mut self, update: &Update, set: &mut dyn FnMut(&[u32], &[f64])) -> bool;
+}
+
+/// Nothing is done then.
+impl MidStep for () {
+    fn update(&mut self, _: &Update, _: &mut dyn FnMut(&[u32], &[f64])) -> bool {
+        false
+    }
+}
+
 /// A live component and what it needs to stay alive.
 struct Created {
     component: Component,
@@ -250,6 +273,8 @@ pub(crate) struct Request<'a> {
     /// Co-simulation: events are handled between steps, and a step may end early at one.
     pub(crate) event_mode: bool,
     pub(crate) early_return: bool,
+    /// Inputs that are set during steps.
+    pub(crate) intermediate: &'a [u32],
     pub(crate) visible: bool,
     pub(crate) logging: bool,
 }
@@ -406,6 +431,19 @@ trait Binding: Send + Sync {
     /// One communication step. `Discard` is for steps of which nothing or only a part was computed, also because the
     /// model ends the simulation; `Pending` for steps that go on.
     unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status;
+    /// The same for models that call back during the step; `keep` is what was made with the component.
+    unsafe fn do_step_with(
+        &self,
+        component: Component,
+        (time, step): (f64, f64),
+        info: &mut StepInfo,
+        keep: &(dyn Any + Send + Sync),
+        mid_step: &mut dyn MidStep,
+    ) -> Status {
+        let _ = (keep, mid_step);
+        // SAFETY: the caller's promises are those of `do_step`.
+        unsafe { self.do_step(component, time, step, info) }
+    }
     /// How a pending step stands; as for `do_step`.
     unsafe fn step_status(&self, component: Component, info: &mut StepInfo) -> Status;
     unsafe fn cancel_step(&self, component: Component) -> Status;

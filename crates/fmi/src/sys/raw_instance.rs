@@ -2,7 +2,7 @@
 
 use super::callbacks::{Environment, Log};
 use super::{
-    Call, Component, EventInfo, Experiment, IntervalAnswer, Library, LogLine, Qualifier, Request,
+    Call, Component, EventInfo, Experiment, IntervalAnswer, Library, LogLine, MidStep, Qualifier, Request,
     StatePointer, Status, StepInfo,
 };
 use crate::description::{Interval, VariableKind};
@@ -543,9 +543,16 @@ impl RawInstance {
 
     /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says how far the
     /// model got, and the answer is `false`. A pending step has to be asked for with [`step_status`](Self::step_status).
-    pub(crate) fn do_step(&mut self, time: f64, step: f64, info: &mut StepInfo) -> Result<bool, Fault> {
+    /// `mid_step` is asked when the model calls back during the step.
+    pub(crate) fn do_step(
+        &mut self,
+        (time, step): (f64, f64),
+        info: &mut StepInfo,
+        mid_step: &mut dyn MidStep,
+    ) -> Result<bool, Fault> {
         self.time = Some(time);
-        let outcome = run!(self, Call::DoStep, |b, c| b.do_step(c, time, step, info));
+        let outcome =
+            run!(self, Call::DoStep, |b, c| b.do_step_with(c, (time, step), info, &**self.keep, mid_step));
         completed(outcome, info)
     }
 
