@@ -22,6 +22,7 @@ mod outputs;
 mod plan;
 pub mod platform;
 mod pool;
+mod reconfiguration;
 mod session;
 mod simulation;
 mod source;
@@ -41,7 +42,7 @@ pub use fmu::{Fmu, FmuCache, InstanceOptions, Reuse};
 pub use input::{InputFunction, Inputs};
 pub use instance::{
     CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, ModelExchange, Phase,
-    Readable, SavedState, SerializedState, StepMode, Terminated,
+    Readable, Reconfiguration, SavedState, SerializedState, StepMode, Terminated,
 };
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use ode;

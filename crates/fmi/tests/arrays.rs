@@ -6,7 +6,7 @@ mod support;
 
 use fmi::{FmiError, Fmu, Kind, Session, SimulateOptions, SimulationPlan, Simulator, Value};
 use std::sync::Arc;
-use support::arrays;
+use support::{arrays, fixture};
 
 fn close(a: f64, b: f64) {
     assert!((a - b).abs() <= 1e-8, "{a} is not {b}");
@@ -210,4 +210,70 @@ fn instances_know_the_sizes_of_their_arrays() {
     let mut instance = fresh.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
     instance.get_continuous_states(&mut values).unwrap();
     assert_eq!(values, [1.0, 2.0, 3.0]);
+}
+
+#[test]
+fn tunable_structural_parameters_change_a_running_instance() {
+    let tunable = |xml: String| {
+        xml.replace(
+            "causality=\"structuralParameter\" variability=\"fixed\"",
+            "causality=\"structuralParameter\" variability=\"tunable\"",
+        )
+    };
+    let folder = fixture("arrays", tunable);
+    let fmu = folder.open();
+    let mut instance = fmu.instantiate().unwrap();
+    instance.set("n", 2).unwrap();
+    let instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    let mut states = [0.0; 4];
+    let mut instance = instance.enter_reconfiguration().unwrap();
+    assert!(matches!(instance.set("k", vec![1.0, 1.0]), Err(FmiError::NotSettable { .. })));
+    instance.set("n", 4).unwrap();
+    assert_eq!(instance.get("n").unwrap(), 4u64.into());
+    let mut instance = instance.exit_reconfiguration().unwrap();
+    instance.update_discrete_states(10).unwrap();
+    assert!(matches!(
+        instance.get_continuous_states(&mut states[..2]),
+        Err(FmiError::Length { expected: 4, .. })
+    ));
+    instance.get_continuous_states(&mut states).unwrap();
+    assert_eq!(states, [1.0, 2.0, 3.0, 4.0]);
+    let mut instance = instance.enter_continuous_time().unwrap();
+    let mut slopes = [0.0; 4];
+    instance.get_derivatives(&mut slopes).unwrap();
+    assert_eq!(slopes, [-1.0, -2.0, -3.0, -4.0]);
+    // Reset brings back the sizes of the description.
+    let fresh = instance.terminate().unwrap().reset().unwrap();
+    let mut instance = fresh.enter_initialization(0.0, None, None).unwrap();
+    assert_eq!(instance.get("x").unwrap(), vec![1.0, 2.0, 3.0].into());
+
+    let instance = fmu.instantiate_co_simulation(&fmi::InstanceOptions::default()).unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    instance.do_step(0.0, 1.0).unwrap();
+    let mut instance = instance.enter_reconfiguration().unwrap();
+    instance.set("n", 1).unwrap();
+    let mut instance = instance.exit_reconfiguration().unwrap();
+    instance.do_step(1.0, 1.0).unwrap();
+    assert_eq!(instance.get("x").unwrap(), vec![1f64 * (-1f64).exp() * (-1f64).exp()].into());
+
+    // Between runs any structural parameter changes, and a simulation after it is as a first one.
+    let run = |n: u64| {
+        fmu.simulate(
+            &SimulateOptions::new()
+                .start_value("n", n)
+                .start_value("x", vec![1.0; n as usize])
+                .start_value("k", vec![1.0; n as usize])
+                .ncp(2),
+        )
+        .unwrap()
+    };
+    let two = run(2);
+    assert_eq!((run(4).names.len(), run(2)), (5, two));
+
+    // Nothing to reconfigure, or not this one.
+    let fixed = arrays();
+    let instance = fixed.open().instantiate().unwrap();
+    let instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    let error = instance.enter_reconfiguration().unwrap_err().to_string();
+    assert!(error.contains("no tunable structural parameters"), "{error}");
 }
