@@ -184,7 +184,9 @@ impl Prepared {
             timeout: settings.timeout,
             ..SimulateOptions::default()
         };
-        let pool = Pool::with_reference(Arc::new(SimulationPlan::new(fmu, &options)?), start)?;
+        let plan = SimulationPlan::new(fmu, &options)?;
+        plan.require_single_numbers()?;
+        let pool = Pool::with_reference(Arc::new(plan), start)?;
         let outputs = experiment.outputs.into_iter().map(|o| (o.variable, o.column)).collect();
         Ok(Self { pool, comparison, options, data: experiment.data, outputs })
     }

@@ -3,7 +3,7 @@
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Core, Initialization, Instance, StepMode, Terminated};
 use crate::model_exchange::MAX_EVENT_ITERATIONS;
-use crate::sys::{RawInstance, StepInfo};
+use crate::sys::{MidStep, RawInstance, StepInfo};
 use ode::EventOutcome;
 use std::thread;
 use std::time::Duration;
@@ -29,16 +29,16 @@ pub struct StepOutcome {
 const POLL: Duration = Duration::from_micros(100);
 
 impl Core {
-    /// One communication step. A step that goes on in the background is waited for as long as `keep_waiting` says so,
+    /// One communication step: time and length. `mid_step` is asked when the model calls back. A step that goes on in the background is waited for as long as `keep_waiting` says so,
     /// and then cancelled (`None`).
     pub(crate) fn do_step(
         &mut self,
-        time: f64,
-        step: f64,
+        span: (f64, f64),
+        mid_step: &mut dyn MidStep,
         keep_waiting: &mut dyn FnMut() -> bool,
     ) -> Result<Option<StepOutcome>, FmiError> {
         let mut info = StepInfo::default();
-        let mut complete = self.call(|raw| raw.do_step(time, step, &mut info))?;
+        let mut complete = self.call(|raw| raw.do_step(span, &mut info, mid_step))?;
         while info.pending {
             if !keep_waiting() {
                 self.raw.abandon_step();
@@ -62,13 +62,22 @@ impl Core {
 
     /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model ends the
     /// simulation.
-    pub(crate) fn settle(&mut self, time: f64, tolerance: f64) -> Result<EventOutcome, FmiError> {
-        let outcome = self.iterate_events(time, tolerance, MAX_EVENT_ITERATIONS)?;
+    pub(crate) fn settle(
+        &mut self,
+        time: f64,
+        events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome, FmiError>,
+    ) -> Result<EventOutcome, FmiError> {
+        let outcome = events(self, time)?;
         if !outcome.terminate {
             self.call(RawInstance::enter_step_mode)?;
         }
         Ok(outcome)
     }
+}
+
+/// The events that the model makes by itself.
+fn just_events(core: &mut Core, time: f64) -> Result<EventOutcome, FmiError> {
+    core.iterate_events(time, 0.0, MAX_EVENT_ITERATIONS)
 }
 
 impl Instance<Initialization, CoSimulation> {
@@ -77,20 +86,20 @@ impl Instance<Initialization, CoSimulation> {
     /// # Errors
     /// The FMU refuses.
     pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
-        self.begin_steps(0.0).map(|(instance, _)| instance)
+        self.begin_steps(just_events).map(|(instance, _)| instance)
     }
 
-    /// The same, with what the initial events told.
+    /// The same with events made by `events`, and what they told.
     pub(crate) fn begin_steps(
         self,
-        tolerance: f64,
+        events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome, FmiError>,
     ) -> Result<(Instance<StepMode, CoSimulation>, EventOutcome), FmiError> {
         let mut instance: Instance<StepMode, CoSimulation> =
             self.step_to(RawInstance::exit_initialization)?;
         let core = instance.core();
         let time = core.raw.time().unwrap_or(0.0);
         let outcome =
-            if core.has_event_mode() { core.settle(time, tolerance)? } else { EventOutcome::default() };
+            if core.has_event_mode() { core.settle(time, events)? } else { EventOutcome::default() };
         Ok((instance, outcome))
     }
 }
@@ -101,7 +110,7 @@ impl Instance<StepMode, CoSimulation> {
     /// # Errors
     /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
     pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome, FmiError> {
-        Ok(self.core().do_step(time, step, &mut || true)?.unwrap_or_default())
+        Ok(self.core().do_step((time, step), &mut (), &mut || true)?.unwrap_or_default())
     }
 
     /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.
@@ -111,7 +120,7 @@ impl Instance<StepMode, CoSimulation> {
     pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome, FmiError> {
         let core = self.core();
         core.call(RawInstance::enter_event_mode)?;
-        core.settle(time, 0.0)
+        core.settle(time, just_events)
     }
 
     /// Sets the first derivatives of real inputs with respect to time, for the next step.

@@ -2,16 +2,17 @@
 //! Which points these are says [`Communication`].
 
 use crate::assign::Assignments;
+use crate::clocks::{ClockState, Tick};
 use crate::co_simulation::StepOutcome;
 use crate::description::Variable;
 use crate::digest::Digest;
 use crate::error::FmiError;
-use crate::input::InputState;
+use crate::input::{InputPlan, InputState};
 use crate::instance::{CoSimulation, Core, Instance, Instantiated, StepMode};
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
 use crate::points::Communication;
-use crate::sys::RawInstance;
+use crate::sys::{MidStep, RawInstance, Update};
 use ode::{
     ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Report, Sample, Side,
     SimulationError, Stats, Termination,
@@ -46,11 +47,14 @@ pub(crate) struct Stepping {
     broken: bool,
     inputs: InputState,
     buffers: OutputBuffers,
+    clocks: ClockState,
     /// Rows of outputs at the beginning and the end of a step, and one in between.
     before: Vec<f64>,
     after: Vec<f64>,
     between: Vec<f64>,
     slopes: Vec<f64>,
+    /// Inputs on their way during a step.
+    intermediate: Vec<f64>,
     /// Values of parameters on their way.
     signed: Vec<f64>,
     /// What the initial events told.
@@ -67,15 +71,27 @@ impl Stepping {
             broken: false,
             inputs: InputState::new(&plan.inputs),
             buffers: OutputBuffers::new(plan.outputs()),
+            clocks: ClockState::default(),
             before: row(),
             after: row(),
             between: row(),
             slopes: vec![0.0; plan.inputs.continuous.start.len()],
+            intermediate: Vec::with_capacity(plan.inputs.intermediate.0.len()),
             signed: Vec::new(),
             initial: EventOutcome::default(),
             digest: None,
             plan,
         }
+    }
+
+    /// The outputs as they were read last.
+    pub(crate) fn buffers(&self) -> &OutputBuffers {
+        &self.buffers
+    }
+
+    /// The ticks of all clocks in the last run.
+    pub(crate) fn take_ticks(&mut self) -> Vec<Tick> {
+        std::mem::take(&mut self.clocks.ticks)
     }
 
     /// Starts collecting a digest of what the FMU answers.
@@ -124,6 +140,7 @@ impl Stepping {
         let plan = Arc::clone(&self.plan);
         self.mode = Mode::Gone;
         self.broken = false;
+        self.buffers.begin();
         let mut instance: Instance<Instantiated, CoSimulation> = Instance::from_raw(raw, plan.fmu().clone());
         plan.set_up(instance.core(), start_values, parameters, &mut self.signed)?;
         let ends_exactly = plan.communication.as_ref().is_some_and(|c| c.ends_exactly);
@@ -138,7 +155,12 @@ impl Stepping {
         }
         self.inputs.set_held(instance.core(), &plan.inputs)?;
         instance.core().set_reals(&plan.inputs.continuous.references, &self.inputs.continuous)?;
-        let (instance, outcome) = instance.begin_steps(plan.same)?;
+        self.clocks.begin(&plan.clocks, instance.core(), plan.start)?;
+        let Self { clocks, buffers, .. } = self;
+        let (instance, outcome) = instance.begin_steps(|core, time| {
+            let recorded = &plan.outputs().clocks;
+            clocks.settle(&plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
+        })?;
         self.initial = outcome;
         self.mode = Mode::Stepping(instance);
         Ok(())
@@ -272,6 +294,7 @@ impl Run<'_> {
         self.check_limits()?;
         let target = self.target();
         self.tried = target.step;
+        self.check_ticks(&target)?;
         // Only a model that cannot stop at a row makes it necessary to look on both sides of it.
         let row_inside = self.row_before(target.time).is_some();
         if row_inside {
@@ -279,11 +302,15 @@ impl Run<'_> {
         }
         self.set_input_derivatives(&target)?;
         let (limits, began, cancel) = (*self.limits, self.began, &self.plan.options.cancel);
-        let mut keep_waiting = || {
+        let goes_on = || {
             limits.timeout.is_none_or(|limit| began.elapsed() < limit)
                 && !cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed))
         };
-        let Some(outcome) = self.stepping.core()?.do_step(self.t, target.step, &mut keep_waiting)? else {
+        let Stepping { inputs, mode, intermediate, .. } = &mut *self.stepping;
+        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
+        let mut between = Between { plan: &self.plan.inputs, inputs, values: intermediate, goes_on };
+        let step = instance.core().do_step((self.t, target.step), &mut between, &mut { goes_on })?;
+        let Some(outcome) = step else {
             self.stepping.broken = true;
             self.check_limits()?;
             return Err(Exit::Error(ErrorKind::Cancelled));
@@ -433,6 +460,23 @@ impl Run<'_> {
         Target { time, step, regular }
     }
 
+    /// Refuses to step over a tick: a model that takes steps of one length only may not be able to stop there.
+    fn check_ticks(&self, target: &Target) -> Step<()> {
+        let (clocks, same) = (&self.stepping.clocks, self.plan.same);
+        match clocks.next(&self.plan.clocks) {
+            Some(tick) if tick < target.time - same && !self.communication.variable => {
+                let name = self.plan.clocks.name_of_next(clocks).unwrap_or_default();
+                let problem = format!(
+                    "the clock {name} ticks at {tick}, within the step from {} to {}, and the model takes no steps of \
+                     other lengths than {}: choose a step that meets the ticks",
+                    self.t, target.time, target.step
+                );
+                Err(FmiError::BadSetting { problem }.into())
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The next requested time, if it lies between here and `limit`.
     fn row_before(&self, limit: f64) -> Option<f64> {
         let row = self.plan.times.get(self.next_row).copied();
@@ -468,7 +512,7 @@ impl Run<'_> {
     /// model ends the simulation.
     fn set_inputs_at_events(&mut self, event: bool) -> Step<bool> {
         let (plan, same) = (&self.plan.inputs, self.plan.same);
-        let Stepping { inputs, mode, .. } = &mut *self.stepping;
+        let Stepping { inputs, mode, clocks, buffers, .. } = &mut *self.stepping;
         let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
         let core = instance.core();
         let jumped = inputs.pass(plan, self.t);
@@ -488,7 +532,10 @@ impl Run<'_> {
         core.call(RawInstance::enter_event_mode)?;
         inputs.set_held(core, plan)?;
         core.set_reals(&plan.continuous.references, &inputs.continuous)?;
-        let outcome = core.settle(self.t, same)?;
+        let outcome = core.settle(self.t, |core, time| {
+            let recorded = &self.plan.outputs().clocks;
+            clocks.settle(&self.plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
+        })?;
         self.next_event = outcome.next_time.filter(|next| *next > self.t + same);
         self.stats.events += 1;
         self.stats.input_events += u64::from(cause.input);
@@ -526,7 +573,7 @@ impl Run<'_> {
             Place::Before => before,
             Place::After => after,
         };
-        buffers.row(outputs, time, &[], row);
+        buffers.row(outputs, time, self.plan.same, &[], row);
         Ok(())
     }
 
@@ -546,8 +593,12 @@ impl Run<'_> {
             let theta = (time - self.t) / (end - self.t);
             let Stepping { before, after, between, .. } = &mut *self.stepping;
             for (i, value) in between.iter_mut().enumerate() {
-                let is_time = self.plan.outputs().is_time(i);
-                *value = match (is_time, self.plan.outputs().is_continuous(i)) {
+                let outputs = self.plan.outputs();
+                if outputs.is_tick(i) {
+                    *value = 0.0;
+                    continue;
+                }
+                *value = match (outputs.is_time(i), outputs.is_continuous(i)) {
                     (true, _) => time,
                     (_, true) => before[i] + theta * (after[i] - before[i]),
                     (_, false) => before[i],
@@ -603,6 +654,27 @@ impl Run<'_> {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(Exit::Normal(Termination::StoppedByObserver)),
         }
+    }
+}
+
+/// What is done when the model calls back during a step: its inputs there, and an end where the run is to end.
+struct Between<'a, F> {
+    plan: &'a InputPlan,
+    inputs: &'a mut InputState,
+    values: &'a mut Vec<f64>,
+    goes_on: F,
+}
+
+impl<F: Fn() -> bool + Send> MidStep for Between<'_, F> {
+    fn update(&mut self, update: &Update, set: &mut dyn FnMut(&[u32], &[f64])) -> bool {
+        let (places, references) = &self.plan.intermediate;
+        // What is not finite is said at the next communication point.
+        if update.set_requested && !places.is_empty() && self.inputs.continuous_at(self.plan, update.time) {
+            self.values.clear();
+            self.values.extend(places.iter().map(|place| self.inputs.continuous[*place]));
+            set(references, self.values);
+        }
+        !(self.goes_on)()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::archive::Archive;
 use crate::copies::{CopyStore, PrivateCopy};
-use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
+use crate::description::{Causality, Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Instance, Instantiated};
 use crate::open_options::OpenOptions;
@@ -273,6 +273,13 @@ impl Fmu {
         let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
         let guid = text("guid", &description.guid)?;
         let resources = self.root().join("resources");
+        let is_intermediate = |v: &&Variable| {
+            v.intermediate_update && v.causality == Causality::Input && v.kind == VariableKind::Real
+        };
+        let intermediate: Vec<u32> = match interface.capabilities.provides_intermediate_update {
+            true => description.variables.iter().filter(is_intermediate).map(|v| v.value_reference).collect(),
+            false => Vec::new(),
+        };
         let request = Request {
             name: &name,
             guid: &guid,
@@ -280,6 +287,7 @@ impl Fmu {
             kind,
             event_mode: interface.capabilities.uses_event_mode(),
             early_return: interface.capabilities.may_return_early(),
+            intermediate: &intermediate,
             visible: options.visible,
             logging: options.logging,
             log_filter: options.log_filter,

@@ -1,6 +1,7 @@
 //! Time-varying inputs: tables and functions; linear between rows for continuous reals, held for everything else.
 
-use crate::description::{Causality, Value, Variability, Variable, VariableKind};
+use crate::clocks::{ClockInputs, Clocked};
+use crate::description::{Causality, ClockKind, Value, Variability, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::Core;
 use crate::lanes;
@@ -103,7 +104,7 @@ impl Inputs {
 
 /// A column with its rows.
 #[derive(Debug, Clone)]
-struct Column {
+pub(crate) struct Column {
     times: Arc<[f64]>,
     values: Arc<[f64]>,
 }
@@ -143,8 +144,12 @@ pub(crate) struct InputPlan {
     stops: Vec<InputStop>,
     /// Times closer than this are one.
     same: f64,
+    /// Of the continuous ones those that can be set during a communication step: places, and references.
+    pub(crate) intermediate: (Vec<usize>, Vec<u32>),
     /// What is driven.
     pub(crate) driven: Vec<Place>,
+    /// What is said about clocks and their inputs.
+    pub(crate) clocks: ClockInputs,
 }
 
 impl fmt::Debug for InputPlan {
@@ -206,6 +211,16 @@ impl InputPlan {
                         column.linear_stops(same, &mut stops);
                         let at = plan.place_continuous(starts, place)?;
                         plan.sources.push((Continuous::Linear(column), at));
+                    } else if place.element.is_some()
+                        && (variable.kind == VariableKind::Clock || !variable.clocks.is_empty())
+                    {
+                        let problem = "elements of arrays cannot be clocks, nor be driven by clocks";
+                        return Err(bad(variable, problem.to_owned()));
+                    } else if variable.kind == VariableKind::Clock {
+                        plan.clock(variable, place.variable, column, &mut stops)?;
+                    } else if !variable.clocks.is_empty() {
+                        let column = check_held(variable, column)?;
+                        plan.clocks.clocked.push(Clocked { variable: place.variable, column });
                     } else {
                         column.held_stops(&mut stops);
                         plan.hold(starts, place, column)?;
@@ -213,6 +228,7 @@ impl InputPlan {
                 }
             }
         }
+        plan.take_intermediate(starts);
         plan.take_stops(stops);
         Ok(plan)
     }
@@ -222,27 +238,30 @@ impl InputPlan {
         self.continuous.place(reference, place.element, || starts.reals(place))
     }
 
+    /// Which continuous inputs can be set during a communication step.
+    fn take_intermediate(&mut self, starts: &Starts<'_>) {
+        let (places, references) = &mut self.intermediate;
+        for driven in &self.driven {
+            let variable = &starts.description.variables[driven.variable];
+            if !variable.intermediate_update || variable.kind != VariableKind::Real {
+                continue;
+            }
+            let reference = variable.value_reference;
+            let Some(first) = self.continuous.first(reference) else { continue };
+            if !references.contains(&reference) {
+                places.extend(first..first + starts.structure.elements(starts.description, variable));
+                references.push(reference);
+            }
+        }
+    }
+
     fn hold(&mut self, starts: &Starts<'_>, place: Place, column: Column) -> Result<(), FmiError> {
         let variable = &starts.description.variables[place.variable];
         let (kind, reference) = (variable.kind, variable.value_reference);
-        if !kind.is_number() {
-            return Err(bad(variable, "text and binary inputs cannot vary with time".to_owned()));
-        }
+        let column = check_held(variable, column)?;
         let target = if kind == VariableKind::Real {
             Target::Real(self.held_reals.place(reference, place.element, || starts.reals(place))?)
         } else {
-            let misfit = column.values.iter().position(|v| lanes::lane_of_number(kind, *v).is_none());
-            if let Some(row) = misfit {
-                let what = match kind {
-                    VariableKind::Boolean | VariableKind::Clock => "0 or 1".to_owned(),
-                    VariableKind::Integer | VariableKind::Enumeration => "an integer".to_owned(),
-                    kind => format!("of type {kind}"),
-                };
-                return Err(bad(
-                    variable,
-                    format!("{} in row {} is not {what}", column.values[row], row + 1),
-                ));
-            }
             let group = match self.held_packed.iter().position(|(known, _)| *known == kind) {
                 Some(group) => group,
                 None => {
@@ -260,6 +279,38 @@ impl InputPlan {
         };
         self.held.push(Held { column, target });
         Ok(())
+    }
+
+    /// A clock: the rows of a triggered one that hold 1 are its ticks; one that can be deactivated leaves its ticks out
+    /// where it holds 0.
+    fn clock(
+        &mut self,
+        variable: &Variable,
+        index: usize,
+        column: Column,
+        stops: &mut Vec<InputStop>,
+    ) -> Result<(), FmiError> {
+        let column = check_held(variable, column)?;
+        match variable.clock.as_deref() {
+            Some(timing) if timing.kind != ClockKind::Triggered && timing.can_be_deactivated => {
+                self.clocks.enabled.push((index, column));
+                Ok(())
+            }
+            Some(timing) if timing.kind != ClockKind::Triggered => Err(bad(
+                variable,
+                format!(
+                    "it is a clock with {} intervals, which the model determines, and cannot be deactivated",
+                    timing.kind.name()
+                ),
+            )),
+            _ => {
+                let rows = column.times.iter().zip(&*column.values);
+                let ticks: Arc<[f64]> = rows.filter(|(_, on)| **on != 0.0).map(|(time, _)| *time).collect();
+                stops.extend(ticks.iter().map(|time| InputStop { time: *time, jump: true }));
+                self.clocks.ticks.push((index, ticks));
+                Ok(())
+            }
+        }
     }
 
     /// Merges stops of all columns that are one instant, and moves the rows there onto it.
@@ -327,6 +378,25 @@ impl Starts<'_> {
 
 fn bad(variable: &Variable, problem: String) -> FmiError {
     FmiError::BadInput { name: variable.name.clone(), problem }
+}
+
+/// Refuses what cannot be held, and values that are none of the type.
+fn check_held(variable: &Variable, column: Column) -> Result<Column, FmiError> {
+    let kind = variable.kind;
+    if !kind.is_number() {
+        return Err(bad(variable, "text and binary inputs cannot vary with time".to_owned()));
+    }
+    let misfit = column
+        .values
+        .iter()
+        .position(|v| kind != VariableKind::Real && lanes::lane_of_number(kind, *v).is_none());
+    let Some(row) = misfit else { return Ok(column) };
+    let what = match kind {
+        VariableKind::Boolean | VariableKind::Clock => "0 or 1".to_owned(),
+        VariableKind::Integer | VariableKind::Enumeration => "an integer".to_owned(),
+        kind => format!("of type {kind}"),
+    };
+    Err(bad(variable, format!("{} in row {} is not {what}", column.values[row], row + 1)))
 }
 
 fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<(), FmiError> {
@@ -440,7 +510,7 @@ impl Column {
     }
 
     /// Value held from `t` on.
-    fn held(&self, t: f64) -> f64 {
+    pub(crate) fn held(&self, t: f64) -> f64 {
         let rows = self.times.partition_point(|row| *row <= t);
         self.values[rows.max(1) - 1]
     }

@@ -6,6 +6,7 @@ use crate::error::FmiError;
 use crate::failure::CallFailure;
 use crate::fmu::{Fmu, Reuse};
 use crate::lanes;
+use crate::reconfiguration;
 use crate::sys::{Experiment, Fault, LogLine, RawInstance, SavedSlot, Sizes, Status};
 use std::marker::PhantomData;
 
@@ -34,6 +35,12 @@ pub trait Phase: sealed::Sealed {
     /// # Errors
     /// [`FmiError::NotSettable`] with the reason.
     fn check_settable(variable: &Variable) -> Result<(), FmiError>;
+
+    /// Whether structural parameters are set without entering another mode.
+    #[doc(hidden)]
+    fn is_configuration() -> bool {
+        false
+    }
 }
 
 /// A phase in which values can be read: all but [`Instantiated`] (FMI 2.0.x, section 3.2.3).
@@ -43,6 +50,7 @@ impl Readable for Initialization {}
 impl Readable for EventMode {}
 impl Readable for ContinuousTime {}
 impl Readable for StepMode {}
+impl Readable for Reconfiguration {}
 impl Readable for Terminated {}
 
 mod sealed {
@@ -65,6 +73,9 @@ pub enum ContinuousTime {}
 /// Between two communication points: inputs are set and steps are made here (co-simulation).
 #[derive(Debug)]
 pub enum StepMode {}
+/// Reconfiguration mode: tunable structural parameters are set here.
+#[derive(Debug)]
+pub enum Reconfiguration {}
 /// Ended: values can be read.
 #[derive(Debug)]
 pub enum Terminated {}
@@ -84,6 +95,15 @@ phase!(Initialization, |v| assign::check_settable_in_initialization(v));
 phase!(EventMode, |v| assign::check_settable_in_event_mode(v));
 phase!(ContinuousTime, |v| assign::check_settable_in_continuous_time(v));
 phase!(StepMode, |v| assign::check_settable_in_step_mode(v));
+impl sealed::Sealed for Reconfiguration {}
+impl Phase for Reconfiguration {
+    fn check_settable(variable: &Variable) -> Result<(), FmiError> {
+        reconfiguration::check_settable_in_reconfiguration(variable)
+    }
+    fn is_configuration() -> bool {
+        true
+    }
+}
 phase!(Terminated, |v| Err(assign::not_settable(v, "the simulation has ended")));
 
 /// A saved state of an instance, to be brought back by the same instance. When it is dropped, its memory is used for the
@@ -182,11 +202,16 @@ impl Core {
             self.apply(values)?;
             self.call(RawInstance::exit_configuration)?;
         }
+        self.restructure(structure);
+        Ok(())
+    }
+
+    /// Makes the sizes of the model's vectors those that follow from its structural parameters.
+    fn restructure(&mut self, structure: &Structure) {
         self.structure.clone_from(structure);
         let model = self.fmu.description();
         self.raw
             .set_sizes(Sizes { states: structure.states(model), indicators: structure.indicators(model) });
-        Ok(())
     }
 
     /// Compares the sizes that the description promises with those the FMU says.
@@ -465,6 +490,11 @@ impl<P: Phase, K> Instance<P, K> {
         }
         let mut structure = self.core.structure.clone();
         structure.set(index, &value);
+        if P::is_configuration() {
+            self.core.apply(&values)?;
+            self.core.restructure(&structure);
+            return Ok(());
+        }
         self.core.configure(&values, &structure)
     }
 

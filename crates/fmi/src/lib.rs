@@ -4,6 +4,7 @@
 pub mod archive;
 mod assign;
 mod binary;
+mod clocks;
 mod co_simulation;
 mod communication;
 mod copies;
@@ -28,6 +29,7 @@ pub mod platform;
 mod points;
 mod pool;
 mod readback;
+mod reconfiguration;
 mod renewal;
 mod selection;
 mod session;
@@ -35,10 +37,12 @@ mod simulation;
 mod source;
 mod sys;
 mod system;
+mod texts;
 mod trajectory;
 mod trial;
 
 pub use archive::{Archive, ArchiveLimits};
+pub use clocks::Tick;
 pub use co_simulation::StepOutcome;
 pub use description::{ModelDescription, Value, Variable};
 pub use error::{EntryProblem, FmiError};
@@ -49,17 +53,17 @@ pub use fmu_cache::FmuCache;
 pub use input::{InputFunction, Inputs};
 pub use instance::{
     CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, ModelExchange, Phase,
-    Readable, SavedState, SerializedState, StepMode, Terminated,
+    Readable, Reconfiguration, SavedState, SerializedState, StepMode, Terminated,
 };
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use ode;
 pub use open_options::{LoaderOptions, OpenOptions};
 pub use options::{DEFAULT_INTERVALS, DEFAULT_TOLERANCE, Kind, SimulateOptions};
+pub use outputs::Recorded;
 pub use plan::SimulationPlan;
 pub use pool::{Lease, Pool};
-pub use selection::ArrayColumns;
 pub use session::Session;
 pub use simulation::Simulator;
 pub use source::{build_library, clear_caches, pack};
 pub use sys::{InterfaceKind, LogFilter, LogLine, Status};
-pub use trajectory::Trajectory;
+pub use trajectory::{Trajectory, ValueColumn};

@@ -18,8 +18,20 @@ impl Core {
         tolerance: f64,
         limit: u32,
     ) -> Result<EventOutcome, FmiError> {
+        self.iterate_events_watched(time, tolerance, limit, &mut |_| Ok(()))
+    }
+
+    /// The same; `watch` looks at the model before each round.
+    pub(crate) fn iterate_events_watched(
+        &mut self,
+        time: f64,
+        tolerance: f64,
+        limit: u32,
+        watch: &mut dyn FnMut(&mut Core) -> Result<(), FmiError>,
+    ) -> Result<EventOutcome, FmiError> {
         let mut outcome = EventOutcome::default();
         for _ in 0..limit {
+            watch(self)?;
             let mut info = EventInfo::default();
             self.call(|raw| raw.new_discrete_states(&mut info))?;
             outcome.states_changed |= info.values_changed;

@@ -1,10 +1,11 @@
 //! What a simulation records: outputs sorted into one call per type, and the buffers they are read into.
 
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable, VariableKind};
-use crate::error::FmiError;
 use crate::lanes;
 use crate::sys::{Fault, RawInstance};
+use crate::texts::{self, ValueTable};
 use std::collections::HashMap;
+use std::ops::Range;
 
 /// Where an output comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,6 +17,31 @@ pub(crate) enum OutputSource {
     Real(usize),
     /// Place among the lanes of all other numbers.
     Packed(usize, VariableKind),
+    /// The upper or lower half of such a lane.
+    Half(usize, VariableKind, bool),
+    /// Place among the texts.
+    Text(usize),
+    /// Place among the binary values.
+    Bytes(usize),
+    /// Whether a clock ticked at this instant: place among the clocks recorded.
+    Tick(usize),
+}
+
+/// A variable that a simulation records, and where it stands in the result. An array has a column for each element, the
+/// last index varying fastest.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Recorded {
+    /// Name under which it was asked for.
+    pub name: String,
+    /// Type.
+    pub kind: VariableKind,
+    /// Extents of an array; empty for a single value or an element.
+    pub extents: Vec<usize>,
+    /// Its columns among the numbers; none for texts and binary variables.
+    pub columns: Range<usize>,
+    /// Its columns among the values: texts, binary variables and 64-bit integers, which not all numbers can hold.
+    pub values: Range<usize>,
 }
 
 /// A column of results.
@@ -44,6 +70,15 @@ pub(crate) struct OutputPlan {
     groups: Vec<Group>,
     /// Of the array variables already there: first place of their values.
     arrays: HashMap<(VariableKind, u32), usize>,
+    texts: (Vec<u32>, usize),
+    binaries: (Vec<u32>, usize),
+    /// Value references of the clocks recorded.
+    pub(crate) clocks: Vec<u32>,
+    /// Columns without names, which stand behind the others: see `texts.rs`.
+    unnamed: Vec<Column>,
+    /// Name and kind of what the columns without names make.
+    pub(crate) values: Vec<(String, VariableKind)>,
+    pub(crate) recorded: Vec<Recorded>,
 }
 
 /// What outputs are resolved against.
@@ -55,19 +90,25 @@ pub(crate) struct OutputContext<'a> {
 }
 
 impl OutputPlan {
-    /// Number of columns.
+    /// Number of columns, with and without names.
     pub(crate) fn len(&self) -> usize {
         self.columns.len()
     }
 
     /// Whether a sample needs a call at all.
     pub(crate) fn needs_fmu(&self) -> bool {
-        !(self.reals.is_empty() && self.groups.is_empty())
+        let nothing = self.reals.is_empty() && self.groups.is_empty();
+        !(nothing && self.texts.0.is_empty() && self.binaries.0.is_empty())
     }
 
     /// Whether a column is time itself.
     pub(crate) fn is_time(&self, column: usize) -> bool {
         self.columns[column].source == OutputSource::Time
+    }
+
+    /// Whether a column tells the ticks of a clock, which are only at events.
+    pub(crate) fn is_tick(&self, column: usize) -> bool {
+        matches!(self.columns[column].source, OutputSource::Tick(_))
     }
 
     /// Whether a column may be interpolated.
@@ -76,53 +117,68 @@ impl OutputPlan {
     }
 
     /// Adds a variable: one column, or one for each element of an array (only `element`, if given). Returns the names
-    /// of the columns.
-    ///
-    /// # Errors
-    /// The variable is text or binary.
+    /// of the columns of numbers.
     pub(crate) fn add(
         &mut self,
         context: &OutputContext<'_>,
         variable: &Variable,
         name: &str,
         element: Option<usize>,
-    ) -> Result<Vec<String>, FmiError> {
-        if !variable.kind.is_number() {
-            let reason = "it is text or binary, and results are numbers";
-            return Err(FmiError::NotAnOutput { name: variable.name.clone(), reason });
-        }
-        let is_continuous = variable.kind.is_float() && variable.variability == Variability::Continuous;
-        let mut push =
-            |source| self.columns.push(Column { source, negated: variable.negated, is_continuous });
-        if variable.causality == Causality::Independent {
-            push(OutputSource::Time);
-            return Ok(vec![name.to_owned()]);
-        }
-        let n = context.structure.elements(context.model, variable);
-        let state =
-            context.states.get(&variable.value_reference).filter(|_| variable.kind == VariableKind::Real);
-        let wanted = element.map_or(0..n, |element| element..element + 1);
-        let names = match element {
-            Some(_) => vec![name.to_owned()],
-            None if variable.dimensions.is_empty() => vec![name.to_owned()],
-            None => {
-                let extents = context.structure.extents(context.model, variable);
-                (0..n).map(|element| format!("{name}{}", subscript(element, &extents))).collect()
-            }
+    ) -> Vec<String> {
+        let (kind, negated) = (variable.kind, variable.negated);
+        let extents = match element {
+            Some(_) => Vec::new(),
+            None => context.structure.extents(context.model, variable),
         };
-        if let Some(first) = state {
-            wanted.for_each(|element| push(OutputSource::State(first + element)));
-            return Ok(names);
-        }
-        let first = self.place(variable, n);
+        let (first_column, first_value) = (self.columns.len(), self.values.len());
+        let is_continuous = kind.is_float() && variable.variability == Variability::Continuous;
+        let n = context.structure.elements(context.model, variable);
+        let wanted = element.map_or(0..n, |element| element..element + 1);
+        let is_array = element.is_none() && !variable.dimensions.is_empty();
+        let column_name = |element| match is_array {
+            true => format!("{name}{}", subscript(element, &extents)),
+            false => name.to_owned(),
+        };
+        let state = context.states.get(&variable.value_reference).filter(|_| kind == VariableKind::Real);
+        let first = match (variable.causality, state) {
+            (Causality::Independent, _) => 0,
+            (_, Some(first)) => *first,
+            _ => self.place(variable, n),
+        };
+        let mut names = Vec::new();
         for element in wanted {
-            let source = match variable.kind {
-                VariableKind::Real => OutputSource::Real(first + element),
-                kind => OutputSource::Packed(first + element, kind),
+            let place = first + element;
+            let column = |source| Column { source, negated, is_continuous };
+            let source = match kind {
+                _ if variable.causality == Causality::Independent => OutputSource::Time,
+                _ if state.is_some() => OutputSource::State(place),
+                VariableKind::Real => OutputSource::Real(place),
+                VariableKind::String => OutputSource::Text(place),
+                VariableKind::Binary => OutputSource::Bytes(place),
+                VariableKind::Clock => OutputSource::Tick(place),
+                kind => OutputSource::Packed(place, kind),
             };
-            self.columns.push(Column { source, negated: variable.negated, is_continuous });
+            if kind.is_number() {
+                names.push(column_name(element));
+                self.columns.push(column(source));
+            }
+            match texts::width(kind) {
+                0 => continue,
+                1 => self.unnamed.push(column(source)),
+                _ => self
+                    .unnamed
+                    .extend([true, false].map(|upper| column(OutputSource::Half(place, kind, upper)))),
+            }
+            self.values.push((column_name(element), kind));
         }
-        Ok(names)
+        self.recorded.push(Recorded {
+            name: name.to_owned(),
+            kind,
+            extents,
+            columns: first_column..self.columns.len(),
+            values: first_value..self.values.len(),
+        });
+        names
     }
 
     /// First place of the values of a variable; lanes are counted group by group, see [`finish`](Self::finish).
@@ -133,6 +189,13 @@ impl OutputPlan {
         }
         let (references, count) = if kind == VariableKind::Real {
             (&mut self.reals, &mut self.n_reals)
+        } else if kind == VariableKind::String {
+            (&mut self.texts.0, &mut self.texts.1)
+        } else if kind == VariableKind::Binary {
+            (&mut self.binaries.0, &mut self.binaries.1)
+        } else if kind == VariableKind::Clock {
+            self.clocks.push(reference);
+            return self.clocks.len() - 1;
         } else {
             let group = match self.groups.iter().position(|group| group.kind == kind) {
                 Some(group) => group,
@@ -153,12 +216,15 @@ impl OutputPlan {
         first
     }
 
-    /// Puts the lanes of all kinds into one row, when everything has been added.
+    /// Puts the lanes of all kinds into one row, and the columns without names behind the others, when everything has
+    /// been added.
     pub(crate) fn finish(&mut self) {
+        self.columns.append(&mut self.unnamed);
         let mut start = 0;
         for group in &self.groups {
             for column in &mut self.columns {
-                if let OutputSource::Packed(place, kind) = &mut column.source
+                if let OutputSource::Packed(place, kind) | OutputSource::Half(place, kind, _) =
+                    &mut column.source
                     && *kind == group.kind
                 {
                     *place += start;
@@ -206,12 +272,31 @@ pub(crate) fn element_of(name: &str, extents: impl Fn(&str) -> Option<Vec<usize>
 pub(crate) struct OutputBuffers {
     reals: Vec<f64>,
     lanes: Vec<i64>,
+    texts: Vec<f64>,
+    binaries: Vec<f64>,
+    /// When the clocks recorded ticked last.
+    pub(crate) ticked: Vec<f64>,
+    /// The texts and binary values of the run.
+    pub(crate) table: ValueTable,
 }
 
 impl OutputBuffers {
     pub(crate) fn new(plan: &OutputPlan) -> Self {
         let n_lanes = plan.groups.iter().map(|group| group.n_values).sum();
-        Self { reals: vec![0.0; plan.n_reals], lanes: vec![0; n_lanes] }
+        Self {
+            reals: vec![0.0; plan.n_reals],
+            lanes: vec![0; n_lanes],
+            texts: vec![0.0; plan.texts.1],
+            binaries: vec![0.0; plan.binaries.1],
+            ticked: vec![f64::NAN; plan.clocks.len()],
+            table: ValueTable::default(),
+        }
+    }
+
+    /// Forgets the run before.
+    pub(crate) fn begin(&mut self) {
+        self.table.clear();
+        self.ticked.fill(f64::NAN);
     }
 
     /// Reads what comes from calls, one call per type.
@@ -225,17 +310,32 @@ impl OutputBuffers {
             raw.get_packed(group.kind, &group.references, lanes)?;
             rest = others;
         }
+        if !self.texts.is_empty() {
+            let texts = raw.get_string(&plan.texts.0, self.texts.len())?;
+            self.texts.iter_mut().zip(texts).for_each(|(place, text)| *place = self.table.text(text));
+        }
+        if !self.binaries.is_empty() {
+            let binaries = raw.get_binary(&plan.binaries.0, self.binaries.len())?;
+            self.binaries
+                .iter_mut()
+                .zip(binaries)
+                .for_each(|(place, bytes)| *place = self.table.bytes(bytes));
+        }
         Ok(())
     }
 
-    /// Puts the row together.
-    pub(crate) fn row(&self, plan: &OutputPlan, t: f64, x: &[f64], y: &mut [f64]) {
+    /// Puts the row together; times closer than `same` are one.
+    pub(crate) fn row(&self, plan: &OutputPlan, t: f64, same: f64, x: &[f64], y: &mut [f64]) {
         for (column, value) in plan.columns.iter().zip(y.iter_mut()) {
             *value = match column.source {
                 OutputSource::Time => t,
                 OutputSource::State(i) => x[i],
                 OutputSource::Real(i) => self.reals[i],
                 OutputSource::Packed(i, kind) => lanes::number(kind, self.lanes[i]),
+                OutputSource::Half(i, _, upper) => texts::half(self.lanes[i], upper),
+                OutputSource::Text(i) => self.texts[i],
+                OutputSource::Bytes(i) => self.binaries[i],
+                OutputSource::Tick(i) => f64::from(u8::from((t - self.ticked[i]).abs() <= same)),
             };
             if column.negated {
                 *value = match column.source {

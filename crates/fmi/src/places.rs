@@ -150,4 +150,9 @@ impl<T> Slots<T> {
         };
         Ok(first + element.unwrap_or(0))
     }
+
+    /// Where the values of a variable begin, if it is there.
+    pub(crate) fn first(&self, reference: u32) -> Option<usize> {
+        self.firsts.get(&reference).copied()
+    }
 }

@@ -1,6 +1,7 @@
 //! A simulation resolved against its model, once: names have become value references, everything has been checked.
 
 use crate::assign::{self, Assignments, check_settable_at_start};
+use crate::clocks::ClockPlan;
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::fmu::{Fmu, Reuse};
@@ -8,11 +9,11 @@ use crate::input::{InputPlan, Inputs};
 use crate::instance::Core;
 use crate::jacobian::JacobianPlan;
 use crate::options::SimulateOptions;
-use crate::outputs::{OutputContext, OutputPlan};
+use crate::outputs::{OutputContext, OutputPlan, Recorded};
 use crate::places::{Place, Slots, Starts};
 use crate::points::Communication;
 use crate::readback::{ReadBack, ReadBackBuffers};
-use crate::selection::{ArrayColumns, Selection, states};
+use crate::selection::{Selection, states};
 use crate::sys::InterfaceKind;
 use crate::trial::nudge;
 use std::collections::HashMap;
@@ -41,6 +42,7 @@ pub struct SimulationPlan {
     /// What the parameters are where nobody gives a value.
     pub(crate) parameter_starts: Vec<f64>,
     pub(crate) inputs: InputPlan,
+    pub(crate) clocks: ClockPlan,
     outputs: Selection,
     /// Everything that a run sets, sorted.
     pub(crate) settings: Arc<[Setting]>,
@@ -99,6 +101,12 @@ impl SimulationPlan {
         let starts = Starts { description, structure: &known_structure, given: &start_values };
         let no_inputs = Inputs::default();
         let inputs = InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
+        let has_events = kind == InterfaceKind::ModelExchange || interface.capabilities.uses_event_mode();
+        if !has_events && !inputs.clocks.ticks.is_empty() {
+            let problem =
+                "the inputs trigger clocks, which takes an event mode, and this co-simulation has none";
+            return Err(FmiError::BadSetting { problem: problem.to_owned() });
+        }
         let states = states(description, &structure);
         let mut plan = Self {
             fmu: fmu.clone(),
@@ -113,6 +121,11 @@ impl SimulationPlan {
             parameter_slots: Slots::default(),
             parameter_names: Vec::new(),
             parameter_starts: Vec::new(),
+            clocks: match has_events {
+                true => ClockPlan::new(description, &inputs.clocks, grid.same),
+                // Clocks tick in event mode.
+                false => ClockPlan::default(),
+            },
             inputs,
             outputs: Selection::default(),
             settings: Arc::default(),
@@ -261,7 +274,7 @@ impl SimulationPlan {
             Some(names) => Selection::of_names(&context, names)?,
             None => {
                 let states: Vec<usize> = states.iter().copied().flatten().collect();
-                Selection::default_of(&context, &states)?
+                Selection::default_of(&context, &states)
             }
         };
         Ok(())
@@ -347,7 +360,8 @@ impl SimulationPlan {
         self.kind
     }
 
-    /// Names of the outputs, in the order of [`Sample::outputs`](ode::Sample).
+    /// Names of the outputs that are numbers, in the order of [`Sample::outputs`](ode::Sample). Behind them a sample has
+    /// numbers that stand for texts and the like; a [`Trajectory`](crate::Trajectory) has their values.
     pub fn output_names(&self) -> &[String] {
         &self.outputs.names
     }
@@ -357,14 +371,32 @@ impl SimulationPlan {
         &self.outputs.variables
     }
 
-    /// The arrays among the outputs.
-    pub fn output_arrays(&self) -> &[ArrayColumns] {
-        &self.outputs.arrays
-    }
-
     /// Where the outputs come from.
     pub(crate) fn outputs(&self) -> &OutputPlan {
         &self.outputs.plan
+    }
+
+    /// The variables recorded, in the order in which they were asked for.
+    pub fn recorded(&self) -> &[Recorded] {
+        &self.outputs.plan.recorded
+    }
+
+    /// Refuses outputs that are not single numbers, so that there is one column for each name.
+    ///
+    /// # Errors
+    /// [`FmiError::NotAnOutput`] names the first one.
+    pub fn require_single_numbers(&self) -> Result<(), FmiError> {
+        let reason = |recorded: &Recorded| match () {
+            () if !recorded.kind.is_number() => Some("it is text or binary, and numbers are needed"),
+            () if !recorded.extents.is_empty() => {
+                Some("it is an array, and single numbers are needed: its elements")
+            }
+            () => None,
+        };
+        match self.recorded().iter().find_map(|recorded| Some((recorded, reason(recorded)?))) {
+            Some((recorded, reason)) => Err(FmiError::NotAnOutput { name: recorded.name.clone(), reason }),
+            None => Ok(()),
+        }
     }
 
     /// Names of the parameters, in the order in which a run takes their values.

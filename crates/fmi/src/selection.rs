@@ -12,18 +12,6 @@ const MOST_UNASKED: usize = 10_000;
 /// The name that stands for all variables, where none has it.
 const ALL: &str = "all";
 
-/// An array among the columns of a result.
-#[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct ArrayColumns {
-    /// Name of the variable.
-    pub name: String,
-    /// The column of its first element; the others follow, the last index varying fastest.
-    pub first: usize,
-    /// Number of elements in each direction.
-    pub extents: Vec<usize>,
-}
-
 /// The columns of a result and where their values come from.
 #[derive(Debug, Default)]
 pub(crate) struct Selection {
@@ -31,17 +19,16 @@ pub(crate) struct Selection {
     pub(crate) names: Vec<String>,
     /// Of each column: position of its variable.
     pub(crate) variables: Vec<usize>,
-    pub(crate) arrays: Vec<ArrayColumns>,
+    /// Positions of the variables that are there as a whole.
+    known: HashSet<usize>,
 }
 
 impl Selection {
     /// The outputs and the states; where a model declares neither, whatever changes. `states`: positions.
-    pub(crate) fn default_of(context: &OutputContext<'_>, states: &[usize]) -> Result<Self, FmiError> {
+    pub(crate) fn default_of(context: &OutputContext<'_>, states: &[usize]) -> Self {
         let variables = &context.model.variables;
         let positions = |wanted: &dyn Fn(&Variable) -> bool| -> Vec<usize> {
-            (0..variables.len())
-                .filter(|i| variables[*i].kind.is_number() && wanted(&variables[*i]))
-                .collect()
+            (0..variables.len()).filter(|i| wanted(&variables[*i])).collect()
         };
         let mut chosen = positions(&|v| v.causality == Causality::Output);
         let known: HashSet<usize> = chosen.iter().copied().collect();
@@ -64,34 +51,33 @@ impl Selection {
         }
         let mut selection = Self::default();
         for position in chosen {
-            selection.add(context, position, &variables[position].name, None)?;
+            selection.add(context, position, &variables[position].name, None);
         }
         selection.plan.finish();
-        Ok(selection)
+        selection
     }
 
     /// What these names, elements (`name[2,1]`, counted from 1) and patterns (`*`: any characters, `?`: one) stand for;
-    /// `all`: every variable that is a number. What a pattern finds again is not recorded twice.
+    /// `all`: every variable. What a pattern finds again is not recorded twice.
     ///
     /// # Errors
-    /// A name is unknown, or the variable is text; a pattern fits nothing.
+    /// A name is unknown; a pattern fits nothing.
     pub(crate) fn of_names(context: &OutputContext<'_>, names: &[String]) -> Result<Self, FmiError> {
         let (model, structure) = (context.model, context.structure);
         let mut selection = Self::default();
         for name in names {
             if let Some(position) = model.variable_index(name) {
-                selection.add(context, position, name, None)?;
+                selection.add(context, position, name, None);
                 continue;
             }
             let extents = |array: &str| Some(structure.extents(model, model.variable(array)?));
             if let Some((array, element)) = element_of(name, extents) {
-                selection.add(context, resolve(model, array)?, name, Some(element))?;
+                selection.add(context, resolve(model, array)?, name, Some(element));
             } else if name == ALL {
-                selection.add_matching(context, "*")?;
+                selection.add_matching(context, "*");
             } else if name.contains(['*', '?']) {
-                if selection.add_matching(context, name)? == 0 {
-                    let problem =
-                        format!("the pattern \"{name}\" fits the name of no variable that is a number");
+                if selection.add_matching(context, name) == 0 {
+                    let problem = format!("the pattern \"{name}\" fits the name of no variable");
                     return Err(FmiError::BadSetting { problem });
                 }
             } else if name != "time" {
@@ -104,40 +90,26 @@ impl Selection {
     }
 
     /// Adds the variables that fit a pattern and are not there yet; how many fit.
-    fn add_matching(&mut self, context: &OutputContext<'_>, pattern: &str) -> Result<usize, FmiError> {
-        let mut known: HashSet<usize> = self.variables.iter().copied().collect();
+    fn add_matching(&mut self, context: &OutputContext<'_>, pattern: &str) -> usize {
         let mut found = 0;
         for (position, variable) in context.model.variables.iter().enumerate() {
-            let is_wanted = variable.kind.is_number() && variable.causality != Causality::Independent;
-            if is_wanted && fits(pattern, &variable.name) {
+            if variable.causality != Causality::Independent && fits(pattern, &variable.name) {
                 found += 1;
-                if known.insert(position) {
-                    self.add(context, position, &variable.name, None)?;
+                if !self.known.contains(&position) {
+                    self.add(context, position, &variable.name, None);
                 }
             }
         }
-        Ok(found)
+        found
     }
 
-    fn add(
-        &mut self,
-        context: &OutputContext<'_>,
-        position: usize,
-        name: &str,
-        element: Option<usize>,
-    ) -> Result<(), FmiError> {
-        let variable = &context.model.variables[position];
-        let columns = self.plan.add(context, variable, name, element)?;
-        if !variable.dimensions.is_empty() && element.is_none() {
-            self.arrays.push(ArrayColumns {
-                name: name.to_owned(),
-                first: self.names.len(),
-                extents: context.structure.extents(context.model, variable),
-            });
+    fn add(&mut self, context: &OutputContext<'_>, position: usize, name: &str, element: Option<usize>) {
+        let columns = self.plan.add(context, &context.model.variables[position], name, element);
+        if element.is_none() {
+            self.known.insert(position);
         }
         self.variables.extend(columns.iter().map(|_| position));
         self.names.extend(columns);
-        Ok(())
     }
 }
 

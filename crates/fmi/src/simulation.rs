@@ -223,7 +223,9 @@ impl Simulator {
     pub fn trajectory(&mut self, parameters: &[f64]) -> Result<Trajectory, FmiError> {
         let mut recorder = Recorder::new(&self.plan);
         let report = self.run(parameters, &mut recorder)?;
-        Ok(recorder.finish(&self.plan, report))
+        let ticks = each!(&mut self.engine, run => run.take_ticks());
+        let buffers = each!(&self.engine, run => run.buffers());
+        Ok(recorder.finish(&self.plan, &buffers.table, ticks, report))
     }
 
     /// Value of a variable, or of an element of an array (`name[2,1]`), where the last run ended (after a step inside of which it was stopped: at the end of the

@@ -1,12 +1,12 @@
 //! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
 
 use crate::assign::Assignments;
+use crate::clocks::{ClockState, Tick};
 use crate::description::Variable;
 use crate::digest::Digest;
 use crate::error::FmiError;
 use crate::input::{InputPlan, InputState};
 use crate::instance::{ContinuousTime, Core, EventMode, Instance, Instantiated};
-use crate::model_exchange::MAX_EVENT_ITERATIONS;
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
 use crate::sys::{Fault, RawInstance};
@@ -51,6 +51,7 @@ pub(crate) struct System {
     /// behind.
     floor: f64,
     buffers: OutputBuffers,
+    clocks: ClockState,
     /// Values of parameters on their way.
     signed: Vec<f64>,
     /// Running digest of everything that the FMU answered; only while reset is checked.
@@ -78,10 +79,21 @@ impl System {
             announced: None,
             floor: f64::NEG_INFINITY,
             buffers: OutputBuffers::new(plan.outputs()),
+            clocks: ClockState::default(),
             signed: Vec::new(),
             digest: None,
             plan,
         }
+    }
+
+    /// The outputs as they were read last.
+    pub(crate) fn buffers(&self) -> &OutputBuffers {
+        &self.buffers
+    }
+
+    /// The ticks of all clocks in the last run.
+    pub(crate) fn take_ticks(&mut self) -> Vec<Tick> {
+        std::mem::take(&mut self.clocks.ticks)
     }
 
     /// Starts collecting a digest of what the FMU answers.
@@ -135,6 +147,7 @@ impl System {
         let mut instance: Instance<Instantiated> = Instance::from_raw(raw, plan.fmu().clone());
         self.mode = Mode::Gone;
         self.broken = false;
+        self.buffers.begin();
         plan.set_up(instance.core(), start_values, parameters, &mut self.signed)?;
         let mut instance = instance.enter_initialization(
             plan.start,
@@ -148,6 +161,7 @@ impl System {
         self.inputs.set_held(instance.core(), &plan.inputs)?;
         self.sent.clear();
         send(&plan.inputs, &self.inputs, &mut self.sent, instance.core())?;
+        self.clocks.begin(&plan.clocks, instance.core(), plan.start)?;
         self.mode = Mode::Event(instance.exit_initialization()?);
         self.set_time = None;
         self.set_states = None;
@@ -301,11 +315,15 @@ impl System {
     }
 
     fn iterate_events(&mut self, t: f64) -> CallResult<EventOutcome> {
-        let tolerance = self.plan.same;
-        let outcome = self.core().and_then(|core| core.iterate_events(t, tolerance, MAX_EVENT_ITERATIONS));
-        match outcome {
-            Ok(outcome) => {
-                self.announced = outcome.next_time;
+        let Self { plan, mode, clocks, buffers, .. } = self;
+        let core = match mode {
+            Mode::Event(instance) => Ok(instance.core()),
+            _ => Err(no_instance()),
+        };
+        let recorded = &plan.outputs().clocks;
+        match core.and_then(|core| clocks.settle(&plan.clocks, core, t, (recorded, buffers))) {
+            Ok((outcome, announced)) => {
+                self.announced = announced;
                 self.note_outcome(&outcome);
                 Ok(outcome)
             }
@@ -473,7 +491,7 @@ impl HybridSystem for System {
         if plan.outputs().needs_fmu() {
             call(mode, broken, |raw| buffers.read(plan.outputs(), raw))?;
         }
-        buffers.row(plan.outputs(), t, x, y);
+        buffers.row(plan.outputs(), t, plan.same, x, y);
         self.note(y);
         Ok(())
     }

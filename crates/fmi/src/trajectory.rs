@@ -1,8 +1,11 @@
-//! A recorded simulation: columns of numbers, events, what it cost.
+//! A recorded simulation: columns of numbers and of other values, events, what it cost.
 
+use crate::clocks::Tick;
+use crate::description::Value;
 use crate::error::FmiError;
+use crate::outputs::Recorded;
 use crate::plan::SimulationPlan;
-use crate::selection::ArrayColumns;
+use crate::texts::{ValueTable, width};
 use ode::{EventRecord, Observer, Report, Sample, Side, Stats, Termination};
 use std::ops::ControlFlow;
 
@@ -16,20 +19,34 @@ pub struct Trajectory {
     pub names: Vec<String>,
     /// Position in the description of the variable of each column; all elements of an array have the same.
     pub variables: Vec<usize>,
-    /// The arrays among the columns.
-    pub arrays: Vec<ArrayColumns>,
-    /// The columns. Integers and Booleans are numbers here.
+    /// The columns. Integers and Booleans are numbers here (64-bit integers the nearest ones: see [`values`](Self::values)).
     pub columns: Vec<Vec<f64>>,
+    /// The columns of what is more than a number: texts, binary variables, and once more, exactly, 64-bit integers.
+    pub values: Vec<ValueColumn>,
+    /// The variables in the order in which they were asked for, and which columns are theirs.
+    pub recorded: Vec<Recorded>,
     /// Of each row: value before or after the events at its time.
     pub sides: Vec<Side>,
     /// The events.
     pub events: Vec<EventRecord>,
+    /// The ticks of clocks, in the order of their times.
+    pub ticks: Vec<Tick>,
     /// What it cost.
     pub stats: Stats,
     /// How it ended.
     pub termination: Termination,
     /// Time at which it ended.
     pub end_time: f64,
+}
+
+/// A column of values that are not all numbers.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ValueColumn {
+    /// Name of the variable or of the element of an array.
+    pub name: String,
+    /// One value for each row, all of one type.
+    pub values: Vec<Value>,
 }
 
 impl Trajectory {
@@ -44,12 +61,18 @@ impl Trajectory {
         if name == "time" {
             return Ok(&self.time);
         }
-        let mut present = vec!["time"];
-        present.extend(self.names.iter().map(String::as_str).take(20));
-        if self.names.len() > 20 {
-            present.push("...");
+        Err(not_in_result(name, std::iter::once("time").chain(self.names.iter().map(String::as_str))))
+    }
+
+    /// The values in the rows of a text, a binary variable or a 64-bit integer.
+    ///
+    /// # Errors
+    /// [`FmiError::NotInResult`] lists the names there are.
+    pub fn values_of(&self, name: &str) -> Result<&[Value], FmiError> {
+        match self.values.iter().find(|column| column.name == name) {
+            Some(column) => Ok(&column.values),
+            None => Err(not_in_result(name, self.values.iter().map(|column| column.name.as_str()))),
         }
-        Err(FmiError::NotInResult { name: name.to_owned(), present: present.join(", ") })
     }
 
     /// The last value of the column of this name; `None` if there are no rows.
@@ -59,6 +82,14 @@ impl Trajectory {
     pub fn final_value(&self, name: &str) -> Result<Option<f64>, FmiError> {
         Ok(self.get(name)?.last().copied())
     }
+}
+
+fn not_in_result<'a>(name: &str, present: impl Iterator<Item = &'a str>) -> FmiError {
+    let mut present: Vec<&str> = present.take(22).collect();
+    if present.len() > 21 {
+        present[21] = "...";
+    }
+    FmiError::NotInResult { name: name.to_owned(), present: present.join(", ") }
 }
 
 /// Writes samples into columns.
@@ -75,21 +106,38 @@ impl Recorder {
         let rows = plan.times().len();
         Self {
             time: Vec::with_capacity(rows),
-            columns: plan.output_names().iter().map(|_| Vec::with_capacity(rows)).collect(),
+            columns: (0..plan.outputs().len()).map(|_| Vec::with_capacity(rows)).collect(),
             sides: Vec::with_capacity(rows),
             events: Vec::new(),
         }
     }
 
-    pub(crate) fn finish(self, plan: &SimulationPlan, report: Report) -> Trajectory {
+    /// Puts the trajectory together; the table has the values that numbers in columns without names stand for.
+    pub(crate) fn finish(
+        mut self,
+        plan: &SimulationPlan,
+        table: &ValueTable,
+        ticks: Vec<Tick>,
+        report: Report,
+    ) -> Trajectory {
+        let unnamed = self.columns.split_off(plan.output_names().len());
+        let mut rest = &unnamed[..];
+        let mut values = Vec::with_capacity(plan.outputs().values.len());
+        for (name, kind) in &plan.outputs().values {
+            let (columns, others) = rest.split_at(width(*kind));
+            values.push(ValueColumn { name: name.clone(), values: table.decode(*kind, columns) });
+            rest = others;
+        }
         Trajectory {
             time: self.time,
             names: plan.output_names().to_vec(),
             variables: plan.output_variables().to_vec(),
-            arrays: plan.output_arrays().to_vec(),
             columns: self.columns,
+            values,
+            recorded: plan.recorded().to_vec(),
             sides: self.sides,
             events: self.events,
+            ticks,
             stats: report.stats,
             termination: report.termination,
             end_time: report.time,

@@ -6,7 +6,7 @@ mod support;
 
 use fmi::{FmiError, Fmu, Inputs, Kind, Session, SimulateOptions, SimulationPlan, Simulator, Value};
 use std::sync::Arc;
-use support::arrays;
+use support::{arrays, fixture};
 
 fn close(a: f64, b: f64) {
     assert!((a - b).abs() <= 1e-8, "{a} is not {b}");
@@ -161,6 +161,79 @@ fn values_of_all_types_are_set_and_read() {
 }
 
 #[test]
+fn outputs_of_every_type_are_sampled_at_the_same_rows() {
+    let folder = arrays();
+    let fmu = folder.open();
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = SimulateOptions::new().kind(kind).ncp(10);
+        let wanted = ["label", "sum", "count", "text", "matrix", "blob", "u64", "text[2]", "time", "f32"];
+        let result = fmu.simulate(&options.clone().outputs(wanted)).unwrap();
+        let recorded: Vec<(&str, &[usize])> =
+            result.recorded.iter().map(|r| (r.name.as_str(), r.extents.as_slice())).collect();
+        assert_eq!(
+            recorded,
+            [
+                ("label", &[][..]),
+                ("sum", &[]),
+                ("count", &[]),
+                ("text", &[2]),
+                ("matrix", &[2, 3]),
+                ("blob", &[]),
+                ("u64", &[]),
+                ("text[2]", &[]),
+                ("time", &[]),
+                ("f32", &[])
+            ]
+        );
+        let mut names = vec!["sum".to_owned(), "count".to_owned()];
+        names.extend((1..=2).flat_map(|i| (1..=3).map(move |j| format!("matrix[{i},{j}]"))));
+        names.extend(["u64", "time", "f32"].map(str::to_owned));
+        assert_eq!(result.names, names);
+        let value_names: Vec<&str> = result.values.iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(value_names, ["label", "count", "text[1]", "text[2]", "blob", "u64", "text[2]"]);
+        for column in &result.values {
+            assert_eq!(column.values.len(), 11, "{}", column.name);
+        }
+
+        let bytes = [0u8, 1, 255];
+        for row in 0..11 {
+            let label: Value = if row < 5 { "early" } else { "late" }.into();
+            assert_eq!(result.values_of("label").unwrap()[row], label, "row {row}");
+            let count = (1i64 << 53) + 1 + i64::try_from(row).unwrap();
+            assert_eq!(result.values_of("count").unwrap()[row], count.into());
+            // The number is the nearest one there is.
+            assert_eq!(result.get("count").unwrap()[row], count as f64);
+            assert_eq!(result.values_of("blob").unwrap()[row], Value::Binary(bytes[..row % 4].to_vec()));
+            assert_eq!(result.values_of("u64").unwrap()[row], 18_000_000_000_000_000_064u64.into());
+            assert_eq!(result.values_of("text[2]").unwrap()[row], "two".into());
+        }
+        let error = result.values_of("sum").unwrap_err().to_string();
+        assert!(error.contains("label, count"), "{error}");
+
+        // By default everything of causality output, text too; again with the same instance and other texts.
+        let mut session = Session::of_kind(fmu.clone(), kind);
+        let result = session.simulate(&options).unwrap();
+        assert_eq!(result.recorded.len(), 3);
+        session.set("text", vec!["", "\u{1f600}"]).unwrap();
+        let again = session.simulate(&options.clone().outputs(["text"])).unwrap();
+        assert!(again.names.is_empty());
+        assert_eq!(again.values_of("text[1]").unwrap(), vec![Value::from(""); 11]);
+        assert_eq!(again.values_of("text[2]").unwrap(), vec![Value::from("\u{1f600}"); 11]);
+
+        let plan = |outputs: &[&str]| {
+            SimulationPlan::new(&fmu, &options.clone().outputs(outputs.iter().copied())).unwrap()
+        };
+        assert!(plan(&["sum", "x[2]", "count"]).require_single_numbers().is_ok());
+        for (outputs, why) in
+            [(["sum", "label"], "label cannot be an output"), (["x", "sum"], "its elements")]
+        {
+            let error = plan(&outputs).require_single_numbers().unwrap_err().to_string();
+            assert!(error.contains(why), "{error}");
+        }
+    }
+}
+
+#[test]
 fn values_that_do_not_fit_are_refused_by_name() {
     let folder = arrays();
     let fmu = folder.open();
@@ -180,7 +253,7 @@ fn values_that_do_not_fit_are_refused_by_name() {
         let problem = problem(name, value);
         assert!(problem.contains(text), "{problem}");
     }
-    for (output, text) in [("text", "text or binary"), ("x[4]", "no variable"), ("x[0]", "no variable")] {
+    for (output, text) in [("text[3]", "no variable"), ("x[4]", "no variable"), ("x[0]", "no variable")] {
         let error =
             SimulationPlan::new(&fmu, &SimulateOptions::new().outputs([output])).unwrap_err().to_string();
         assert!(error.contains(text), "{error}");
@@ -210,4 +283,70 @@ fn instances_know_the_sizes_of_their_arrays() {
     let mut instance = fresh.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
     instance.get_continuous_states(&mut values).unwrap();
     assert_eq!(values, [1.0, 2.0, 3.0]);
+}
+
+#[test]
+fn tunable_structural_parameters_change_a_running_instance() {
+    let tunable = |xml: String| {
+        xml.replace(
+            "causality=\"structuralParameter\" variability=\"fixed\"",
+            "causality=\"structuralParameter\" variability=\"tunable\"",
+        )
+    };
+    let folder = fixture("arrays", tunable);
+    let fmu = folder.open();
+    let mut instance = fmu.instantiate().unwrap();
+    instance.set("n", 2).unwrap();
+    let instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    let mut states = [0.0; 4];
+    let mut instance = instance.enter_reconfiguration().unwrap();
+    assert!(matches!(instance.set("k", vec![1.0, 1.0]), Err(FmiError::NotSettable { .. })));
+    instance.set("n", 4).unwrap();
+    assert_eq!(instance.get("n").unwrap(), 4u64.into());
+    let mut instance = instance.exit_reconfiguration().unwrap();
+    instance.update_discrete_states(10).unwrap();
+    assert!(matches!(
+        instance.get_continuous_states(&mut states[..2]),
+        Err(FmiError::Length { expected: 4, .. })
+    ));
+    instance.get_continuous_states(&mut states).unwrap();
+    assert_eq!(states, [1.0, 2.0, 3.0, 4.0]);
+    let mut instance = instance.enter_continuous_time().unwrap();
+    let mut slopes = [0.0; 4];
+    instance.get_derivatives(&mut slopes).unwrap();
+    assert_eq!(slopes, [-1.0, -2.0, -3.0, -4.0]);
+    // Reset brings back the sizes of the description.
+    let fresh = instance.terminate().unwrap().reset().unwrap();
+    let mut instance = fresh.enter_initialization(0.0, None, None).unwrap();
+    assert_eq!(instance.get("x").unwrap(), vec![1.0, 2.0, 3.0].into());
+
+    let instance = fmu.instantiate_co_simulation(&fmi::InstanceOptions::default()).unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    instance.do_step(0.0, 1.0).unwrap();
+    let mut instance = instance.enter_reconfiguration().unwrap();
+    instance.set("n", 1).unwrap();
+    let mut instance = instance.exit_reconfiguration().unwrap();
+    instance.do_step(1.0, 1.0).unwrap();
+    assert_eq!(instance.get("x").unwrap(), vec![1f64 * (-1f64).exp() * (-1f64).exp()].into());
+
+    // Between runs any structural parameter changes, and a simulation after it is as a first one.
+    let run = |n: u64| {
+        fmu.simulate(
+            &SimulateOptions::new()
+                .start_value("n", n)
+                .start_value("x", vec![1.0; n as usize])
+                .start_value("k", vec![1.0; n as usize])
+                .ncp(2),
+        )
+        .unwrap()
+    };
+    let two = run(2);
+    assert_eq!((run(4).names.len(), run(2)), (5, two));
+
+    // Nothing to reconfigure, or not this one.
+    let fixed = arrays();
+    let instance = fixed.open().instantiate().unwrap();
+    let instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    let error = instance.enter_reconfiguration().unwrap_err().to_string();
+    assert!(error.contains("no tunable structural parameters"), "{error}");
 }

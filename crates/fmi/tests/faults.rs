@@ -408,6 +408,7 @@ fn values_are_checked_by_name_type_and_settability() {
             SimulationPlan::new(&fmu, &SimulateOptions::new().parameters([name])).unwrap_err().to_string();
         assert!(error.contains(kind), "{error}");
     }
-    let error = SimulationPlan::new(&fmu, &SimulateOptions::new().outputs(["label"])).unwrap_err();
+    let plan = SimulationPlan::new(&fmu, &SimulateOptions::new().outputs(["label"])).unwrap();
+    let error = plan.require_single_numbers().unwrap_err();
     assert!(matches!(error, FmiError::NotAnOutput { .. }), "{error}");
 }

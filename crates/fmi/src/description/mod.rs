@@ -1,6 +1,7 @@
 //! The model description: what `modelDescription.xml` says, in house types that do not depend on the FMI version.
 
 mod checks;
+mod clock;
 mod model;
 mod names;
 mod parse;
@@ -9,6 +10,7 @@ mod structure;
 mod unit;
 mod variable;
 
+pub use clock::{ClockKind, ClockTiming, Interval};
 pub use model::{
     Capabilities, DefaultExperiment, DependencyKind, FmiVersion, Interface, LogCategory, ModelDescription,
     ModelStructure, Quirk, QuirkKind, Unknown,

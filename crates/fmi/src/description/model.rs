@@ -225,6 +225,10 @@ pub struct Capabilities {
     pub has_event_mode: bool,
     /// A step may end before its end, at an event (FMI 3.0).
     pub might_return_early_from_do_step: bool,
+    /// Inputs can be set during a step (FMI 3.0).
+    pub provides_intermediate_update: bool,
+    /// A step ends early where the importer wishes it (FMI 3.0).
+    pub can_return_early_after_intermediate_update: bool,
     /// Steps must be multiples of this one (FMI 3.0).
     pub fixed_internal_step_size: Option<f64>,
 }
@@ -237,8 +241,7 @@ impl Capabilities {
 
     /// Whether its steps may end before their end: only where the next one may have any length.
     pub(crate) fn may_return_early(&self) -> bool {
-        self.has_event_mode
-            && self.might_return_early_from_do_step
+        (self.might_return_early_from_do_step || self.can_return_early_after_intermediate_update)
             && self.can_handle_variable_communication_step_size
     }
 }

@@ -1,5 +1,6 @@
 //! Variables and their types: name, value reference, causality, variability, start value.
 
+use super::clock::ClockTiming;
 use std::fmt;
 
 /// A variable of the model: one value, or an array of them. Attributes that a type definition supplies are already filled in.
@@ -56,6 +57,10 @@ pub struct Variable {
     pub aliases: Vec<Alias>,
     /// Positions of the clocks it belongs to.
     pub clocks: Vec<usize>,
+    /// Of a clock: when it ticks.
+    pub clock: Option<Box<ClockTiming>>,
+    /// It can be set or read while a co-simulation makes a step (FMI 3.0).
+    pub intermediate_update: bool,
 }
 
 /// Extent of an array in one direction.

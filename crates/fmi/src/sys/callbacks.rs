@@ -183,7 +183,7 @@ impl Log {
 
 /// What `componentEnvironment` points to; the same layout as in `logger.c`.
 #[repr(C)]
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Environment {
     admits: unsafe extern "C" fn(*mut c_void, c_int) -> c_int,
     sink: unsafe extern "C" fn(*mut c_void, c_int, *const c_char, usize, *const c_char, usize),

@@ -290,6 +290,7 @@ impl Binding for Fmi2 {
             // Of FMI 3.0.
             Call::EnterConfiguration | Call::ExitConfiguration => "(configuration mode)",
             Call::CountStates | Call::CountIndicators => "(number of states)",
+            Call::GetInterval | Call::GetShift => "(clocks)",
             Call::EnterStepMode => "(step mode)",
             Call::SaveState => "fmi2GetFMUstate",
             Call::RestoreState => "fmi2SetFMUstate",

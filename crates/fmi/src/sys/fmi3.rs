@@ -1,21 +1,24 @@
 //! The functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
 use super::callbacks::{Environment, fmi3_log};
+use super::fmi3_clocks::ClockFunctions;
 use super::fmi3_functions::{
     CompletedStep, Count, DeserializeState, DirectionalDerivative, DoStep, EnterInitialization, Flag, Get,
-    GetBinary, GetClock, GetState, GetVector, InstantiateCoSimulation, InstantiateModelExchange, Plain,
-    SerializeState, Set, SetBinary, SetClock, SetDebugLogging, SetState, SetTime, SetVector, StateSize,
-    UpdateDiscreteStates,
+    GetBinary, GetClock, GetOutputDerivatives, GetState, GetVector, InstantiateCoSimulation,
+    InstantiateModelExchange, Plain, SerializeState, Set, SetBinary, SetClock, SetDebugLogging, SetState,
+    SetTime, SetVector, StateSize, UpdateDiscreteStates,
 };
+use super::fmi3_intermediate::{StepEnvironment, intermediate_update};
 use super::fmi3_numbers::{Numbers, get_name, set_name};
 use super::library::Symbols;
 use super::packed;
 use super::{
-    Binding, Call, Component, Created, EventInfo, Experiment, InterfaceKind, Request, StatePointer, Status,
-    StepInfo, status,
+    Binding, Call, Component, Created, EventInfo, Experiment, InterfaceKind, IntervalAnswer, MidStep,
+    Request, StatePointer, Status, StepInfo, status,
 };
-use crate::description::VariableKind;
+use crate::description::{Interval, VariableKind};
 use crate::error::FmiError;
+use std::any::Any;
 use std::ffi::{CString, c_char, c_int, c_void};
 use std::sync::Arc;
 
@@ -36,6 +39,7 @@ pub(super) struct Fmi3 {
     set_binary: Option<SetBinary>,
     get_clock: Option<GetClock>,
     set_clock: Option<SetClock>,
+    clocks: ClockFunctions,
     reset: Option<Plain>,
     set_debug_logging: Option<SetDebugLogging>,
     enter_configuration_mode: Option<Plain>,
@@ -120,6 +124,7 @@ impl Fmi3 {
                 set_binary: symbols.optional("fmi3SetBinary"),
                 get_clock: symbols.optional("fmi3GetClock"),
                 set_clock: symbols.optional("fmi3SetClock"),
+                clocks: ClockFunctions::load(symbols),
                 reset: symbols.optional("fmi3Reset"),
                 set_debug_logging: symbols.optional("fmi3SetDebugLogging"),
                 enter_configuration_mode: symbols.optional("fmi3EnterConfigurationMode"),
@@ -205,6 +210,8 @@ impl Binding for Fmi3 {
             // Of FMI 2.0.
             Call::StepStatus | Call::CancelStep => "(pending steps)",
             Call::SetInputDerivatives => "(input derivatives)",
+            Call::GetInterval => "fmi3GetInterval",
+            Call::GetShift => "fmi3GetShift",
         }
     }
 
@@ -218,7 +225,13 @@ impl Binding for Fmi3 {
         path.push(std::path::MAIN_SEPARATOR);
         let resources = CString::new(path).unwrap_or_default();
         let resources = if request.resources.is_dir() { resources.as_ptr() } else { std::ptr::null() };
-        let environment: *mut c_void = std::ptr::from_ref(environment).cast_mut().cast();
+        let mut keep: Arc<dyn Any + Send + Sync> = Arc::new(());
+        let mut environment_of: *mut c_void = std::ptr::from_ref(environment).cast_mut().cast();
+        if let Interface::CoSimulation(_) = &self.interface {
+            let step_environment = Arc::new(StepEnvironment::new(environment));
+            environment_of = Arc::as_ptr(&step_environment).cast_mut().cast();
+            keep = step_environment;
+        }
         // SAFETY: the strings end in NUL; the environment is kept by the caller until the component is gone.
         let component = unsafe {
             match &self.interface {
@@ -228,10 +241,9 @@ impl Binding for Fmi3 {
                     resources,
                     request.visible,
                     request.logging,
-                    environment,
+                    environment_of,
                     fmi3_log,
                 ),
-                // No intermediate variables are wanted, so no callback is needed for them.
                 Interface::CoSimulation(functions) => (functions.instantiate)(
                     request.name.as_ptr(),
                     request.guid.as_ptr(),
@@ -240,15 +252,15 @@ impl Binding for Fmi3 {
                     request.logging,
                     request.event_mode,
                     request.early_return,
-                    std::ptr::null(),
-                    0,
-                    environment,
+                    request.intermediate.as_ptr(),
+                    request.intermediate.len(),
+                    environment_of,
                     fmi3_log,
-                    std::ptr::null(),
+                    intermediate_update,
                 ),
             }
         };
-        if component.is_null() { None } else { Some(Created { component, keep: Arc::new(()) }) }
+        if component.is_null() { None } else { Some(Created { component, keep }) }
     }
 
     unsafe fn free_instance(&self, component: Component) {
@@ -606,12 +618,50 @@ impl Binding for Fmi3 {
         }
     }
 
+    unsafe fn do_step_with(
+        &self,
+        component: Component,
+        (time, step): (f64, f64),
+        info: &mut StepInfo,
+        keep: &(dyn Any + Send + Sync),
+        mid_step: &mut dyn MidStep,
+    ) -> Status {
+        // SAFETY: the caller's promises are those of `do_step`.
+        let mut make = || unsafe { self.do_step(component, time, step, info) };
+        match keep.downcast_ref::<StepEnvironment>() {
+            Some(environment) => environment.during(mid_step, component, self.set_float64, make),
+            None => make(),
+        }
+    }
+
     unsafe fn step_status(&self, _: Component, _: &mut StepInfo) -> Status {
         Status::Missing
     }
 
     unsafe fn cancel_step(&self, _: Component) -> Status {
         Status::Missing
+    }
+
+    unsafe fn get_interval(
+        &self,
+        component: Component,
+        clock: u32,
+        fraction: bool,
+        answer: &mut IntervalAnswer,
+    ) -> Status {
+        // SAFETY: the caller's promises are those of the trait.
+        unsafe { self.clocks.interval(component, clock, fraction, answer) }
+    }
+
+    unsafe fn get_shift(
+        &self,
+        component: Component,
+        clock: u32,
+        fraction: bool,
+        shift: &mut Interval,
+    ) -> Status {
+        // SAFETY: the same.
+        unsafe { self.clocks.shift(component, clock, fraction, shift) }
     }
 
     unsafe fn set_input_derivatives(&self, _: Component, _: &[u32], _: &[c_int], _: &[f64]) -> Status {

@@ -1,5 +1,6 @@
 //! Signatures of the functions of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4), as far as they are bound.
 
+use super::fmi3_intermediate::IntermediateUpdate;
 use super::{Component, StatePointer};
 use std::ffi::{c_char, c_int, c_void};
 
@@ -28,7 +29,7 @@ pub(super) type InstantiateCoSimulation = unsafe extern "C" fn(
     usize,
     *mut c_void,
     LogMessage,
-    *const c_void,
+    IntermediateUpdate,
 ) -> Component;
 pub(super) type Plain = unsafe extern "C" fn(Component) -> c_int;
 pub(super) type EnterInitialization = unsafe extern "C" fn(Component, bool, f64, f64, bool, f64) -> c_int;
@@ -65,5 +66,7 @@ pub(super) type SetTime = unsafe extern "C" fn(Component, f64) -> c_int;
 pub(super) type GetVector = unsafe extern "C" fn(Component, *mut f64, usize) -> c_int;
 pub(super) type SetVector = unsafe extern "C" fn(Component, *const f64, usize) -> c_int;
 pub(super) type Count = unsafe extern "C" fn(Component, *mut usize) -> c_int;
+pub(super) type GetOutputDerivatives =
+    unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *mut f64, usize) -> c_int;
 pub(super) type DoStep =
     unsafe extern "C" fn(Component, f64, f64, bool, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;

@@ -37,7 +37,9 @@ mod callbacks;
 mod fmi1;
 mod fmi2;
 mod fmi3;
+mod fmi3_clocks;
 mod fmi3_functions;
+mod fmi3_intermediate;
 mod fmi3_numbers;
 mod library;
 mod packed;
@@ -51,7 +53,7 @@ pub(crate) use platform::FloatEnvironment;
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
 pub(crate) use shared::{Loan, Shared, Spares};
 
-use crate::description::VariableKind;
+use crate::description::{Interval, VariableKind};
 use callbacks::Environment;
 use std::any::Any;
 use std::ffi::{CStr, CString, c_char, c_void};
@@ -168,6 +170,8 @@ enum Call {
     StepStatus,
     CancelStep,
     SetInputDerivatives,
+    GetInterval,
+    GetShift,
 }
 
 /// What an event iteration told.
@@ -183,6 +187,22 @@ pub(crate) struct EventInfo {
     pub(crate) values_changed: bool,
     /// The next time event.
     pub(crate) next_event_time: Option<f64>,
+}
+
+/// What a model says about the interval before the next tick of a clock.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct IntervalAnswer {
+    pub(crate) qualifier: Qualifier,
+    pub(crate) interval: Interval,
+}
+
+/// How an interval is meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Qualifier {
+    NotYetKnown,
+    /// As told before.
+    Unchanged,
+    Changed,
 }
 
 /// The two ways of running a model.
@@ -218,6 +238,28 @@ pub(crate) struct StepInfo {
     pub(crate) pending: bool,
 }
 
+/// A model calls back during a communication step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Update {
+    /// Where the model stands.
+    pub(crate) time: f64,
+    /// It takes new values of continuous inputs.
+    pub(crate) set_requested: bool,
+}
+
+/// What an importer does when a model calls back during a communication step, maybe on another thread.
+pub(crate) trait MidStep: Send {
+    /// May set real inputs (value references and values); returns whether the step is to end here, if that can be.
+    fn update(&mut self, update: &Update, set: &mut dyn FnMut(&[u32], &[f64])) -> bool;
+}
+
+/// Nothing is done then.
+impl MidStep for () {
+    fn update(&mut self, _: &Update, _: &mut dyn FnMut(&[u32], &[f64])) -> bool {
+        false
+    }
+}
+
 /// A live component and what it needs to stay alive.
 struct Created {
     component: Component,
@@ -235,6 +277,8 @@ pub(crate) struct Request<'a> {
     /// Co-simulation: events are handled between steps, and a step may end early at one.
     pub(crate) event_mode: bool,
     pub(crate) early_return: bool,
+    /// Inputs that are set during steps.
+    pub(crate) intermediate: &'a [u32],
     pub(crate) visible: bool,
     pub(crate) logging: bool,
     pub(crate) log_filter: LogFilter,
@@ -392,12 +436,47 @@ trait Binding: Send + Sync {
     /// One communication step. `Discard` is for steps of which nothing or only a part was computed, also because the
     /// model ends the simulation; `Pending` for steps that go on.
     unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status;
+    /// The same for models that call back during the step; `keep` is what was made with the component.
+    unsafe fn do_step_with(
+        &self,
+        component: Component,
+        (time, step): (f64, f64),
+        info: &mut StepInfo,
+        keep: &(dyn Any + Send + Sync),
+        mid_step: &mut dyn MidStep,
+    ) -> Status {
+        let _ = (keep, mid_step);
+        // SAFETY: the caller's promises are those of `do_step`.
+        unsafe { self.do_step(component, time, step, info) }
+    }
     /// How a pending step stands; as for `do_step`.
     unsafe fn step_status(&self, component: Component, info: &mut StepInfo) -> Status;
     unsafe fn cancel_step(&self, component: Component) -> Status;
     /// Back from event mode (co-simulation).
     unsafe fn enter_step_mode(&self, component: Component) -> Status {
         let _ = component;
+        Status::Missing
+    }
+    /// The interval before the next tick of a clock, as a fraction or not.
+    unsafe fn get_interval(
+        &self,
+        component: Component,
+        clock: u32,
+        fraction: bool,
+        answer: &mut IntervalAnswer,
+    ) -> Status {
+        let _ = (component, clock, fraction, answer);
+        Status::Missing
+    }
+    /// From the start to the first tick of a clock.
+    unsafe fn get_shift(
+        &self,
+        component: Component,
+        clock: u32,
+        fraction: bool,
+        shift: &mut Interval,
+    ) -> Status {
+        let _ = (component, clock, fraction, shift);
         Status::Missing
     }
     /// Derivatives (of these orders) of real inputs with respect to time.

@@ -2,9 +2,10 @@
 
 use super::callbacks::{Environment, Log};
 use super::{
-    Call, Component, EventInfo, Experiment, Library, LogLine, Request, StatePointer, Status, StepInfo,
+    Call, Component, EventInfo, Experiment, IntervalAnswer, Library, LogLine, MidStep, Qualifier, Request,
+    StatePointer, Status, StepInfo,
 };
-use crate::description::VariableKind;
+use crate::description::{Interval, VariableKind};
 use crate::error::FmiError;
 use std::any::Any;
 use std::ffi::{CStr, CString, c_char};
@@ -567,9 +568,16 @@ impl RawInstance {
 
     /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says how far the
     /// model got, and the answer is `false`. A pending step has to be asked for with [`step_status`](Self::step_status).
-    pub(crate) fn do_step(&mut self, time: f64, step: f64, info: &mut StepInfo) -> Result<bool, Fault> {
+    /// `mid_step` is asked when the model calls back during the step.
+    pub(crate) fn do_step(
+        &mut self,
+        (time, step): (f64, f64),
+        info: &mut StepInfo,
+        mid_step: &mut dyn MidStep,
+    ) -> Result<bool, Fault> {
         self.time = Some(time);
-        let outcome = run!(self, Call::DoStep, |b, c| b.do_step(c, time, step, info));
+        let outcome =
+            run!(self, Call::DoStep, |b, c| b.do_step_with(c, (time, step), info, &**self.keep, mid_step));
         completed(outcome, info)
     }
 
@@ -586,6 +594,19 @@ impl RawInstance {
 
     pub(crate) fn enter_step_mode(&mut self) -> Outcome {
         run!(self, Call::EnterStepMode, |b, c| b.enter_step_mode(c))
+    }
+
+    /// What the model says about the interval before the next tick of a clock.
+    pub(crate) fn get_interval(&mut self, clock: u32, fraction: bool) -> Result<IntervalAnswer, Fault> {
+        let mut answer =
+            IntervalAnswer { qualifier: Qualifier::NotYetKnown, interval: Interval::Decimal(0.0) };
+        run!(self, Call::GetInterval, |b, c| b.get_interval(c, clock, fraction, &mut answer))?;
+        Ok(answer)
+    }
+
+    /// From the start to the first tick of a clock.
+    pub(crate) fn get_shift(&mut self, clock: u32, fraction: bool, shift: &mut Interval) -> Outcome {
+        run!(self, Call::GetShift, |b, c| b.get_shift(c, clock, fraction, shift))
     }
 
     /// Gives a pending step up. An instance that does not let go is abandoned: nothing may be called on it meanwhile.

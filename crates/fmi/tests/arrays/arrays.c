@@ -14,7 +14,7 @@ typedef struct {
     int32_t steps[2];
     float f32;
     int8_t i8; uint8_t u8; int16_t i16; uint16_t u16; int32_t i32; uint32_t u32; int64_t i64; uint64_t u64;
-    int64_t choice;
+    int64_t choice, count;
     int32_t matrix[6];
     bool flags[2];
     char text[2][16];
@@ -121,15 +121,28 @@ ACCESS(Int16, int16_t, case 13: p = &m->i16; break;)
 ACCESS(UInt16, uint16_t, case 14: p = &m->u16; break;)
 ACCESS(Int32, int32_t, case 7: p = m->steps; count = 2; break; case 15: p = &m->i32; break; case 21: p = m->matrix; count = 6; break;)
 ACCESS(UInt32, uint32_t, case 16: p = &m->u32; break;)
-ACCESS(Int64, int64_t, case 17: p = &m->i64; break; case 19: p = &m->choice; break;)
+/* More than doubles can tell apart. */
+static int64_t *counted(Model *m) {
+    m->count = (INT64_C(1) << 53) + 1 + (int64_t)floor(10 * m->time + 0.5);
+    return &m->count;
+}
+ACCESS(Int64, int64_t, case 17: p = &m->i64; break; case 19: p = &m->choice; break; case 26: p = counted(m); break;)
 ACCESS(UInt64, uint64_t, case 1: p = m->configuring || v != NULL ? &m->n : NULL; break; case 18: p = &m->u64; break;)
 ACCESS(Boolean, bool, case 20: p = m->flags; count = 2; break;)
 
 FMI3_EXPORT fmi3Status fmi3GetString(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3String v[], size_t nv) {
     Model *m = i;
-    if (n != 1 || r[0] != 22 || nv != 2) return fmi3Error;
-    v[0] = m->text[0]; v[1] = m->text[1];
-    return fmi3OK;
+    size_t at = 0, j;
+    for (j = 0; j < n; j++) {
+        if (r[j] == 22 && at + 2 <= nv) {
+            v[at++] = m->text[0]; v[at++] = m->text[1];
+        } else if (r[j] == 24 && at < nv) {
+            v[at++] = m->time < 0.45 ? "early" : "late";
+        } else {
+            return fmi3Error;
+        }
+    }
+    return at == nv ? fmi3OK : fmi3Error;
 }
 FMI3_EXPORT fmi3Status fmi3SetString(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3String v[], size_t nv) {
     Model *m = i;
@@ -139,8 +152,17 @@ FMI3_EXPORT fmi3Status fmi3SetString(fmi3Instance i, const fmi3ValueReference r[
 }
 FMI3_EXPORT fmi3Status fmi3GetBinary(fmi3Instance i, const fmi3ValueReference r[], size_t n, size_t s[], fmi3Binary v[], size_t nv) {
     Model *m = i;
-    if (n != 1 || r[0] != 23 || nv != 1) return fmi3Error;
-    s[0] = m->n_bytes; v[0] = m->bytes;
+    size_t j;
+    if (n != nv) return fmi3Error;
+    for (j = 0; j < n; j++) {
+        if (r[j] == 23) {
+            s[j] = m->n_bytes; v[j] = m->bytes;
+        } else if (r[j] == 25) { /* longer with time, and empty at first */
+            s[j] = (size_t)floor(10 * m->time + 0.5) % 4; v[j] = (const uint8_t *)"\0\1\377";
+        } else {
+            return fmi3Error;
+        }
+    }
     return fmi3OK;
 }
 FMI3_EXPORT fmi3Status fmi3SetBinary(fmi3Instance i, const fmi3ValueReference r[], size_t n, const size_t s[], const fmi3Binary v[], size_t nv) {

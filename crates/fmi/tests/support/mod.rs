@@ -93,10 +93,21 @@ pub(crate) fn model_as(
 
 /// The FMI 3.0 model with arrays and all types (`tests/arrays`).
 pub(crate) fn arrays() -> Folder {
+    fixture("arrays", |xml| xml)
+}
+
+/// An FMI 3.0 model of its own in `tests/<name>`, with an edited description.
+pub(crate) fn fixture(name: &str, edit: impl FnOnce(String) -> String) -> Folder {
+    fixture_with(name, &[], edit)
+}
+
+/// The same, compiled with these macros.
+pub(crate) fn fixture_with(name: &str, defines: &[&str], edit: impl FnOnce(String) -> String) -> Folder {
     let folder = tempfile::tempdir().unwrap();
-    let source = here().join("tests/arrays");
-    std::fs::copy(source.join("modelDescription.xml"), folder.path().join("modelDescription.xml")).unwrap();
-    compile(folder.path(), "arrays", &[source.join("arrays.c")], &[]);
+    let source = here().join("tests").join(name);
+    let xml = std::fs::read_to_string(source.join("modelDescription.xml")).unwrap();
+    std::fs::write(folder.path().join("modelDescription.xml"), edit(xml)).unwrap();
+    compile(folder.path(), name, &[source.join(format!("{name}.c"))], defines);
     Folder { folder }
 }
 

@@ -113,6 +113,8 @@ pub(super) fn capabilities(attributes: &Attributes<'_>, draft: &mut Draft) -> Ca
         can_run_asynchronuously: flag(&["canRunAsynchronuously"]),
         has_event_mode: flag(&["hasEventMode"]),
         might_return_early_from_do_step: flag(&["mightReturnEarlyFromDoStep"]),
+        provides_intermediate_update: flag(&["providesIntermediateUpdate"]),
+        can_return_early_after_intermediate_update: flag(&["canReturnEarlyAfterIntermediateUpdate"]),
         fixed_internal_step_size: attributes
             .real("fixedInternalStepSize", quirks)
             .filter(|step| step.is_finite() && *step > 0.0),
@@ -283,6 +285,8 @@ pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) ->
         dimensions: Vec::new(),
         aliases: Vec::new(),
         clocks: Vec::new(),
+        clock: None,
+        intermediate_update: false,
     })
 }
 

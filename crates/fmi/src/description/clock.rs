@@ -1,0 +1,68 @@
+//! When clocks tick, as far as the description says it (FMI 3.0.x, section 2.2.8.3).
+
+/// What a description says about a clock.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct ClockTiming {
+    /// Who knows the intervals between ticks, and when.
+    pub kind: ClockKind,
+    /// The importer may leave ticks out.
+    pub can_be_deactivated: bool,
+    /// Intervals can be asked for as fractions.
+    pub supports_fraction: bool,
+    /// Interval between ticks in units of time, where the description gives one.
+    pub interval: Option<Interval>,
+    /// From the start to the first tick.
+    pub shift: Interval,
+}
+
+/// Who knows the intervals between the ticks of a clock, and when.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ClockKind {
+    /// The description: periodic, always with the same interval.
+    Constant,
+    /// Periodic with an interval that is known after the initialization.
+    Fixed,
+    /// Periodic with an interval that tunable parameters can change.
+    Tunable,
+    /// The model, at each tick, for the next one.
+    Changing,
+    /// The model, at any event, some time before the tick.
+    Countdown,
+    /// Nobody beforehand: the importer triggers it, or, if it is no input, the model.
+    Triggered,
+}
+
+impl ClockKind {
+    /// The word of the standard.
+    pub fn name(self) -> &'static str {
+        match self {
+            ClockKind::Constant => "constant",
+            ClockKind::Fixed => "fixed",
+            ClockKind::Tunable => "tunable",
+            ClockKind::Changing => "changing",
+            ClockKind::Countdown => "countdown",
+            ClockKind::Triggered => "triggered",
+        }
+    }
+}
+
+/// A span of time: a number, or a fraction that no number may be able to hold.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Interval {
+    /// In units of time.
+    Decimal(f64),
+    /// Counter and resolution: their quotient in units of time.
+    Fraction(u64, u64),
+}
+
+impl Interval {
+    /// The nearest number.
+    pub fn value(self) -> f64 {
+        match self {
+            Interval::Decimal(value) => value,
+            Interval::Fraction(counter, resolution) => counter as f64 / resolution as f64,
+        }
+    }
+}

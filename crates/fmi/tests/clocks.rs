@@ -1,0 +1,178 @@
+//! Clocks of FMI 3.0 in model exchange and co-simulation: who ticks when, and what happens at a tick, in closed form.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use fmi::description::{ClockKind, Interval};
+use fmi::{FmiError, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Trajectory};
+use std::sync::Arc;
+use support::fixture;
+
+const KINDS: [Kind; 2] = [Kind::ModelExchange, Kind::CoSimulation];
+
+fn inputs() -> Inputs {
+    Inputs::new()
+        .series("button", vec![0.0, 0.5, 0.7, 1.0], vec![0.0, 1.0, 0.0, 1.0])
+        .series("setpoint", vec![0.0, 1.0], vec![0.0, 1.0])
+        .series("optional", vec![0.0, 0.7, 1.0], vec![1.0, 0.0, 1.0])
+}
+
+fn ticks(result: &Trajectory, clock: &str) -> Vec<f64> {
+    result.ticks.iter().filter(|tick| &*tick.clock == clock).map(|tick| tick.time).collect()
+}
+
+/// When each clock ticks between 0 and 2.
+fn expected() -> Vec<(&'static str, Vec<f64>)> {
+    let multiples = |n: u32, of: &dyn Fn(f64) -> f64| (0..n).map(|k| of(f64::from(k))).collect();
+    vec![
+        ("sample", multiples(21, &|k| k * 0.1)),
+        ("third", multiples(6, &|k| (k + 1.0) / 3.0)),
+        ("counted", multiples(7, &|k| (150.0 + 300.0 * k) / 1000.0)),
+        ("growing", vec![0.0625, 0.1875, 0.4375, 0.9375, 1.9375]),
+        ("later", vec![0.625, 1.125]),
+        ("button", vec![0.5, 1.0]),
+        ("alarm", vec![0.625, 1.125]),
+        ("optional", vec![0.25, 1.25, 1.75]),
+        ("retuned", vec![0.25, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0]),
+    ]
+}
+
+#[test]
+fn the_description_tells_when_clocks_tick() {
+    let folder = fixture("clocks", |xml| xml);
+    let fmu = folder.open();
+    assert!(fmu.description().quirks.is_empty(), "{:?}", fmu.description().quirks);
+    let timing = |name: &str| **fmu.description().variable(name).unwrap().clock.as_ref().unwrap();
+    let sample = timing("sample");
+    assert_eq!((sample.kind, sample.interval), (ClockKind::Constant, Some(Interval::Decimal(0.1))));
+    assert_eq!(
+        (timing("third").interval, timing("third").shift),
+        (Some(Interval::Fraction(1, 3)), Interval::Fraction(1, 3))
+    );
+    assert_eq!((timing("later").kind, timing("later").interval), (ClockKind::Countdown, None));
+    assert!(timing("optional").can_be_deactivated && timing("counted").supports_fraction);
+    assert!(fmu.description().variable("u").unwrap().clock.is_none());
+}
+
+#[test]
+fn every_kind_of_clock_ticks_when_it_should_and_the_controller_is_exact() {
+    let folder = fixture("clocks", |xml| xml);
+    let fmu = folder.open();
+    for kind in KINDS {
+        let options = SimulateOptions::new().kind(kind).inputs(inputs()).ncp(40).relative_tolerance(1e-10);
+        let result = fmu.simulate(&options).unwrap();
+        let mut instants: Vec<f64> = vec![0.0];
+        for (clock, times) in expected() {
+            assert_eq!(ticks(&result, clock), times, "{kind:?} {clock}");
+            instants.extend(times);
+        }
+        for tick in result.ticks.windows(2) {
+            assert!(tick[0].time <= tick[1].time + 1e-13);
+        }
+        // One visit for all that happens at an instant; 0.75 is that of a tick that is left out.
+        instants.push(0.75);
+        instants.sort_by(f64::total_cmp);
+        instants.dedup_by(|a, b| (*a - *b).abs() < 1e-12);
+        let last = |name: &str| result.final_value(name).unwrap().unwrap();
+        assert_eq!(last("visits"), instants.len() as f64, "{kind:?}");
+        assert_eq!(result.events.len(), instants.len() - 1, "{kind:?}");
+        for (clock, times) in expected() {
+            assert_eq!(last(&format!("n_{clock}")), times.len() as f64, "{kind:?} {clock}");
+        }
+
+        // x' = u with u = K (s - x) held between ticks: s + (1 - h K)^k (x0 - s).
+        let x = result.get("x").unwrap();
+        let mut state = 1.0;
+        for k in 0..20usize {
+            let setpoint = if k < 10 { 0.0 } else { 1.0 };
+            let next = state + 0.1 * 2.0 * (setpoint - state);
+            assert!(
+                (x[2 * k] - state).abs() < 1e-9,
+                "{kind:?}: x({}) = {} is not {state}",
+                result.time[2 * k],
+                x[2 * k]
+            );
+            assert!((x[2 * k + 1] - 0.5 * (state + next)).abs() < 1e-9, "{kind:?} between ticks");
+            state = next;
+        }
+        let analytic = 1.0 - 0.8f64.powi(10) * (1.0 - 0.8f64.powi(10));
+        assert!((last("x") - analytic).abs() < 1e-9 && (state - analytic).abs() < 1e-12);
+
+        // Clocks as outputs: 1 in the rows of their ticks.
+        let options = SimulateOptions { ncp: None, ..options }
+            .times([0.0, 0.3, 0.5, 0.6, 0.625, 0.625, 0.9])
+            .outputs(["alarm", "sample", "button"]);
+        let result = fmu.simulate(&options).unwrap();
+        assert_eq!(result.get("alarm").unwrap(), [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0], "{kind:?}");
+        assert_eq!(result.get("sample").unwrap(), [1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0], "{kind:?}");
+        assert_eq!(result.get("button").unwrap(), [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], "{kind:?}");
+    }
+}
+
+#[test]
+fn a_second_run_has_the_same_bits_and_parameters_change_intervals() {
+    let folder = fixture("clocks", |xml| xml);
+    let fmu = folder.open();
+    for kind in KINDS {
+        let options =
+            SimulateOptions::new().kind(kind).inputs(inputs()).ncp(10).parameters(["period", "gap"]);
+        let mut simulator = Simulator::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap())).unwrap();
+        let first = simulator.trajectory(&[0.3, 0.0625]).unwrap();
+        let other = simulator.trajectory(&[0.8, 0.25]).unwrap();
+        assert_eq!(ticks(&other, "counted"), [0.4, 1.2, 2.0], "{kind:?}");
+        assert_eq!(ticks(&other, "growing"), [0.25, 0.75, 1.75], "{kind:?}");
+        assert_eq!(simulator.trajectory(&[0.3, 0.0625]).unwrap(), first, "{kind:?}");
+        assert_eq!(first.ticks.len(), expected().iter().map(|(_, times)| times.len()).sum::<usize>());
+    }
+}
+
+#[test]
+fn a_start_that_is_not_zero_shifts_all_clocks() {
+    let folder = fixture("clocks", |xml| xml);
+    let fmu = folder.open();
+    for kind in KINDS {
+        let options = SimulateOptions::new().kind(kind).start_time(10.0).final_time(11.0).ncp(1);
+        let result = fmu.simulate(&options).unwrap();
+        let sample: Vec<f64> = (0..=10).map(|k| 10.0 + f64::from(k) * 0.1).collect();
+        assert_eq!(ticks(&result, "sample"), sample, "{kind:?}");
+        assert_eq!(ticks(&result, "third"), [10.0 + 1.0 / 3.0, 10.0 + 2.0 / 3.0, 11.0], "{kind:?}");
+        assert!(ticks(&result, "later").is_empty() && ticks(&result, "button").is_empty());
+    }
+}
+
+#[test]
+fn what_cannot_be_done_is_said() {
+    let folder = fixture("clocks", |xml| xml);
+    let fmu = folder.open();
+    let problem = |inputs: Inputs| {
+        SimulationPlan::new(&fmu, &SimulateOptions::new().inputs(inputs)).unwrap_err().to_string()
+    };
+    let one = |name: &str, value: f64| Inputs::new().series(name, vec![0.0], vec![value]);
+    assert!(problem(one("sample", 1.0)).contains("constant intervals"), "{}", problem(one("sample", 1.0)));
+    assert!(problem(one("button", 0.5)).contains("0.5 in row 1 is not 0 or 1"));
+    assert!(problem(one("alarm", 1.0)).contains("causality output"));
+
+    // A changing clock whose interval is always 0 never lets time go on.
+    for kind in KINDS {
+        let error = fmu.simulate(&SimulateOptions::new().kind(kind).start_value("gap", 0.0)).unwrap_err();
+        assert!(error.to_string().contains("event iteration"), "{error}");
+        let error = fmu.simulate(&SimulateOptions::new().kind(kind).start_value("period", 0.0)).unwrap_err();
+        assert!(error.to_string().contains("clock counted"), "{error}");
+    }
+
+    // Steps of one length that lead over a tick.
+    let fixed = fixture("clocks", |xml| xml.replace("canHandleVariableCommunicationStepSize=\"true\"", ""));
+    let options = SimulateOptions::new().kind(Kind::CoSimulation).step_size(0.25).ncp(8);
+    let error = fixed.open().simulate(&options).unwrap_err().to_string();
+    assert!(error.contains("the clock growing ticks at 0.0625, within the step from 0 to 0.25"), "{error}");
+
+    // Without an event mode nobody can trigger clocks.
+    let plain = fixture("clocks", |xml| xml.replace("hasEventMode=\"true\"", ""));
+    let options = SimulateOptions::new().kind(Kind::CoSimulation).inputs(one("button", 1.0));
+    let error = SimulationPlan::new(&plain.open(), &options).unwrap_err();
+    assert!(
+        matches!(error, FmiError::BadSetting { .. }) && error.to_string().contains("event mode"),
+        "{error}"
+    );
+}
