@@ -15,6 +15,7 @@ mod failure;
 mod fmu;
 mod input;
 mod instance;
+mod intermediate;
 mod lanes;
 mod model_exchange;
 mod options;

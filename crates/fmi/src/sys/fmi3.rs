@@ -76,6 +76,8 @@ type SetTime = unsafe extern "C" fn(Component, f64) -> c_int;
 type GetVector = unsafe extern "C" fn(Component, *mut f64, usize) -> c_int;
 type SetVector = unsafe extern "C" fn(Component, *const f64, usize) -> c_int;
 type Count = unsafe extern "C" fn(Component, *mut usize) -> c_int;
+type GetOutputDerivatives =
+    unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *mut f64, usize) -> c_int;
 type DoStep =
     unsafe extern "C" fn(Component, f64, f64, bool, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;
 
@@ -249,6 +251,7 @@ struct CoSimulation {
     instantiate: InstantiateCoSimulation,
     do_step: DoStep,
     enter_step_mode: Option<Plain>,
+    get_output_derivatives: Option<GetOutputDerivatives>,
 }
 
 impl Fmi3 {
@@ -278,6 +281,7 @@ impl Fmi3 {
                     instantiate: symbols.required("fmi3InstantiateCoSimulation")?,
                     do_step: symbols.required("fmi3DoStep")?,
                     enter_step_mode: symbols.optional("fmi3EnterStepMode"),
+                    get_output_derivatives: symbols.optional("fmi3GetOutputDerivatives"),
                 }),
             };
             Ok(Self {
@@ -383,6 +387,7 @@ impl Binding for Fmi3 {
             Call::SetInputDerivatives => "(input derivatives)",
             Call::GetInterval => "fmi3GetInterval",
             Call::GetShift => "fmi3GetShift",
+            Call::GetOutputDerivatives => "fmi3GetOutputDerivatives",
         }
     }
 
@@ -833,6 +838,25 @@ impl Binding for Fmi3 {
     ) -> Status {
         // SAFETY: the same.
         unsafe { self.clocks.shift(component, clock, fraction, shift) }
+    }
+
+    unsafe fn get_output_derivatives(
+        &self,
+        component: Component,
+        references: &[u32],
+        orders: &[c_int],
+        values: &mut [f64],
+    ) -> Status {
+        let Interface::CoSimulation(functions) = &self.interface else { return Status::Missing };
+        optional!(
+            functions.get_output_derivatives,
+            component,
+            references.as_ptr(),
+            references.len(),
+            orders.as_ptr(),
+            values.as_mut_ptr(),
+            values.len()
+        )
     }
 
     unsafe fn set_input_derivatives(&self, _: Component, _: &[u32], _: &[c_int], _: &[f64]) -> Status {
