@@ -7,12 +7,13 @@ use crate::co_simulation::StepOutcome;
 use crate::description::Variable;
 use crate::digest::Digest;
 use crate::error::FmiError;
-use crate::input::{InputPlan, InputState};
+use crate::input::InputState;
 use crate::instance::{CoSimulation, Core, Instance, Instantiated, StepMode};
+use crate::intermediate::Between;
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
 use crate::points::Communication;
-use crate::sys::{MidStep, RawInstance, Update};
+use crate::sys::{Fault, RawInstance};
 use ode::{
     ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Report, Sample, Side,
     SimulationError, Stats, Termination,
@@ -53,6 +54,8 @@ pub(crate) struct Stepping {
     after: Vec<f64>,
     between: Vec<f64>,
     slopes: Vec<f64>,
+    /// Derivatives of outputs at the end of a step, where there are some.
+    ends: Vec<f64>,
     /// Inputs on their way during a step.
     intermediate: Vec<f64>,
     /// Values of parameters on their way.
@@ -76,6 +79,7 @@ impl Stepping {
             after: row(),
             between: row(),
             slopes: vec![0.0; plan.inputs.continuous.start.len()],
+            ends: Vec::with_capacity(plan.outputs().smooth.0.len()),
             intermediate: Vec::with_capacity(plan.inputs.intermediate.0.len()),
             signed: Vec::new(),
             initial: EventOutcome::default(),
@@ -376,6 +380,7 @@ impl Run<'_> {
         self.stats.accepted_steps += 1;
         if row_inside {
             self.read(Place::After)?;
+            self.read_slopes()?;
             self.sample_inside(time)?;
         }
         self.passed += u64::from(regular);
@@ -587,7 +592,30 @@ impl Run<'_> {
         self.plan.times.get(self.next_row).is_some_and(|row| *row <= self.t + self.plan.same)
     }
 
-    /// Samples between here and `end`: linear where the variable is continuous, held where it is not.
+    /// Reads the derivatives of outputs at the end of a step, if the FMU offers them.
+    fn read_slopes(&mut self) -> Step<()> {
+        let references = &self.plan.outputs().smooth.1;
+        let Stepping { mode, ends, .. } = &mut *self.stepping;
+        ends.clear();
+        if !self.communication.output_derivatives || references.is_empty() {
+            return Ok(());
+        }
+        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
+        ends.resize(references.len(), 0.0);
+        match instance.core().raw.get_output_derivatives(references, ends) {
+            Ok(()) => {}
+            // Offered, but not there: then without them.
+            Err(Fault::Missing(_) | Fault::Discard(_)) => ends.clear(),
+            Err(fault) => return Err(instance.core().error(fault).into()),
+        }
+        if ends.iter().any(|slope| !slope.is_finite()) {
+            ends.clear();
+        }
+        Ok(())
+    }
+
+    /// Samples between here and `end`: held where the variable is not continuous, else linear, or where the derivative at
+    /// the end is known the parabola that has it (that at the start may be another one, if the inputs jump there).
     fn sample_inside(&mut self, end: f64) -> Step<()> {
         while let Some(time) = self.row_before(end) {
             let theta = (time - self.t) / (end - self.t);
@@ -603,6 +631,12 @@ impl Run<'_> {
                     (_, true) => before[i] + theta * (after[i] - before[i]),
                     (_, false) => before[i],
                 };
+            }
+            let Stepping { before, after, between, ends, .. } = &mut *self.stepping;
+            for (column, slope) in self.plan.outputs().smooth.0.iter().zip(ends.iter()) {
+                let (rise, back) = (slope * (end - self.t), theta - 1.0);
+                let bend = before[*column] - after[*column] + rise;
+                between[*column] = after[*column] + back * (rise + back * bend);
             }
             let row = std::mem::take(&mut self.stepping.between);
             let flow = self.deliver(&row);
@@ -654,27 +688,6 @@ impl Run<'_> {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(Exit::Normal(Termination::StoppedByObserver)),
         }
-    }
-}
-
-/// What is done when the model calls back during a step: its inputs there, and an end where the run is to end.
-struct Between<'a, F> {
-    plan: &'a InputPlan,
-    inputs: &'a mut InputState,
-    values: &'a mut Vec<f64>,
-    goes_on: F,
-}
-
-impl<F: Fn() -> bool + Send> MidStep for Between<'_, F> {
-    fn update(&mut self, update: &Update, set: &mut dyn FnMut(&[u32], &[f64])) -> bool {
-        let (places, references) = &self.plan.intermediate;
-        // What is not finite is said at the next communication point.
-        if update.set_requested && !places.is_empty() && self.inputs.continuous_at(self.plan, update.time) {
-            self.values.clear();
-            self.values.extend(places.iter().map(|place| self.inputs.continuous[*place]));
-            set(references, self.values);
-        }
-        !(self.goes_on)()
     }
 }
 

@@ -17,6 +17,7 @@ mod fmu;
 mod fmu_cache;
 mod input;
 mod instance;
+mod intermediate;
 mod jacobian;
 mod lanes;
 mod model_exchange;

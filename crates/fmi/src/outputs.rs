@@ -79,6 +79,9 @@ pub(crate) struct OutputPlan {
     /// Name and kind of what the columns without names make.
     pub(crate) values: Vec<(String, VariableKind)>,
     pub(crate) recorded: Vec<Recorded>,
+    /// Columns of single continuous outputs of type Real that are read as they are, and their references: those that may
+    /// have derivatives.
+    pub(crate) smooth: (Vec<usize>, Vec<u32>),
 }
 
 /// What outputs are resolved against.
@@ -159,6 +162,11 @@ impl OutputPlan {
                 kind => OutputSource::Packed(place, kind),
             };
             if kind.is_number() {
+                if is_continuous && !negated && variable.causality == Causality::Output && n == 1 && !is_array
+                {
+                    self.smooth.0.push(self.columns.len());
+                    self.smooth.1.push(variable.value_reference);
+                }
                 names.push(column_name(element));
                 self.columns.push(column(source));
             }

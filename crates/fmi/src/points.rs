@@ -23,6 +23,8 @@ pub(crate) struct Communication {
     pub(crate) ends_exactly: bool,
     /// The FMU extrapolates inputs from their derivatives.
     pub(crate) input_derivatives: bool,
+    /// The FMU tells the derivatives of outputs at the end of a step.
+    pub(crate) output_derivatives: bool,
     /// Events are handled between steps.
     pub(crate) event_mode: bool,
 }
@@ -70,6 +72,7 @@ impl Communication {
             variable,
             ends_exactly: variable,
             input_derivatives: capabilities.can_interpolate_inputs,
+            output_derivatives: capabilities.max_output_derivative_order > 0,
             event_mode: capabilities.uses_event_mode(),
         })
     }

@@ -117,3 +117,25 @@ fn single_steps_by_hand_call_back_without_consequence() {
     assert!(instance.do_step(0.5, 0.25).unwrap().complete);
     assert_eq!(instance.get("x").unwrap(), 1.5.into());
 }
+
+#[test]
+fn samples_between_communication_points_take_the_derivatives_of_outputs_into_account() {
+    let fixed = |order: &str| {
+        let order = order.to_owned();
+        fixture("intermediate", move |xml| {
+            xml.replace("canHandleVariableCommunicationStepSize=\"true\"", &order)
+        })
+    };
+    let options = SimulateOptions { times: Some(vec![0.2, 0.7, 1.0, 1.3]), ..ramp() };
+    let folder = fixed("maxOutputDerivativeOrder=\"1\"");
+    let result = folder.open().simulate(&options).unwrap();
+    // x = t^2 / 2 is the parabola through both ends of a step with the slope at its end.
+    for (t, x) in result.time.iter().zip(result.get("x").unwrap()) {
+        assert!((x - 0.5 * t * t).abs() < 1e-14, "x({t}) = {x}");
+    }
+    // Nobody offers derivatives: the chord, h^2 / 8 off at most.
+    let folder = fixed("");
+    let result = folder.open().simulate(&options).unwrap();
+    let chord = 0.125 * 0.4;
+    assert!((result.get("x").unwrap()[0] - chord).abs() < 1e-14);
+}

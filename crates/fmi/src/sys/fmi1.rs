@@ -346,6 +346,7 @@ impl Binding for Fmi1 {
             Call::EnterConfiguration | Call::ExitConfiguration => "(configuration mode)",
             Call::CountStates | Call::CountIndicators => "(number of states)",
             Call::GetInterval | Call::GetShift => "(clocks)",
+            Call::GetOutputDerivatives => "fmiGetRealOutputDerivatives",
         }
     }
 

@@ -83,6 +83,8 @@ type DoStep = unsafe extern "C" fn(Component, f64, f64, Boolean) -> c_int;
 type StepStatus<T> = unsafe extern "C" fn(Component, c_int, *mut T) -> c_int;
 type SetInputDerivatives =
     unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *const f64) -> c_int;
+type GetOutputDerivatives =
+    unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *mut f64) -> c_int;
 
 /// Calls an optional function, or says that it is missing.
 macro_rules! optional {
@@ -166,6 +168,7 @@ struct CoSimulation {
     get_real_status: Option<StepStatus<f64>>,
     get_boolean_status: Option<StepStatus<Boolean>>,
     set_input_derivatives: Option<SetInputDerivatives>,
+    get_output_derivatives: Option<GetOutputDerivatives>,
 }
 
 impl Fmi2 {
@@ -246,6 +249,7 @@ impl CoSimulation {
                 get_real_status: symbols.optional("fmi2GetRealStatus"),
                 get_boolean_status: symbols.optional("fmi2GetBooleanStatus"),
                 set_input_derivatives: symbols.optional("fmi2SetRealInputDerivatives"),
+                get_output_derivatives: symbols.optional("fmi2GetRealOutputDerivatives"),
             })
         }
     }
@@ -291,6 +295,7 @@ impl Binding for Fmi2 {
             Call::EnterConfiguration | Call::ExitConfiguration => "(configuration mode)",
             Call::CountStates | Call::CountIndicators => "(number of states)",
             Call::GetInterval | Call::GetShift => "(clocks)",
+            Call::GetOutputDerivatives => "fmi2GetRealOutputDerivatives",
             Call::EnterStepMode => "(step mode)",
             Call::SaveState => "fmi2GetFMUstate",
             Call::RestoreState => "fmi2SetFMUstate",
@@ -574,6 +579,24 @@ impl Binding for Fmi2 {
     unsafe fn cancel_step(&self, component: Component) -> Status {
         let Some(functions) = &self.co_simulation else { return Status::Missing };
         optional!(functions.cancel_step, component)
+    }
+
+    unsafe fn get_output_derivatives(
+        &self,
+        component: Component,
+        references: &[u32],
+        orders: &[c_int],
+        values: &mut [f64],
+    ) -> Status {
+        let Some(functions) = &self.co_simulation else { return Status::Missing };
+        optional!(
+            functions.get_output_derivatives,
+            component,
+            references.as_ptr(),
+            references.len(),
+            orders.as_ptr(),
+            values.as_mut_ptr()
+        )
     }
 
     unsafe fn set_input_derivatives(

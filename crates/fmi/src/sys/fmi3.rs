@@ -78,6 +78,7 @@ struct CoSimulation {
     instantiate: InstantiateCoSimulation,
     do_step: DoStep,
     enter_step_mode: Option<Plain>,
+    get_output_derivatives: Option<GetOutputDerivatives>,
 }
 
 impl Fmi3 {
@@ -107,6 +108,7 @@ impl Fmi3 {
                     instantiate: symbols.required("fmi3InstantiateCoSimulation")?,
                     do_step: symbols.required("fmi3DoStep")?,
                     enter_step_mode: symbols.optional("fmi3EnterStepMode"),
+                    get_output_derivatives: symbols.optional("fmi3GetOutputDerivatives"),
                 }),
             };
             Ok(Self {
@@ -212,6 +214,7 @@ impl Binding for Fmi3 {
             Call::SetInputDerivatives => "(input derivatives)",
             Call::GetInterval => "fmi3GetInterval",
             Call::GetShift => "fmi3GetShift",
+            Call::GetOutputDerivatives => "fmi3GetOutputDerivatives",
         }
     }
 
@@ -662,6 +665,25 @@ impl Binding for Fmi3 {
     ) -> Status {
         // SAFETY: the same.
         unsafe { self.clocks.shift(component, clock, fraction, shift) }
+    }
+
+    unsafe fn get_output_derivatives(
+        &self,
+        component: Component,
+        references: &[u32],
+        orders: &[c_int],
+        values: &mut [f64],
+    ) -> Status {
+        let Interface::CoSimulation(functions) = &self.interface else { return Status::Missing };
+        optional!(
+            functions.get_output_derivatives,
+            component,
+            references.as_ptr(),
+            references.len(),
+            orders.as_ptr(),
+            values.as_mut_ptr(),
+            values.len()
+        )
     }
 
     unsafe fn set_input_derivatives(&self, _: Component, _: &[u32], _: &[c_int], _: &[f64]) -> Status {

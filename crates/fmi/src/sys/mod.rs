@@ -172,6 +172,7 @@ enum Call {
     SetInputDerivatives,
     GetInterval,
     GetShift,
+    GetOutputDerivatives,
 }
 
 /// What an event iteration told.
@@ -477,6 +478,17 @@ trait Binding: Send + Sync {
         shift: &mut Interval,
     ) -> Status {
         let _ = (component, clock, fraction, shift);
+        Status::Missing
+    }
+    /// Derivatives (of these orders) of real outputs with respect to time, at the end of the last step.
+    unsafe fn get_output_derivatives(
+        &self,
+        component: Component,
+        references: &[u32],
+        orders: &[i32],
+        values: &mut [f64],
+    ) -> Status {
+        let _ = (component, references, orders, values);
         Status::Missing
     }
     /// Derivatives (of these orders) of real inputs with respect to time.

@@ -629,6 +629,23 @@ impl RawInstance {
         outcome
     }
 
+    /// First derivatives of single real outputs with respect to time, at the end of the last step.
+    pub(crate) fn get_output_derivatives(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
+        self.length(Call::GetOutputDerivatives, references.len(), values.len())?;
+        let mut orders = std::mem::take(&mut self.orders);
+        orders.clear();
+        orders.resize(values.len(), 1);
+        let outcome = self.get_derivatives_of(references, &orders, values);
+        self.orders = orders;
+        outcome
+    }
+
+    fn get_derivatives_of(&mut self, references: &[u32], orders: &[i32], values: &mut [f64]) -> Outcome {
+        run!(self, Call::GetOutputDerivatives, |b, c| {
+            b.get_output_derivatives(c, references, orders, values)
+        })
+    }
+
     fn set_derivatives_of(&mut self, references: &[u32], orders: &[i32], values: &[f64]) -> Outcome {
         run!(self, Call::SetInputDerivatives, |b, c| b.set_input_derivatives(c, references, orders, values))
     }

@@ -45,6 +45,7 @@ static fmi3Instance make(fmi3String token) {
     return m;
 }
 
+FMI3_EXPORT const char *fmi3GetVersion(void) { return "3.0"; }
 FMI3_EXPORT fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
                                                       fmi3Boolean visible, fmi3Boolean logging,
                                                       fmi3InstanceEnvironment environment, fmi3LogMessageCallback log) {

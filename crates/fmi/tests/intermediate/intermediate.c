@@ -114,6 +114,16 @@ FMI3_EXPORT fmi3Status fmi3GetInt32(fmi3Instance i, const fmi3ValueReference r[]
     }
     return fmi3OK;
 }
+/* At the end of the last step. */
+FMI3_EXPORT fmi3Status fmi3GetOutputDerivatives(fmi3Instance i, const fmi3ValueReference r[], size_t n, const int32_t orders[], double v[], size_t nv) {
+    Model *m = i;
+    size_t j;
+    for (j = 0; j < n; j++) {
+        if (j >= nv || orders[j] != 1 || (r[j] != 3 && r[j] != 4)) return fmi3Error;
+        v[j] = r[j] == 3 ? m->u : m->v;
+    }
+    return fmi3OK;
+}
 FMI3_EXPORT fmi3Status fmi3EnterEventMode(fmi3Instance i) { (void)i; return fmi3OK; }
 FMI3_EXPORT fmi3Status fmi3EnterStepMode(fmi3Instance i) { (void)i; return fmi3OK; }
 FMI3_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance i, bool *a, bool *t, bool *nc, bool *vc, bool *d, double *next) {
