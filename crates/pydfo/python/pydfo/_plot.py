@@ -130,7 +130,7 @@ def convergence(result: OptimizeResult) -> Figure:
         costs.set_yscale("log" if positive else "symlog")
         # where the best changed, and which point it was until the next change
         better = np.flatnonzero(np.diff(best, prepend=np.inf) < 0.0)
-        rows = better[np.maximum(np.searchsorted(better, np.arange(len(trace)), side="right") - 1, 0)] if len(better) else []
+        rows = better[np.maximum(np.searchsorted(better, np.arange(len(trace)), side="right") - 1, 0)] if len(better) else better
         low, width = trace.x.min(axis=0), np.ptp(trace.x, axis=0)
         for i in np.flatnonzero(width > 0.0) if len(better) else ():
             points.step(count, (trace.x[rows, i] - low[i]) / width[i], where="post", linewidth=1.0, label=f"x[{i}]")
