@@ -117,8 +117,8 @@ pub struct InstanceOptions {
     pub name: Option<String>,
     /// Ask the FMU to log. FMUs log what they think important without being asked, too.
     pub logging: bool,
-    /// Which lines of the log are kept (see [`Instance::log`]); an FMU that logs more than some lines a call is held to
-    /// four a call and its errors, and the rest is counted.
+    /// Which lines of the log are kept (see [`Instance::log`]); an FMU that goes on logging is held to four lines
+    /// for each point of time, step and event iteration, besides its errors, and the rest is counted.
     pub log_filter: LogFilter,
     /// Let the FMU show windows.
     pub visible: bool,

@@ -146,7 +146,7 @@ fn a_flood_of_odd_log_messages_is_bounded() {
     let texts: Vec<&str> = lines[28..].iter().map(|line| line.text.as_str()).collect();
     assert_eq!(texts[..3], ["", "100 % sure, %", "bad \u{fffd}\u{fffd} bytes"]);
     assert!(texts[3].starts_with("x = 1 of "), "{texts:?}");
-    // From now on some lines a call; all are counted.
+    // Beyond the rate limit by now; all are counted.
     instance.get_derivatives(&mut [0.0]).unwrap();
     let (lines, dropped) = instance.log();
     assert_eq!((lines.len(), dropped), (32, 1568));

@@ -32,11 +32,23 @@ pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription, FmiError> {
             check_start(variable, &mut quirks);
         }
     }
+    check_time(&model.variables, &mut quirks);
     model.has_arrays = model.variables.iter().any(|variable| !variable.dimensions.is_empty());
     model.names = index_names(&model.variables, &mut quirks);
     model.aliases = super::names::aliases(&model.variables);
     model.quirks = quirks.into_list();
     Ok(model)
+}
+
+/// There is one independent variable at most.
+fn check_time(variables: &[Variable], quirks: &mut Quirks) {
+    let mut independent = variables.iter().filter(|variable| variable.causality == Causality::Independent);
+    let Some(first) = independent.next() else { return };
+    for other in independent {
+        quirks.add(QuirkKind::Duplicate, other.line, || {
+            format!("\"{}\" is a second independent variable beside \"{}\"", other.name, first.name)
+        });
+    }
 }
 
 /// Refuses a description that has quirks other than those of the importer itself.

@@ -19,11 +19,11 @@ const LONGEST_TEXT: usize = 2047;
 /// Lines kept per instance.
 const LINES: usize = 32;
 
-/// The rate limit, counted in calls of the FMU and not in time, so that the same run leaves the same lines: an instance
-/// may log so many lines at once,
+/// The rate limit, counted in what the FMU is asked to do and not in time, so that the same run leaves the same lines: an
+/// instance may log so many lines at once,
 const BURST: i32 = 64;
-/// gets leave for so many more with every call,
-const PER_CALL: i32 = 4;
+/// gets leave for so many more with every point of time, completed step and event iteration,
+const PER_POINT: i32 = 4;
 /// and when it has used that up, may still log so many errors. The lines beyond are counted, and neither expanded nor kept.
 const ERRORS_BEYOND: i32 = 64;
 
@@ -136,12 +136,12 @@ impl Log {
         }
     }
 
-    /// Notes that the FMU is called.
+    /// Notes that the FMU is taken to another point of time, or has to do with a step or an event.
     #[inline]
-    pub(super) fn begin_call(&self) {
+    pub(super) fn go_on(&self) {
         let credit = self.credit.load(Ordering::Relaxed);
         if credit < BURST {
-            self.credit.store((credit + PER_CALL).min(BURST), Ordering::Relaxed);
+            self.credit.store((credit + PER_POINT).min(BURST), Ordering::Relaxed);
         }
     }
 
@@ -397,12 +397,12 @@ mod tests {
             say(4, c"fatal");
         }
         assert_eq!(log.refused.load(Ordering::Relaxed), 937 + 100 - 63);
-        // Every call gives leave for some lines.
-        log.begin_call();
+        // Every point of time gives leave for some lines.
+        log.go_on();
         say(1, c"not yet");
         assert!(texts(&log).iter().all(|text| text != "not yet"));
         for _ in 0..16 {
-            log.begin_call();
+            log.go_on();
         }
         for _ in 0..5 {
             say(0, c"again");

@@ -241,7 +241,6 @@ impl RawInstance {
 macro_rules! run {
     ($self:ident, $call:expr, |$binding:ident, $component:ident| $body:expr) => {{
         $self.alive($call)?;
-        $self.log.begin_call();
         let status = {
             let ($binding, $component) = ($self.library.binding(), $self.component);
             // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of this
@@ -520,6 +519,7 @@ impl RawInstance {
     }
 
     pub(crate) fn new_discrete_states(&mut self, info: &mut EventInfo) -> Outcome {
+        self.log.go_on();
         run!(self, Call::NewDiscreteStates, |b, c| b.new_discrete_states(c, info))
     }
 
@@ -529,6 +529,7 @@ impl RawInstance {
 
     /// Returns whether the model wants an event, and whether it wants to end.
     pub(crate) fn completed_integrator_step(&mut self) -> Result<(bool, bool), Fault> {
+        self.log.go_on();
         let (mut event, mut terminate) = (false, false);
         run!(self, Call::CompletedIntegratorStep, |b, c| {
             b.completed_integrator_step(c, true, &mut event, &mut terminate)
@@ -537,6 +538,7 @@ impl RawInstance {
     }
 
     pub(crate) fn set_time(&mut self, time: f64) -> Outcome {
+        self.log.go_on();
         self.time = Some(time);
         run!(self, Call::SetTime, |b, c| b.set_time(c, time))
     }
@@ -575,6 +577,7 @@ impl RawInstance {
         info: &mut StepInfo,
         mid_step: &mut dyn MidStep,
     ) -> Result<bool, Fault> {
+        self.log.go_on();
         self.time = Some(time);
         let outcome =
             run!(self, Call::DoStep, |b, c| b.do_step_with(c, (time, step), info, &**self.keep, mid_step));

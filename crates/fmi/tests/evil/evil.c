@@ -422,8 +422,10 @@ EXPORT fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real *z, size_t n)
 EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real *x, size_t n) {
     (void)c;
     while (n-- > 0) {
-#ifdef BAD_NOMINAL
+#if defined(BAD_NOMINAL)
         x[n] = 0;
+#elif defined(NOMINAL)
+        x[n] = NOMINAL;
 #else
         x[n] = 1;
 #endif
