@@ -79,8 +79,8 @@ impl Fmu {
 
     /// Names of the variables that results can hold.
     fn recordable(&self) -> Vec<&str> {
-        let is_number = |v: &&Variable| v.kind.is_number() && v.causality != Causality::Independent;
-        self.description().variables.iter().filter(is_number).map(|v| v.name.as_str()).collect()
+        let is_recordable = |v: &&Variable| v.causality != Causality::Independent;
+        self.description().variables.iter().filter(is_recordable).map(|v| v.name.as_str()).collect()
     }
 
     /// Position of a variable; None if there is none of this name.

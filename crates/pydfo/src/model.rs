@@ -132,9 +132,7 @@ impl Model {
             return Err(e);
         }
         match outcome.flatten() {
-            Some(Ok(trajectory)) if !stop.is_asked() => {
-                Ok(Record::new(py, self.fmu.description(), trajectory))
-            }
+            Some(Ok(trajectory)) if !stop.is_asked() => Record::new(py, self.fmu.description(), trajectory),
             Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),
             outcome => Err(interrupted(outcome.and_then(Result::err).as_ref())),
         }
@@ -219,7 +217,7 @@ fn find<'a>(py: Python<'_>, description: &'a ModelDescription, name: &str) -> Py
 
 /// Outputs and states, each name once.
 fn default_outputs(description: &ModelDescription) -> Vec<String> {
-    let is_output = |v: &&Variable| v.causality == Causality::Output && v.kind.is_number();
+    let is_output = |v: &&Variable| v.causality == Causality::Output;
     let derivatives =
         description.structure.derivatives.iter().map(|unknown| &description.variables[unknown.index]);
     let states =

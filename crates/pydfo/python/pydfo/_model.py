@@ -231,9 +231,11 @@ class FMUModel:
             - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
 
             Tables are linear between rows for continuous Real inputs, and held for all others; a time listed twice is a
-            jump. Jumps are events. Functions can drive continuous Real inputs and should be smooth.
+            jump. Jumps are events. Functions can drive continuous Real inputs and should be smooth. Of a triggered clock
+            (FMI 3.0) the rows that hold True are its ticks; a clock with an interval that can be deactivated leaves its
+            ticks out where it holds False.
         output : str or iterable of str, optional
-            Variables to record, or "all". Default: the outputs and the states.
+            Variables to record, or "all". Default: the outputs and the states. ``name[1,2]`` is an element of an array.
         times : array_like, optional
             The times of the rows, ascending. A time listed twice gives the limit from the left, then the value after the
             events of that time.
