@@ -17,8 +17,6 @@ const ALL: &str = "all";
 pub(crate) struct Selection {
     pub(crate) plan: OutputPlan,
     pub(crate) names: Vec<String>,
-    /// Of each column: position of its variable.
-    pub(crate) variables: Vec<usize>,
     /// Positions of the variables that are there as a whole.
     known: HashSet<usize>,
 }
@@ -108,7 +106,6 @@ impl Selection {
         if element.is_none() {
             self.known.insert(position);
         }
-        self.variables.extend(columns.iter().map(|_| position));
         self.names.extend(columns);
     }
 }

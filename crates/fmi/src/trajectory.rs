@@ -17,8 +17,6 @@ pub struct Trajectory {
     pub time: Vec<f64>,
     /// Names of the columns.
     pub names: Vec<String>,
-    /// Position in the description of the variable of each column; all elements of an array have the same.
-    pub variables: Vec<usize>,
     /// The columns. Integers and Booleans are numbers here (64-bit integers the nearest ones: see [`values`](Self::values)).
     pub columns: Vec<Vec<f64>>,
     /// The columns of what is more than a number: texts, binary variables, and once more, exactly, 64-bit integers.
@@ -131,7 +129,6 @@ impl Recorder {
         Trajectory {
             time: self.time,
             names: plan.output_names().to_vec(),
-            variables: plan.output_variables().to_vec(),
             columns: self.columns,
             values,
             recorded: plan.recorded().to_vec(),

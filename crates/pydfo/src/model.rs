@@ -138,9 +138,7 @@ impl Model {
             return Err(e);
         }
         match outcome.flatten() {
-            Some(Ok(trajectory)) if !stop.is_asked() => {
-                Ok(Record::new(py, self.fmu.description(), trajectory))
-            }
+            Some(Ok(trajectory)) if !stop.is_asked() => Record::new(py, self.fmu.description(), trajectory),
             Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),
             outcome => Err(interrupted(outcome.and_then(Result::err).as_ref())),
         }

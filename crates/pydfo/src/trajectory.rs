@@ -1,8 +1,9 @@
 //! A recorded simulation for Python: its columns become NumPy arrays without being copied.
 
 use crate::values;
+use fmi::description::VariableKind;
 use fmi::ode::{EventCause, Side, Stats, Termination};
-use fmi::{ModelDescription, Trajectory};
+use fmi::{ModelDescription, Trajectory, Value};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 
@@ -10,18 +11,20 @@ use pyo3::prelude::*;
 #[derive(IntoPyObject)]
 pub(crate) struct Record<'py> {
     time: Bound<'py, PyArray1<f64>>,
+    /// Names of the variables, and of each its columns (arrays have one for each element) and its extents.
     names: Vec<String>,
-    columns: Vec<Bound<'py, PyArray1<f64>>>,
-    /// Type, NumPy's type and unit of each column.
+    columns: Vec<Vec<Bound<'py, PyAny>>>,
+    extents: Vec<Vec<usize>>,
+    /// Type and unit of each variable.
     types: Vec<&'static str>,
-    dtypes: Vec<&'static str>,
     units: Vec<Option<String>>,
-    /// Name, first column and extents of each array.
-    arrays: Vec<(String, usize, Vec<usize>)>,
     /// Of each row: whether it is the limit from the left.
     left: Bound<'py, PyArray1<bool>>,
     event_times: Bound<'py, PyArray1<f64>>,
     event_kinds: Vec<String>,
+    /// Of each tick of a clock: when and which.
+    tick_times: Vec<f64>,
+    tick_clocks: Vec<String>,
     stats: Counts,
     termination: &'static str,
     end_time: f64,
@@ -48,24 +51,43 @@ pub(crate) struct Counts {
 }
 
 impl<'py> Record<'py> {
-    pub(crate) fn new(py: Python<'py>, description: &ModelDescription, trajectory: Trajectory) -> Self {
-        let variables = || trajectory.variables.iter().map(|position| &description.variables[*position]);
-        let types = variables().map(|v| v.kind.name()).collect();
-        let dtypes = variables().map(|v| values::dtype_of(v.kind)).collect();
-        let units = variables().map(|v| v.unit.clone()).collect();
-        let arrays = trajectory.arrays.into_iter().map(|a| (a.name, a.first, a.extents)).collect();
+    pub(crate) fn new(
+        py: Python<'py>,
+        description: &ModelDescription,
+        mut trajectory: Trajectory,
+    ) -> PyResult<Self> {
+        let recorded = std::mem::take(&mut trajectory.recorded);
+        let mut columns = Vec::with_capacity(recorded.len());
+        for variable in &recorded {
+            columns.push(match variable.values.is_empty() {
+                // Numbers are moved, not copied.
+                true => trajectory.columns[variable.columns.clone()]
+                    .iter_mut()
+                    .map(|column| PyArray1::from_vec(py, std::mem::take(column)).into_any())
+                    .collect(),
+                false => trajectory.values[variable.values.clone()]
+                    .iter_mut()
+                    .map(|column| exactly(py, variable.kind, std::mem::take(&mut column.values)))
+                    .collect::<PyResult<_>>()?,
+            });
+        }
+        let unit = |name: &str| {
+            let array = || name.rsplit_once('[').and_then(|(array, _)| description.variable(array));
+            description.variable(name).or_else(array).and_then(|v| v.unit.clone())
+        };
         let left: Vec<bool> = trajectory.sides.iter().map(|side| *side == Side::Left).collect();
         let event_times: Vec<f64> = trajectory.events.iter().map(|event| event.time).collect();
-        Self {
+        Ok(Self {
             time: PyArray1::from_vec(py, trajectory.time),
-            columns: trajectory.columns.into_iter().map(|column| PyArray1::from_vec(py, column)).collect(),
-            types,
-            dtypes,
-            units,
-            arrays,
+            columns,
+            extents: recorded.iter().map(|variable| variable.extents.clone()).collect(),
+            types: recorded.iter().map(|variable| variable.kind.name()).collect(),
+            units: recorded.iter().map(|variable| unit(&variable.name)).collect(),
             left: PyArray1::from_vec(py, left),
             event_times: PyArray1::from_vec(py, event_times),
             event_kinds: trajectory.events.iter().map(|event| causes(&event.cause)).collect(),
+            tick_times: trajectory.ticks.iter().map(|tick| tick.time).collect(),
+            tick_clocks: trajectory.ticks.iter().map(|tick| tick.clock.to_string()).collect(),
             stats: Counts::new(&trajectory.stats),
             termination: match trajectory.termination {
                 Termination::Finished => "finished",
@@ -73,9 +95,26 @@ impl<'py> Record<'py> {
                 Termination::StoppedByObserver => "stopped-by-observer",
             },
             end_time: trajectory.end_time,
-            names: trajectory.names,
-        }
+            names: recorded.into_iter().map(|variable| variable.name).collect(),
+        })
     }
+}
+
+/// A column of 64-bit integers as an array of them, one of texts or bytes as an array of objects.
+fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: Vec<Value>) -> PyResult<Bound<'py, PyAny>> {
+    let integer = |value: &Value| if let Value::Integer(i) = value { *i } else { 0 };
+    Ok(match kind {
+        VariableKind::Int64 => {
+            PyArray1::from_iter(py, column.iter().map(|value| integer(value) as i64)).into_any()
+        }
+        VariableKind::UInt64 => {
+            PyArray1::from_iter(py, column.iter().map(|value| integer(value) as u64)).into_any()
+        }
+        _ => {
+            let objects = column.into_iter().map(|value| values::to_python(py, value, kind, &[]).map(Bound::unbind));
+            PyArray1::from_vec(py, objects.collect::<PyResult<Vec<Py<PyAny>>>>()?).into_any()
+        }
+    })
 }
 
 impl Counts {

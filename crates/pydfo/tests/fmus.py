@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import platform
+import shutil
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from pydfo import example_fmu
 
@@ -71,3 +76,18 @@ def bounces(n, height=1.0, g=9.81, e=0.7):
     """Times of the first `n` impacts of the bouncing ball."""
     k = np.arange(n)
     return np.sqrt(2 * height / g) * (1 + 2 * e * (1 - e**k) / (1 - e))
+
+
+def compiled(name, path, *defines):
+    """One of the FMI 3.0 models in C that the tests of the importer have, as an .fmu with a library for this platform."""
+    source = Path(__file__).resolve().parents[2] / "fmi" / "tests" / name
+    frontend = source.parents[1] / "models" / "frontend"
+    compiler = shutil.which("cc")
+    if compiler is None or sys.platform != "linux":
+        pytest.skip("needs a C compiler on Linux")
+    library = path.with_suffix(".so")
+    options = ["-shared", "-fPIC", "-O1", "-ffp-contract=off", *(f"-D{define}" for define in defines)]
+    sources = [source / f"{name}.c", source.parent / "support" / "rest.c"]
+    subprocess.run([compiler, *options, "-I", frontend, "-o", library, *sources, "-lm"], check=True)
+    files = {f"binaries/{platform.machine()}-linux/{name}.so": library.read_bytes()}
+    return write(path, (source / "modelDescription.xml").read_text(encoding="utf-8"), files)

@@ -379,8 +379,6 @@ def test_constants_strings_and_enumerations(tmp_path):
         model.set("text", 3)
     with pytest.raises(TypeError, match="NUL"):
         model.simulate(final_time=1, start_values={"text": "a\0b"})
-    with pytest.raises(ValueError, match="text"):
-        model.simulate(final_time=1, output=["text"])
     # There is no library in it.
     with pytest.raises(pydfo.FmuError, match="no binary"):
         model.simulate(final_time=1)

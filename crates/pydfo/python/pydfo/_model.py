@@ -230,7 +230,9 @@ class FMUModel:
             - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
 
             Tables are linear between rows for continuous Real inputs, and held for all others; a time listed twice is a
-            jump. Jumps are events. Functions can drive continuous Real inputs and should be smooth.
+            jump. Jumps are events. Functions can drive continuous Real inputs and should be smooth. Of a triggered clock
+            (FMI 3.0) the rows that hold True are its ticks; a clock with an interval that can be deactivated leaves its
+            ticks out where it holds False.
         output : str or iterable of str, optional
             Variables to record: names, elements of arrays (``name[2,1]``, counted from 1), patterns (``*`` stands for any
             characters, ``?`` for one), or "all". Default: the outputs and the states; where a model declares neither

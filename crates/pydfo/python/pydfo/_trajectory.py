@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Iterator, KeysView, Mapping, Sequence
+from collections.abc import Iterable, Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
@@ -17,6 +17,26 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FloatArray = npt.NDArray[np.float64]
+
+Column = npt.NDArray[Any]
+
+_DTYPES: dict[str, type] = {
+    "Real": np.float64,
+    "Float32": np.float32,
+    "Int8": np.int8,
+    "UInt8": np.uint8,
+    "Int16": np.int16,
+    "UInt16": np.uint16,
+    "Integer": np.int32,
+    "UInt32": np.uint32,
+    "Int64": np.int64,
+    "UInt64": np.uint64,
+    "Enumeration": np.int64,
+    "Boolean": np.bool_,
+    "Clock": np.bool_,
+    "String": np.object_,
+    "Binary": np.object_,
+}
 
 
 @dataclass(frozen=True)
@@ -63,12 +83,14 @@ class SimulationStats:
     chattering: int
 
 
-class SimulationResult(Mapping[str, FloatArray]):
-    """The result of a simulation: columns of numbers by name, ``res["time"]`` among them.
+class SimulationResult(Mapping[str, Column]):
+    """The result of a simulation: columns by name, ``res["time"]`` among them.
 
-    A mapping of names to arrays of shape (rows,); Integers and Booleans are numbers, too (`to_structured` and
-    `to_dataframe` give them their types). An array has a column for each element, ``res["a[2,1]"]`` (counted from 1), and
-    ``res["a"]`` is all of it, of shape (rows, ...). At the time of an event a row holds the values after it. A time that was asked
+    A mapping of the names of variables to arrays of shape (rows,). Those of numbers are float64, also for Integers and
+    Booleans (`to_structured` and `to_dataframe` give them their types), but 64-bit integers, which not all floats can
+    hold, are int64 or uint64; texts are arrays of str, binary variables arrays of bytes (dtype object). An array of the
+    model has its extents as further axes: ``res["A"]`` of a 2 x 3 matrix has the shape (rows, 2, 3), and its element
+    ``res["A[1,2]"]`` (counted from 1) the shape (rows,). At the time of an event a row holds the values after it. A time that was asked
     for twice, and with ``record_events=True`` every event, has two rows: the limit from the left, then the values after
     the event.
 
@@ -81,6 +103,8 @@ class SimulationResult(Mapping[str, FloatArray]):
     events : recarray
         The events after the start, with fields ``time`` and ``kind``: "state", "time", "step", "input", or several of
         them with a plus between.
+    ticks : dict of str to ndarray
+        The times in s at which the clocks of the model (FMI 3.0) ticked, for each clock that did.
     stats : SimulationStats
         What it cost.
     termination : {"finished", "stopped-by-model"}
@@ -94,14 +118,15 @@ class SimulationResult(Mapping[str, FloatArray]):
         *,
         time: FloatArray,
         names: list[str],
-        columns: list[FloatArray],
+        columns: list[list[Column]],
+        extents: list[list[int]],
         types: list[str],
-        dtypes: list[str],
         units: list[str | None],
-        arrays: list[tuple[str, int, list[int]]],
         left: npt.NDArray[np.bool_],
         event_times: FloatArray,
         event_kinds: list[str],
+        tick_times: list[float],
+        tick_clocks: list[str],
         stats: dict[str, int],
         termination: str,
         end_time: float,
@@ -112,24 +137,45 @@ class SimulationResult(Mapping[str, FloatArray]):
         events["time"] = event_times
         events["kind"] = event_kinds
         self.events = events.view(np.recarray)
+        ticks: dict[str, list[float]] = {}
+        for clock, tick in zip(tick_clocks, tick_times):
+            ticks.setdefault(clock, []).append(tick)
+        self.ticks = {clock: np.array(times) for clock, times in ticks.items()}
         self.stats = SimulationStats(**stats)
         self.termination = termination
         self.end_time = end_time
-        self._columns = {"time": time} | dict(zip(names, columns))
+        self._columns: dict[str, Column] = {"time": time}
         self._types = {"time": "Real"} | dict(zip(names, types))
-        self._dtypes = {"time": "float64"} | dict(zip(names, dtypes))
-        self._arrays = {array: (names[first : first + int(np.prod(shape))], shape) for array, first, shape in arrays}
         self._units: dict[str, str | None] = {"time": "s", **dict(zip(names, units))}
+        # Of each array: the names of its elements and their columns.
+        self._elements: dict[str, dict[str, Column]] = {}
+        for name, parts, shape in zip(names, columns, extents):
+            if not shape:
+                self._columns[name] = parts[0]
+                continue
+            whole = np.stack(parts, axis=-1) if parts else np.empty((len(time), 0), dtype=np.float64)
+            self._columns[name] = whole.reshape(len(time), *shape)
+            indices = (",".join(str(i + 1) for i in index) for index in np.ndindex(*shape))
+            self._elements[name] = {f"{name}[{index}]": part for index, part in zip(indices, parts)}
 
-    def __getitem__(self, name: str) -> FloatArray:
+    def __getitem__(self, name: str) -> Column:
         try:
-            return self._columns[name]
+            return self._columns[name] if name in self._columns else self._elements[_array_of(name)][name]
         except KeyError:
-            if name not in self._arrays:
-                raise UnknownVariableError(self._missing(name)) from None
-        elements, shape = self._arrays[name]
-        values = np.array([self._columns[element] for element in elements]).reshape(len(elements), len(self.time))
-        return np.ascontiguousarray(values.T).reshape(len(self.time), *shape)
+            raise UnknownVariableError(self._missing(name)) from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._columns or (isinstance(name, str) and name in self._elements.get(_array_of(name), ()))
+
+    def _flat(self, names: Iterable[str]) -> Iterator[tuple[str, str, Column]]:
+        """Name, variable and values of the columns of `names`, arrays taken apart."""
+        for name in names:
+            variable = name if name in self._columns else _array_of(name)
+            if name in self._elements:
+                for element, column in self._elements[name].items():
+                    yield element, name, column
+            else:
+                yield name, variable, self[name]
 
     def _missing(self, name: object) -> str:
         nearest = difflib.get_close_matches(str(name), self._columns, n=3)
@@ -139,7 +185,7 @@ class SimulationResult(Mapping[str, FloatArray]):
         return f'"{name}" was not recorded{hint} Recorded are {shown}; simulate(output=[...]) chooses'
 
     def keys(self) -> KeysView[str]:
-        """The names of the columns, "time" first."""
+        """The names of the variables, "time" first; those of arrays without their elements."""
         return self._columns.keys()
 
     def __iter__(self) -> Iterator[str]:
@@ -156,32 +202,38 @@ class SimulationResult(Mapping[str, FloatArray]):
         )
 
     @overload
-    def final(self, name: str) -> float: ...  # type: ignore[overload-overlap]
+    def final(self, name: str) -> Any: ...
     @overload
-    def final(self, name: Sequence[str]) -> list[float]: ...
-    def final(self, name: str | Sequence[str]) -> float | list[float]:
-        """The value in the last row; a list of values for a list of names."""
+    def final(self, name: Sequence[str]) -> list[Any]: ...
+    def final(self, name: str | Sequence[str]) -> Any:
+        """The value in the last row (float, of 64-bit integers int, of texts str, of binary variables bytes, of arrays an
+        array), NaN if there is none; a list of values for a list of names."""
         if not isinstance(name, str):
             return [self.final(one) for one in name]
         column = self[name]
-        return float(column[-1]) if len(column) else float("nan")
+        if not len(column):
+            return float("nan")
+        last = column[-1]
+        return last.item() if isinstance(last, np.generic) else last
 
     def to_structured(self) -> npt.NDArray[np.void]:
-        """A structured array of shape (rows,) with a field per column, ``time`` first; Integers and Booleans have
-        their types."""
-        array = np.empty(len(self.time), dtype=[(name, self._dtypes[name]) for name in self])
+        """A structured array of shape (rows,) with a field per variable, ``time`` first; Integers and Booleans have their
+        types, texts and bytes are objects, fields of arrays have their extents."""
+        fields = [(name, _DTYPES[self._types[name]], column.shape[1:]) for name, column in self.items()]
+        array = np.empty(len(self.time), dtype=fields)
         for name, column in self.items():
             array[name] = column
         return array
 
     def to_dataframe(self) -> Any:
-        """A pandas.DataFrame with a column per variable, ``time`` first; Integers and Booleans have their types.
-        Needs pandas."""
+        """A pandas.DataFrame with a column per variable, or per element of an array, ``time`` first; Integers and Booleans
+        have their types. Needs pandas."""
         try:
             pd: Any = importlib.import_module("pandas")
         except ImportError as e:
             raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
-        return pd.DataFrame({name: column.astype(self._dtypes[name]) for name, column in self.items()})
+        columns = self._flat(self)
+        return pd.DataFrame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
 
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
         """Draws columns over time, those of one unit in one plot. Needs matplotlib.
@@ -189,29 +241,42 @@ class SimulationResult(Mapping[str, FloatArray]):
         Parameters
         ----------
         names : str or sequence of str, optional
-            The columns; default: all.
+            The columns; default: all but texts and binary variables. Of an array all elements are drawn.
 
         Returns
         -------
         matplotlib.figure.Figure
+
+        Raises
+        ------
+        KeyError
+            A name that was not recorded.
+        ValueError
+            A text or a binary variable is asked for.
         """
         from ._plot import pyplot
 
         plt = pyplot()
-        chosen = [name for name in self if name != "time"] if names is None else names
-        chosen = [chosen] if isinstance(chosen, str) else list(chosen)
-        groups: dict[str | None, list[str]] = {}
-        for name in chosen:
-            self[name]
-            groups.setdefault(self._units[name], []).append(name)
+        drawable = [name for name in self if name != "time" and _DTYPES[self._types[name]] is not np.object_]
+        chosen = drawable if names is None else [names] if isinstance(names, str) else list(names)
+        groups: dict[str | None, list[tuple[str, str, Column]]] = {}
+        for name, variable, column in self._flat(chosen):
+            if column.dtype == np.object_:
+                raise ValueError(f"{name} is of type {self._types[variable]} and cannot be drawn")
+            groups.setdefault(self._units[variable], []).append((name, variable, column))
         figure: Figure
         figure, plots = plt.subplots(max(len(groups), 1), 1, sharex=True, squeeze=False, layout="constrained")
         for axes, (unit, members) in zip(plots[:, 0], groups.items()):
-            for name in members:
-                held = self._types[name] not in ("Real", "Float32")
-                axes.plot(self.time, self[name], label=name, drawstyle="steps-post" if held else "default")
+            for name, variable, column in members:
+                held = self._types[variable] not in ("Real", "Float32")
+                axes.plot(self.time, column, label=name, drawstyle="steps-post" if held else "default")
             axes.set_ylabel(unit or "")
             axes.grid(alpha=0.3)
             axes.legend(loc="best", fontsize="small")
         plots[-1, 0].set_xlabel("time [s]")
         return figure
+
+
+def _array_of(element: str) -> str:
+    """The name of the array of an element."""
+    return element.rpartition("[")[0]

@@ -1,0 +1,44 @@
+"""Clocks of FMI 3.0 from Python: the ticks, and what the clocked parts of a model make of them."""
+
+from __future__ import annotations
+
+import fmus
+import numpy as np
+import pytest
+
+from pydfo import FMUModel
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return fmus.compiled("clocks", tmp_path_factory.mktemp("clocks") / "clocks.fmu")
+
+
+INPUT = {"time": [0.0, 0.5, 0.7, 1.0], "button": [False, True, False, True], "setpoint": [0.0, 0.0, 0.0, 1.0]}
+
+
+@pytest.mark.parametrize("kind", ["ME", "CS"])
+def test_a_sampled_controller(path, kind):
+    res = FMUModel(path, kind=kind).simulate(0, 2, ncp=20, input=INPUT, relative_tolerance=1e-10)
+    state = [1.0]
+    for k in range(20):
+        state.append(state[-1] + 0.2 * ((0.0 if k < 10 else 1.0) - state[-1]))
+    np.testing.assert_allclose(res["x"], state, atol=1e-9)
+    assert res.ticks["sample"].tolist() == [k * 0.1 for k in range(21)]
+    assert res.ticks["third"].tolist() == [k / 3 for k in range(1, 7)]
+    assert res.ticks["growing"].tolist() == [0.0625, 0.1875, 0.4375, 0.9375, 1.9375]
+    assert res.ticks["button"].tolist() == [0.5, 1.0]
+    assert res.ticks["later"].tolist() == res.ticks["alarm"].tolist() == [0.625, 1.125]
+    assert {name: res.final(f"n_{name}") for name in res.ticks} == {name: len(times) for name, times in res.ticks.items()}
+    assert res.to_structured().dtype["alarm"] == bool
+
+
+def test_without_clocks_there_are_no_ticks():
+    assert FMUModel(fmus.example_fmu("dahlquist")).simulate(0, 1).ticks == {}
+
+
+def test_fmpy_finds_the_model_valid(path):
+    pytest.importorskip("fmpy", reason="FMPy is not installed")
+    from fmpy.validation import validate_fmu
+
+    assert validate_fmu(str(path)) == []

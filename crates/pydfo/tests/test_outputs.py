@@ -1,0 +1,127 @@
+"""Outputs of every type: texts, bytes, integers of 64 bits, arrays as further axes; beside FMPy, an independent importer."""
+
+from __future__ import annotations
+
+import fmus
+import numpy as np
+import pytest
+
+from pydfo import Calibration, FMUModel, Parameter
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return fmus.compiled("arrays", tmp_path_factory.mktemp("arrays") / "arrays.fmu")
+
+
+NAMES = ["label", "sum", "count", "text", "matrix", "blob", "u64", "x", "i8", "choice", "flags", "f32"]
+
+
+@pytest.fixture(scope="module", params=["ME", "CS"])
+def result(path, request):
+    return FMUModel(path, kind=request.param).simulate(0, 1, ncp=10, output=NAMES, relative_tolerance=1e-10)
+
+
+def test_every_type_has_its_array(result):
+    assert list(result) == ["time", *NAMES]
+    rows = range(11)
+    assert list(result["label"]) == ["early" if row < 5 else "late" for row in rows]
+    assert list(result["blob"]) == [b"\x00\x01\xff"[: row % 4] for row in rows]
+    assert result["label"].dtype == result["blob"].dtype == object
+    # These integers no float64 can tell apart.
+    assert result["count"].dtype == np.int64 and list(result["count"]) == [2**53 + 1 + row for row in rows]
+    assert result["u64"].dtype == np.uint64 and set(result["u64"].tolist()) == {18000000000000000064}
+    assert result["i8"].dtype == np.float64 and set(result["i8"]) == {-8.0}
+
+
+def test_arrays_have_axes_and_elements(result):
+    assert result["x"].shape == (11, 3) and result["matrix"].shape == (11, 2, 3) and result["text"].shape == (11, 2)
+    assert np.array_equal(result["matrix"][4], [[0, 1, 2], [3, 4, 5]])
+    assert np.array_equal(result["matrix[2,1]"], result["matrix"][:, 1, 0])
+    np.testing.assert_allclose(result["x[3]"], 3 * np.exp(-result.time), rtol=1e-8)
+    assert list(result["text[2]"]) == ["two"] * 11
+    assert "x[3]" in result and "x" in result and "x[4]" not in result and 3 not in result
+    for missing in ("x[4]", "matrix[1]", "[1]", "y"):
+        with pytest.raises(KeyError, match="was not recorded"):
+            result[missing]
+
+
+def test_final_values_have_their_types(result):
+    assert result.final("label") == "late" and result.final("blob") == b"\x00\x01" and result.final("u64") == 18000000000000000064
+    assert type(result.final("count")) is int and type(result.final("sum")) is float
+    assert np.array_equal(result.final("matrix"), [[0, 1, 2], [3, 4, 5]])
+    assert result.final(["text[1]", "i8"]) == ["one", -8.0]
+
+
+def test_structured(result):
+    array = result.to_structured()
+    assert array.dtype.names == ("time", *NAMES)
+    assert array.dtype["matrix"] == np.dtype((np.int32, (2, 3))) and array.dtype["flags"] == np.dtype((np.bool_, (2,)))
+    kinds = {"count": np.int64, "u64": np.uint64, "i8": np.int8, "f32": np.float32, "label": object, "choice": np.int64}
+    assert {name: array.dtype[name] for name in kinds} == {name: np.dtype(kind) for name, kind in kinds.items()}
+    assert array["count"][-1] == 2**53 + 11 and array["label"][0] == "early" and np.array_equal(array["x"], result["x"])
+
+
+def test_dataframe(result):
+    pytest.importorskip("pandas")
+    frame = result.to_dataframe()
+    assert list(frame.columns)[:6] == ["time", "label", "sum", "count", "text[1]", "text[2]"]
+    assert "matrix[2,3]" in frame and frame["u64"].dtype == np.uint64 and frame["flags[1]"].dtype == bool
+    assert frame["count"].iloc[3] == 2**53 + 4 and frame["blob"].iloc[3] == b"\x00\x01\xff"
+
+
+def test_plot(result):
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    drawn = [line.get_label() for axes in result.plot().axes for line in axes.lines]
+    assert "x[2]" in drawn and "count" in drawn and not {"label", "blob", "text[1]"} & set(drawn)
+    assert [line.get_label() for line in result.plot("x[2]").axes[0].lines] == ["x[2]"]
+    with pytest.raises(ValueError, match="label is of type String"):
+        result.plot("label")
+    pyplot.close("all")
+
+
+def test_all_and_default(path):
+    model = FMUModel(path)
+    assert list(model.simulate(0, 1, ncp=2)) == ["time", "x", "sum", "label"]
+    everything = model.simulate(0, 1, ncp=2, output="all")
+    assert set(NAMES) < set(everything) and everything["k"].shape == (3, 3)
+
+
+def test_texts_cannot_be_fitted(tmp_path):
+    gain = '<ScalarVariable name="gain" valueReference="9" causality="parameter" variability="fixed"><Real start="1"/></ScalarVariable>'
+    path = fmus.write(tmp_path / "m.fmu", fmus.xml(fmus.KINDS + gain))
+    data = {"time": [0.0, 0.5], "y": [1.0, 2.0]}
+    with pytest.raises(ValueError, match="text cannot be an output: it is text or binary"):
+        Calibration(path, data, {"text": "y"}, [Parameter("gain", 1.0, 0.1, 10.0)])
+
+
+@pytest.mark.parametrize("kind", ["ME", "CS"])
+def test_fmpy_records_the_same(path, kind):
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    from fmpy.validation import validate_fmu
+
+    assert validate_fmu(str(path)) == []
+    # FMPy does not record texts, and arrays of the model by their whole.
+    names = ["sum", "count", "x", "matrix", "u64", "i8", "u8", "i16", "flags", "f32"]
+    theirs = fmpy.simulate_fmu(
+        str(path),
+        fmi_type={"ME": "ModelExchange", "CS": "CoSimulation"}[kind],
+        stop_time=1.0,
+        output_interval=0.125,
+        step_size=0.125,
+        relative_tolerance=1e-10,
+        output=names,
+        record_events=False,
+    )
+    ours = FMUModel(path, kind=kind).simulate(
+        0, 1, times=theirs["time"], output=names, relative_tolerance=1e-10, step_size=0.125 if kind == "CS" else None
+    )
+    structured = ours.to_structured()
+    for name in names:
+        assert structured[name].shape == theirs[name].shape and structured.dtype[name] == theirs.dtype[name], name
+        np.testing.assert_allclose(structured[name].astype(float), theirs[name].astype(float), rtol=1e-7, err_msg=name)
+    for name in ("count", "u64"):
+        assert np.array_equal(structured[name], theirs[name])
