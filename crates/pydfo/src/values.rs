@@ -22,14 +22,41 @@ pub(crate) fn to_python<'py>(py: Python<'py>, value: Value) -> PyResult<Bound<'p
     })
 }
 
-/// The value given for a variable: a Python or NumPy scalar, or one such in an array, list or tuple. An item of an
-/// enumeration may be given by its name.
+/// The value given for a variable: a Python or NumPy scalar, or one such in an array, list or tuple; for an array of the
+/// model its elements. An item of an enumeration may be given by its name.
 pub(crate) fn from_python(
     description: &ModelDescription,
     variable: &Variable,
     given: &Bound<'_, PyAny>,
 ) -> PyResult<Value> {
-    let given = &single(variable, given)?;
+    if !variable.dimensions.is_empty() {
+        return elements(description, variable, given).map(Value::Array);
+    }
+    one(description, variable, &single(variable, given)?)
+}
+
+/// The elements of an array, given as a NumPy array, a list or a tuple, the last index varying fastest; one that is given
+/// alone is an array of one.
+fn elements(
+    description: &ModelDescription,
+    variable: &Variable,
+    given: &Bound<'_, PyAny>,
+) -> PyResult<Vec<Value>> {
+    let flat = match given.hasattr("dtype")? && given.hasattr("ravel")? {
+        true => given.call_method0("ravel")?.call_method0("tolist")?,
+        false => given.clone(),
+    };
+    if !flat.is_instance_of::<PyList>() && !flat.is_instance_of::<PyTuple>() {
+        return Ok(vec![one(description, variable, &single(variable, &flat)?)?]);
+    }
+    let mut values = Vec::new();
+    for item in flat.try_iter()? {
+        values.extend(elements(description, variable, &item?)?);
+    }
+    Ok(values)
+}
+
+fn one(description: &ModelDescription, variable: &Variable, given: &Bound<'_, PyAny>) -> PyResult<Value> {
     if let Ok(flag) = given.cast::<PyBool>() {
         return Ok(Value::Boolean(flag.is_true()));
     }
@@ -45,6 +72,9 @@ pub(crate) fn from_python(
             VariableKind::Enumeration => item(description, variable, &text),
             _ => Ok(Value::String(text)),
         };
+    }
+    if let Ok(bytes) = given.cast::<PyBytes>() {
+        return Ok(Value::Binary(bytes.as_bytes().to_vec()));
     }
     if given.hasattr("__index__")? {
         return integer(description, variable, given);

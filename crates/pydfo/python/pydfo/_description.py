@@ -160,7 +160,8 @@ class Variable:
         Handle within the FMU; aliases share it.
     description : str or None
     type : {"Real", "Integer", "Boolean", "String", "Enumeration"}
-    causality : {"parameter", "calculatedParameter", "input", "output", "local", "independent"}
+        Or one of FMI 3.0: "Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Binary", "Clock".
+    causality : {"parameter", "structuralParameter", "calculatedParameter", "input", "output", "local", "independent"}
     variability : {"constant", "fixed", "tunable", "discrete", "continuous"}
     initial : {"exact", "approx", "calculated"} or None
         How the initial value comes about; None for inputs and time.
@@ -177,6 +178,10 @@ class Variable:
     reinit : bool
         A state that events may set anew.
     can_handle_multiple_set_per_time_instant : bool
+    extents : list of int
+        Of an array (FMI 3.0), with structural parameters at their start values; empty for a single value.
+    interval_variability : str or None
+        Of a clock (FMI 3.0), who knows when it ticks: "constant", "fixed", "tunable", "changing", "countdown", "triggered".
     line : int
         Line in the file, from 1.
     """
@@ -202,6 +207,8 @@ class Variable:
     derivative: str | None
     reinit: bool
     can_handle_multiple_set_per_time_instant: bool
+    extents: list[int]
+    interval_variability: str | None
     line: int
 
 

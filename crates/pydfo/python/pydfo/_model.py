@@ -161,7 +161,8 @@ class FMUModel:
         name : str or iterable of str
         value : float, int, bool or str, or a sequence of them
             A scalar for a name, as many as names for a list: all are set, or none. NumPy scalars and arrays of one element
-            are scalars, too. Items of enumerations are given as int or by their names.
+            are scalars, too. Items of enumerations are given as int or by their names, binary variables as bytes, arrays of
+            the model (for a single name) as arrays or nested lists.
 
         Raises
         ------
