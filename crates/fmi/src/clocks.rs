@@ -4,13 +4,13 @@
 //! other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never sums; fractions are
 //! multiplied out before they are divided. The rules are those of FMI 3.0.x, sections 2.2.8.3 and 2.3.5.
 
-use crate::assign::Assignments;
+use crate::assign::{Assignments, resolve};
 use crate::description::{
     Causality, ClockKind, ClockTiming, Interval, ModelDescription, Value, Variable, VariableKind,
 };
 use crate::error::FmiError;
 use crate::input::Column;
-use crate::instance::Core;
+use crate::instance::{Core, Instance, Readable};
 use crate::lanes;
 use crate::model_exchange::MAX_EVENT_ITERATIONS;
 use crate::outputs::OutputBuffers;
@@ -178,7 +178,9 @@ pub(crate) struct ClockState {
     schedules: Vec<Schedule>,
     /// Ticks of the triggered clocks that have happened.
     passed: Vec<usize>,
-    /// References of the clocks that tick at the present round.
+    /// Of the timed clocks those that tick in the present round, and the exact times.
+    ticked: Vec<(usize, f64)>,
+    /// References of the clocks that the importer activates in it.
     active: Vec<u32>,
     lanes: Vec<i64>,
     pub(crate) ticks: Vec<Tick>,
@@ -217,8 +219,8 @@ impl ClockState {
     }
 
     /// Notes and lists the clocks that are due, with the exact times of their ticks, and plans their next ones.
-    fn take_due(&mut self, plan: &ClockPlan, t: f64) -> Vec<(usize, f64)> {
-        let mut ticked = Vec::new();
+    fn take_due(&mut self, plan: &ClockPlan, t: f64) {
+        self.ticked.clear();
         self.active.clear();
         for (i, (clock, schedule)) in plan.timed.iter().zip(&mut self.schedules).enumerate() {
             let Some(time) = schedule.next.filter(|next| *next <= t + plan.same) else { continue };
@@ -226,7 +228,7 @@ impl ClockState {
                 ClockKind::Changing | ClockKind::Countdown => schedule.next = None,
                 _ => schedule.advance(),
             }
-            ticked.push((i, time));
+            self.ticked.push((i, time));
             if clock.enabled.as_ref().is_none_or(|enabled| enabled.held(t + plan.same) != 0.0) {
                 self.active.push(clock.reference);
                 self.ticks.push(Tick { time, clock: Arc::clone(&clock.name) });
@@ -240,7 +242,6 @@ impl ClockState {
                 self.ticks.push(Tick { time: clock.times[happened - 1], clock: Arc::clone(&clock.name) });
             }
         }
-        ticked
     }
 
     /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete states until they
@@ -260,7 +261,7 @@ impl ClockState {
         let first = self.ticks.len();
         let mut total = EventOutcome::default();
         for _ in 0..MAX_EVENT_ITERATIONS {
-            let ticked = self.take_due(plan, t);
+            self.take_due(plan, t);
             self.activate(plan, core, t)?;
             let outcome = core.iterate_events_watched(t, plan.same, MAX_EVENT_ITERATIONS, &mut |core| {
                 self.watch(plan, core, t)
@@ -272,7 +273,7 @@ impl ClockState {
             if outcome.terminate {
                 break;
             }
-            self.learn(plan, core, t, &ticked)?;
+            self.learn(plan, core, t)?;
             // An interval of 0: the next tick of this instant.
             if self.next(plan).is_none_or(|next| next > t + plan.same) {
                 break;
@@ -328,15 +329,9 @@ impl ClockState {
     }
 
     /// Asks for the intervals that may have changed in this visit.
-    fn learn(
-        &mut self,
-        plan: &ClockPlan,
-        core: &mut Core,
-        t: f64,
-        ticked: &[(usize, f64)],
-    ) -> Result<(), FmiError> {
+    fn learn(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
         for (i, clock) in plan.timed.iter().enumerate() {
-            let tick = ticked.iter().find(|(clock, _)| *clock == i).map(|(_, time)| *time);
+            let tick = self.ticked.iter().find(|(clock, _)| *clock == i).map(|(_, time)| *time);
             let asks = match clock.timing.kind {
                 ClockKind::Changing => tick.is_some(),
                 ClockKind::Countdown => true,
@@ -437,6 +432,25 @@ impl Timed {
                 self.name
             ),
         })
+    }
+}
+
+impl<P: Readable, K> Instance<P, K> {
+    /// What the model says about the interval before the next tick of a clock, in initialization or event mode; `None`
+    /// while a countdown does not run.
+    ///
+    /// # Errors
+    /// There is no such variable or it is no clock; the FMU cannot tell, or refuses.
+    pub fn clock_interval(&mut self, name: &str) -> Result<Option<Interval>, FmiError> {
+        let core = self.core();
+        let fmu = core.fmu().clone();
+        let variable = &fmu.description().variables[resolve(fmu.description(), name)?];
+        let Some(timing) = &variable.clock else {
+            return Err(FmiError::BadSetting { problem: format!("{name} is no clock") });
+        };
+        let (reference, fraction) = (variable.value_reference, timing.supports_fraction);
+        let answer = core.call(|raw| raw.get_interval(reference, fraction))?;
+        Ok((answer.qualifier != Qualifier::NotYetKnown).then_some(answer.interval))
     }
 }
 

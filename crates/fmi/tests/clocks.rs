@@ -176,3 +176,23 @@ fn what_cannot_be_done_is_said() {
         "{error}"
     );
 }
+
+#[test]
+fn clocks_can_be_set_by_hand() {
+    let folder = fixture("clocks", |xml| xml);
+    let fmu = folder.open();
+    let instance = fmu.instantiate().unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
+    assert_eq!(instance.clock_interval("counted").unwrap(), Some(Interval::Fraction(300, 1000)));
+    assert_eq!(instance.clock_interval("later").unwrap(), None);
+    assert!(instance.clock_interval("x").unwrap_err().to_string().contains("x is no clock"));
+    let mut instance = instance.exit_initialization().unwrap();
+    instance.set("button", true).unwrap();
+    instance.set("sample", true).unwrap();
+    instance.update_discrete_states(10).unwrap();
+    assert_eq!(instance.clock_interval("later").unwrap(), Some(Interval::Decimal(0.125)));
+    assert_eq!(instance.get("u").unwrap(), (-2.0).into());
+    assert!(instance.set("alarm", true).unwrap_err().to_string().contains("only inputs"));
+    let mut instance = instance.enter_continuous_time().unwrap();
+    assert!(instance.set("sample", true).unwrap_err().to_string().contains("only continuous inputs"));
+}

@@ -125,3 +125,27 @@ def test_fmpy_records_the_same(path, kind):
         np.testing.assert_allclose(structured[name].astype(float), theirs[name].astype(float), rtol=1e-7, err_msg=name)
     for name in ("count", "u64"):
         assert np.array_equal(structured[name], theirs[name])
+
+
+def test_arrays_texts_and_bytes_are_set(path):
+    model = FMUModel(path)
+    model.set("matrix", np.array([[6, 5, 4], [3, 2, 1]]))
+    model.set("text", ("left", "right"))
+    model.set("bytes", b"\x00\xff")
+    model.set("i64", 2**62 + 1)
+    res = model.simulate(0, 1, ncp=1, output=["matrix", "text", "bytes", "i64"], start_values={"k": [[0.5], 1.0, np.float64(2.0)]})
+    assert np.array_equal(res.final("matrix"), [[6, 5, 4], [3, 2, 1]])
+    assert list(res.final("text")) == ["left", "right"] and res.final("bytes") == b"\x00\xff" and res.final("i64") == 2**62 + 1
+    assert model.get("matrix") == [6, 5, 4, 3, 2, 1] and model.get("k") == [0.5, 1.0, 2.0]
+    for wrong in ([1, 2], 3, [[1, 2, 3], [4, 5, "x"]]):
+        with pytest.raises((TypeError, ValueError), match="matrix"):
+            model.simulate(0, 1, start_values={"matrix": wrong})
+    smaller = model.simulate(0, 1, ncp=4, output=["x"], start_values={"n": 2, "x": [1.0, 3.0], "k": [1.0, 1.0]})
+    assert smaller["x"].shape == (5, 2) and smaller.final("x[2]") == pytest.approx(3 * np.exp(-1), rel=1e-5)
+
+
+def test_the_description_has_extents_and_clocks(path, tmp_path):
+    variables = FMUModel(path).description.variables
+    assert (variables["matrix"].extents, variables["x"].extents, variables["i8"].extents) == ([2, 3], [3], [])
+    clocks = FMUModel(fmus.compiled("clocks", tmp_path / "clocks.fmu")).description.variables
+    assert clocks["later"].interval_variability == "countdown" and clocks["x"].interval_variability is None

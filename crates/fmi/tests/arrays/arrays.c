@@ -222,33 +222,3 @@ FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance i, double t, double h, bool p, bo
     *e = *term = *early = false;
     return fmi3OK;
 }
-
-/* The standard wants every function to be there. These are not called: the description offers nothing that needs them. */
-#define NOT_OFFERED(name) FMI3_EXPORT fmi3Status name(fmi3Instance i) { (void)i; return fmi3Error; }
-NOT_OFFERED(fmi3ActivateModelPartition)
-NOT_OFFERED(fmi3DeserializeFMUState)
-NOT_OFFERED(fmi3EnterStepMode)
-NOT_OFFERED(fmi3EvaluateDiscreteStates)
-NOT_OFFERED(fmi3FreeFMUState)
-NOT_OFFERED(fmi3GetAdjointDerivative)
-NOT_OFFERED(fmi3GetClock)
-NOT_OFFERED(fmi3GetDirectionalDerivative)
-NOT_OFFERED(fmi3GetFMUState)
-NOT_OFFERED(fmi3GetIntervalDecimal)
-NOT_OFFERED(fmi3GetIntervalFraction)
-NOT_OFFERED(fmi3GetNumberOfVariableDependencies)
-NOT_OFFERED(fmi3GetOutputDerivatives)
-NOT_OFFERED(fmi3GetShiftDecimal)
-NOT_OFFERED(fmi3GetShiftFraction)
-NOT_OFFERED(fmi3GetVariableDependencies)
-NOT_OFFERED(fmi3InstantiateScheduledExecution)
-NOT_OFFERED(fmi3SerializeFMUState)
-NOT_OFFERED(fmi3SerializedFMUStateSize)
-NOT_OFFERED(fmi3SetClock)
-NOT_OFFERED(fmi3SetDebugLogging)
-NOT_OFFERED(fmi3SetFMUState)
-NOT_OFFERED(fmi3SetIntervalDecimal)
-NOT_OFFERED(fmi3SetIntervalFraction)
-NOT_OFFERED(fmi3SetShiftDecimal)
-NOT_OFFERED(fmi3SetShiftFraction)
-FMI3_EXPORT const char *fmi3GetVersion(void) { return "3.0"; }

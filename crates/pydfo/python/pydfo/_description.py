@@ -159,8 +159,8 @@ class Variable:
     value_reference : int
         Handle within the FMU; aliases share it.
     description : str or None
-    type : {"Real", "Integer", "Boolean", "String", "Enumeration", "Float32", "Int8", "UInt8", ..., "UInt64", "Binary", "Clock"}
-        In the words of FMI 2.0, those of FMI 3.0 where that has no word.
+    type : {"Real", "Integer", "Boolean", "String", "Enumeration"}
+        Or one of FMI 3.0: "Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Binary", "Clock".
     causality : {"parameter", "structuralParameter", "calculatedParameter", "input", "output", "local", "independent"}
     variability : {"constant", "fixed", "tunable", "discrete", "continuous"}
     initial : {"exact", "approx", "calculated"} or None
@@ -184,6 +184,10 @@ class Variable:
     reinit : bool
         A state that events may set anew.
     can_handle_multiple_set_per_time_instant : bool
+    extents : list of int
+        Of an array (FMI 3.0), with structural parameters at their start values; empty for a single value.
+    interval_variability : str or None
+        Of a clock (FMI 3.0), who knows when it ticks: "constant", "fixed", "tunable", "changing", "countdown", "triggered".
     line : int
         Line in the file, from 1.
     """
@@ -212,6 +216,8 @@ class Variable:
     derivative: str | None
     reinit: bool
     can_handle_multiple_set_per_time_instant: bool
+    extents: list[int]
+    interval_variability: str | None
     line: int
 
 
