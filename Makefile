@@ -49,6 +49,7 @@ test-long: build  ## what takes long: many runs, memory
 
 bench: build benches/env/.venv/.done  ## side by side with the peers, in one run
 	benches/env/.venv/bin/python benches/against_fmpy.py
+	benches/env/.venv/bin/python benches/against_optimisers.py
 	cargo bench --workspace
 
 # Both want a nightly compiler; what each seed and each finding of the fuzzer showed is replayed by `make test`.
@@ -66,9 +67,13 @@ fuzz: nightly  ## fuzz archives and descriptions, FUZZ_SECONDS=600 each; wants n
 	$(call suite,fuzz archive_entries,ASAN_OPTIONS=quarantine_size_mb=16 cargo +nightly fuzz run archive_entries \
 		fuzz/corpus/archive_entries -- $(FUZZ_FLAGS))
 
-sanitize: nightly  ## the importer's tests under AddressSanitizer and LeakSanitizer; wants nightly Rust
+sanitize: nightly  ## the importer's tests under AddressSanitizer, LeakSanitizer, valgrind; wants nightly Rust
 	$(call suite,sanitize,RUSTFLAGS=-Zsanitizer=address ASAN_OPTIONS=detect_leaks=1 \
+		LSAN_OPTIONS=suppressions=$(CURDIR)/tools/sanitize.supp:print_suppressions=0 \
 		cargo +nightly test --quiet -p fmufit-fmi --tests --target $(HOST) --target-dir target/sanitize)
+	@command -v valgrind >/dev/null || { echo "valgrind is needed: it also sees what C does to our buffers"; exit 1; }
+	$(call suite,valgrind,CARGO_TARGET_$(subst -,_,$(shell echo $(HOST) | tr a-z A-Z))_RUNNER="valgrind -q --error-exitcode=9" \
+		cargo test --quiet -p fmufit-fmi --tests)
 
 nightly:
 	@rustc +nightly --version >/dev/null 2>&1 || { echo "a nightly compiler is needed: rustup toolchain install nightly"; exit 1; }

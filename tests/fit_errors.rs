@@ -96,5 +96,5 @@ fn a_time_limit_that_is_too_short_says_nothing_about_the_model() {
     assert!(calibration(Some(std::time::Duration::ZERO)).cost(&[1.0]).is_err());
     assert_eq!(fmu.reuse(), None);
     assert!(calibration(None).cost(&[1.0]).is_ok());
-    assert_eq!(fmu.reuse(), Some(fmufit::fmi::Reuse::Reset));
+    assert_eq!(fmu.reuse(), Some(fmufit::fmi::Reuse::Restore));
 }

@@ -5,9 +5,9 @@ use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
 use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
-use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
+use dfo::{Checkpoint, Evaluation, Failure, FailureKind, Objective, Outcome};
 use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Trajectory};
-use ode::ErrorKind;
+use ode::{ErrorKind, Stats};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -22,6 +22,8 @@ pub struct Calibration {
     parameters: Vec<Parameter>,
     experiments: Vec<Prepared>,
     n_residuals: usize,
+    /// What a fit is made from, by name and in words or as a hash.
+    identity: Vec<(String, String)>,
 }
 
 /// An experiment with everything looked up.
@@ -109,6 +111,7 @@ impl CalibrationBuilder {
                 return Err(CalibrationError::Parameter { name, message: "stands there twice".to_owned() });
             }
         }
+        let identity = identity(&fmu, &experiments, &parameters, &settings);
         let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
         let experiments = experiments
@@ -116,8 +119,31 @@ impl CalibrationBuilder {
             .map(|e| Prepared::new(&fmu, e, (&names, &start), &settings))
             .collect::<Result<Vec<_>, _>>()?;
         let n_residuals = experiments.iter().map(|e| e.comparison.n_residuals()).sum();
-        Ok(Calibration { fmu, parameters, experiments, n_residuals })
+        Ok(Calibration { fmu, parameters, experiments, n_residuals, identity })
     }
+}
+
+/// What tells a calibration from another, as far as its costs go.
+fn identity(
+    fmu: &Fmu,
+    experiments: &[Experiment],
+    parameters: &[Parameter],
+    settings: &SimulationSettings,
+) -> Vec<(String, String)> {
+    let names: Vec<&str> = parameters.iter().map(Parameter::name).collect();
+    let mut all = vec![
+        ("model".to_owned(), fmu.content_hash().to_owned()),
+        ("parameter names".to_owned(), names.join(", ")),
+        ("simulation settings".to_owned(), format!("{settings:?}")),
+    ];
+    for (k, Experiment { data, outputs, inputs, start_values, window, start_time }) in
+        experiments.iter().enumerate()
+    {
+        all.push((format!("data of experiment {k}"), data.hash()));
+        let rest = (outputs, inputs, start_values, window, start_time);
+        all.push((format!("experiment {k}"), format!("{rest:?}")));
+    }
+    all
 }
 
 impl Prepared {
@@ -151,6 +177,7 @@ impl Prepared {
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
             inputs: inputs(&experiment)?,
             relative_tolerance: settings.relative_tolerance,
+            kind: settings.kind,
             method: settings.method,
             step_size: settings.step_size,
             max_step: settings.max_step,
@@ -192,6 +219,11 @@ impl Calibration {
             parameters: Vec::new(),
             settings: SimulationSettings::default(),
         }
+    }
+
+    /// A checkpoint that knows what it belongs to.
+    pub(crate) fn tag(&self, checkpoint: Checkpoint) -> Checkpoint {
+        self.identity.iter().fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
     }
 
     /// The model.
@@ -314,7 +346,7 @@ impl Calibration {
     ) -> Result<f64, CalibrationError> {
         self.check_length(x)?;
         let evaluation = Evaluation::new(0, 0, f64::INFINITY).cancellable(cancel, None);
-        self.evaluate_into(x, &evaluation, out).map_err(|no_cost| {
+        self.evaluate_into(x, &evaluation, out, &mut Stats::default()).map_err(|no_cost| {
             let at = self.describe(x);
             match no_cost {
                 NoCost::Failed { reason, source, .. } => {
@@ -335,11 +367,30 @@ impl Calibration {
         pairs.join(", ")
     }
 
+    /// The outcome of an evaluation, what it took added to `stats`.
+    pub(crate) fn evaluate_counted(
+        &self,
+        x: &[f64],
+        evaluation: &Evaluation<'_>,
+        out: Option<&mut [f64]>,
+        stats: &mut Stats,
+    ) -> Outcome {
+        match self.evaluate_into(x, evaluation, out, stats) {
+            Ok(cost) => Outcome::Value(cost),
+            Err(NoCost::Above) => Outcome::Above(evaluation.cutoff),
+            Err(NoCost::Cancelled) => Outcome::cancelled(),
+            Err(NoCost::Failed { kind, reason, .. }) => Outcome::Failed(Failure { kind, message: reason }),
+        }
+    }
+
+    /// The cost, the residuals into `out`, and what the simulations took added to `stats` (those that ended in an error
+    /// left out).
     fn evaluate_into(
         &self,
         x: &[f64],
         evaluation: &Evaluation<'_>,
         mut out: Option<&mut [f64]>,
+        stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         let mut sum = 0.0;
         let mut place = 0;
@@ -350,6 +401,9 @@ impl Calibration {
             place = end;
             let mut accumulator = Accumulator::new(comparison, evaluation, sum, part);
             let ran = experiment.pool.lend().and_then(|mut simulator| simulator.run(x, &mut accumulator));
+            if let Ok(report) = &ran {
+                *stats += report.stats;
+            }
             match accumulator.stop {
                 Some(Stop::AboveCutoff) => return Err(NoCost::Above),
                 Some(Stop::Cancelled) => return Err(NoCost::Cancelled),
@@ -376,22 +430,13 @@ impl Calibration {
 
 impl Objective for Calibration {
     fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
-        outcome(self.evaluate_into(x, evaluation, None), evaluation)
+        self.evaluate_counted(x, evaluation, None, &mut Stats::default())
     }
 
     fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
         out.clear();
         out.resize(self.n_residuals, 0.0);
-        Some(outcome(self.evaluate_into(x, evaluation, Some(out)), evaluation))
-    }
-}
-
-fn outcome(cost: Result<f64, NoCost>, evaluation: &Evaluation<'_>) -> Outcome {
-    match cost {
-        Ok(cost) => Outcome::Value(cost),
-        Err(NoCost::Above) => Outcome::Above(evaluation.cutoff),
-        Err(NoCost::Cancelled) => Outcome::cancelled(),
-        Err(NoCost::Failed { kind, reason, .. }) => Outcome::Failed(Failure { kind, message: reason }),
+        Some(self.evaluate_counted(x, evaluation, Some(out), &mut Stats::default()))
     }
 }
 

@@ -1,6 +1,7 @@
 //! Measured series: CSV files and in-memory columns, irregular times, missing values.
 
 use crate::error::CalibrationError;
+use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::io::Read;
 use std::ops::Range;
@@ -156,6 +157,19 @@ impl Data {
     /// Where the table comes from, as errors name it.
     pub fn source(&self) -> &str {
         &self.source
+    }
+
+    /// A hash of the names and values: of the content, wherever it came from.
+    pub(crate) fn hash(&self) -> String {
+        let mut hasher = Sha256::new();
+        let columns = self.columns.iter().map(|c| (&c.name, &c.values));
+        for (name, values) in std::iter::once((&self.time_name, &self.time)).chain(columns) {
+            hasher.update((name.len() as u64).to_le_bytes());
+            hasher.update(name);
+            hasher.update((values.len() as u64).to_le_bytes());
+            values.iter().for_each(|v| hasher.update(v.to_bits().to_le_bytes()));
+        }
+        hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
     /// The times.

@@ -118,11 +118,13 @@ impl Experiment {
 /// How the simulations of a fit are made.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SimulationSettings {
+    /// How the model is run; default: by model exchange where it offers that, else by co-simulation.
+    pub kind: fmi::Kind,
     /// Integration method; default [`ode::Method::Auto`].
     pub method: ode::Method,
     /// Relative tolerance; default: the model's default experiment, else 1e-6.
     pub relative_tolerance: Option<f64>,
-    /// Step of a fixed-step method.
+    /// Step of a fixed-step method; the communication step of co-simulation.
     pub step_size: Option<f64>,
     /// Largest step of an adaptive method.
     pub max_step: Option<f64>,

@@ -3,10 +3,14 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
-use dfo::{ByRef, Limits, Measure, NelderMead, Progress, Report, Stop, Tolerances, Transform, WorkerPool};
+use dfo::{
+    AnyMethod, ByRef, Checkpoint, Evaluation, Limits, Measure, NelderMead, Objective, Outcome, Progress,
+    Report, Stop, Tolerances, Transform, WorkerPool,
+};
+use ode::Stats;
 use std::fmt;
 use std::ops::ControlFlow;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
 
 /// Called after each iteration; `Break` ends the fit.
@@ -15,7 +19,7 @@ pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 /// How a fit is made.
 pub struct FitOptions<'a> {
     /// The method with its options; default Nelder-Mead.
-    pub method: NelderMead,
+    pub method: AnyMethod,
     /// Simulations at once; default: all cores. The result does not depend on it.
     pub workers: Option<usize>,
     /// Where to start; default: the parameters' start values.
@@ -25,6 +29,20 @@ pub struct FitOptions<'a> {
     pub tolerances: Tolerances,
     /// Limits; default: those of [`dfo::minimize`].
     pub limits: Limits,
+    /// Seed of the random numbers, for methods that draw them; default: drawn, and reported.
+    pub seed: Option<u64>,
+    /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
+    /// work.
+    pub cutoffs: bool,
+    /// Points with their costs from an earlier fit, see [`dfo::Minimize::known`].
+    pub known: Vec<(Vec<f64>, f64)>,
+    /// How many evaluations to remember; default: the method's, see [`dfo::Minimize::cache`].
+    pub cache: Option<usize>,
+    /// Evaluations to keep in the trace; default all.
+    pub trace_limit: Option<usize>,
+    /// Where the state of the fit is written, and continued from. Model, data, parameters and settings of the
+    /// calibration identify the fit: a file of another one is refused.
+    pub checkpoint: Option<Checkpoint>,
     /// Told after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
@@ -34,11 +52,17 @@ pub struct FitOptions<'a> {
 impl Default for FitOptions<'_> {
     fn default() -> Self {
         Self {
-            method: NelderMead::default(),
+            method: NelderMead::default().into(),
             workers: None,
             start: None,
             tolerances: Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All },
             limits: Limits::default(),
+            seed: None,
+            cutoffs: true,
+            known: Vec::new(),
+            cache: None,
+            trace_limit: None,
+            checkpoint: None,
             observer: None,
             poll: None,
         }
@@ -71,17 +95,68 @@ pub struct Fit {
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
+    /// What the simulations of the fit took in all: right-hand sides, steps, events. Without those of a resumed fit from
+    /// before, and without simulations that ended in an error.
+    pub stats: Stats,
     /// How the optimiser got there: counts, reason to end, trace.
     pub report: Report,
+}
+
+/// A number as people write it: small and large ones with an exponent.
+struct Short(f64);
+
+impl fmt::Display for Short {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let size = self.0.abs();
+        if size == 0.0 || (1e-4..1e7).contains(&size) {
+            write!(f, "{}", self.0)
+        } else {
+            write!(f, "{:e}", self.0)
+        }
+    }
 }
 
 impl fmt::Display for Fit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (name, value) in self.names.iter().zip(&self.x) {
-            writeln!(f, "{name} = {value}")?;
+            writeln!(f, "{name} = {}", Short(*value))?;
         }
-        writeln!(f, "cost {}, RMS {}", self.cost, self.rms)?;
+        writeln!(f, "cost {}, RMS {}", Short(self.cost), Short(self.rms))?;
+        writeln!(f, "{} right-hand sides", self.stats.right_hand_sides)?;
         self.report.fmt(f)
+    }
+}
+
+/// The objective of one fit, which adds up what its simulations take.
+struct Counted<'a> {
+    calibration: &'a Calibration,
+    cutoffs: bool,
+    stats: Mutex<Stats>,
+}
+
+impl Counted<'_> {
+    fn add(&self, evaluate: impl FnOnce(&mut Stats) -> Outcome) -> Outcome {
+        let mut stats = Stats::default();
+        let outcome = evaluate(&mut stats);
+        // A poisoned lock is no reason to fail: the counts are whole at every instant.
+        *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
+        outcome
+    }
+}
+
+impl Objective for Counted<'_> {
+    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
+        let mut evaluation = *evaluation;
+        if !self.cutoffs {
+            evaluation.cutoff = f64::INFINITY;
+        }
+        self.add(|stats| self.calibration.evaluate_counted(x, &evaluation, None, stats))
+    }
+
+    fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
+        out.clear();
+        out.resize(self.calibration.n_residuals(), 0.0);
+        Some(self.add(|stats| self.calibration.evaluate_counted(x, evaluation, Some(out), stats)))
     }
 }
 
@@ -95,7 +170,7 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit(&self, options: FitOptions<'_>) -> Result<Fit, CalibrationError> {
-        let FitOptions { method, workers, start, tolerances, limits, observer, poll } = options;
+        let FitOptions { method, workers, start, tolerances, limits, observer, poll, .. } = options;
         let workers = workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
@@ -112,25 +187,28 @@ impl Calibration {
             self.parameters().iter().zip(&start).map(|(p, x)| self.size_of(p, *x)).collect();
         // The model's first-use test is not part of the time that the fit is given.
         self.prepare()?;
-        let mut run = dfo::minimize(ByRef(self))
+        let counted = Counted { calibration: self, cutoffs: options.cutoffs, stats: Mutex::default() };
+        let mut run = dfo::minimize(ByRef(&counted))
             .start(&start)
             .bounds(&bound(Parameter::lower), &bound(Parameter::upper))?
             .transforms(&transforms)
             .scales(&sizes)
             .tolerances(tolerances)
+            .limits(limits)
+            .known(options.known)
             .pool(Arc::new(WorkerPool::new(workers)?))
             .method(method);
-        if let Some(n) = limits.max_evaluations {
-            run = run.max_evaluations(n);
+        if let Some(seed) = options.seed {
+            run = run.seed(seed);
         }
-        if let Some(n) = limits.max_iterations {
-            run = run.max_iterations(n);
+        if let Some(evaluations) = options.cache {
+            run = run.cache(evaluations);
         }
-        if let Some(time) = limits.max_time {
-            run = run.max_time(time);
+        if let Some(evaluations) = options.trace_limit {
+            run = run.trace_limit(evaluations);
         }
-        if let Some(target) = limits.target {
-            run = run.target(target);
+        if let Some(checkpoint) = options.checkpoint {
+            run = run.checkpoint(self.tag(checkpoint));
         }
         if let Some(observer) = observer {
             run = run.observer(observer);
@@ -143,7 +221,8 @@ impl Calibration {
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let rms = (report.fun / self.n_residuals() as f64).sqrt();
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
-        Ok(Fit { x: report.x.clone(), names, cost: report.fun, rms, start_cost, report })
+        let stats = *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
+        Ok(Fit { x: report.x.clone(), names, cost: report.fun, rms, start_cost, stats, report })
     }
 
     /// Checks a start given for this fit as the parameters' own starts were checked.

@@ -9,9 +9,9 @@
 
 use crate::cache::Cache;
 use crate::error::Error;
-use crate::evaluate::Replay;
+use crate::evaluate::{Desk, Replay};
 use crate::ledger::Ledger;
-use crate::method::Setup;
+use crate::method::{Method, Setup};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -96,17 +96,17 @@ pub(crate) struct Snapshot {
 
 /// The same, lent: for writing.
 #[derive(Serialize)]
-pub(crate) struct Lent<'a> {
-    pub(crate) fingerprint: &'a [(String, String)],
-    pub(crate) method: &'a [u8],
-    pub(crate) ledger: &'a Ledger,
-    pub(crate) cache: &'a Cache,
-    pub(crate) stale: usize,
-    pub(crate) replay: &'a [Replay],
-    pub(crate) observed: Option<usize>,
-    pub(crate) first_recent: usize,
-    pub(crate) seconds: f64,
-    pub(crate) seed: Option<u64>,
+struct Lent<'a> {
+    fingerprint: &'a [(String, String)],
+    method: &'a [u8],
+    ledger: &'a Ledger,
+    cache: &'a Cache,
+    stale: usize,
+    replay: &'a [Replay],
+    observed: Option<usize>,
+    first_recent: usize,
+    seconds: f64,
+    seed: Option<u64>,
 }
 
 /// What identifies a run, in words.
@@ -144,6 +144,10 @@ fn failed(path: &Path, message: impl ToString) -> Error {
     Error::Checkpoint { path: path.display().to_string(), message: message.to_string() }
 }
 
+fn file_failed(path: &Path, e: &std::io::Error) -> Error {
+    Error::CheckpointFile { path: path.display().to_string(), kind: e.kind(), message: e.to_string() }
+}
+
 /// Reads the checkpoint that a run is to continue from, if it is to.
 pub(crate) fn read(
     options: &Checkpoint,
@@ -160,7 +164,7 @@ pub(crate) fn read(
         Err(e) if e.kind() == std::io::ErrorKind::NotFound && options.resume == Resume::Auto => {
             return Ok(None);
         }
-        Err(e) => return Err(failed(path, e)),
+        Err(e) => return Err(file_failed(path, &e)),
     };
     let Some(rest) = bytes.strip_prefix(&MARK[..]) else {
         return Err(failed(path, "this is no checkpoint, or one of another version"));
@@ -201,15 +205,27 @@ pub(crate) fn read(
 }
 
 /// Writes snapshots, not too often.
+#[derive(Debug)]
 pub(crate) struct Writer {
     options: Checkpoint,
-    pub(crate) fingerprint: Vec<(String, String)>,
+    fingerprint: Vec<(String, String)>,
     next: Instant,
 }
 
+/// A file beside the checkpoint that takes its place once it is whole.
+fn beside(path: &Path) -> Result<tempfile::NamedTempFile, Error> {
+    let folder = match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    };
+    tempfile::NamedTempFile::new_in(folder).map_err(|e| file_failed(path, &e))
+}
+
 impl Writer {
-    pub(crate) fn new(options: Checkpoint, fingerprint: Vec<(String, String)>) -> Self {
-        Self { next: Instant::now() + options.interval, options, fingerprint }
+    /// Checks that there is a place to write to, before anything is computed.
+    pub(crate) fn new(options: Checkpoint, fingerprint: Vec<(String, String)>) -> Result<Self, Error> {
+        beside(&options.path)?;
+        Ok(Self { next: Instant::now() + options.interval, options, fingerprint })
     }
 
     /// Whether it is time for another.
@@ -217,22 +233,39 @@ impl Writer {
         Instant::now() >= self.next
     }
 
-    /// Writes a whole file and puts it in the place of the old one.
-    pub(crate) fn write(&mut self, snapshot: &Lent<'_>) -> Result<(), Error> {
+    /// Writes a whole file and puts it in the place of the old one. `replay`: what is known of the batch that the
+    /// method waits for; `observed`: the iteration that the observer saw last, and where the trace stood then.
+    pub(crate) fn write<M: Method + ?Sized>(
+        &mut self,
+        method: &M,
+        desk: &Desk,
+        replay: &[Replay],
+        (observed, first_recent): (Option<usize>, usize),
+        seconds: f64,
+    ) -> Result<(), Error> {
         let path = &self.options.path;
-        let begin = Instant::now();
-        let payload = postcard::to_allocvec(snapshot).map_err(|e| failed(path, e))?;
-        let folder = match path.parent() {
-            Some(folder) if folder != Path::new("") => folder,
-            _ => Path::new("."),
+        let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
+        let snapshot = Lent {
+            fingerprint: &self.fingerprint,
+            method: &state,
+            ledger: &desk.ledger,
+            cache: &desk.cache,
+            stale: desk.stale,
+            replay,
+            observed,
+            first_recent,
+            seconds,
+            seed: method.seed(),
         };
-        let mut file = tempfile::NamedTempFile::new_in(folder).map_err(|e| failed(path, e))?;
+        let begin = Instant::now();
+        let payload = postcard::to_allocvec(&snapshot).map_err(|e| failed(path, e))?;
+        let mut file = beside(path)?;
         file.write_all(MARK)
             .and_then(|()| file.write_all(&crc32fast::hash(&payload).to_le_bytes()))
             .and_then(|()| file.write_all(&payload))
             .and_then(|()| file.as_file().sync_all())
-            .map_err(|e| failed(path, e))?;
-        file.persist(path).map_err(|e| failed(path, e.error))?;
+            .map_err(|e| file_failed(path, &e))?;
+        file.persist(path).map_err(|e| file_failed(path, &e.error))?;
         // A long trace takes long to write: never more than a tenth of the time.
         let now = Instant::now();
         self.next = now + self.options.interval.max(9 * (now - begin));

@@ -1,6 +1,6 @@
 //! The only loop: ask -> evaluate -> tell -> observe -> stop?
 
-use crate::checkpoint::{Lent, Writer};
+use crate::checkpoint::Writer;
 use crate::error::Error;
 use crate::evaluate::{Desk, Gateway, Replay};
 use crate::method::{Batch, Method, Status};
@@ -21,6 +21,8 @@ pub(crate) struct Drive<'a, M> {
     /// The iteration that the observer saw last, and where the trace stood then.
     pub(crate) observed: Option<usize>,
     pub(crate) first_recent: usize,
+    /// Why the checkpoint could not be written.
+    pub(crate) unsaved: Option<String>,
 }
 
 impl<M: Method> Drive<'_, M> {
@@ -45,14 +47,14 @@ impl<M: Method> Drive<'_, M> {
             self.method.ask(&mut batch);
             // What needs no evaluation needs no budget.
             if let Some(termination) = self.gateway.exhausted().filter(|_| !batch.is_empty()) {
-                self.save(&[])?;
-                return Ok(Some(termination));
+                self.save(&[]);
+                return Ok(Some(self.unless_unsaved(termination)));
             }
             let stopped = if batch.is_empty() { None } else { self.gateway.evaluate(&batch) };
             if stopped.is_some() && self.writer.is_some() {
                 // The state before this batch, and what is known of the batch.
                 let known = self.gateway.known(&batch);
-                self.save(&known)?;
+                self.save(&known);
             }
             if !batch.is_empty() {
                 self.gateway.close(&batch);
@@ -67,10 +69,14 @@ impl<M: Method> Drive<'_, M> {
             self.gateway.desk.ledger.trim(false);
             let end = end(&self.method, &self.gateway.desk, &self.limits, stopped.as_ref(), broken);
             if stopped.is_none() && (end.is_some() || self.writer.as_ref().is_some_and(Writer::is_due)) {
-                self.save(&[])?;
+                self.save(&[]);
             }
-            if let Some(end) = end {
-                return Ok(end);
+            match end {
+                Some(end) => return Ok(end.map(|termination| self.unless_unsaved(termination))),
+                None if self.unsaved.is_some() => {
+                    return Ok(Some(self.unless_unsaved(Termination::StoppedByObserver)));
+                }
+                None => {}
             }
         }
     }
@@ -103,31 +109,28 @@ impl<M: Method> Drive<'_, M> {
         observer(&progress).is_break()
     }
 
-    fn save(&mut self, replay: &[Replay]) -> Result<(), Error> {
-        let Some(writer) = &mut self.writer else { return Ok(()) };
-        let message = "this method cannot be continued";
-        let method = self.method.save().ok_or_else(|| Error::State { message: message.to_owned() })?;
-        let fingerprint = std::mem::take(&mut writer.fingerprint);
-        let desk = &self.gateway.desk;
-        let written = writer.write(&Lent {
-            fingerprint: &fingerprint,
-            method: &method,
-            ledger: &desk.ledger,
-            cache: &desk.cache,
-            stale: desk.stale,
-            replay,
-            observed: self.observed,
-            first_recent: self.first_recent,
-            seconds: self.gateway.elapsed(),
-            seed: self.method.seed(),
-        });
-        writer.fingerprint = fingerprint;
-        written
+    /// A file that cannot be written ends the run, but not without its result.
+    fn save(&mut self, replay: &[Replay]) {
+        let seconds = self.gateway.elapsed();
+        let Some(writer) = &mut self.writer else { return };
+        let observed = (self.observed, self.first_recent);
+        if let Err(e) = writer.write(&self.method, &self.gateway.desk, replay, observed, seconds) {
+            self.unsaved.get_or_insert(e.to_string());
+        }
+    }
+
+    /// What ends the run: an interrupt or an abort, else a checkpoint that could not be written, else this.
+    fn unless_unsaved(&mut self, termination: Termination) -> Termination {
+        match (termination, self.unsaved.take()) {
+            (hard @ (Termination::Aborted(_) | Termination::Interrupted), _) => hard,
+            (_, Some(message)) => Termination::NotSaved(message),
+            (termination, None) => termination,
+        }
     }
 }
 
 /// Limits that hold between two batches, besides those of the gateway.
-fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limits) -> Option<Termination> {
+pub(crate) fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limits) -> Option<Termination> {
     if desk.target_reached(limits) {
         return Some(Termination::Target);
     }

@@ -179,7 +179,17 @@ pub enum Error {
         /// Free parameters.
         n: usize,
     },
-    /// A checkpoint cannot be read or written.
+    /// The file of a checkpoint cannot be read or written.
+    #[error("checkpoint {path}: {message}")]
+    CheckpointFile {
+        /// The file.
+        path: String,
+        /// What kind of error it was; `NotFound` if a checkpoint was required and there is none.
+        kind: std::io::ErrorKind,
+        /// What the system said.
+        message: String,
+    },
+    /// A file is no checkpoint that can be used.
     #[error("checkpoint {path}: {message}")]
     Checkpoint {
         /// The file.

@@ -158,6 +158,9 @@ pub(crate) fn execute(
     outcomes: &mut [Outcome],
     seconds: &mut [f64],
 ) -> Option<Halt> {
+    if let Some(halt) = outside.check() {
+        return Some(halt);
+    }
     match executor {
         Executor::Serial(objective) => serial(*objective, batch, len, outside, outcomes, seconds),
         Executor::Pool(pool, objective) => pooled(pool, *objective, batch, len, outside, outcomes, seconds),
@@ -174,7 +177,9 @@ fn serial(
     seconds: &mut [f64],
 ) -> Option<Halt> {
     for k in 0..len {
-        if let Some(halt) = outside.check() {
+        if k > 0
+            && let Some(halt) = outside.check()
+        {
             return Some(halt);
         }
         (outcomes[k], seconds[k]) = call(objective, batch, k, outside.cancel, outside.deadline);
@@ -209,9 +214,6 @@ fn pooled(
     outcomes: &mut [Outcome],
     seconds: &mut [f64],
 ) -> Option<Halt> {
-    if let Some(halt) = outside.check() {
-        return Some(halt);
-    }
     if pool.pool.current_thread_index().is_some() {
         // An objective that itself minimises on the pool it runs on: waiting for its own threads would be for ever.
         return serial(objective, batch, len, outside, outcomes, seconds);
@@ -275,9 +277,6 @@ fn foreign(
     outcomes: &mut [Outcome],
     seconds: &mut [f64],
 ) -> Option<Halt> {
-    if let Some(halt) = outside.check() {
-        return Some(halt);
-    }
     let view = BatchView { batch, len, cancel: outside.cancel, deadline: outside.deadline };
     let start = Instant::now();
     let answer = catch_unwind(AssertUnwindSafe(|| function(&view)));

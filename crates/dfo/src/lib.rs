@@ -42,11 +42,13 @@ mod bounds;
 mod cache;
 mod checkpoint;
 mod cost;
+mod description;
 mod differential_evolution;
 mod drive;
 mod error;
 mod evaluate;
 mod executor;
+mod generations;
 mod genetic;
 mod ledger;
 mod method;
@@ -75,7 +77,7 @@ pub use error::{Error, NothingFound};
 pub use executor::{BatchView, WorkerPool};
 pub use genetic::{Genetic, GeneticState, Selection};
 pub use method::{Batch, Method, MethodOptions, Operation, Setup, Simplex, SimplexView, Status};
-pub use minimize::{Minimize, minimize, minimize_batches};
+pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
 pub use objective::{
     ByRef, Evaluation, Failure, FailureKind, Fallible, Objective, Outcome, ResidualFunction, Residuals,

@@ -1,15 +1,14 @@
 //! Ask / tell by ids: points are handed out one by one or many at once, and answered in any order.
 
 use crate::any_method::BoxedMethod;
-use crate::cache::Cache;
-use crate::drive::end;
+use crate::checkpoint::Writer;
+use crate::description::Begun;
+use crate::drive::{end, reached};
 use crate::error::Error;
 use crate::evaluate::Desk;
-use crate::ledger::Ledger;
-use crate::method::{Batch, Method, MethodOptions, Setup, Status};
+use crate::method::{Batch, Method, Status};
 use crate::objective::{Evaluation, Outcome};
 use crate::report::{self, Report};
-use crate::scaling::Kind;
 use crate::termination::{Limits, Termination};
 use crate::trace::Trace;
 use std::time::Instant;
@@ -49,23 +48,8 @@ enum Answer {
 /// answers.
 ///
 /// Methods work in rounds, so [`ask`](Self::ask) has nothing to give while the last answers of a round are missing.
-///
-/// ```
-/// use dfo::{Bounds, Genetic, Limits, Optimizer, Outcome, Setup, Space};
-///
-/// let space = Space::new(&[0.5, 0.5], Bounds::new(&[0.0; 2], &[1.0; 2])?, &[], &[])?;
-/// let setup = Setup { seed: Some(1), ..Setup::new(space) };
-/// let limits = Limits { max_evaluations: Some(300), ..Limits::default() };
-/// let mut optimizer = Optimizer::new(&Genetic::default(), setup, limits)?;
-/// while optimizer.termination().is_none() {
-///     // In any order, in any pieces.
-///     for point in optimizer.ask(7).into_iter().rev() {
-///         optimizer.tell(point.id, Outcome::Value((point.x[0] - point.x[1]).powi(2)))?;
-///     }
-/// }
-/// assert!(optimizer.report()?.fun < 1e-3);
-/// # Ok::<(), dfo::Error>(())
-/// ```
+/// Made by [`by_hand`](crate::by_hand), which has an example. With a checkpoint the state is written when a round is
+/// complete (not too often), at the end, and by [`save`](Self::save).
 #[derive(Debug)]
 pub struct Optimizer {
     method: BoxedMethod,
@@ -77,30 +61,26 @@ pub struct Optimizer {
     seconds: Vec<f64>,
     handed: Vec<Instant>,
     start: Instant,
+    workers: usize,
+    writer: Option<Writer>,
+    /// Seconds of the run before it was resumed.
+    before: f64,
+    /// Whether the checkpoint holds the end of the run.
+    written: bool,
     /// `Some(None)`: the method had nothing to start from.
     ended: Option<Option<Termination>>,
 }
 
 impl Optimizer {
-    /// Starts a method. Without any limit of evaluations, iterations and time the method's defaults hold; a limit of
-    /// time counts from here and is looked at when a batch is complete or asked for.
-    ///
-    /// # Errors
-    /// Options that cannot be used.
-    pub fn new<M>(options: &M, mut setup: Setup, mut limits: Limits) -> Result<Self, Error>
-    where
-        M: MethodOptions,
-        M::Method: Send + 'static,
-    {
-        limits.check()?;
-        limits.fill(options.default_limits(setup.space.n_free()));
-        setup.max_evaluations = limits.max_evaluations;
-        let n = setup.space.n();
-        let discrete = (0..setup.space.n_free()).any(|k| setup.space.kind(k) != Kind::Continuous);
-        let capacity = options.default_cache().max(if discrete { 10_000 } else { 0 });
+    /// A limit of time counts from here and is looked at when a batch is complete or asked for.
+    pub(crate) fn start<T: Method + Send + 'static>(begun: Begun<T>) -> Result<Self, Error> {
+        let Begun { method, desk, limits, workers, writer, observed, before, .. } = begun;
+        let method = BoxedMethod::new(method);
+        // A run that was resumed may be over already.
+        let ended = observed.and_then(|_| reached(&method, &desk, &limits)).map(Some);
         let mut optimizer = Self {
-            method: BoxedMethod::new(options.begin(&setup)?),
-            desk: Desk::new(Ledger::new(n, None), Cache::new(capacity)),
+            method,
+            desk,
             limits,
             batch: Batch::new(),
             answers: Vec::new(),
@@ -108,10 +88,33 @@ impl Optimizer {
             seconds: Vec::new(),
             handed: Vec::new(),
             start: Instant::now(),
-            ended: None,
+            workers,
+            writer,
+            before,
+            written: false,
+            ended,
         };
         optimizer.advance()?;
         Ok(optimizer)
+    }
+
+    fn elapsed(&self) -> f64 {
+        self.before + self.start.elapsed().as_secs_f64()
+    }
+
+    /// Writes the checkpoint, if there is one, with the answers of the round that is under way.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&mut self) -> Result<(), Error> {
+        let replay = match self.ended {
+            None => self.desk.known(&self.batch, &self.outcomes, &self.seconds),
+            Some(_) => self.desk.replay.clone(),
+        };
+        let seconds = self.elapsed();
+        let Some(writer) = &mut self.writer else { return Ok(()) };
+        let observed = self.method.operation().map(|_| self.method.n_iterations());
+        writer.write(&self.method, &self.desk, &replay, (observed, self.desk.ledger.trace.end()), seconds)
     }
 
     /// Points to evaluate, at most so many; none while the answers to all points of a round are awaited, and none after
@@ -137,7 +140,8 @@ impl Optimizer {
     /// again. [`Outcome::Abort`] ends the run.
     ///
     /// # Errors
-    /// An id that was not handed out, or was answered already.
+    /// An id that was not handed out, or was answered already; a checkpoint that cannot be written (the answer counts
+    /// all the same).
     pub fn tell(&mut self, id: u64, outcome: Outcome) -> Result<(), Error> {
         let work = &self.desk.work;
         let place = (0..work.len()).find(|&k| work.id(k) == id && self.answers[k] == Answer::Out);
@@ -160,19 +164,29 @@ impl Optimizer {
         self.seconds[k] = self.handed[k].elapsed().as_secs_f64();
         if abort.is_some() || self.answers.iter().all(|a| *a == Answer::In) {
             let truncated = self.desk.is_truncated().then_some(Termination::MaxEvaluations);
-            self.complete(abort.or(truncated))?;
-            self.advance()?;
+            let completed = self.complete(abort.or(truncated));
+            return completed.and(self.advance());
         }
         Ok(())
     }
 
     /// Enters the batch as far as it is known and tells the method.
     fn complete(&mut self, stopped: Option<Termination>) -> Result<(), Error> {
+        // The state before this batch, and what is known of the batch. A file that cannot be written costs no answer.
+        let saved = if stopped.is_some() { self.save() } else { Ok(()) };
         self.desk.close(&self.batch, &self.outcomes, &self.seconds);
         self.method.tell(self.desk.outcomes())?;
         self.desk.ledger.settle(self.method.used());
+        self.desk.ledger.trim(false);
         self.ended = end(&self.method, &self.desk, &self.limits, stopped.as_ref(), false);
-        Ok(())
+        self.written = stopped.is_some();
+        saved
+    }
+
+    /// Writes the checkpoint where a round has ended, if it is time to.
+    fn save_now_and_then(&mut self) -> Result<(), Error> {
+        let due = self.ended.is_some() || self.writer.as_ref().is_some_and(Writer::is_due);
+        if due && !std::mem::replace(&mut self.written, self.ended.is_some()) { self.save() } else { Ok(()) }
     }
 
     /// Goes on to the next batch with something to evaluate.
@@ -188,8 +202,9 @@ impl Optimizer {
                 continue;
             }
             let spent = self.limits.max_evaluations.is_some_and(|m| self.desk.ledger.n_evaluations >= m);
-            let late = self.limits.max_time.is_some_and(|t| self.start.elapsed() >= t);
-            if spent || late {
+            let late = self.limits.max_time.is_some_and(|t| self.elapsed() >= t.as_secs_f64());
+            // Evaluations that are at hand from before were paid for already.
+            if (spent || late) && self.desk.replay.is_empty() {
                 let why = if spent { Termination::MaxEvaluations } else { Termination::MaxTime };
                 self.ended = Some(Some(why));
                 break;
@@ -210,20 +225,22 @@ impl Optimizer {
             let truncated = self.desk.is_truncated().then_some(Termination::MaxEvaluations);
             self.complete(truncated)?;
         }
-        Ok(())
+        self.save_now_and_then()
     }
 
     /// Ends the run: [`termination`](Self::termination) is [`Termination::Interrupted`] then, if it was not over
     /// already. What was told of an incomplete round is entered.
     ///
     /// # Errors
-    /// None that a method of this crate gives.
+    /// The checkpoint cannot be written.
     pub fn stop(&mut self) -> Result<(), Error> {
         if self.ended.is_some() {
             return Ok(());
         }
         if self.answers.contains(&Answer::In) {
             self.complete(Some(Termination::Interrupted))?;
+        } else {
+            self.save()?;
         }
         self.ended = Some(Some(Termination::Interrupted));
         Ok(())
@@ -261,8 +278,7 @@ impl Optimizer {
     /// There is no point with a finite cost.
     pub fn report(&self) -> Result<Report, Error> {
         let termination = self.ended.clone().unwrap_or(Some(Termination::Interrupted));
-        let seconds = self.start.elapsed().as_secs_f64();
         let mut ledger = self.desk.ledger.clone();
-        report::conclude(&self.method, &mut ledger, &self.limits, 1, termination, seconds)
+        report::conclude(&self.method, &mut ledger, &self.limits, self.workers, termination, self.elapsed())
     }
 }

@@ -152,5 +152,6 @@ fn message<M: Method + ?Sized>(
         Termination::StoppedByObserver => with_tests("stopped by the observer".to_owned()),
         Termination::Interrupted => with_tests("interrupted".to_owned()),
         Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
+        Termination::NotSaved(reason) => with_tests(format!("stopped, for it cannot be saved: {reason}")),
     }
 }

@@ -32,6 +32,8 @@ pub enum Termination {
     Interrupted,
     /// The objective asked to end the run, with this message.
     Aborted(String),
+    /// The checkpoint could not be written, for this reason; the result is whole.
+    NotSaved(String),
 }
 
 impl Termination {
@@ -54,6 +56,7 @@ impl Termination {
             Self::StoppedByObserver => "stopped-by-observer",
             Self::Interrupted => "interrupted",
             Self::Aborted(_) => "aborted",
+            Self::NotSaved(_) => "not-saved",
         }
     }
 }
@@ -62,6 +65,7 @@ impl fmt::Display for Termination {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Aborted(message) => write!(f, "aborted: {message}"),
+            Self::NotSaved(message) => write!(f, "not saved: {message}"),
             other => f.write_str(other.name()),
         }
     }

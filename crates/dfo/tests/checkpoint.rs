@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{probe, timeless};
+use common::{probe, rosenbrock, timeless};
 use dfo::{
     AnyMethod, BatchPlan, Checkpoint, Error, Evaluation, Minimize, NelderMead, Outcome, Report, Resume,
     Termination, minimize, with_evaluation,
@@ -190,7 +190,7 @@ fn files_of_other_runs_are_refused_and_left_alone() {
     };
     let tagged = || at(&path).tag("model", "abc");
     let missing = run(1, 2.0, 1e-6, "ga", tagged().resume(Resume::Require));
-    assert!(matches!(missing, Err(Error::Checkpoint { .. })));
+    assert!(matches!(missing, Err(Error::CheckpointFile { .. })));
     run(1, 2.0, 1e-6, "ga", tagged()).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     for (what, refused) in [
@@ -219,7 +219,7 @@ fn files_of_other_runs_are_refused_and_left_alone() {
     let anew = run(2, 2.0, 1e-6, "ga", tagged().resume(Resume::Never)).unwrap();
     assert_eq!(anew.seed, Some(2));
     let nowhere = run(1, 2.0, 1e-6, "ga", at(&folder.0.join("no/such/folder")));
-    assert!(matches!(nowhere, Err(Error::Checkpoint { .. })));
+    assert!(matches!(nowhere, Err(Error::CheckpointFile { .. })));
 }
 
 #[test]
@@ -258,4 +258,46 @@ fn time_already_spent_counts() {
     assert_eq!((stored.termination, stored.n_evaluations), (Termination::MaxTime, first.n_evaluations));
     assert!(stored.seconds >= 0.06);
     assert!(run(140).n_evaluations > first.n_evaluations);
+}
+
+#[test]
+fn a_file_that_cannot_be_written_any_more_costs_no_result() {
+    for name in AnyMethod::NAMES {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("place");
+        std::fs::create_dir(&place).unwrap();
+        let calls = AtomicUsize::new(0);
+        let cost = |x: &[f64]| {
+            // The folder goes in the middle of the run.
+            if calls.fetch_add(1, Ordering::Relaxed) == 150 {
+                std::fs::remove_dir_all(&place).unwrap();
+            }
+            rosenbrock(x)
+        };
+        let run = |cost: &(dyn Fn(&[f64]) -> f64 + Sync)| {
+            minimize(|x: &[f64]| cost(x))
+                .start(&[-0.5, 1.0])
+                .bounds(&[-2.0; 2], &[2.0; 2])
+                .unwrap()
+                .method(name.parse::<AnyMethod>().unwrap())
+                .seed(1)
+                .x_tol(0.0)
+                .checkpoint(Checkpoint::new(place.join("run")).interval(Duration::ZERO))
+                .max_evaluations(100_000)
+                .run()
+        };
+        let report = run(&cost).unwrap();
+        assert!(matches!(&report.termination, Termination::NotSaved(why) if why.contains("run")), "{report}");
+        assert!(
+            report.message.starts_with("stopped, for it cannot be saved: checkpoint"),
+            "{}",
+            report.message
+        );
+        assert!(!report.is_success() && report.n_evaluations > 150);
+        assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
+        // Where there is no place from the start on, nothing is evaluated.
+        let before = calls.load(Ordering::Relaxed);
+        assert!(matches!(run(&cost), Err(Error::CheckpointFile { kind: std::io::ErrorKind::NotFound, .. })));
+        assert_eq!(calls.load(Ordering::Relaxed), before);
+    }
 }

@@ -5,10 +5,11 @@ mod common;
 
 use common::{cutting, probe, probe_fails, quiet_panics_on_purpose, rosenbrock, timeless};
 use dfo::{
-    AnyMethod, BatchPlan, Bounds, Error, Evaluation, Limits, Minimize, NelderMead, Optimizer, Outcome,
-    Report, Setup, Space, Termination, minimize, with_evaluation,
+    AnyMethod, BatchPlan, Bounds, ByHand, Checkpoint, Error, Evaluation, Limits, Minimize, NelderMead,
+    Outcome, Report, Resume, Setup, Space, Termination, by_hand, minimize, with_evaluation,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 /// Every method, Nelder-Mead with its widest plan as well.
 fn methods() -> Vec<AnyMethod> {
@@ -151,10 +152,9 @@ fn the_probe_with_failing_regions() {
     }
 }
 
-fn optimizer(method: &AnyMethod, limits: Limits) -> Optimizer {
-    let bounds = Bounds::new(&[-2.0; 2], &[2.0; 2]).unwrap();
-    let setup = Setup::new(Space::new(&[-0.5, 1.0], bounds, &[], &[]).unwrap());
-    Optimizer::new(method, Setup { seed: Some(11), ..setup }, limits).unwrap()
+fn optimizer(method: &AnyMethod, limits: Limits) -> Minimize<'static, AnyMethod, ByHand> {
+    let run = by_hand().start(&[-0.5, 1.0]).bounds(&[-2.0; 2], &[2.0; 2]).unwrap();
+    run.method(method.clone()).seed(11).limits(limits)
 }
 
 #[test]
@@ -163,7 +163,7 @@ fn ask_and_tell_in_any_order_is_the_driven_run() {
         let driven = boxed(minimize(probe), &method).max_evaluations(333).run().unwrap();
         for (at_most, backwards) in [(1, false), (3, true), (1000, true)] {
             let limits = Limits { max_evaluations: Some(333), ..Limits::default() };
-            let mut o = optimizer(&method, limits);
+            let mut o = optimizer(&method, limits).optimizer().unwrap();
             let mut waiting = Vec::new();
             while o.termination().is_none() {
                 let points = o.ask(at_most);
@@ -199,8 +199,49 @@ fn ask_and_tell_in_any_order_is_the_driven_run() {
 }
 
 #[test]
+fn a_run_by_hand_that_ends_anywhere_goes_on_from_its_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let limits = Limits { max_evaluations: Some(150), ..Limits::default() };
+    for (k, method) in methods().into_iter().enumerate() {
+        let whole = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100).run().unwrap();
+        let path = folder.path().join(k.to_string());
+        let mut told = 0;
+        // Left without a word after ever more answers, in the middle of rounds; the file is what was saved by hand.
+        for leave in 1.. {
+            let mut o = optimizer(&method, limits)
+                .trace_limit(100)
+                .checkpoint(Checkpoint::new(&path).interval(Duration::from_secs(3600)))
+                .optimizer()
+                .unwrap();
+            let mut left = 3 * leave;
+            'run: while o.termination().is_none() {
+                for point in o.ask(4).into_iter().rev() {
+                    if left == 0 {
+                        break 'run;
+                    }
+                    o.tell(point.id, Outcome::Value(probe(&point.x))).unwrap();
+                    (left, told) = (left - 1, told + 1);
+                }
+            }
+            o.save().unwrap();
+            if o.termination().is_some() {
+                let report = o.report().unwrap();
+                assert_eq!(timeless(&report.trace), timeless(&whole.trace), "{method:?}");
+                assert_eq!((&report.x, report.fun, &report.message), (&whole.x, whole.fun, &whole.message));
+                assert_eq!((report.trace.len(), report.n_evaluations), (whole.trace.len(), told));
+                break;
+            }
+        }
+        // The driven run takes the same file: it is over.
+        let again = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100);
+        let again = again.checkpoint(Checkpoint::new(&path).resume(Resume::Require)).run().unwrap();
+        assert_eq!((again.x, again.n_evaluations, again.message), (whole.x, told, whole.message));
+    }
+}
+
+#[test]
 fn ids_are_checked_and_runs_can_be_stopped() {
-    let mut o = optimizer(&"de".parse().unwrap(), Limits::default());
+    let mut o = optimizer(&"de".parse().unwrap(), Limits::default()).optimizer().unwrap();
     assert_eq!(o.tell(0, Outcome::Value(1.0)), Err(Error::UnknownPoint { id: 0 }));
     let points = o.ask(10);
     assert_eq!((points.len(), o.n_pending()), (10, 10));
@@ -211,7 +252,7 @@ fn ids_are_checked_and_runs_can_be_stopped() {
     assert_eq!(o.termination(), Some(Termination::Interrupted));
     assert_eq!((o.report().unwrap().fun, o.report().unwrap().n_evaluations), (1.0, 1));
     assert!(o.ask(1).is_empty());
-    let mut o = optimizer(&"nelder-mead".parse().unwrap(), Limits::default());
+    let mut o = optimizer(&"nelder-mead".parse().unwrap(), Limits::default()).optimizer().unwrap();
     let id = o.ask(1)[0].id;
     o.tell(id, Outcome::Abort("enough".to_owned())).unwrap();
     assert_eq!(o.termination(), Some(Termination::Aborted("enough".to_owned())));

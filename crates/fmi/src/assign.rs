@@ -56,7 +56,7 @@ fn convert_one(variable: &Variable, value: &Value) -> Result<Value, FmiError> {
         |given| FmiError::WrongType { name: variable.name.clone(), kind, value: value.clone(), given };
     let in_range = |i: i128| match kind.range() {
         Some((least, most)) if (least..=most).contains(&i) => Ok(Value::Integer(i)),
-        _ => Err(wrong("out of range")),
+        _ => Err(out_of_range(variable, value)),
     };
     match (kind, value) {
         (VariableKind::Real | VariableKind::Float32, Value::Real(_))
@@ -71,6 +71,10 @@ fn convert_one(variable: &Variable, value: &Value) -> Result<Value, FmiError> {
         },
         _ => Err(wrong(value.kind_name())),
     }
+}
+
+fn out_of_range(variable: &Variable, value: &Value) -> FmiError {
+    FmiError::OutOfRange { name: variable.name.clone(), kind: variable.kind, value: value.clone() }
 }
 
 /// The value with its sign (a Boolean: its truth) reversed.
@@ -213,7 +217,7 @@ impl Assignments {
             }
             (VariableKind::Binary, Value::Binary(bytes)) => self.binaries.1.push(bytes.clone()),
             _ => {
-                let lane = lanes::lane(kind, value).ok_or_else(|| wrong("out of range"))?;
+                let lane = lanes::lane(kind, value).ok_or_else(|| out_of_range(variable, value))?;
                 let group = self.packed.iter_mut().find(|(known, ..)| *known == kind);
                 group.into_iter().for_each(|(_, _, lanes)| lanes.push(lane));
             }

@@ -20,6 +20,9 @@ pub struct StepOutcome {
     pub terminate: bool,
     /// The model wants its events handled here: see [`Instance::handle_events`](Instance::handle_events).
     pub event: bool,
+    /// The step was cut short by a model that cannot say whether it wishes to end the simulation (FMI 1.0): if it makes
+    /// no further step of whatever length, it does.
+    pub may_have_ended: bool,
 }
 
 /// How often a step that is computed in the background is asked for.
@@ -45,8 +48,8 @@ impl Core {
             info = StepInfo::default();
             complete = self.call(|raw| raw.step_status(&mut info))?;
         }
-        let StepInfo { reached, terminate, event, .. } = info;
-        Ok(Some(StepOutcome { complete, reached, terminate, event }))
+        let StepInfo { reached, terminate, event, may_have_ended, .. } = info;
+        Ok(Some(StepOutcome { complete, reached, terminate, event, may_have_ended }))
     }
 }
 

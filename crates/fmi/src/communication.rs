@@ -131,16 +131,16 @@ pub(crate) struct Stepping {
 
 impl Stepping {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
-        let row = || vec![0.0; plan.outputs.len()];
+        let row = || vec![0.0; plan.outputs().len()];
         Self {
             mode: Mode::Gone,
             broken: false,
             inputs: InputState::new(&plan.inputs),
-            buffers: OutputBuffers::new(&plan.outputs),
+            buffers: OutputBuffers::new(plan.outputs()),
             before: row(),
             after: row(),
             between: row(),
-            slopes: vec![0.0; plan.inputs.continuous.len()],
+            slopes: vec![0.0; plan.inputs.continuous.start.len()],
             signed: Vec::new(),
             initial: EventOutcome::default(),
             digest: None,
@@ -207,7 +207,7 @@ impl Stepping {
             return Err(self.inputs.bad_function_value(plan.start));
         }
         self.inputs.set_held(instance.core(), &plan.inputs)?;
-        instance.core().set_reals(&plan.inputs.continuous, &self.inputs.continuous)?;
+        instance.core().set_reals(&plan.inputs.continuous.references, &self.inputs.continuous)?;
         let (instance, outcome) = instance.begin_steps(plan.same)?;
         self.initial = outcome;
         self.mode = Mode::Stepping(instance);
@@ -373,13 +373,20 @@ impl Run<'_> {
 
     /// A step of which only a part was computed, or nothing.
     fn cut_short(&mut self, target: &Target, outcome: &StepOutcome, row_inside: bool) -> Step<()> {
-        let StepOutcome { reached, terminate, event, .. } = *outcome;
+        let StepOutcome { reached, terminate, event, may_have_ended, .. } = *outcome;
         let same = self.plan.same;
+        let can_retry = self.communication.variable;
         let reached = reached.map_or(self.t, |reached| reached.clamp(self.t, target.time));
-        if reached > self.t + same && (self.communication.variable || terminate) {
+        if reached > self.t + same && (can_retry || terminate || may_have_ended) {
             // The model stands there and goes on from there.
+            self.discards = 0;
             let regular = target.regular && reached >= target.time - same;
-            return self.arrive(reached, regular, row_inside, event && !terminate);
+            self.arrive(reached, regular, row_inside, event && !terminate)?;
+            return if can_retry || terminate {
+                Ok(())
+            } else {
+                Err(Exit::Normal(Termination::StoppedByModel))
+            };
         }
         if terminate {
             return Ok(());
@@ -395,7 +402,10 @@ impl Run<'_> {
         }
         self.stats.rejected_steps += 1;
         self.discards += 1;
-        if !self.communication.variable || self.discards > MAX_DISCARDS {
+        if !can_retry || self.discards > MAX_DISCARDS {
+            if may_have_ended && self.stats.accepted_steps > 0 {
+                return Err(Exit::Normal(Termination::StoppedByModel));
+            }
             let core = self.stepping.core()?;
             let fault = core.raw.step_refused();
             return Err(core.error(fault).into());
@@ -501,7 +511,7 @@ impl Run<'_> {
 
     fn set_input_derivatives(&mut self, target: &Target) -> Step<()> {
         let inputs = &self.plan.inputs;
-        if !self.communication.input_derivatives || inputs.continuous.is_empty() {
+        if !self.communication.input_derivatives || inputs.continuous.references.is_empty() {
             return Ok(());
         }
         let Stepping { inputs: state, slopes, .. } = &mut *self.stepping;
@@ -513,10 +523,9 @@ impl Run<'_> {
             *slope = (end - *slope) / target.step;
         }
         let slopes = std::mem::take(&mut self.stepping.slopes);
-        let set = self
-            .stepping
-            .core()
-            .and_then(|core| core.call(|raw| raw.set_input_derivatives(&inputs.continuous, &slopes)));
+        let set = self.stepping.core().and_then(|core| {
+            core.call(|raw| raw.set_input_derivatives(&inputs.continuous.references, &slopes))
+        });
         self.stepping.slopes = slopes;
         match set {
             // Offered, but not there: then inputs are held, as for everybody else.
@@ -543,12 +552,12 @@ impl Run<'_> {
             state: false,
         };
         if cause == EventCause::default() {
-            core.set_reals(&plan.continuous, &inputs.continuous)?;
+            core.set_reals(&plan.continuous.references, &inputs.continuous)?;
             return Ok(false);
         }
         core.call(RawInstance::enter_event_mode)?;
         inputs.set_held(core, plan)?;
-        core.set_reals(&plan.continuous, &inputs.continuous)?;
+        core.set_reals(&plan.continuous.references, &inputs.continuous)?;
         let outcome = core.settle(self.t, same)?;
         self.next_event = outcome.next_time.filter(|next| *next > self.t + same);
         self.stats.events += 1;
@@ -572,7 +581,7 @@ impl Run<'_> {
             return Err(inputs.bad_function_value(self.t).into());
         }
         inputs.set_held(instance.core(), plan)?;
-        instance.core().set_reals(&plan.continuous, &inputs.continuous)?;
+        instance.core().set_reals(&plan.continuous.references, &inputs.continuous)?;
         Ok(false)
     }
 
@@ -581,7 +590,7 @@ impl Run<'_> {
         let time = self.t;
         let Stepping { mode, buffers, before, after, .. } = &mut *self.stepping;
         let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
-        let outputs = &self.plan.outputs;
+        let outputs = self.plan.outputs();
         instance.core().call(|raw| buffers.read(outputs, raw))?;
         let row = match place {
             Place::Before => before,
@@ -607,8 +616,8 @@ impl Run<'_> {
             let theta = (time - self.t) / (end - self.t);
             let Stepping { before, after, between, .. } = &mut *self.stepping;
             for (i, value) in between.iter_mut().enumerate() {
-                let is_time = self.plan.outputs.is_time(i);
-                *value = match (is_time, self.plan.outputs.is_continuous(i)) {
+                let is_time = self.plan.outputs().is_time(i);
+                *value = match (is_time, self.plan.outputs().is_continuous(i)) {
                     (true, _) => time,
                     (_, true) => before[i] + theta * (after[i] - before[i]),
                     (_, false) => before[i],

@@ -255,6 +255,16 @@ pub enum FmiError {
         /// Type of the value.
         given: &'static str,
     },
+    /// A number that the type of the variable has no room for.
+    #[error("{name} is of type {kind} ({} bits, from {} to {}), {value} does not fit", bits(*kind), range(*kind).0, range(*kind).1)]
+    OutOfRange {
+        /// The variable.
+        name: String,
+        /// Its type.
+        kind: VariableKind,
+        /// The value.
+        value: Value,
+    },
     /// A variable that cannot be set, or not now.
     #[error("{name} cannot be set: {reason}")]
     NotSettable {
@@ -370,8 +380,8 @@ pub enum EntryProblem {
     /// A compression method other than stored and deflate.
     #[error("is compressed with method {0}; FMUs use 0 (stored) and 8 (deflate)")]
     Compression(u16),
-    /// Two entries of the same name.
-    #[error("occurs twice")]
+    /// Two entries of the same name with different contents.
+    #[error("occurs twice, with different contents")]
     Duplicate,
     /// Two entries whose names differ in case only.
     #[error("differs from \"{0}\" in upper and lower case only")]
@@ -421,6 +431,17 @@ pub enum EntryProblem {
     /// The compressed data are damaged (bad stream, wrong checksum, truncated).
     #[error("is damaged: {0}")]
     Damaged(String),
+}
+
+/// Smallest and largest value of a type of integers.
+fn range(kind: VariableKind) -> (i128, i128) {
+    kind.range().unwrap_or_default()
+}
+
+/// Width of a type of integers.
+fn bits(kind: VariableKind) -> u32 {
+    let (least, most) = range(kind);
+    i128::BITS - (most - least).leading_zeros()
 }
 
 impl FmiError {

@@ -2,7 +2,7 @@
 
 use crate::archive::Archive;
 use crate::copies::{CopyStore, PrivateCopy};
-use crate::description::{Interface, ModelDescription, Variable, VariableKind};
+use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Instance, Instantiated};
 use crate::open_options::OpenOptions;
@@ -140,7 +140,16 @@ impl Fmu {
     pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let path = path.as_ref();
         let archive = Archive::open_with(path, &options.limits)?;
-        let description = ModelDescription::read(&archive)?;
+        let mut description = ModelDescription::read(&archive)?;
+        if let [first, others @ ..] = archive.repeated() {
+            let more = match others.len() {
+                0 => String::new(),
+                n => format!(" and {n} more"),
+            };
+            let message =
+                format!("the archive holds \"{first}\"{more} more than once, with the same content");
+            description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
+        }
         Ok(Fmu {
             inner: Arc::new(Inner {
                 model_exchange: Side::default(),
@@ -292,6 +301,15 @@ impl Fmu {
     /// [`FmiError::UnsupportedVersion`], [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
     pub fn check_runnable(&self) -> Result<&Interface, FmiError> {
         self.check_interface(self.choose(Kind::Auto)?)
+    }
+
+    /// As [`check_runnable`](Self::check_runnable), for one way of running it.
+    ///
+    /// # Errors
+    /// As [`check_runnable`](Self::check_runnable).
+    pub fn check_runnable_as(&self, kind: Kind) -> Result<InterfaceKind, FmiError> {
+        let kind = self.choose(kind)?;
+        self.check_interface(kind).map(|_| kind)
     }
 
     /// The interface that a simulation would use.

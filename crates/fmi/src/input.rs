@@ -1,10 +1,10 @@
 //! Time-varying inputs: tables and functions; linear between rows for continuous reals, held for everything else.
 
-use crate::assign::resolve;
-use crate::description::{Causality, ModelDescription, Variability, Variable, VariableKind};
+use crate::description::{Causality, Value, Variability, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::Core;
 use crate::lanes;
+use crate::places::{Place, Slots, Starts};
 use ode::InputStop;
 use std::fmt;
 use std::sync::Arc;
@@ -108,6 +108,13 @@ struct Column {
     values: Arc<[f64]>,
 }
 
+/// A linear column or a function and where its value goes.
+#[derive(Clone)]
+enum Continuous {
+    Linear(Column),
+    Function(InputFunction),
+}
+
 /// A held column and where its value goes.
 #[derive(Debug, Clone)]
 struct Held {
@@ -125,27 +132,25 @@ enum Target {
 /// The inputs of one simulation, resolved and checked.
 #[derive(Clone, Default)]
 pub(crate) struct InputPlan {
-    linear: Vec<Column>,
-    functions: Vec<InputFunction>,
-    /// Of the linear columns, then of the functions.
-    pub(crate) continuous: Vec<u32>,
+    sources: Vec<(Continuous, usize)>,
+    pub(crate) continuous: Slots<f64>,
     held: Vec<Held>,
-    pub(crate) held_reals: Vec<u32>,
-    pub(crate) held_packed: Vec<(VariableKind, Vec<u32>)>,
+    pub(crate) held_reals: Slots<f64>,
+    pub(crate) held_packed: Vec<(VariableKind, Slots<i64>)>,
     /// Instants of jumps, ascending.
     jumps: Vec<f64>,
     /// Jumps and kinks, ascending.
     stops: Vec<InputStop>,
     /// Times closer than this are one.
     same: f64,
-    /// Positions of the variables that are driven.
-    pub(crate) driven: Vec<usize>,
+    /// What is driven.
+    pub(crate) driven: Vec<Place>,
 }
 
 impl fmt::Debug for InputPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("InputPlan")
-            .field("continuous", &self.continuous)
+            .field("continuous", &self.continuous.references)
             .field("held", &self.held.len())
             .field("stops", &self.stops.len())
             .finish_non_exhaustive()
@@ -157,39 +162,37 @@ impl InputPlan {
     ///
     /// # Errors
     /// Unknown names, variables that are not inputs, tables whose rows cannot be used.
-    pub(crate) fn new(description: &ModelDescription, inputs: &Inputs, same: f64) -> Result<Self, FmiError> {
+    pub(crate) fn new(starts: &Starts<'_>, inputs: &Inputs, same: f64) -> Result<Self, FmiError> {
+        let description = starts.description;
         let mut plan = Self { same, ..Self::default() };
-        let mut function_references = Vec::new();
         let mut stops = Vec::new();
         for source in &inputs.sources {
             let (Source::Column { name, .. } | Source::Function { name, .. }) = source;
-            let index = resolve(description, name)?;
-            let variable = &description.variables[index];
+            let place = Place::of_name(description, starts.structure, name)?;
+            let variable = &description.variables[place.variable];
             if variable.causality != Causality::Input {
                 return Err(bad(
                     variable,
                     format!("it is not an input but a variable of causality {}", variable.causality),
                 ));
             }
-            if plan.driven.contains(&index) {
+            if plan.driven.iter().any(|driven| driven.overlaps(place)) {
                 return Err(bad(variable, "it is given twice".to_owned()));
             }
-            plan.driven.push(index);
-            if !variable.dimensions.is_empty() {
-                return Err(bad(variable, "it is an array, and arrays cannot be driven".to_owned()));
+            plan.driven.push(place);
+            if !variable.dimensions.is_empty() && place.element.is_none() {
+                let problem = format!("it is an array; drive its elements, {name}[...], counted from 1");
+                return Err(bad(variable, problem));
             }
             let is_linear =
                 variable.kind == VariableKind::Real && variable.variability == Variability::Continuous;
             let sign = if variable.negated { -1.0 } else { 1.0 };
             match source {
                 Source::Function { function, .. } if is_linear => {
-                    function_references.push(variable.value_reference);
                     let function = Arc::clone(function);
-                    plan.functions.push(if variable.negated {
-                        Arc::new(move |t| -function(t))
-                    } else {
-                        function
-                    });
+                    let function = if variable.negated { Arc::new(move |t| -function(t)) } else { function };
+                    let at = plan.place_continuous(starts, place)?;
+                    plan.sources.push((Continuous::Function(function), at));
                 }
                 Source::Function { .. } => {
                     let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
@@ -201,28 +204,32 @@ impl InputPlan {
                     if is_linear {
                         let column = column.times(sign);
                         column.linear_stops(same, &mut stops);
-                        plan.continuous.push(variable.value_reference);
-                        plan.linear.push(column);
+                        let at = plan.place_continuous(starts, place)?;
+                        plan.sources.push((Continuous::Linear(column), at));
                     } else {
                         column.held_stops(&mut stops);
-                        plan.hold(variable, column)?;
+                        plan.hold(starts, place, column)?;
                     }
                 }
             }
         }
-        plan.continuous.append(&mut function_references);
         plan.take_stops(stops);
         Ok(plan)
     }
 
-    fn hold(&mut self, variable: &Variable, column: Column) -> Result<(), FmiError> {
-        let kind = variable.kind;
+    fn place_continuous(&mut self, starts: &Starts<'_>, place: Place) -> Result<usize, FmiError> {
+        let reference = starts.description.variables[place.variable].value_reference;
+        self.continuous.place(reference, place.element, || starts.reals(place))
+    }
+
+    fn hold(&mut self, starts: &Starts<'_>, place: Place, column: Column) -> Result<(), FmiError> {
+        let variable = &starts.description.variables[place.variable];
+        let (kind, reference) = (variable.kind, variable.value_reference);
         if !kind.is_number() {
             return Err(bad(variable, "text and binary inputs cannot vary with time".to_owned()));
         }
         let target = if kind == VariableKind::Real {
-            self.held_reals.push(variable.value_reference);
-            Target::Real(self.held_reals.len() - 1)
+            Target::Real(self.held_reals.place(reference, place.element, || starts.reals(place))?)
         } else {
             let misfit = column.values.iter().position(|v| lanes::lane_of_number(kind, *v).is_none());
             if let Some(row) = misfit {
@@ -239,13 +246,12 @@ impl InputPlan {
             let group = match self.held_packed.iter().position(|(known, _)| *known == kind) {
                 Some(group) => group,
                 None => {
-                    self.held_packed.push((kind, Vec::new()));
+                    self.held_packed.push((kind, Slots::default()));
                     self.held_packed.len() - 1
                 }
             };
-            let references = &mut self.held_packed[group].1;
-            references.push(variable.value_reference);
-            Target::Packed(group, references.len() - 1)
+            let slots = &mut self.held_packed[group].1;
+            Target::Packed(group, slots.place(reference, place.element, || starts.lanes(place))?)
         };
         let column = match (variable.negated, kind) {
             (false, _) => column,
@@ -273,24 +279,49 @@ impl InputPlan {
             }
         }
         self.jumps = self.stops.iter().filter(|stop| stop.jump).map(|stop| stop.time).collect();
-        for column in self.linear.iter_mut().chain(self.held.iter_mut().map(|held| &mut held.column)) {
+        let linear = self.sources.iter_mut().filter_map(|(source, _)| match source {
+            Continuous::Linear(column) => Some(column),
+            Continuous::Function(_) => None,
+        });
+        for column in linear.chain(self.held.iter_mut().map(|held| &mut held.column)) {
             column.snap(&self.jumps, self.same);
         }
     }
 
     /// The variables that are driven, each by its type and reference.
     pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
-        let reals = self.continuous.iter().chain(&self.held_reals);
+        let reals = self.continuous.references.iter().chain(&self.held_reals.references);
         let packed = self.held_packed.iter();
-        reals
-            .map(|reference| (VariableKind::Real, *reference))
-            .chain(packed.flat_map(|(kind, list)| list.iter().map(|reference| (*kind, *reference))))
+        reals.map(|reference| (VariableKind::Real, *reference)).chain(
+            packed.flat_map(|(kind, slots)| slots.references.iter().map(|reference| (*kind, *reference))),
+        )
     }
 
     /// The first stop after `t`.
     pub(crate) fn next_stop(&self, t: f64) -> Option<InputStop> {
         let next = self.stops.partition_point(|stop| stop.time <= t + self.same);
         self.stops.get(next).copied()
+    }
+}
+
+impl Starts<'_> {
+    /// All start values of a variable of type Real; 0 for a single value, which is written before it is set.
+    pub(crate) fn reals(&self, place: Place) -> Result<Vec<f64>, FmiError> {
+        if place.element.is_none() {
+            return Ok(vec![0.0]);
+        }
+        let values = self.elements(place.variable)?;
+        Ok(values.into_iter().map(|value| if let Value::Real(x) = value { x } else { 0.0 }).collect())
+    }
+
+    /// The same of a variable of any other type of numbers.
+    fn lanes(&self, place: Place) -> Result<Vec<i64>, FmiError> {
+        if place.element.is_none() {
+            return Ok(vec![0]);
+        }
+        let kind = self.description.variables[place.variable].kind;
+        let values = self.elements(place.variable)?;
+        Ok(values.iter().map(|value| lanes::lane(kind, value).unwrap_or_default()).collect())
     }
 }
 
@@ -432,10 +463,10 @@ impl InputState {
     pub(crate) fn new(plan: &InputPlan) -> Self {
         Self {
             passed: 0,
-            cursors: vec![0; plan.linear.len()],
-            continuous: vec![0.0; plan.continuous.len()],
-            held_reals: vec![0.0; plan.held_reals.len()],
-            held_packed: plan.held_packed.iter().map(|(_, references)| vec![0; references.len()]).collect(),
+            cursors: vec![0; plan.sources.len()],
+            continuous: plan.continuous.start.clone(),
+            held_reals: plan.held_reals.start.clone(),
+            held_packed: plan.held_packed.iter().map(|(_, slots)| slots.start.clone()).collect(),
         }
     }
 
@@ -474,11 +505,11 @@ impl InputState {
         let next = plan.jumps.get(self.passed).copied().unwrap_or(f64::INFINITY);
         let last = self.passed.checked_sub(1).map_or(f64::NEG_INFINITY, |i| plan.jumps[i]);
         let (at, left) = if t >= next { (next, true) } else { (t.max(last), false) };
-        for ((column, cursor), value) in plan.linear.iter().zip(&mut self.cursors).zip(&mut self.continuous) {
-            *value = column.linear(at, left, cursor);
-        }
-        for (function, value) in plan.functions.iter().zip(&mut self.continuous[plan.linear.len()..]) {
-            *value = function(t);
+        for ((source, place), cursor) in plan.sources.iter().zip(&mut self.cursors) {
+            self.continuous[*place] = match source {
+                Continuous::Linear(column) => column.linear(at, left, cursor),
+                Continuous::Function(function) => function(t),
+            };
         }
         self.continuous.iter().all(|value| value.is_finite())
     }
@@ -487,9 +518,9 @@ impl InputState {
 impl InputState {
     /// Sets the held inputs, one call per type.
     pub(crate) fn set_held(&self, core: &mut Core, plan: &InputPlan) -> Result<(), FmiError> {
-        core.set_reals(&plan.held_reals, &self.held_reals)?;
-        for ((kind, references), lanes) in plan.held_packed.iter().zip(&self.held_packed) {
-            core.call(|raw| raw.set_packed(*kind, references, lanes))?;
+        core.set_reals(&plan.held_reals.references, &self.held_reals)?;
+        for ((kind, slots), lanes) in plan.held_packed.iter().zip(&self.held_packed) {
+            core.call(|raw| raw.set_packed(*kind, &slots.references, lanes))?;
         }
         Ok(())
     }
@@ -547,12 +578,13 @@ mod tests {
     }
 
     fn plan_of(linear: Vec<Column>, held: Vec<Column>) -> InputPlan {
-        let mut plan = InputPlan { same: 1e-14, continuous: vec![0; linear.len()], ..InputPlan::default() };
+        let mut plan = InputPlan { same: 1e-14, ..InputPlan::default() };
         let mut stops = Vec::new();
         linear.iter().for_each(|c| c.linear_stops(plan.same, &mut stops));
         held.iter().for_each(|c| c.held_stops(&mut stops));
-        plan.held_reals = vec![0; held.len()];
-        plan.linear = linear;
+        plan.held_reals.start = vec![0.0; held.len()];
+        plan.continuous.start = vec![0.0; linear.len()];
+        plan.sources = linear.into_iter().map(Continuous::Linear).zip(0..).collect();
         plan.held = held
             .into_iter()
             .enumerate()

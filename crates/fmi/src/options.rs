@@ -29,6 +29,20 @@ pub enum Kind {
     CoSimulation,
 }
 
+impl std::str::FromStr for Kind {
+    type Err = FmiError;
+
+    /// `auto`, `me` or `cs`, whatever the case of the letters.
+    fn from_str(text: &str) -> Result<Self, FmiError> {
+        match text.to_ascii_lowercase().as_str() {
+            "auto" => Ok(Kind::Auto),
+            "me" => Ok(Kind::ModelExchange),
+            "cs" => Ok(Kind::CoSimulation),
+            _ => Err(setting(format!("kind = '{text}' is none of 'auto', 'me', 'cs'"))),
+        }
+    }
+}
+
 /// Unit round-off of double precision.
 const U: f64 = f64::EPSILON / 2.0;
 
@@ -56,7 +70,9 @@ pub struct SimulateOptions {
     pub start_values: Vec<(String, Value)>,
     /// Real variables whose values are given anew at each run.
     pub parameters: Vec<String>,
-    /// Variables to record; default: those of causality output, or the states if there are none. Time is always there.
+    /// Variables to record: names; elements of arrays (`name[2,1]`, counted from 1); patterns, in which `*` stands for any
+    /// characters and `?` for one; `all` for everything that is a number. Default: the variables of causality output and
+    /// the states, or where there are neither, all variables that change. Time is always there.
     pub outputs: Option<Vec<String>>,
     /// Time-varying inputs.
     pub inputs: Option<Inputs>,

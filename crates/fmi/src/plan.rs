@@ -1,15 +1,18 @@
 //! A simulation resolved against its model, once: names have become value references, everything has been checked.
 
-use crate::assign::{self, Assignments, check_settable_at_start, resolve};
+use crate::assign::{self, Assignments, check_settable_at_start};
 use crate::communication::Communication;
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::fmu::{Fmu, Reuse};
 use crate::input::{InputPlan, Inputs};
 use crate::instance::Core;
+use crate::jacobian::JacobianPlan;
 use crate::options::SimulateOptions;
-use crate::outputs::{OutputContext, OutputPlan, element_of};
+use crate::outputs::{OutputContext, OutputPlan};
+use crate::places::{Place, Slots, Starts};
 use crate::readback::{ReadBack, ReadBackBuffers};
+use crate::selection::{ArrayColumns, Selection, states};
 use crate::sys::InterfaceKind;
 use crate::trial::nudge;
 use std::collections::HashMap;
@@ -31,17 +34,16 @@ pub struct SimulationPlan {
     /// Structural parameters, and the sizes that follow from them.
     structural_values: Assignments,
     structure: Structure,
-    parameters: Vec<u32>,
-    /// Signs of the parameters: -1 for negated aliases.
-    signs: Vec<f64>,
+    parameters: Vec<RunParameter>,
+    /// The variables that the parameters are, or are elements of.
+    parameter_slots: Slots<f64>,
     parameter_names: Vec<String>,
     /// What the parameters are where nobody gives a value.
     pub(crate) parameter_starts: Vec<f64>,
     pub(crate) inputs: InputPlan,
-    pub(crate) outputs: OutputPlan,
+    outputs: Selection,
     /// Everything that a run sets, sorted.
     pub(crate) settings: Arc<[Setting]>,
-    output_names: Vec<String>,
     pub(crate) n_states: usize,
     pub(crate) n_indicators: usize,
     /// Nominals of the states as the description says them.
@@ -50,6 +52,8 @@ pub struct SimulationPlan {
     /// What a reused instance is asked for again.
     pub(crate) read_back: ReadBack,
     pub(crate) kind: InterfaceKind,
+    /// How the Jacobian can be had; empty for co-simulation.
+    pub(crate) jacobian: JacobianPlan,
     /// The steps of co-simulation.
     pub(crate) communication: Option<Communication>,
     warned_of_nominals: AtomicBool,
@@ -57,6 +61,16 @@ pub struct SimulationPlan {
 
 /// A variable that a run sets: whether before the initialization (or in it, and later), its type, its reference.
 pub(crate) type Setting = (bool, VariableKind, u32);
+
+/// A value that each run is given.
+#[derive(Debug, Clone, Copy)]
+struct RunParameter {
+    place: Place,
+    /// Where it goes among the values set.
+    slot: usize,
+    /// -1 for negated aliases.
+    sign: f64,
+}
 
 impl SimulationPlan {
     /// Resolves and checks a simulation of `fmu`. No code of the FMU is run.
@@ -80,9 +94,11 @@ impl SimulationPlan {
         };
         let method = options.method_options(&description.default_experiment);
         method.check()?;
-        let no_inputs = Inputs::default();
-        let inputs = InputPlan::new(description, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
         let (start_values, structure) = resolve_values(description, &options.start_values)?;
+        let known_structure = structure.clone();
+        let starts = Starts { description, structure: &known_structure, given: &start_values };
+        let no_inputs = Inputs::default();
+        let inputs = InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
         let states = states(description, &structure);
         let mut plan = Self {
             fmu: fmu.clone(),
@@ -94,18 +110,26 @@ impl SimulationPlan {
             start_values: Assignments::default(),
             structural_values: Assignments::default(),
             parameters: Vec::new(),
-            signs: Vec::new(),
+            parameter_slots: Slots::default(),
             parameter_names: Vec::new(),
             parameter_starts: Vec::new(),
             inputs,
-            outputs: OutputPlan::default(),
+            outputs: Selection::default(),
             settings: Arc::default(),
-            output_names: Vec::new(),
             n_states: structure.states(description),
             n_indicators: structure.indicators(description),
             nominals: (0..structure.states(description))
-                .map(|i| states.get(i).copied().flatten().and_then(|state| state.nominal).unwrap_or(1.0))
+                .map(|i| {
+                    let state = states.get(i).copied().flatten();
+                    state.and_then(|state| description.variables[state].nominal).unwrap_or(1.0)
+                })
                 .collect(),
+            jacobian: match kind {
+                InterfaceKind::ModelExchange => {
+                    JacobianPlan::new(description, &structure, &interface.capabilities)
+                }
+                InterfaceKind::CoSimulation => JacobianPlan::default(),
+            },
             structure,
             completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
             read_back: ReadBack::default(),
@@ -113,7 +137,7 @@ impl SimulationPlan {
             communication,
             warned_of_nominals: AtomicBool::new(false),
         };
-        plan.take_parameters(description, &options.parameters, &start_values)?;
+        plan.take_parameters(&starts, &options.parameters)?;
         for (index, value) in &start_values {
             let variable = &description.variables[*index];
             let list = match variable.causality {
@@ -142,7 +166,7 @@ impl SimulationPlan {
         for values in [&self.structural_values, &self.start_values] {
             settings.extend(values.references().map(|(kind, reference)| (true, kind, reference)));
         }
-        settings.extend(self.parameters.iter().map(|reference| (true, VariableKind::Real, *reference)));
+        settings.extend(self.parameter_slots.references.iter().map(|r| (true, VariableKind::Real, *r)));
         settings.extend(self.inputs.references().map(|(kind, reference)| (false, kind, reference)));
         settings.sort_unstable();
         settings.dedup();
@@ -161,49 +185,55 @@ impl SimulationPlan {
                 .filter(|v| v.kind == VariableKind::Real && check_settable_at_start(v).is_ok())
                 .map(|v| (v.value_reference, v))
                 .collect();
-            for (reference, value) in others.reals.0.iter().zip(&mut others.reals.1) {
-                *value = variables.get(reference).map_or(*value, |variable| nudge(variable, *value));
+            let mut rest = &mut others.reals.1[..];
+            for reference in &others.reals.0 {
+                let Some(variable) = variables.get(reference) else { break };
+                let (values, others) = rest.split_at_mut(self.structure.elements(description, variable));
+                values.iter_mut().for_each(|value| *value = nudge(variable, *value));
+                rest = others;
             }
         }
-        let parameters = self.parameter_names.iter().zip(parameters);
-        let parameters = parameters
-            .map(|(name, &value)| description.variable(name).map_or(value, |variable| nudge(variable, value)))
-            .collect();
+        let variable = |parameter: &RunParameter| &description.variables[parameter.place.variable];
+        let parameters = self.parameters.iter().zip(parameters);
+        let parameters = parameters.map(|(parameter, value)| nudge(variable(parameter), *value)).collect();
         (others, parameters)
     }
 
-    fn take_parameters(
-        &mut self,
-        description: &ModelDescription,
-        names: &[String],
-        start_values: &[(usize, Value)],
-    ) -> Result<(), FmiError> {
-        let mut indices = Vec::with_capacity(names.len());
+    fn take_parameters(&mut self, starts: &Starts<'_>, names: &[String]) -> Result<(), FmiError> {
         for name in names {
-            let index = resolve(description, name)?;
-            let variable = &description.variables[index];
+            let place = Place::of_name(starts.description, starts.structure, name)?;
+            let variable = &starts.description.variables[place.variable];
             check_settable_at_start(variable)?;
-            if variable.kind != VariableKind::Real || !variable.dimensions.is_empty() {
+            if variable.kind != VariableKind::Real {
                 return Err(assign::not_settable(
                     variable,
-                    "only single variables of type Real can be parameters of a run",
+                    "only variables of type Real can be parameters of a run",
                 ));
             }
-            if indices.contains(&index) {
+            if !variable.dimensions.is_empty() && place.element.is_none() {
+                return Err(assign::not_settable(
+                    variable,
+                    "it is an array; its elements can be parameters of a run, one by one: name[1]",
+                ));
+            }
+            if self.parameters.iter().any(|known| known.place.overlaps(place)) {
                 return Err(FmiError::BadSetting { problem: format!("parameter {name} is given twice") });
             }
-            if self.inputs.driven.contains(&index) {
+            if self.inputs.driven.iter().any(|driven| driven.overlaps(place)) {
                 return Err(assign::not_settable(variable, "it is driven by the inputs"));
             }
-            indices.push(index);
-            let given = start_values.iter().find(|(i, _)| *i == index).map(|(_, value)| value);
-            self.parameter_starts.push(match given.or(variable.start.as_ref()) {
-                Some(Value::Real(x)) if x.is_finite() => *x,
-                Some(Value::Integer(i)) => *i as f64,
+            let slot = self
+                .parameter_slots
+                .place(variable.value_reference, place.element, || starts.reals(place))?;
+            let start = match (place.element, starts.of(place.variable)) {
+                (Some(_), _) => self.parameter_slots.start[slot],
+                (None, Some(Value::Real(x))) if x.is_finite() => *x,
+                (None, Some(Value::Integer(i))) => *i as f64,
                 _ => 0.0,
-            });
-            self.parameters.push(variable.value_reference);
-            self.signs.push(if variable.negated { -1.0 } else { 1.0 });
+            };
+            let sign = if variable.negated { -1.0 } else { 1.0 };
+            self.parameters.push(RunParameter { place, slot, sign });
+            self.parameter_starts.push(start);
             self.parameter_names.push(name.clone());
         }
         Ok(())
@@ -213,52 +243,33 @@ impl SimulationPlan {
         &mut self,
         description: &ModelDescription,
         names: Option<&[String]>,
-        states: &[Option<&Variable>],
+        states: &[Option<usize>],
     ) -> Result<(), FmiError> {
         // A model that integrates itself does not show its states otherwise than as variables.
-        let is_me = self.kind == InterfaceKind::ModelExchange;
         let mut places: HashMap<u32, usize> = HashMap::new();
-        if is_me {
+        if self.kind == InterfaceKind::ModelExchange {
             for (i, state) in states.iter().enumerate() {
                 // The first place of an array is that of its first element.
-                state.iter().for_each(|v| {
-                    places.entry(v.value_reference).or_insert(i);
-                });
+                if let Some(state) = state {
+                    places.entry(description.variables[*state].value_reference).or_insert(i);
+                }
             }
         }
         let structure = self.structure.clone();
         let context = OutputContext { model: description, structure: &structure, states: &places };
-        let Some(names) = names else {
-            let outputs: Vec<&Variable> = description
-                .variables
-                .iter()
-                .filter(|v| v.causality == Causality::Output && v.kind.is_number())
-                .collect();
-            let mut states: Vec<&Variable> = states.iter().copied().flatten().collect();
-            states.dedup_by_key(|state| state.value_reference);
-            for variable in if outputs.is_empty() { states } else { outputs } {
-                let names = self.outputs.add(&context, variable, &variable.name, None)?;
-                self.output_names.extend(names);
+        self.outputs = match names {
+            Some(names) => Selection::of_names(&context, names)?,
+            None => {
+                let states: Vec<usize> = states.iter().copied().flatten().collect();
+                Selection::default_of(&context, &states)?
             }
-            self.outputs.finish();
-            return Ok(());
         };
-        for name in names {
-            let extents = |array: &str| Some(structure.extents(description, description.variable(array)?));
-            let added = match (resolve(description, name), element_of(name, extents)) {
-                (Ok(index), _) => self.outputs.add(&context, &description.variables[index], name, None)?,
-                (Err(_), Some((array, element))) => {
-                    let index = resolve(description, array)?;
-                    self.outputs.add(&context, &description.variables[index], name, Some(element))?
-                }
-                // Time is always there; models may or may not have a variable for it.
-                (Err(_), None) if name == "time" => continue,
-                (Err(error), None) => return Err(error),
-            };
-            self.output_names.extend(added);
-        }
-        self.outputs.finish();
         Ok(())
+    }
+
+    /// Sizes of arrays.
+    pub(crate) fn structure(&self) -> &Structure {
+        &self.structure
     }
 
     /// Gives a fresh instance its structure, start values (those of the plan or others for the same variables) and
@@ -275,8 +286,11 @@ impl SimulationPlan {
         }
         core.apply(start_values)?;
         buffer.clear();
-        buffer.extend(parameters.iter().zip(&self.signs).map(|(value, sign)| value * sign));
-        core.set_reals(&self.parameters, buffer)
+        buffer.extend_from_slice(&self.parameter_slots.start);
+        for (parameter, value) in self.parameters.iter().zip(parameters) {
+            buffer[parameter.slot] = value * parameter.sign;
+        }
+        core.set_reals(&self.parameter_slots.references, buffer)
     }
 
     /// Whether an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one of the FMU's.
@@ -286,7 +300,7 @@ impl SimulationPlan {
         parameters: &[f64],
         buffers: &mut ReadBackBuffers,
     ) -> Result<bool, FmiError> {
-        self.read_back.agrees(core, &self.start_values, |i| parameters[i] * self.signs[i], buffers)
+        self.read_back.agrees(core, &self.start_values, |i| parameters[i] * self.parameters[i].sign, buffers)
     }
 
     /// The model.
@@ -335,7 +349,22 @@ impl SimulationPlan {
 
     /// Names of the outputs, in the order of [`Sample::outputs`](ode::Sample).
     pub fn output_names(&self) -> &[String] {
-        &self.output_names
+        &self.outputs.names
+    }
+
+    /// Positions in the description of the variables of the outputs; all elements of an array have the same.
+    pub fn output_variables(&self) -> &[usize] {
+        &self.outputs.variables
+    }
+
+    /// The arrays among the outputs.
+    pub fn output_arrays(&self) -> &[ArrayColumns] {
+        &self.outputs.arrays
+    }
+
+    /// Where the outputs come from.
+    pub(crate) fn outputs(&self) -> &OutputPlan {
+        &self.outputs.plan
     }
 
     /// Names of the parameters, in the order in which a run takes their values.
@@ -378,18 +407,6 @@ impl SimulationPlan {
     }
 }
 
-/// The state variables in the order of the state vector, those that are arrays once for each element; `None` where the
-/// description does not say which variable a derivative belongs to.
-fn states<'a>(description: &'a ModelDescription, structure: &Structure) -> Vec<Option<&'a Variable>> {
-    let mut states = Vec::new();
-    for unknown in &description.structure.derivatives {
-        let derivative = &description.variables[unknown.index];
-        let state = derivative.derivative.map(|state| &description.variables[state]);
-        states.extend(std::iter::repeat_n(state, structure.elements(description, derivative)));
-    }
-    states
-}
-
 /// Positions and values, each position once (the last value counts), and the structure that they make.
 fn resolve_values(
     description: &ModelDescription,
@@ -398,16 +415,27 @@ fn resolve_values(
     let mut resolved: Vec<(usize, Value)> = Vec::with_capacity(values.len());
     let mut places: HashMap<usize, usize> = HashMap::with_capacity(values.len());
     let mut structure = Structure::default();
+    // Sizes first: they tell the elements of arrays apart.
     for (name, value) in values {
-        let index = resolve(description, name)?;
+        if let Some(index) = description.variable_index(name) {
+            let variable = &description.variables[index];
+            if variable.causality == Causality::StructuralParameter && variable.dimensions.is_empty() {
+                structure.set(index, &assign::convert(variable, value, None)?);
+            }
+        }
+    }
+    for (name, value) in values {
+        let Place { variable: index, element } = Place::of_name(description, &structure, name)?;
         let variable = &description.variables[index];
         check_settable_at_start(variable)?;
-        // Arrays are looked at when all sizes are known.
-        let is_array = !variable.dimensions.is_empty();
-        let value = if is_array { value.clone() } else { assign::convert(variable, value, None)? };
-        if variable.causality == Causality::StructuralParameter {
-            structure.set(index, &value);
-        }
+        let value =
+            match element {
+                Some(element) => Starts { description, structure: &structure, given: &resolved }
+                    .with_element(index, element, value.clone())?,
+                // Whole arrays are looked at when all is known.
+                None if !variable.dimensions.is_empty() => value.clone(),
+                None => assign::convert(variable, value, None)?,
+            };
         match places.entry(index) {
             Entry::Occupied(place) => resolved[*place.get()].1 = value,
             Entry::Vacant(place) => {

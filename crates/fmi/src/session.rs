@@ -1,10 +1,11 @@
 //! One model as scripts use it: set values, simulate, look at the values, set others, simulate again.
 
-use crate::assign::{check_settable_at_start, convert, resolve};
-use crate::description::Value;
+use crate::assign::{check_settable_at_start, convert};
+use crate::description::{Causality, Structure, Value};
 use crate::error::FmiError;
 use crate::fmu::Fmu;
-use crate::options::SimulateOptions;
+use crate::options::{Kind, SimulateOptions};
+use crate::places::{Place, Starts, element_value};
 use crate::plan::SimulationPlan;
 use crate::simulation::Simulator;
 use crate::trajectory::Trajectory;
@@ -17,6 +18,7 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub struct Session {
     fmu: Fmu,
+    kind: Kind,
     /// Position of the variable and its value, in the order of setting; each position once.
     values: Vec<(usize, Value)>,
     /// Positions set since the last simulation.
@@ -30,7 +32,12 @@ pub struct Session {
 impl Session {
     /// A session with nothing set.
     pub fn new(fmu: Fmu) -> Self {
-        Self { fmu, values: Vec::new(), pending: Vec::new(), last: None, initial: None }
+        Self::of_kind(fmu, Kind::Auto)
+    }
+
+    /// The same, for one way of running the model: that of every simulation whose options leave it open.
+    pub fn of_kind(fmu: Fmu, kind: Kind) -> Self {
+        Self { fmu, kind, values: Vec::new(), pending: Vec::new(), last: None, initial: None }
     }
 
     /// The model.
@@ -43,14 +50,25 @@ impl Session {
     /// # Errors
     /// Unknown name (with the nearest names), wrong type, NaN or infinity, or a variable that cannot be set.
     pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<(), FmiError> {
-        let description = self.fmu.description();
-        let index = resolve(description, name)?;
+        let fmu = self.fmu.clone();
+        let description = fmu.description();
+        let structure = self.structure();
+        let Place { variable: index, element } = Place::of_name(description, &structure, name)?;
         let variable = &description.variables[index];
         check_settable_at_start(variable)?;
-        let is_array = !variable.dimensions.is_empty();
-        // Values of arrays are checked against the sizes of a simulation, which structural parameters may change.
-        let value = value.into();
-        let value = if is_array { value } else { convert(variable, &value, None)? };
+        let value = match (element, value.into()) {
+            (Some(element), value) => {
+                let value = convert(variable, &value, None)?;
+                Starts { description, structure: &structure, given: &self.values }
+                    .with_element(index, element, value)?
+            }
+            // How many values an array has is checked in a simulation: structural parameters may change it.
+            (None, value) if !variable.dimensions.is_empty() => {
+                let found = if let Value::Array(values) = &value { values.len() } else { 1 };
+                convert(variable, &value, Some(found))?
+            }
+            (None, value) => convert(variable, &value, None)?,
+        };
         match self.values.iter_mut().find(|(known, _)| *known == index) {
             Some(entry) => entry.1 = value,
             None => self.values.push((index, value)),
@@ -68,9 +86,12 @@ impl Session {
     /// # Errors
     /// Unknown name; the model cannot be initialized.
     pub fn get(&mut self, name: &str) -> Result<Value, FmiError> {
-        let index = resolve(self.fmu.description(), name)?;
-        let set =
-            |values: &[(usize, Value)]| values.iter().find(|(i, _)| *i == index).map(|(_, v)| v.clone());
+        let Place { variable: index, element } =
+            Place::of_name(self.fmu.description(), &self.structure(), name)?;
+        let set = |values: &[(usize, Value)]| {
+            let value = values.iter().find(|(i, _)| *i == index).map(|(_, v)| v.clone());
+            value.map(|value| element_value(value, element))
+        };
         if let Some(simulator) = &mut self.last {
             let pending = if self.pending.contains(&index) { set(&self.values) } else { None };
             return pending.map_or_else(|| simulator.value(name), Ok);
@@ -79,9 +100,35 @@ impl Session {
             return Ok(value);
         }
         if let Some(value) = &self.fmu.description().variables[index].start {
-            return Ok(value.clone());
+            return Ok(element_value(value.clone(), element));
         }
         self.initial_value(name)
+    }
+
+    /// Number of elements of an array in each direction, with the structural parameters that were set; empty for a
+    /// single value.
+    ///
+    /// # Errors
+    /// Unknown name.
+    pub fn extents(&self, name: &str) -> Result<Vec<usize>, FmiError> {
+        let description = self.fmu.description();
+        let structure = self.structure();
+        let place = Place::of_name(description, &structure, name)?;
+        Ok(match place.element {
+            Some(_) => Vec::new(),
+            None => structure.extents(description, &description.variables[place.variable]),
+        })
+    }
+
+    /// Sizes of arrays with the values set.
+    fn structure(&self) -> Structure {
+        let mut structure = Structure::default();
+        for (index, value) in &self.values {
+            if self.fmu.description().variables[*index].causality == Causality::StructuralParameter {
+                structure.set(*index, value);
+            }
+        }
+        structure
     }
 
     fn initial_value(&mut self, name: &str) -> Result<Value, FmiError> {
@@ -102,7 +149,7 @@ impl Session {
 
     /// Forgets all values set and the last simulation.
     pub fn reset(&mut self) {
-        *self = Self::new(self.fmu.clone());
+        *self = Self::of_kind(self.fmu.clone(), self.kind);
     }
 
     /// Simulates from a freshly reset model with all values set; `start_values` of the options count on top of them for
@@ -124,6 +171,9 @@ impl Session {
 
     fn with_values(&self, options: &SimulateOptions) -> SimulateOptions {
         let mut options = options.clone();
+        if options.kind == Kind::Auto {
+            options.kind = self.kind;
+        }
         let variables = &self.fmu.description().variables;
         let mut values: Vec<(String, Value)> = self
             .values

@@ -1,12 +1,13 @@
 //! One worker's simulator: a plan, a live instance, a driver and buffers, run as often as one likes.
 
-use crate::assign::{Assignments, resolve};
+use crate::assign::Assignments;
 use crate::communication::Stepping;
 use crate::copies::PrivateCopy;
 use crate::description::Value;
 use crate::error::FmiError;
 use crate::fmu::Reuse;
 use crate::instance::{self, Core};
+use crate::places::{Place, element_value};
 use crate::plan::SimulationPlan;
 use crate::readback::ReadBackBuffers;
 use crate::renewal::{new_instance, new_with_origin, renew_or_replace};
@@ -225,7 +226,7 @@ impl Simulator {
         Ok(recorder.finish(&self.plan, report))
     }
 
-    /// Value of a variable where the last run ended (after a step inside of which it was stopped: at the end of the
+    /// Value of a variable, or of an element of an array (`name[2,1]`), where the last run ended (after a step inside of which it was stopped: at the end of the
     /// step before).
     ///
     /// # Errors
@@ -233,10 +234,11 @@ impl Simulator {
     /// and instances disturb each other.
     pub fn value(&mut self, name: &str) -> Result<Value, FmiError> {
         let description = self.plan.fmu().description();
-        let index = resolve(description, name)?;
+        let place = Place::of_name(description, self.plan.structure(), name)?;
         let _turn = self.shared.turn_if_dependent();
         let _guard = FloatEnvironment::standard();
-        each!(&mut self.engine, run => run.value(&description.variables[index]))
+        let value = each!(&mut self.engine, run => run.value(&description.variables[place.variable]))?;
+        Ok(element_value(value, place.element))
     }
 
     /// As [`value`](Self::value), as a number: integers and Booleans too.

@@ -4,13 +4,15 @@ use crate::assign::Assignments;
 use crate::description::Variable;
 use crate::digest::Digest;
 use crate::error::FmiError;
-use crate::input::InputState;
+use crate::input::{InputPlan, InputState};
 use crate::instance::{ContinuousTime, Core, EventMode, Instance, Instantiated};
 use crate::model_exchange::MAX_EVENT_ITERATIONS;
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
 use crate::sys::{Fault, RawInstance};
-use ode::{CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction};
+use ode::{
+    CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
+};
 use std::sync::Arc;
 
 /// What a run has of its FMU at the moment.
@@ -33,6 +35,9 @@ pub(crate) struct System {
     /// An FMU call failed: the instance is not used again.
     broken: bool,
     inputs: InputState,
+    /// The continuous inputs as the FMU has them; none while that is not known. FMUs may allow an input to be set only
+    /// once at an instant (FMI 2.0.x, section 2.2.7, `canHandleMultipleSetPerTimeInstant`).
+    sent: Vec<f64>,
     /// The point last set in the FMU, as far as that is known.
     set_time: Option<f64>,
     set_states: Option<()>,
@@ -64,6 +69,7 @@ impl System {
             mode: Mode::Gone,
             broken: false,
             inputs: InputState::new(&plan.inputs),
+            sent: Vec::with_capacity(plan.inputs.continuous.start.len()),
             set_time: None,
             set_states: None,
             states: vec![0.0; n],
@@ -71,7 +77,7 @@ impl System {
             last_states: vec![0.0; n],
             announced: None,
             floor: f64::NEG_INFINITY,
-            buffers: OutputBuffers::new(&plan.outputs),
+            buffers: OutputBuffers::new(plan.outputs()),
             signed: Vec::new(),
             digest: None,
             plan,
@@ -140,7 +146,8 @@ impl System {
             return Err(self.inputs.bad_function_value(plan.start));
         }
         self.inputs.set_held(instance.core(), &plan.inputs)?;
-        instance.core().set_reals(&plan.inputs.continuous, &self.inputs.continuous)?;
+        self.sent.clear();
+        send(&plan.inputs, &self.inputs, &mut self.sent, instance.core())?;
         self.mode = Mode::Event(instance.exit_initialization()?);
         self.set_time = None;
         self.set_states = None;
@@ -223,14 +230,20 @@ impl System {
 
     /// Sets the continuous inputs at `t`.
     fn set_inputs(&mut self, t: f64) -> CallResult<()> {
-        if self.plan.inputs.continuous.is_empty() {
+        if self.plan.inputs.continuous.references.is_empty() {
             return Ok(());
         }
-        let Self { plan, inputs, mode, broken, .. } = self;
+        let Self { plan, inputs, mode, broken, sent, .. } = self;
         if !inputs.continuous_at(&plan.inputs, t) {
             return Err(CallError::Discard);
         }
-        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous, &inputs.continuous))
+        if has(sent, &inputs.continuous) {
+            return Ok(());
+        }
+        sent.clear();
+        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous.references, &inputs.continuous))?;
+        sent.extend_from_slice(&inputs.continuous);
+        Ok(())
     }
 
     fn note(&mut self, values: &[f64]) {
@@ -331,6 +344,22 @@ fn call<T>(
     }
 }
 
+/// Whether the FMU has these very inputs already.
+fn has(sent: &[f64], inputs: &[f64]) -> bool {
+    sent.len() == inputs.len() && sent.iter().zip(inputs).all(|(a, b)| same_bits(*a, *b))
+}
+
+/// Sets the continuous inputs, unless the FMU has them already.
+fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut Core) -> Result<(), FmiError> {
+    if has(sent, &inputs.continuous) {
+        return Ok(());
+    }
+    sent.clear();
+    core.set_reals(&plan.continuous.references, &inputs.continuous)?;
+    sent.extend_from_slice(&inputs.continuous);
+    Ok(())
+}
+
 fn no_instance() -> FmiError {
     FmiError::BadSetting { problem: "there is no running instance".to_owned() }
 }
@@ -357,7 +386,7 @@ impl HybridSystem for System {
     }
 
     fn n_outputs(&self) -> usize {
-        self.plan.outputs.len()
+        self.plan.outputs().len()
     }
 
     fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
@@ -395,6 +424,35 @@ impl HybridSystem for System {
         Ok(())
     }
 
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        self.plan.jacobian.pattern.as_ref()
+    }
+
+    fn directional_derivative(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        seed: &[f64],
+        derivative: &mut [f64],
+    ) -> CallResult<bool> {
+        let plan = Arc::clone(&self.plan);
+        let Some(sides) = &plan.jacobian.directional else { return Ok(false) };
+        self.set_point(t, x)?;
+        let is_there = self.call(|raw| {
+            match raw.directional_derivative(&sides.derivatives, &sides.states, seed, derivative) {
+                // Promised, but not in the library.
+                Err(Fault::Missing(_)) => Ok(false),
+                outcome => outcome.map(|()| true),
+            }
+        })?;
+        if !is_there {
+            return Ok(false);
+        }
+        all_finite(derivative)?;
+        self.note(derivative);
+        Ok(true)
+    }
+
     fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
         if z.is_empty() {
             return Ok(());
@@ -408,14 +466,14 @@ impl HybridSystem for System {
 
     /// Values that are not finite are passed on: an output that is NaN is for the reader to judge.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
-        if self.plan.outputs.needs_fmu() {
+        if self.plan.outputs().needs_fmu() {
             self.set_point(t, x)?;
         }
         let Self { plan, mode, broken, buffers, .. } = self;
-        if plan.outputs.needs_fmu() {
-            call(mode, broken, |raw| buffers.read(&plan.outputs, raw))?;
+        if plan.outputs().needs_fmu() {
+            call(mode, broken, |raw| buffers.read(plan.outputs(), raw))?;
         }
-        buffers.row(&plan.outputs, t, x, y);
+        buffers.row(plan.outputs(), t, x, y);
         self.note(y);
         Ok(())
     }
@@ -447,14 +505,14 @@ impl HybridSystem for System {
             if !self.inputs.continuous_at(&plan.inputs, t) {
                 return Err(CallError::Discard);
             }
-            let inputs = &self.inputs;
             let core = match &mut self.mode {
                 Mode::Event(instance) => instance.core(),
                 _ => return Err(CallError::Discard),
             };
-            let set = inputs
+            let set = self
+                .inputs
                 .set_held(core, &plan.inputs)
-                .and_then(|()| core.set_reals(&plan.inputs.continuous, &inputs.continuous));
+                .and_then(|()| send(&plan.inputs, &self.inputs, &mut self.sent, core));
             if let Err(error) = set {
                 return Err(self.fail(error));
             }

@@ -2,6 +2,7 @@
 
 use crate::error::FmiError;
 use crate::plan::SimulationPlan;
+use crate::selection::ArrayColumns;
 use ode::{EventRecord, Observer, Report, Sample, Side, Stats, Termination};
 use std::ops::ControlFlow;
 
@@ -13,6 +14,10 @@ pub struct Trajectory {
     pub time: Vec<f64>,
     /// Names of the columns.
     pub names: Vec<String>,
+    /// Position in the description of the variable of each column; all elements of an array have the same.
+    pub variables: Vec<usize>,
+    /// The arrays among the columns.
+    pub arrays: Vec<ArrayColumns>,
     /// The columns. Integers and Booleans are numbers here.
     pub columns: Vec<Vec<f64>>,
     /// Of each row: value before or after the events at its time.
@@ -80,6 +85,8 @@ impl Recorder {
         Trajectory {
             time: self.time,
             names: plan.output_names().to_vec(),
+            variables: plan.output_variables().to_vec(),
+            arrays: plan.output_arrays().to_vec(),
             columns: self.columns,
             sides: self.sides,
             events: self.events,

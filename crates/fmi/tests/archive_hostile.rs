@@ -6,7 +6,8 @@
 mod promises;
 mod zip_bytes;
 
-use fmi::{Archive, ArchiveLimits, EntryProblem, FmiError};
+use fmi::description::QuirkKind;
+use fmi::{Archive, ArchiveLimits, EntryProblem, FmiError, Fmu};
 use proptest::prelude::*;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -174,6 +175,30 @@ fn names_that_collide_are_refused() {
         EntryProblem::CaseDuplicate("modelDescription.xml".into())
     );
     assert_eq!(problem_of_name("modelDescription.xml"), EntryProblem::Duplicate);
+}
+
+#[test]
+fn a_file_may_be_packed_twice_if_it_is_the_same() {
+    let text = b"resource ".repeat(30_000);
+    let bytes = zip(&[
+        description(),
+        Entry::deflated("resources/a.txt", &text),
+        Entry::stored("resources/a.txt", &text),
+        Entry::stored("b", b""),
+        description(),
+    ]);
+    let archive = open(&bytes).unwrap();
+    assert_eq!(archive.repeated(), ["resources/a.txt", "modelDescription.xml"]);
+    assert_eq!(fs::read(archive.root().join("resources/a.txt")).unwrap(), text);
+    let fmu = Fmu::open(file(&bytes).path()).unwrap();
+    let quirk = &fmu.description().quirks[0];
+    assert!(
+        quirk.kind == QuirkKind::Duplicate && quirk.message.contains("\"resources/a.txt\" and 1 more"),
+        "{quirk}"
+    );
+    // The same size and checksum, but not the same bytes.
+    let pair = [Entry::stored("a", b"plumless"), Entry::stored("a", b"buckeroo")];
+    assert_eq!(problem_of(&pair), EntryProblem::Duplicate);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 
 mod support;
 
-use fmi::{FmiError, Fmu, Kind, Session, SimulateOptions, SimulationPlan, Simulator, Value};
+use fmi::{FmiError, Fmu, Inputs, Kind, Session, SimulateOptions, SimulationPlan, Simulator, Value};
 use std::sync::Arc;
 use support::arrays;
 
@@ -52,6 +52,79 @@ fn arrays_are_columns_and_structural_parameters_change_their_number() {
     }
 }
 
+/// Solution of x' = u - k x at `t`.
+fn grown(x0: f64, k: f64, u: f64, t: f64) -> f64 {
+    u / k + (x0 - u / k) * (-k * t).exp()
+}
+
+#[test]
+fn elements_are_start_values_parameters_and_inputs() {
+    let folder = arrays();
+    let fmu = folder.open();
+    let inputs = Inputs::new()
+        .series("u[2]", vec![0.0, 1.0], vec![3.0, 3.0])
+        .series("steps[2]", vec![0.0, 0.5], vec![4.0, 5.0])
+        .table(vec![0.0, 1.0], [("u[1]", vec![2.0, 2.0])]);
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = SimulateOptions::new()
+            .kind(kind)
+            .relative_tolerance(1e-10)
+            .times([0.0, 0.25, 1.0])
+            .start_value("n", 2)
+            .start_value("k", vec![2.0, 1.0])
+            .start_value("u", vec![0.0, 0.0])
+            .start_value("x", vec![9.0, 9.0])
+            .start_value("x[2]", 5.0)
+            .start_value("x[1]", 4)
+            .parameters(["k[2]", "x[1]"])
+            .inputs(inputs.clone())
+            .outputs(["x", "k[2]", "steps"]);
+        let plan = Arc::new(SimulationPlan::new(&fmu, &options).unwrap());
+        assert_eq!(plan.parameter_starts(), [1.0, 4.0]);
+        let mut simulator = Simulator::new(plan).unwrap();
+        for (k2, x1) in [(1.0, 4.0), (3.0, -1.0), (1.0, 4.0)] {
+            let result = simulator.trajectory(&[k2, x1]).unwrap();
+            let last = |name: &str| result.final_value(name).unwrap().unwrap();
+            close(last("x[1]"), grown(x1, 2.0, 2.0, 1.0));
+            close(last("x[2]"), grown(5.0, k2, 3.0, 1.0));
+            assert_eq!(last("k[2]"), k2);
+            // The other element of a driven array keeps its start value.
+            assert_eq!(result.get("steps[1]").unwrap(), [1.0, 1.0, 1.0]);
+            assert_eq!(result.get("steps[2]").unwrap(), [4.0, 4.0, 5.0]);
+            assert_eq!(simulator.value("k").unwrap(), vec![2.0, k2].into());
+            assert_eq!(simulator.get("x[2]").unwrap(), last("x[2]"));
+        }
+    }
+    let problem = |options: SimulateOptions| SimulationPlan::new(&fmu, &options).unwrap_err().to_string();
+    let new = SimulateOptions::new;
+    assert!(problem(new().parameters(["k"])).contains("its elements can be"));
+    assert!(problem(new().parameters(["k[1]", "k[1]"])).contains("given twice"));
+    assert!(problem(new().start_value("k[4]", 1.0)).contains("k[4]"));
+    assert!(problem(new().start_value("n", 2).start_value("k[1]", 1.0)).contains("3 for 2 elements"));
+    assert!(problem(new().start_value("k[1]", "one")).contains("Real"));
+    assert!(problem(new().inputs(Inputs::new().series("u", vec![0.0], vec![1.0]))).contains("u[...]"));
+    let twice =
+        new().inputs(Inputs::new().series("u[1]", vec![0.0], vec![1.0]).series("u[1]", vec![0.0], vec![1.0]));
+    assert!(problem(twice).contains("twice"));
+}
+
+#[test]
+fn a_session_knows_elements() {
+    let folder = arrays();
+    let mut session = Session::new(folder.open());
+    session.set("k[2]", 3.0).unwrap();
+    session.set("matrix[2,1]", 30).unwrap();
+    assert_eq!(session.get("k").unwrap(), vec![1.0, 3.0, 1.0].into());
+    assert_eq!((session.get("k[2]").unwrap(), session.get("k[1]").unwrap()), (3.0.into(), 1.0.into()));
+    session.simulate(&SimulateOptions::new().ncp(1).relative_tolerance(1e-10)).unwrap();
+    assert_eq!(session.get("matrix").unwrap(), vec![0, 1, 2, 30, 4, 5].into());
+    let Value::Real(x) = session.get("x[2]").unwrap() else { panic!("x[2] is real") };
+    close(x, 2.0 * (-3f64).exp());
+    assert_eq!((session.extents("k").unwrap(), session.extents("matrix").unwrap()), (vec![3], vec![2, 3]));
+    session.set("n", 5).unwrap();
+    assert_eq!((session.extents("k").unwrap(), session.extents("i8").unwrap()), (vec![5], vec![]));
+}
+
 #[test]
 fn values_of_all_types_are_set_and_read() {
     let folder = arrays();
@@ -95,8 +168,8 @@ fn values_that_do_not_fit_are_refused_by_name() {
         SimulationPlan::new(&fmu, &SimulateOptions::new().start_value(name, value)).unwrap_err().to_string()
     };
     for (name, value, text) in [
-        ("i8", 128.into(), "i8 is of type Int8, 128 (out of range)"),
-        ("u64", (-1).into(), "out of range"),
+        ("i8", 128.into(), "i8 is of type Int8 (8 bits, from -128 to 127), 128"),
+        ("u64", (-1).into(), "64 bits, from 0 to 18446744073709551615"),
         ("k", vec![1.0, 2.0].into(), "array of another size"),
         ("k", 1.0.into(), "one value for an array"),
         ("k", vec![1.0, f64::NAN, 1.0].into(), "NaN"),

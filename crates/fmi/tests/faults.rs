@@ -6,8 +6,8 @@ mod support;
 
 use fmi::ode::{ErrorKind, Ignore, Termination};
 use fmi::{
-    FmiError, InstanceOptions, Kind, LogFilter, Pool, Reuse, Sharing, SimulateOptions, SimulationPlan,
-    Simulator, Status, Value,
+    FmiError, Inputs, InstanceOptions, Kind, LogFilter, Pool, Reuse, Sharing, SimulateOptions,
+    SimulationPlan, Simulator, Status, Value,
 };
 use std::sync::Arc;
 use support::{Folder, evil, evil_with, evil_with_sibling};
@@ -262,6 +262,29 @@ fn flushing_of_denormals_neither_counts_nor_stays() {
     let result = folder.open().simulate(&SimulateOptions::new().ncp(1)).unwrap();
     assert!(result.final_value("y").unwrap().unwrap().abs() < 1e-9, "the model saw flushed denormals");
     assert!(tiny * std::hint::black_box(1.0) > 0.0, "the mode of this thread was changed");
+}
+
+#[test]
+fn inputs_are_set_once_at_an_instant() {
+    let folder = evil_with(&["ONE_SET"], |xml| {
+        let input = r#"<ScalarVariable name="u" valueReference="7" causality="input" variability="continuous"
+            canHandleMultipleSetPerTimeInstant="false"><Real start="0"/></ScalarVariable></ModelVariables>"#;
+        xml.replace("</ModelVariables>", input)
+    });
+    // A ramp from 0 to 1, a jump to 3, and 3 until the end: the integral of it at 2 is 0.5 + 3.
+    let inputs = Inputs::new().table(vec![0.0, 1.0, 1.0, 2.0], [("u", vec![0.0, 1.0, 3.0, 3.0])]);
+    let options = SimulateOptions::new()
+        .final_time(2.0)
+        .times([0.0, 0.5, 1.0, 1.0, 2.0])
+        .start_value("x", 0.0)
+        .inputs(inputs)
+        .record_events(true);
+    let result = folder.open().simulate(&options).unwrap();
+    assert_eq!(result.events.len(), 1);
+    for (time, y) in result.time.iter().zip(result.get("y").unwrap()) {
+        let expected = if *time <= 1.0 { 0.5 * time * time } else { 0.5 + 3.0 * (time - 1.0) };
+        assert!((y - expected).abs() < 1e-6, "{y} at {time}");
+    }
 }
 
 #[test]

@@ -5,9 +5,11 @@
 mod support;
 
 use fmi::ode::{self, Ignore, Method, Side, Termination};
-use fmi::{FmiError, Fmu, Inputs, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Trajectory};
+use fmi::{
+    ExampleKind, FmiError, Fmu, Inputs, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Trajectory,
+};
 use std::sync::Arc;
-use support::model;
+use support::{model, model_as};
 
 fn bits(t: &Trajectory) -> Vec<u64> {
     t.columns.iter().flatten().chain(&t.time).map(|v| v.to_bits()).collect()
@@ -317,6 +319,41 @@ fn bad_tables_name_variable_row_and_number() {
     let inputs = new().function("u", |_| f64::NAN);
     let error = fmu.simulate(&SimulateOptions::new().final_time(1.0).inputs(inputs)).unwrap_err();
     assert!(matches!(error, FmiError::NotFinite { .. }), "{error}");
+}
+
+#[test]
+fn outputs_are_chosen_by_name_by_pattern_or_all() {
+    let folder = model("switched_input");
+    let fmu = folder.open();
+    let names = |options: SimulateOptions| fmu.simulate(&options.final_time(0.1).ncp(1)).unwrap().names;
+    let chosen = |outputs: &[&str]| names(SimulateOptions::new().outputs(outputs.iter().copied()));
+    // Outputs in the order of the file, then the state.
+    assert_eq!(names(SimulateOptions::new()), ["y", "target", "limit", "x"]);
+    assert_eq!(chosen(&["x", "time"]), ["x", "time"]);
+    // What a pattern finds again stands there once.
+    assert_eq!(chosen(&["limit", "?", "*i*t"]), ["limit", "x", "y", "u", "K", "T"]);
+    let all = chosen(&["all"]);
+    assert!(
+        all.len() == fmu.description().variables.len() - 1 && !all.contains(&"time".to_owned()),
+        "{all:?}"
+    );
+    assert_eq!(chosen(&["*"]), all);
+    let error = |output: &str| {
+        let options = SimulateOptions::new().final_time(1.0).outputs([output]);
+        SimulationPlan::new(&fmu, &options).unwrap_err()
+    };
+    assert!(error("arm*").to_string().contains("\"arm*\""));
+    assert!(matches!(error("limitt"), FmiError::UnknownVariable { .. }));
+}
+
+#[test]
+fn a_model_without_outputs_and_states_shows_what_changes() {
+    let folder = model_as("dahlquist", ExampleKind::Fmi1ModelExchange, &[], |xml| {
+        xml.replace(r#"causality="output""#, r#"causality="internal""#)
+    });
+    let result = folder.open().simulate(&SimulateOptions::new().final_time(1.0).ncp(4)).unwrap();
+    assert_eq!(result.names, ["x", "der(x)"]);
+    close(*result.get("x").unwrap().last().unwrap(), (-1.0f64).exp(), 1e-6);
 }
 
 #[test]

@@ -41,6 +41,8 @@ fn model_exchange_has_the_same_bits_in_all_versions() {
         let options =
             SimulateOptions::new().final_time(end).ncp(97).relative_tolerance(1e-8).record_events(true);
         let truth = truth(name, &options);
+        // Which variables are states is not known in FMI 1.0.
+        let options = options.outputs(truth.names.clone());
         for kind in [ExampleKind::Fmi1ModelExchange, ExampleKind::Fmi3] {
             let found = open(name, kind).simulate(&options).unwrap();
             agree(name, &truth, &found, 0.0);
@@ -54,13 +56,36 @@ fn co_simulation_agrees_in_all_versions() {
     for (name, end) in MODELS {
         let options = SimulateOptions::new().final_time(end).ncp(97).relative_tolerance(1e-8);
         let truth = truth(name, &options);
-        let options = options.kind(Kind::CoSimulation);
+        let options = options.outputs(truth.names.clone()).kind(Kind::CoSimulation);
         let two = open(name, ExampleKind::Fmi2CoSimulation).simulate(&options).unwrap();
         agree(name, &truth, &two, 1e-6);
         let one = open(name, ExampleKind::Fmi1CoSimulation).simulate(&options).unwrap();
         agree(name, &two, &one, 0.0);
         let three = open(name, ExampleKind::Fmi3).simulate(&options).unwrap();
         agree(name, &two, &three, 1e-9);
+    }
+}
+
+#[test]
+fn a_model_may_end_the_simulation_in_all_versions() {
+    // The stair ends at 9 s: between two communication points, and at one.
+    for (interval, last) in [(0.4, 8.8), (0.5, 9.0)] {
+        let options = SimulateOptions::new().final_time(20.0).output_interval(interval);
+        for kind in ExampleKind::ALL {
+            let fmu = open("stair", kind);
+            for way in [Kind::ModelExchange, Kind::CoSimulation] {
+                let Ok(_) = fmu.choose(way) else { continue };
+                let result = fmu.simulate(&options.clone().kind(way)).unwrap();
+                assert_eq!(
+                    (result.termination, result.end_time),
+                    (Termination::StoppedByModel, 9.0),
+                    "{kind:?}"
+                );
+                let end = *result.time.last().unwrap();
+                assert!((end - last).abs() < 1e-12, "{kind:?} {way:?}: {end}");
+                assert_eq!(result.get("counter").unwrap().last(), Some(&(1.0 + end.floor())), "{kind:?}");
+            }
+        }
     }
 }
 

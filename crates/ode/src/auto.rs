@@ -26,6 +26,14 @@ const FORGET: f64 = 0.98;
 /// Tsit5, or this many per evaluation of a Jacobian, the spectral radius is taken from a Jacobian.
 /// There the fast parts must be damped more strongly to stay within the tolerance: steps settle at a smaller product.
 const NEAR_LIMIT: f64 = 2.0;
+/// How small depends on the tolerance. So where the largest eigenvalue is real and negative, and the product above this,
+/// Radau5 makes so many steps on trial: the method that advances more per right-hand side goes on.
+const WORTH_A_TRIAL: f64 = 0.3;
+const TRIAL_STEPS: u32 = 15;
+/// The first steps of a trial, in which the step size grows, do not count.
+const TRIAL_START: u32 = 5;
+/// After a trial that Tsit5 won the next one waits twice as long, up to so many times.
+const MOST_PATIENCE: usize = 64;
 const PROBE_STEPS: usize = 100;
 const PROBE_STEPS_PER_COST: usize = 4;
 /// Back after so many steps that Tsit5 could have made with room to spare.
@@ -45,6 +53,17 @@ pub(crate) struct Auto {
     strain: f64,
     /// Steps of Tsit5 since a Jacobian was looked at.
     since_probe: usize,
+    /// So many more probes until the next trial, and how many there shall be after a trial lost.
+    until_trial: usize,
+    patience: usize,
+    /// Right-hand sides and time advanced since the last probe, or since the start of the trial.
+    work: u64,
+    advanced: f64,
+    /// Steps left of a trial of Radau5, and the time that Tsit5 advanced per right-hand side before.
+    trial_left: u32,
+    pace: f64,
+    /// Below this product Tsit5 takes over again.
+    easy_limit: f64,
     /// `h` times the estimated spectral radius, of the last good trial of Tsit5.
     response: f64,
 }
@@ -61,6 +80,13 @@ impl Default for Auto {
             easy_steps: 0,
             strain: 0.0,
             since_probe: 0,
+            until_trial: 0,
+            patience: 1,
+            work: 0,
+            advanced: 0.0,
+            trial_left: 0,
+            pace: 0.0,
+            easy_limit: EASY,
             response: 0.0,
         }
     }
@@ -80,6 +106,9 @@ impl Auto {
         self.easy_steps = 0;
         self.strain = 0.0;
         self.since_probe = 0;
+        self.work = 0;
+        self.advanced = 0.0;
+        self.trial_left = 0;
     }
 
     /// Looks at the Jacobian at the start of a step of Tsit5, now and then, and switches if it says so.
@@ -94,10 +123,22 @@ impl Auto {
         if self.since_probe < wait {
             return Ok(());
         }
-        self.since_probe = 0;
+        let pace = self.advanced / self.work.max(1) as f64;
         let point = (trial.t, trial.x, self.easy.derivative());
+        self.since_probe = 0;
+        self.work = 0;
+        self.advanced = 0.0;
+        self.until_trial = self.until_trial.saturating_sub(1);
         match self.stiff.spectral_radius(system, point, weights, stats) {
-            Ok(radius) if trial.h * radius > NEAR_LIMIT => self.become_stiff(),
+            Ok((radius, _)) if trial.h * radius > NEAR_LIMIT => self.become_stiff(),
+            Ok((radius, quotient))
+                if self.until_trial == 0 && trial.h * radius > WORTH_A_TRIAL && quotient < -0.9 * radius =>
+            {
+                self.become_stiff();
+                self.trial_left = TRIAL_STEPS;
+                self.pace = pace;
+                self.easy_limit = EASY.min(0.5 * trial.h * radius);
+            }
             // No Jacobian to be had here: as before.
             Ok(_) | Err(CallError::Discard) => {}
             Err(failed) => return Err(failed),
@@ -108,6 +149,7 @@ impl Auto {
     fn become_stiff(&mut self) {
         self.calm();
         self.is_stiff = true;
+        self.easy_limit = EASY;
         self.stiff.take_over(self.easy.derivative());
     }
 
@@ -129,9 +171,30 @@ impl Auto {
 
     /// After an accepted step of Radau5: would Tsit5 do?
     fn became_easy(&mut self, h: f64) -> bool {
-        let easy = self.stiff.stiffness(h).is_some_and(|response| response < EASY);
+        if self.trial_left > 0 {
+            return self.lost_trial();
+        }
+        let easy = self.stiff.stiffness(h).is_some_and(|response| response < self.easy_limit);
         self.easy_steps = if easy { self.easy_steps + 1 } else { 0 };
         !self.only_stiff && self.easy_steps >= EASY_STEPS
+    }
+}
+
+impl Auto {
+    /// After a step of a trial of Radau5: has it come to its end, and was Tsit5 faster?
+    fn lost_trial(&mut self) -> bool {
+        self.trial_left -= 1;
+        if self.trial_left + TRIAL_START == TRIAL_STEPS {
+            self.work = 0;
+            self.advanced = 0.0;
+        }
+        if self.trial_left > 0 {
+            return false;
+        }
+        let lost = self.advanced < self.pace * self.work as f64;
+        self.patience = if lost { (2 * self.patience).min(MOST_PATIENCE) } else { 1 };
+        self.until_trial = if lost { self.patience } else { 0 };
+        lost
     }
 }
 
@@ -161,6 +224,9 @@ impl Stepper for Auto {
         self.stiff.begin(system);
         self.only_stiff = system.mass_matrix().is_some();
         self.is_stiff = self.only_stiff;
+        self.until_trial = 0;
+        self.patience = 1;
+        self.easy_limit = EASY;
         self.calm();
     }
 
@@ -201,7 +267,9 @@ impl Stepper for Auto {
         if !self.is_stiff {
             self.probe(system, trial, weights, stats)?;
         }
+        let before = stats.right_hand_sides + stats.directional_derivatives;
         let attempt = active!(self.try_step(system, trial, weights, x_new, stats))?;
+        self.work += stats.right_hand_sides + stats.directional_derivatives - before;
         if !self.is_stiff {
             match attempt {
                 Attempt::Good => self.response = trial.h * self.easy.response(trial.x, x_new, weights),
@@ -239,6 +307,7 @@ impl Stepper for Auto {
 
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
         let proposed = active!(self.accept(h, theta));
+        self.advanced += theta * h;
         // At an event the method goes on as it is: the right-hand side of the end of the step is not known.
         if theta < 1.0 {
             return proposed;

@@ -5,24 +5,25 @@ use crate::bdf::Bdf;
 use crate::control::Weights;
 use crate::dop853::Dop853;
 use crate::error::{ErrorKind, Report, SimulationError, Termination};
-use crate::event::{ChatteringGuard, Domains};
+use crate::event::Domains;
 use crate::explicit_rk::ExplicitRk;
 use crate::observer::Observer;
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
 use crate::radau5::Radau5;
-use crate::sampling::{Here, Sampler};
+use crate::sampling::Sampler;
 use crate::stats::Stats;
 use crate::stepper::{Attempt, Stepper, Trial};
-use crate::system::{CallError, CallResult, EventCause, HybridSystem, InputStop};
+use crate::system::{CallError, EventCause, HybridSystem, InputStop};
 use crate::tableau::{EULER, RK4, TSIT5};
-use std::ops::ControlFlow;
-use std::sync::atomic::Ordering;
-use std::time::Instant;
+use crate::watched::{Watch, Watched, kind_of};
 
 mod events;
 mod inside;
+mod samples;
+mod sliding;
 
 use inside::{Found, Inside};
+use sliding::Sliding;
 
 /// Unit round-off of double precision.
 const U: f64 = f64::EPSILON / 2.0;
@@ -140,9 +141,11 @@ impl Driver {
         O: Observer + ?Sized,
     {
         let Self { options, method, space } = self;
+        let watch = Watch::new(options);
+        let system = &mut Watched { system, watch };
         macro_rules! run {
             ($stepper:expr) => {
-                Run::new(options, $stepper, space, system, (start, end), times, observer).run()
+                Run::new(options, $stepper, space, system, (start, end), times, (observer, watch)).run()
             };
         }
         match method {
@@ -209,12 +212,12 @@ struct Run<'a, S: ?Sized, M, O: ?Sized> {
     fixed_step: Option<f64>,
     next_time_event: Option<f64>,
     input_stop: Option<InputStop>,
-    guard: ChatteringGuard,
+    sliding: Sliding,
     discards: u32,
     worst_state: Option<usize>,
     last_event: Option<f64>,
     stats: Stats,
-    began: Option<Instant>,
+    watch: Watch<'a>,
 }
 
 impl<'a, S, M, O> Run<'a, S, M, O>
@@ -230,7 +233,7 @@ where
         system: &'a mut S,
         (start, end): (f64, f64),
         times: &'a [f64],
-        observer: &'a mut O,
+        (observer, watch): (&'a mut O, Watch<'a>),
     ) -> Self {
         let span = end - start;
         let fixed_step = (!stepper.has_error_estimate()).then(|| options.step_size.unwrap_or(span / 500.0));
@@ -250,12 +253,12 @@ where
             fixed_step,
             next_time_event: None,
             input_stop: None,
-            guard: ChatteringGuard::new(span),
+            sliding: Sliding::new(span),
             discards: 0,
             worst_state: None,
             last_event: None,
             stats: Stats::default(),
-            began: options.limits.timeout.map(|_| Instant::now()),
+            watch,
         }
     }
 
@@ -361,21 +364,12 @@ where
         }
         let limits = &self.options.limits;
         let over = |limit: Option<u64>, count: u64| limit.filter(|l| count >= *l);
-        if let Some(cancel) = &self.options.cancel
-            && cancel.load(Ordering::Relaxed)
-        {
-            return Err(ErrorKind::Cancelled.into());
-        }
+        self.watch.check().map_err(ErrorKind::from)?;
         if let Some(n) = over(limits.max_steps, self.stats.accepted_steps + self.stats.rejected_steps) {
             return Err(ErrorKind::TooManySteps(n).into());
         }
         if let Some(n) = over(limits.max_right_hand_sides, self.stats.right_hand_sides) {
             return Err(ErrorKind::TooManyRightHandSides(n).into());
-        }
-        if let (Some(limit), Some(began)) = (limits.timeout, self.began)
-            && began.elapsed() >= limit
-        {
-            return Err(ErrorKind::TimedOut(limit).into());
         }
         Ok(())
     }
@@ -421,7 +415,7 @@ where
         if self.space.x.is_empty() && self.space.domains.len() == 0 {
             return remaining;
         }
-        let h = self.h.min(self.options.max_step.unwrap_or(f64::INFINITY));
+        let h = self.sliding.step().unwrap_or(self.h).min(self.options.max_step.unwrap_or(f64::INFINITY));
         if remaining < 1.1 * h && (self.options.max_step.is_none_or(|m| remaining <= m)) {
             remaining
         } else if remaining < 2.0 * h {
@@ -459,7 +453,7 @@ where
     fn refused(&mut self, h: f64, error: CallError) -> Step<Tried> {
         match error {
             CallError::Discard => Ok(Tried::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
-            CallError::Failed(e) => Err(ErrorKind::Model(e).into()),
+            CallError::Failed(e) => Err(kind_of(e).into()),
         }
     }
 
@@ -481,6 +475,7 @@ where
             });
         }
         self.h = h;
+        self.sliding.shrink(h);
         Ok(())
     }
 
@@ -502,6 +497,7 @@ where
         }
         self.discards = 0;
         self.worst_state = None;
+        self.show_step(at, end, h);
 
         // Slopes at both sides of an event decide whether the method must be restarted.
         let theta = if inside { (at - self.t) / h } else { 1.0 };
@@ -524,14 +520,8 @@ where
         cause.input = stop.is_some_and(|stop| stop.jump);
         self.h = h_next;
         let eventful = cause != EventCause::default();
+        self.watch_events(cause, crossed)?;
         if eventful {
-            if cause.state
-                && let Some(within) = self.guard.record(at)
-            {
-                let events = ChatteringGuard::EVENTS as u64;
-                let indicator = crossed.unwrap_or_default();
-                return Err(ErrorKind::Chattering { events, within, indicator }.into());
-            }
             self.sample_left()?;
         }
         if let Some(stop) = stop {
@@ -565,37 +555,6 @@ where
         }
     }
 
-    /// Samples strictly inside the step, up to (not including) `at`. `false`: the model refused one of these points;
-    /// nothing is committed, so a smaller step can follow.
-    fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
-        while let Some(t) = self.space.sampler.due_before(self.times, at - self.same) {
-            let Space { x, x_mid, sampler, .. } = &mut *self.space;
-            let theta = ((t - self.t) / h).clamp(0.0, 1.0);
-            self.stepper.interpolate(Trial { t: self.t, end, h, x }, theta, x_mid);
-            let here = Here { t, x: x_mid, same: 0.0, record: false };
-            match sampler.deliver(self.system, self.times, &here, self.observer) {
-                Err(CallError::Discard) => return Ok(false),
-                flow => follow(flow)?,
-            }
-        }
-        Ok(true)
-    }
-
-    /// The left limit at the current time, where somebody wants it: the time is listed twice, or events are recorded.
-    fn sample_left(&mut self) -> Step<()> {
-        let Space { x, sampler, .. } = &mut *self.space;
-        let here = Here { t: self.t, x, same: self.same, record: self.options.record_events };
-        follow(sampler.deliver_left(self.system, self.times, &here, self.observer))
-    }
-
-    /// All samples still due at the current time, after everything that happened there.
-    fn sample_here(&mut self, after_event: bool) -> Step<()> {
-        let Space { x, sampler, .. } = &mut *self.space;
-        let record = after_event && self.options.record_events;
-        let here = Here { t: self.t, x, same: self.same, record };
-        follow(sampler.deliver_here(self.system, self.times, &here, self.observer))
-    }
-
     fn reached_end(&mut self) -> Step<()> {
         if self.t >= self.end - self.same { finish(Termination::Finished) } else { Ok(()) }
     }
@@ -603,14 +562,6 @@ where
 
 fn finish(termination: Termination) -> Step<()> {
     Err(Exit::Normal(termination))
-}
-
-/// The observer's word on a sample.
-fn follow(flow: CallResult<ControlFlow<()>>) -> Step<()> {
-    match flow.map_err(no_retreat)? {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => finish(Termination::StoppedByObserver),
-    }
 }
 
 /// Event indicators; a value that is not finite counts as refused.
@@ -628,6 +579,6 @@ fn read_indicators<S: HybridSystem + ?Sized>(
 fn no_retreat(error: CallError) -> Exit {
     match error {
         CallError::Discard => ErrorKind::DiscardedAtRestart.into(),
-        CallError::Failed(e) => ErrorKind::Model(e).into(),
+        CallError::Failed(e) => kind_of(e).into(),
     }
 }

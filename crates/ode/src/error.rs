@@ -88,7 +88,7 @@ pub enum ErrorKind {
         /// The indicator that crossed last.
         indicator: usize,
     },
-    /// So many time events in a row announced the next one for the same instant.
+    /// So many time events in a row announced the next one for the same instant, or for one a hair later.
     TimeEventLoop(u64),
     /// The model announced a time event that lies in the past.
     EventInThePast(f64),
@@ -117,7 +117,7 @@ impl ErrorKind {
             Self::TimedOut(limit) => format!("the time limit of {} s was reached", limit.as_secs_f64()),
             Self::Cancelled => "cancelled".to_owned(),
             Self::Chattering { indicator, .. } => format!("chattering (event indicator {indicator})"),
-            Self::TimeEventLoop(_) => "time events without end at one instant".to_owned(),
+            Self::TimeEventLoop(_) => "time events that do not let time advance".to_owned(),
             Self::EventInThePast(_) => "a time event in the past".to_owned(),
             Self::Model(e) => e.to_string(),
         }
@@ -201,7 +201,7 @@ impl fmt::Display for SimulationError {
                 )?;
             }
             ErrorKind::TimeEventLoop(n) => {
-                write!(f, "{n} time events at t = {t}, each announcing another one there")?
+                write!(f, "{n} time events at t = {t}, each announcing another one there or a hair later")?
             }
             ErrorKind::EventInThePast(next) => {
                 write!(f, "the model announced its next time event for {next}, which lies before t = {t}")?;

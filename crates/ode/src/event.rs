@@ -245,8 +245,8 @@ impl Domains {
     }
 }
 
-/// Notices state events that follow each other while time hardly advances (chattering, Zeno). The test is on the time
-/// that passes, not on the number of events: many events far apart are a legal model.
+/// Notices events that follow each other while time hardly advances (chattering, Zeno). The test is on the time that
+/// passes, not on the number of events: many events far apart are a legal model.
 #[derive(Debug)]
 pub(crate) struct ChatteringGuard {
     times: [f64; Self::EVENTS],
@@ -257,11 +257,13 @@ pub(crate) struct ChatteringGuard {
 impl ChatteringGuard {
     /// So many events in a row must advance time.
     pub(crate) const EVENTS: usize = 100;
-    /// By this share of the span.
-    pub(crate) const SHARE_OF_SPAN: f64 = 1e-6;
+    /// By this share of the span, state events.
+    pub(crate) const STATE_EVENTS: f64 = 1e-6;
+    /// By this share of the span, time events: a clock may be fast, but it must not stand still.
+    pub(crate) const TIME_EVENTS: f64 = 1e-9;
 
-    pub(crate) fn new(span: f64) -> Self {
-        Self { times: [f64::NEG_INFINITY; Self::EVENTS], next: 0, least: Self::SHARE_OF_SPAN * span }
+    pub(crate) fn new(least: f64) -> Self {
+        Self { times: [f64::NEG_INFINITY; Self::EVENTS], next: 0, least }
     }
 
     /// Records an event at `t`; returns the time in which the last [`EVENTS`](Self::EVENTS) happened if that is too short.
@@ -270,6 +272,11 @@ impl ChatteringGuard {
         self.times[self.next] = t;
         self.next = (self.next + 1) % Self::EVENTS;
         (within < self.least).then_some(within)
+    }
+
+    /// Forgets all events.
+    pub(crate) fn forget(&mut self) {
+        self.times.fill(f64::NEG_INFINITY);
     }
 }
 
@@ -389,9 +396,9 @@ mod tests {
 
     #[test]
     fn the_guard_looks_at_time_not_at_the_count() {
-        let mut guard = ChatteringGuard::new(1.0);
+        let mut guard = ChatteringGuard::new(1e-6);
         assert!((0..10_000).all(|i| guard.record(f64::from(i) * 1e-4).is_none()));
-        let mut guard = ChatteringGuard::new(1.0);
+        let mut guard = ChatteringGuard::new(1e-6);
         let caught = (0..200).position(|i| guard.record(f64::from(i) * 1e-10).is_some());
         assert_eq!(caught, Some(100));
     }

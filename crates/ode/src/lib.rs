@@ -20,11 +20,12 @@ mod stats;
 mod stepper;
 mod system;
 mod tableau;
+mod watched;
 
 pub use driver::Driver;
 pub use error::{ErrorKind, Report, SimulationError, Termination};
 pub use jacobian::JacobianPattern;
-pub use observer::{EventRecord, Ignore, Observer, Sample, Side};
+pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
 pub use stats::Stats;
 pub use system::{

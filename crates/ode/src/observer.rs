@@ -1,6 +1,7 @@
 //! What the driver tells the outside while it runs: samples and events. The outside may say "stop".
 
 use crate::system::EventCause;
+use std::fmt;
 use std::ops::ControlFlow;
 
 /// On which side of an instant a sample was taken.
@@ -36,10 +37,50 @@ pub struct EventRecord {
     pub cause: EventCause,
 }
 
+/// An accepted step, or the part of it before an event, to be looked into: between its ends the solution is as accurate
+/// as at them. What the methods interpolate with are polynomials in time of degree 7 at most.
+#[derive(Clone, Copy)]
+pub struct StepView<'a> {
+    /// Time at its start.
+    pub start: f64,
+    /// Time at its end.
+    pub end: f64,
+    interpolate: &'a dyn Fn(f64, &mut [f64]),
+}
+
+impl<'a> StepView<'a> {
+    pub(crate) fn new(start: f64, end: f64, interpolate: &'a dyn Fn(f64, &mut [f64])) -> Self {
+        Self { start, end, interpolate }
+    }
+
+    /// Fills in the states at a time between [`start`](Self::start) and [`end`](Self::end) (the limit from the left
+    /// there, before any event). `states` has one place per state.
+    pub fn states_at(&self, time: f64, states: &mut [f64]) {
+        (self.interpolate)(time, states);
+    }
+}
+
+impl fmt::Debug for StepView<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("StepView").field("start", &self.start).field("end", &self.end).finish_non_exhaustive()
+    }
+}
+
 /// Receives samples, in the order of time, and events.
 pub trait Observer {
     /// A sample; `Break` ends the run (a normal end: [`Termination::StoppedByObserver`](crate::Termination)).
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()>;
+
+    /// Whether [`step`](Self::step) is to be told of accepted steps. Methods whose interpolation costs extra evaluations
+    /// (DOP853) make them for every step then.
+    fn wants_steps(&self) -> bool {
+        false
+    }
+
+    /// A step was accepted; told before the model is, and before any event at its end.
+    fn step(&mut self, step: &StepView<'_>) {
+        let _ = step;
+    }
 
     /// An event has been handled.
     fn event(&mut self, event: &EventRecord) {
@@ -65,6 +106,12 @@ impl Observer for Ignore {
 impl<O: Observer + ?Sized> Observer for &mut O {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         (**self).sample(sample)
+    }
+    fn wants_steps(&self) -> bool {
+        (**self).wants_steps()
+    }
+    fn step(&mut self, step: &StepView<'_>) {
+        (**self).step(step);
     }
     fn event(&mut self, event: &EventRecord) {
         (**self).event(event);

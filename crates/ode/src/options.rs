@@ -67,7 +67,7 @@ impl FromStr for Method {
     }
 }
 
-/// What ends a run before its time; `None` means no limit. Limits are looked at before each trial step.
+/// What ends a run before its time; `None` means no limit. Counts are looked at before each trial step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
     /// Accepted and rejected steps together.
@@ -76,7 +76,7 @@ pub struct Limits {
     pub max_events: Option<u64>,
     /// Evaluations of the right-hand side.
     pub max_right_hand_sides: Option<u64>,
-    /// Wall-clock time; looked at between calls into the model, at every step.
+    /// Wall-clock time; looked at before each step and each evaluation.
     pub timeout: Option<Duration>,
 }
 
@@ -87,6 +87,36 @@ pub enum ChatteringPolicy {
     /// End the run with an error that names the indicators.
     #[default]
     Error,
+    /// Go on locating every event, and count it in [`Stats::chattering`](crate::Stats::chattering); an error still where
+    /// time stands still.
+    Warn,
+    /// Go on in steps of [`SLIDING_STEP`](Self::SLIDING_STEP) of the span, at whose ends the events happen wherever in the
+    /// step the indicators crossed, until a hundred such steps have passed without a state event. Where the vector fields
+    /// on both sides point to each other, the solution slides between them as Filippov defines it, up to an error of
+    /// the order of this step (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988, section 8);
+    /// counted in [`Stats::chattering`](crate::Stats::chattering), too. Methods with a fixed step end with the error.
+    Slide,
+}
+
+impl ChatteringPolicy {
+    /// Length of a step of [`Slide`](Self::Slide), as a share of the span.
+    pub const SLIDING_STEP: f64 = 1e-5;
+
+    /// All policies by the names that [`FromStr`] understands.
+    pub const NAMES: [&'static str; 3] = ["error", "warn", "slide"];
+}
+
+impl FromStr for ChatteringPolicy {
+    type Err = OptionsError;
+
+    fn from_str(name: &str) -> Result<Self, OptionsError> {
+        match name {
+            "error" => Ok(Self::Error),
+            "warn" => Ok(Self::Warn),
+            "slide" => Ok(Self::Slide),
+            _ => Err(OptionsError::UnknownChatteringPolicy(name.to_owned())),
+        }
+    }
 }
 
 /// Absolute tolerances of the states.
@@ -131,7 +161,7 @@ pub struct Options {
     pub limits: Limits,
     /// Answer to chattering; default an error.
     pub chattering: ChatteringPolicy,
-    /// Set from outside to end the run at its next step with [`ErrorKind::Cancelled`](crate::ErrorKind).
+    /// Set from outside to end the run at its next step or evaluation with [`ErrorKind::Cancelled`](crate::ErrorKind).
     pub cancel: Option<Arc<AtomicBool>>,
 }
 
@@ -206,4 +236,7 @@ pub enum OptionsError {
     /// No method has this name.
     #[error("unknown solver '{0}'; there are: auto, tsit5, dop853, radau5, bdf, rk4, euler")]
     UnknownMethod(String),
+    /// No policy for chattering has this name.
+    #[error("unknown answer to chattering '{0}'; there are: error, warn, slide")]
+    UnknownChatteringPolicy(String),
 }

@@ -127,14 +127,15 @@ impl Radau5 {
     }
 
     /// The spectral radius of the Jacobian at `(t, x)`, where the right-hand side is `f`, by vector iteration: mean growth
-    /// over the last half of twenty products, so that complex pairs count with their modulus.
+    /// over the last half of twenty products, so that complex pairs count with their modulus; and the Rayleigh quotient
+    /// of the last product, which is minus that where the eigenvalue is real and negative.
     pub(crate) fn spectral_radius<S: HybridSystem + ?Sized>(
         &mut self,
         system: &mut S,
         point: (f64, &[f64], &[f64]),
         weights: &Weights,
         stats: &mut Stats,
-    ) -> CallResult<f64> {
+    ) -> CallResult<(f64, f64)> {
         const HALF: i32 = 10;
         self.has_jacobian = false;
         self.jacobian.evaluate(system, point, weights, stats)?;
@@ -143,7 +144,7 @@ impl Radau5 {
         for (i, (v, inverse)) in v.iter_mut().zip(&*inverse).enumerate() {
             *v = (1.0 + 0.1 * i as f64) / inverse;
         }
-        let mut growth = 1.0;
+        let (mut growth, mut quotient) = (1.0, 0.0);
         for count in 0..2 * HALF {
             product.fill(0.0);
             for (column, v) in jacobian.values.chunks_exact(v.len()).zip(&*v) {
@@ -151,14 +152,17 @@ impl Radau5 {
             }
             let (before, after) = (scaled_norm(v, inverse), scaled_norm(product, inverse));
             if after == 0.0 || !after.is_finite() {
-                return Ok(0.0);
+                return Ok((0.0, 0.0));
             }
             if count >= HALF {
                 growth *= (after / before).powf(1.0 / f64::from(HALF));
             }
+            let weighted = |(i, (v, p)): (usize, (&f64, &f64))| v * inverse[i] * (p * inverse[i]);
+            let dot: f64 = v.iter().zip(&*product).enumerate().map(weighted).sum();
+            quotient = dot / (before * before * v.len() as f64);
             v.iter_mut().zip(&*product).for_each(|(v, p)| *v = p / after);
         }
-        Ok(growth)
+        Ok((growth, quotient))
     }
 
     /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.

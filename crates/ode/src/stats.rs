@@ -35,6 +35,9 @@ pub struct Stats {
     pub events: u64,
     /// Restarts of the method after an event that changed something.
     pub restarts: u64,
+    /// How often state events were found to follow each other while time hardly advanced, where the
+    /// [policy](crate::ChatteringPolicy) is to go on.
+    pub chattering: u64,
 }
 
 impl AddAssign for Stats {
@@ -54,5 +57,6 @@ impl AddAssign for Stats {
         self.input_events += other.input_events;
         self.events += other.events;
         self.restarts += other.restarts;
+        self.chattering += other.chattering;
     }
 }

@@ -178,56 +178,76 @@ pub trait HybridSystem {
     }
 }
 
+/// The calls that a wrapper of a system hands on as they are: all but those that [`evaluations`] has.
+macro_rules! hand_on {
+    ($self:ident, $inner:expr) => {
+        fn n_states(&$self) -> usize {
+            $inner.n_states()
+        }
+        fn n_event_indicators(&$self) -> usize {
+            $inner.n_event_indicators()
+        }
+        fn n_outputs(&$self) -> usize {
+            $inner.n_outputs()
+        }
+        fn nominals(&mut $self, nominals: &mut [f64]) -> CallResult<()> {
+            $inner.nominals(nominals)
+        }
+        fn start(&mut $self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+            $inner.start(t0, x)
+        }
+        fn jacobian_pattern(&$self) -> Option<&JacobianPattern> {
+            $inner.jacobian_pattern()
+        }
+        fn mass_matrix(&$self) -> Option<&[f64]> {
+            $inner.mass_matrix()
+        }
+        fn outputs(&mut $self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
+            $inner.outputs(t, x, y)
+        }
+        fn step_completed(&mut $self, t: f64, x: &[f64]) -> CallResult<StepAction> {
+            $inner.step_completed(t, x)
+        }
+        fn handle_event(&mut $self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+            $inner.handle_event(visit, x)
+        }
+        fn next_input_stop(&mut $self, t: f64) -> Option<InputStop> {
+            $inner.next_input_stop(t)
+        }
+    };
+}
+
+/// The calls that a step makes many of, handed on after `$first`, if given, has gone well.
+macro_rules! evaluations {
+    ($self:ident, $inner:expr $(, $first:expr)?) => {
+        fn derivatives(&mut $self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+            $($first;)?
+            $inner.derivatives(t, x, dx)
+        }
+        fn jacobian(&mut $self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
+            $($first;)?
+            $inner.jacobian(t, x, j)
+        }
+        fn directional_derivative(
+            &mut $self,
+            t: f64,
+            x: &[f64],
+            seed: &[f64],
+            derivative: &mut [f64],
+        ) -> CallResult<bool> {
+            $($first;)?
+            $inner.directional_derivative(t, x, seed, derivative)
+        }
+        fn event_indicators(&mut $self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+            $($first;)?
+            $inner.event_indicators(t, x, z)
+        }
+    };
+}
+
+pub(crate) use {evaluations, hand_on};
+
 impl<S: HybridSystem + ?Sized> HybridSystem for &mut S {
-    fn n_states(&self) -> usize {
-        (**self).n_states()
-    }
-    fn n_event_indicators(&self) -> usize {
-        (**self).n_event_indicators()
-    }
-    fn n_outputs(&self) -> usize {
-        (**self).n_outputs()
-    }
-    fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
-        (**self).nominals(nominals)
-    }
-    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
-        (**self).start(t0, x)
-    }
-    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
-        (**self).derivatives(t, x, dx)
-    }
-    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
-        (**self).jacobian_pattern()
-    }
-    fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
-        (**self).jacobian(t, x, j)
-    }
-    fn directional_derivative(
-        &mut self,
-        t: f64,
-        x: &[f64],
-        seed: &[f64],
-        derivative: &mut [f64],
-    ) -> CallResult<bool> {
-        (**self).directional_derivative(t, x, seed, derivative)
-    }
-    fn mass_matrix(&self) -> Option<&[f64]> {
-        (**self).mass_matrix()
-    }
-    fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
-        (**self).event_indicators(t, x, z)
-    }
-    fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
-        (**self).outputs(t, x, y)
-    }
-    fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
-        (**self).step_completed(t, x)
-    }
-    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
-        (**self).handle_event(visit, x)
-    }
-    fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
-        (**self).next_input_stop(t)
-    }
+    hand_on!(self, (**self));
+    evaluations!(self, (**self));
 }

@@ -237,3 +237,61 @@ fn no_states_and_no_span() {
         assert_eq!((report.stats.samples, report.stats.accepted_steps), (1, 0));
     }
 }
+
+/// Keeps the state in the middle of every step, and where steps begin and end.
+#[derive(Default)]
+struct Steps {
+    spans: Vec<(f64, f64)>,
+    middle: Vec<Vec<f64>>,
+    ends: Vec<[Vec<f64>; 2]>,
+}
+
+impl Observer for Steps {
+    fn sample(&mut self, _: &Sample<'_>) -> std::ops::ControlFlow<()> {
+        std::ops::ControlFlow::Continue(())
+    }
+    fn wants_steps(&self) -> bool {
+        true
+    }
+    fn step(&mut self, step: &StepView<'_>) {
+        let at = |t: f64| {
+            let mut x = vec![f64::NAN; 2];
+            step.states_at(t, &mut x);
+            x
+        };
+        self.spans.push((step.start, step.end));
+        self.middle.push(at(0.5 * (step.start + step.end)));
+        self.ends.push([at(step.start), at(step.end)]);
+    }
+}
+
+#[test]
+fn steps_can_be_looked_into() {
+    for &method in ADAPTIVE {
+        let mut steps = Steps::default();
+        let f = |_: f64, x: &[f64], dx: &mut [f64]| dx.copy_from_slice(&[x[1], -x[0]]);
+        let mut circle = Smooth { x0: vec![0.0, 1.0], f };
+        let report = driver(method, 1e-8).run(&mut circle, 0.0, 10.0, &[], &mut steps).unwrap();
+        assert_eq!(steps.spans.len() as u64, report.stats.accepted_steps);
+        assert_eq!((steps.spans[0].0, steps.spans[steps.spans.len() - 1].1), (0.0, 10.0));
+        assert!(steps.spans.windows(2).all(|pair| pair[0].1 == pair[1].0));
+        for (x, (a, b)) in steps.middle.iter().zip(&steps.spans) {
+            let t = 0.5 * (a + b);
+            let off = (x[0] - t.sin()).hypot(x[1] - t.cos());
+            assert!(off < 3e-6, "{} at {t}: {off:e}", method.name());
+        }
+        // Neighbouring steps meet.
+        for pair in steps.ends.windows(2) {
+            assert!((pair[0][1][0] - pair[1][0][0]).abs() < 1e-14, "{}", method.name());
+        }
+    }
+    // A step that is cut by an event ends there, with the state before it.
+    for &method in ADAPTIVE {
+        let mut steps = Steps::default();
+        let mut ball = Ball { v_min: 0.1, resting: false };
+        driver(method, 1e-8).run(&mut ball, 0.0, 0.6, &[], &mut steps).unwrap();
+        let bounce = bounce_times(0.1, 1)[0];
+        let at = steps.spans.iter().position(|(_, end)| (end - bounce).abs() < 1e-6).unwrap();
+        assert!(steps.ends[at][1][1] < -4.0 && steps.ends[at + 1][0][1] > 3.0, "{}", method.name());
+    }
+}

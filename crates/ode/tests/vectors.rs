@@ -128,3 +128,17 @@ fn table() {
         }
     }
 }
+
+#[test]
+fn auto_needs_little_more_than_radau5_where_it_is_stiff() {
+    // At tight tolerances accuracy keeps Tsit5's steps well within its stability: the products of step and eigenvalue say
+    // nothing, and a trial has to tell.
+    for problem in problems::stiff::all() {
+        for rtol in [1e-8, 1e-10] {
+            let (_, auto) = problem.run(Method::Auto, rtol);
+            let (_, radau) = problem.run(Method::Radau5, rtol);
+            let share = auto.right_hand_sides as f64 / radau.right_hand_sides as f64;
+            assert!(share < 1.35, "{} at {rtol:e}: {share}", problem.name);
+        }
+    }
+}

@@ -7,8 +7,9 @@ use crate::interrupt::Watch;
 use crate::logs;
 use crate::report::{self, LastSeen, Listener};
 use crate::settings::{Options, Settings};
+use crate::values;
 use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
-use dfo::{Measure, Progress};
+use dfo::Progress;
 use fmi::FmiError;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
@@ -58,30 +59,6 @@ pub(crate) fn check_parameter(py: Python<'_>, parameter: ParameterFields) -> PyR
     parameter.check(py).map(|_| ())
 }
 
-/// A start value of the type that Python has for it.
-#[derive(FromPyObject)]
-enum StartValue {
-    #[pyo3(transparent)]
-    Boolean(bool),
-    #[pyo3(transparent)]
-    Integer(i32),
-    #[pyo3(transparent)]
-    Real(f64),
-    #[pyo3(transparent)]
-    Text(String),
-}
-
-impl From<StartValue> for fmi::Value {
-    fn from(value: StartValue) -> Self {
-        match value {
-            StartValue::Boolean(v) => v.into(),
-            StartValue::Integer(v) => v.into(),
-            StartValue::Real(v) => v.into(),
-            StartValue::Text(v) => v.into(),
-        }
-    }
-}
-
 /// `pydfo._calibration.ExperimentFields`, field by field.
 #[derive(FromPyObject)]
 pub(crate) struct ExperimentFields {
@@ -92,8 +69,9 @@ pub(crate) struct ExperimentFields {
     outputs: Vec<(String, String, f64)>,
     /// Variable, column.
     inputs: Vec<(String, String)>,
-    start_values: Vec<(String, StartValue)>,
+    start_values: Vec<(String, Py<PyAny>)>,
     window: Option<(f64, f64)>,
+    kind: String,
     start_time: Option<f64>,
     timeout: Option<f64>,
     relative_tolerance: Option<f64>,
@@ -110,6 +88,7 @@ impl ExperimentFields {
             })
         });
         Ok(SimulationSettings {
+            kind: self.kind.parse().map_err(|e| fmu_error::raise(py, &e))?,
             method: self.solver.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
             relative_tolerance: self.relative_tolerance,
             step_size: self.step_size,
@@ -118,7 +97,12 @@ impl ExperimentFields {
         })
     }
 
-    fn experiment(self) -> Result<Experiment, CalibrationError> {
+    fn start_values(&self, py: Python<'_>, fmu: &fmi::Fmu) -> PyResult<Vec<(String, fmi::Value)>> {
+        let given = self.start_values.iter().map(|(name, value)| (name.clone(), value.bind(py).clone()));
+        values::all_from_python(py, fmu.description(), given)
+    }
+
+    fn experiment(self, start_values: Vec<(String, fmi::Value)>) -> Result<Experiment, CalibrationError> {
         let data = match self.path {
             Some(path) => Data::from_csv(path)?,
             None => {
@@ -134,7 +118,7 @@ impl ExperimentFields {
         for (variable, column) in self.inputs {
             experiment = experiment.input(variable, column);
         }
-        for (variable, value) in self.start_values {
+        for (variable, value) in start_values {
             experiment = experiment.start_value(variable, value);
         }
         if let Some((from, to)) = self.window {
@@ -190,9 +174,10 @@ impl PyCalibration {
         let fmu = files::open(py, model)?;
         let settings = experiment.settings(py)?;
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
+        let start_values = experiment.start_values(py, &fmu)?;
         let built = py.detach(move || {
             let builder = calibration::Calibration::builder(fmu)
-                .experiment(experiment.experiment()?)
+                .experiment(experiment.experiment(start_values)?)
                 .settings(settings);
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
         });
@@ -262,7 +247,9 @@ impl PyCalibration {
         start: Option<Vec<f64>>,
         observer: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let Settings { method, tolerances, limits, workers } = options.check(Measure::Relative)?;
+        let Settings {
+            method, tolerances, limits, workers, seed, known, cache, trace_limit, checkpoint, ..
+        } = options.check(py)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
@@ -276,10 +263,16 @@ impl PyCalibration {
                 start,
                 tolerances,
                 limits,
+                seed,
+                known,
+                cache,
+                trace_limit,
+                checkpoint,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
                     seen.pass_on(progress, desk, hearing.as_ref())
                 })),
                 poll: Some(Box::new(move || asked.is_asked())),
+                ..FitOptions::default()
             })
         })?;
         logs::pass_on(py)?;

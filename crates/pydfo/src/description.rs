@@ -3,9 +3,10 @@
 
 use crate::{files, fmu_error, values};
 use fmi::description::{
-    BaseUnit, Capabilities, Causality, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
+    BaseUnit, Capabilities, Dimension, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
 };
-use fmi::{ModelDescription, Variable};
+use fmi::{InterfaceKind, ModelDescription, Variable};
+use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString};
@@ -30,9 +31,13 @@ impl Fmu {
         Ok(Self { fmu: files::open(py, path)? })
     }
 
-    /// Raises what keeps the FMU from being simulated, as far as its description tells.
-    fn check_runnable(&self, py: Python<'_>) -> PyResult<()> {
-        self.fmu.check_runnable().map(|_| ()).map_err(|e| fmu_error::raise(py, &e))
+    /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME" or "CS".
+    fn check_runnable(&self, py: Python<'_>, kind: &str) -> PyResult<&'static str> {
+        let chosen = kind.parse().and_then(|kind| self.fmu.check_runnable_as(kind));
+        match chosen.map_err(|e| fmu_error::raise(py, &e))? {
+            InterfaceKind::ModelExchange => Ok("ME"),
+            InterfaceKind::CoSimulation => Ok("CS"),
+        }
     }
 
     #[getter]
@@ -71,12 +76,6 @@ impl Fmu {
     fn names_of(&self, causality: &str) -> Vec<&str> {
         let variables = self.description().variables.iter();
         variables.filter(|v| v.causality.to_string() == causality).map(|v| v.name.as_str()).collect()
-    }
-
-    /// Names of the variables that results can hold.
-    fn recordable(&self) -> Vec<&str> {
-        let is_number = |v: &&Variable| v.kind.is_number() && v.causality != Causality::Independent;
-        self.description().variables.iter().filter(is_number).map(|v| v.name.as_str()).collect()
     }
 
     /// Position of a variable; None if there is none of this name.
@@ -333,6 +332,9 @@ struct Attributes<'a, 'py> {
     max: Option<f64>,
     nominal: Option<f64>,
     start: Option<Bound<'py, PyAny>>,
+    shape: Vec<usize>,
+    dimensions: Vec<Bound<'py, PyAny>>,
+    aliases: Vec<&'a str>,
     derivative: Option<&'a str>,
     reinit: bool,
     can_handle_multiple_set_per_time_instant: bool,
@@ -364,7 +366,23 @@ impl<'a, 'py> Attributes<'a, 'py> {
             min: v.min,
             max: v.max,
             nominal: v.nominal,
-            start: v.start.clone().map(|value| values::to_python(py, value)).transpose()?,
+            start: v
+                .start
+                .clone()
+                .map(|value| values::to_python(py, value, v.kind, &description.extents(v)))
+                .transpose()?,
+            shape: description.extents(v),
+            dimensions: v
+                .dimensions
+                .iter()
+                .map(|dimension| match dimension {
+                    Dimension::Fixed(extent) => extent.into_bound_py_any(py),
+                    Dimension::Parameter(index) => {
+                        description.variables[*index].name.as_str().into_bound_py_any(py)
+                    }
+                })
+                .collect::<PyResult<_>>()?,
+            aliases: v.aliases.iter().map(|alias| alias.name.as_str()).collect(),
             derivative: v.derivative.map(|state| description.variables[state].name.as_str()),
             reinit: v.reinit,
             can_handle_multiple_set_per_time_instant: v.can_handle_multiple_set_per_time_instant,

@@ -3,7 +3,7 @@
 
 use crate::fmu_error;
 use crate::interrupt::Stop;
-use pyo3::exceptions::{PyKeyboardInterrupt, PyOSError, PyValueError};
+use pyo3::exceptions::{PyKeyError, PyKeyboardInterrupt, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::io;
@@ -12,6 +12,7 @@ use std::path::Path;
 pyo3::import_exception!(pydfo._errors, AllStartsFailed);
 pyo3::import_exception!(pydfo._errors, BadCalibrationError);
 pyo3::import_exception!(pydfo._errors, CalibrationError);
+pyo3::import_exception!(pydfo._errors, CheckpointError);
 pyo3::import_exception!(pydfo._errors, Interrupted);
 pyo3::import_exception!(pydfo._errors, NoResult);
 pyo3::import_exception!(pydfo._errors, SimulationError);
@@ -22,6 +23,11 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
     let (exception, found) = match error {
         dfo::Error::AllStartsFailed(found) => (AllStartsFailed::new_err(message), found),
         dfo::Error::EndedWithoutPoint { found, .. } => (NoResult::new_err(message), found),
+        dfo::Error::CheckpointFile { kind, .. } => return io::Error::new(*kind, message).into(),
+        dfo::Error::Checkpoint { .. } | dfo::Error::CheckpointMismatch { .. } => {
+            return CheckpointError::new_err(message);
+        }
+        dfo::Error::UnknownPoint { .. } => return PyKeyError::new_err(message),
         _ => return PyValueError::new_err(message),
     };
     let attach = || -> PyResult<()> {
@@ -73,7 +79,7 @@ fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
 
 /// `Interrupted` with the best point in hand.
 pub(crate) fn interrupted(py: Python<'_>, result: Option<&Bound<'_, PyAny>>, cause: Option<PyErr>) -> PyErr {
-    let exception = Interrupted::new_err("interrupted; the best point so far is in .result");
+    let exception = Interrupted::new_err("interrupted; what there was so far is in .result");
     exception.set_cause(py, cause);
     match exception.value(py).setattr("result", result) {
         Ok(()) => exception,

@@ -1,7 +1,8 @@
 //! Opening FMUs, each file once as long as it does not change; packing folders; the bundled examples.
 
 use crate::{fmu_error, logs};
-use fmi::FmuCache;
+use fmi::{ExampleKind, FmuCache};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -34,8 +35,22 @@ pub(crate) fn build_fmu(py: Python<'_>, folder: PathBuf, out: PathBuf) -> PyResu
 
 /// Path of the FMU of a bundled model.
 #[pyfunction]
-pub(crate) fn example_fmu(py: Python<'_>, name: &str) -> PyResult<PathBuf> {
-    let path = py.detach(|| fmi::example_fmu(name));
+pub(crate) fn example_fmu(py: Python<'_>, name: &str, version: &str, kind: &str) -> PyResult<PathBuf> {
+    let kind = match (version, kind.to_ascii_uppercase().as_str()) {
+        ("1.0", "ME") => ExampleKind::Fmi1ModelExchange,
+        ("1.0", "CS") => ExampleKind::Fmi1CoSimulation,
+        ("2.0", "ME") => ExampleKind::Fmi2ModelExchange,
+        ("2.0", "CS") => ExampleKind::Fmi2CoSimulation,
+        ("3.0", "ME" | "CS") => ExampleKind::Fmi3,
+        _ => {
+            let problem = format!(
+                "there are no example models of version '{version}' and kind '{kind}'; versions are '1.0', '2.0', \
+                 '3.0', kinds 'ME', 'CS'"
+            );
+            return Err(PyValueError::new_err(problem));
+        }
+    };
+    let path = py.detach(|| fmi::example_fmu_as(name, kind));
     logs::pass_on(py)?;
     path.map_err(|e| fmu_error::raise(py, &e))
 }

@@ -23,6 +23,7 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
         }
         FmiError::WrongType { .. } => ModelTypeError::new_err(message),
         FmiError::NotSettable { .. }
+        | FmiError::OutOfRange { .. }
         | FmiError::NotFinite { .. }
         | FmiError::NotAnOutput { .. }
         | FmiError::BadInput { .. }

@@ -6,17 +6,21 @@ mod calibration;
 mod description;
 mod error;
 mod files;
-mod fmin;
 mod fmu_error;
 mod helper;
 mod inputs;
 mod interrupt;
 mod logs;
+mod methods;
+mod minimize;
 mod model;
 mod objective;
+mod optimizer;
+mod py_system;
 mod quad_err;
 mod report;
 mod settings;
+mod solve;
 mod trajectory;
 mod values;
 
@@ -33,11 +37,15 @@ mod core_module {
     #[pymodule_export]
     use super::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
     #[pymodule_export]
-    use super::fmin::minimize;
+    use super::minimize::minimize;
     #[pymodule_export]
     use super::model::Model;
     #[pymodule_export]
+    use super::optimizer::PyOptimizer;
+    #[pymodule_export]
     use super::quad_err::quad_err;
+    #[pymodule_export]
+    use super::solve::solve;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

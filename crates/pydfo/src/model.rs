@@ -5,8 +5,7 @@ use crate::inputs::{self, Callbacks, Function, Table};
 use crate::interrupt::{Stop, Watch, lock};
 use crate::trajectory::Record;
 use crate::{fmu_error, logs, values};
-use fmi::description::Causality;
-use fmi::{ModelDescription, Session, SimulateOptions, Value, Variable};
+use fmi::{Session, SimulateOptions};
 use numpy::PyReadonlyArray1;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -54,7 +53,7 @@ pub(crate) struct Request<'py> {
     output_interval: Option<f64>,
     ncp: Option<usize>,
     start_values: Vec<(String, Bound<'py, PyAny>)>,
-    /// None: the variables of causality output and the states.
+    /// None: those that the model shows by default.
     outputs: Option<Vec<String>>,
     tables: Vec<Table<'py>>,
     functions: Vec<Function>,
@@ -69,10 +68,11 @@ pub(crate) struct Request<'py> {
 #[pymethods]
 impl Model {
     #[new]
-    fn new(fmu: &Bound<'_, Fmu>) -> Self {
+    fn new(py: Python<'_>, fmu: &Bound<'_, Fmu>, kind: &str) -> PyResult<Self> {
         let fmu = fmu.get().fmu.clone();
-        let session = Box::new(Session::new(fmu.clone()));
-        Self { fmu, slot: Arc::new(Mutex::new(Slot::Here(session))) }
+        let kind = kind.parse().map_err(|e| fmu_error::raise(py, &e))?;
+        let session = Box::new(Session::of_kind(fmu.clone(), kind));
+        Ok(Self { fmu, slot: Arc::new(Mutex::new(Slot::Here(session))) })
     }
 
     /// Values of variables.
@@ -80,17 +80,24 @@ impl Model {
         // Initial values may need the model to be initialized, and for that to be built and loaded.
         let found = py.detach(|| {
             self.with_session(|session| {
-                names.iter().map(|name| session.get(name)).collect::<Result<Vec<_>, _>>()
+                let get = |name: &String| Ok((session.get(name)?, session.extents(name)?));
+                names.iter().map(get).collect::<Result<Vec<_>, fmi::FmiError>>()
             })
         });
         logs::pass_on(py)?;
         let found = found?.map_err(|e| fmu_error::raise(py, &e))?;
-        found.into_iter().map(|value| values::to_python(py, value)).collect()
+        let values = names.iter().zip(found);
+        values
+            .map(|(name, (value, extents))| {
+                let kind = values::find(py, self.fmu.description(), name)?.0.kind;
+                values::to_python(py, value, kind, &extents)
+            })
+            .collect()
     }
 
     /// Sets variables: all of them, or none if one of them cannot be set.
     fn set(&self, py: Python<'_>, names: Vec<String>, given: Vec<Bound<'_, PyAny>>) -> PyResult<()> {
-        let pairs = self.pairs(py, names.into_iter().zip(given))?;
+        let pairs = values::all_from_python(py, self.fmu.description(), names.into_iter().zip(given))?;
         let set_all = |session: &mut Session| {
             pairs.iter().try_for_each(|(name, value)| session.set(name, value.clone()))
         };
@@ -161,21 +168,6 @@ impl Model {
         }
     }
 
-    fn pairs<'py>(
-        &self,
-        py: Python<'py>,
-        given: impl Iterator<Item = (String, Bound<'py, PyAny>)>,
-    ) -> PyResult<Vec<(String, Value)>> {
-        let description = self.fmu.description();
-        given
-            .map(|(name, value)| {
-                let variable = find(py, description, &name)?;
-                let value = values::from_python(description, variable, &value)?;
-                Ok((name, value))
-            })
-            .collect()
-    }
-
     fn options(
         &self,
         py: Python<'_>,
@@ -191,8 +183,9 @@ impl Model {
         options.times = request.times.map(|times| times.as_slice().map(<[f64]>::to_vec)).transpose()?;
         options.output_interval = request.output_interval;
         options.ncp = request.ncp;
-        options.start_values = self.pairs(py, request.start_values.into_iter())?;
-        options.outputs = Some(request.outputs.unwrap_or_else(|| default_outputs(self.fmu.description())));
+        options.start_values =
+            values::all_from_python(py, self.fmu.description(), request.start_values.into_iter())?;
+        options.outputs = request.outputs;
         options.relative_tolerance = request.relative_tolerance;
         options.method =
             request.solver.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
@@ -207,24 +200,6 @@ impl Model {
         };
         Ok((options, callbacks))
     }
-}
-
-fn find<'a>(py: Python<'_>, description: &'a ModelDescription, name: &str) -> PyResult<&'a Variable> {
-    description.variable(name).ok_or_else(|| {
-        let nearest = description.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
-        fmu_error::raise(py, &fmi::FmiError::UnknownVariable { name: name.to_owned(), nearest })
-    })
-}
-
-/// Outputs and states, each name once.
-fn default_outputs(description: &ModelDescription) -> Vec<String> {
-    let is_output = |v: &&Variable| v.causality == Causality::Output && v.kind.is_number();
-    let derivatives =
-        description.structure.derivatives.iter().map(|unknown| &description.variables[unknown.index]);
-    let states =
-        derivatives.filter_map(|derivative| derivative.derivative).map(|state| &description.variables[state]);
-    let others = states.filter(|state| state.causality != Causality::Output);
-    description.variables.iter().filter(is_output).chain(others).map(|v| v.name.clone()).collect()
 }
 
 fn busy() -> PyErr {

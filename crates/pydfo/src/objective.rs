@@ -1,11 +1,11 @@
 //! A Python function as an objective: called with the lock held only inside of it, from whatever thread evaluates.
 
 use crate::interrupt::{Inside, Stop, lock};
-use dfo::{Evaluation, Objective, Outcome};
-use numpy::PyArray1;
-use pyo3::exceptions::{PyException, PyTypeError};
+use dfo::{BatchView, Evaluation, Objective, Outcome};
+use numpy::{PyArray1, PyArrayMethods};
+use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyFloat;
+use pyo3::types::{PyCFunction, PyFloat};
 use std::sync::{Arc, Mutex};
 
 /// A Python function `f(x) -> float`.
@@ -36,32 +36,79 @@ impl PyObjective {
         }
         Outcome::Abort(message)
     }
+
+    /// What a call of the user's function means.
+    fn outcome(&self, py: Python<'_>, id: u64, returned: PyResult<Bound<'_, PyAny>>) -> Outcome {
+        match returned {
+            Ok(value) => match number(&value, "the objective") {
+                Ok(cost) => Outcome::Value(cost),
+                // Always an error in the program, never one of the model.
+                Err(e) => self.abort(id, e),
+            },
+            // SystemExit, KeyboardInterrupt and their like always end the run.
+            Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
+            Err(e) => self.abort(id, e),
+        }
+    }
+
+    /// Outcomes of a batch from a function that takes all its points, shape (points, parameters), and a function that
+    /// says whether to stop; it returns for each point a cost, the exception that was raised, or Ellipsis for a point
+    /// that was left out. Called on the calling thread.
+    pub(crate) fn evaluate_batch(&self, py: Python<'_>, batch: &BatchView<'_>) -> Vec<Outcome> {
+        let _inside = Inside::new(&self.stop);
+        let mut outcomes = vec![Outcome::Skipped; batch.len()];
+        let ids = (0..batch.len()).map(|k| batch.evaluation(k).id);
+        let answers = self.answers(py, batch);
+        match answers {
+            Err(e) => outcomes[0] = self.abort(batch.evaluation(0).id, e),
+            Ok(answers) => {
+                for ((place, id), answer) in outcomes.iter_mut().zip(ids).zip(answers) {
+                    if answer.is(py.Ellipsis()) {
+                        continue;
+                    }
+                    let exception = answer.is_instance_of::<PyBaseException>();
+                    let returned = if exception { Err(PyErr::from_value(answer)) } else { Ok(answer) };
+                    *place = self.outcome(py, id, returned);
+                }
+            }
+        }
+        outcomes
+    }
+
+    fn answers<'py>(&self, py: Python<'py>, batch: &BatchView<'_>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let points = PyArray1::from_slice(py, batch.as_flat()).reshape([batch.len(), batch.n()])?;
+        let stop = Arc::clone(&self.stop);
+        let asked = PyCFunction::new_closure(py, None, None, move |args, _| stop.poll(args.py()))?;
+        let answers: Vec<Bound<'py, PyAny>> = self.function.bind(py).call1((points, asked))?.extract()?;
+        if answers.len() == batch.len() {
+            return Ok(answers);
+        }
+        let (got, points) = (answers.len(), batch.len());
+        Err(PyValueError::new_err(format!("{got} costs were returned for {points} points")))
+    }
 }
 
 impl Objective for PyObjective {
     fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
         let _inside = Inside::new(&self.stop);
-        Python::attach(|py| match self.function.bind(py).call1((PyArray1::from_slice(py, x),)) {
-            Ok(value) => match cost(&value) {
-                Ok(cost) => Outcome::Value(cost),
-                // Always an error in the program, never one of the model.
-                Err(e) => self.abort(evaluation.id, e),
-            },
-            // SystemExit, KeyboardInterrupt and their like always end the run.
-            Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
-            Err(e) => self.abort(evaluation.id, e),
+        Python::attach(|py| {
+            let returned = self.function.bind(py).call1((PyArray1::from_slice(py, x),));
+            self.outcome(py, evaluation.id, returned)
         })
     }
 }
 
 /// The number that a Python function returned: a float or an int, a NumPy scalar, an array of one element.
-fn cost(value: &Bound<'_, PyAny>) -> PyResult<f64> {
+///
+/// # Errors
+/// TypeError: `who` returned something else.
+pub(crate) fn number(value: &Bound<'_, PyAny>, who: &str) -> PyResult<f64> {
     if let Ok(number) = value.cast::<PyFloat>() {
         return Ok(number.value());
     }
     let bad = |what: String| {
         PyTypeError::new_err(format!(
-            "the objective must return one number (a float, a NumPy scalar or an array of one element), not {what}"
+            "{who} must return one number (a float, a NumPy scalar or an array of one element), not {what}"
         ))
     };
     if value.is_none() {

@@ -21,6 +21,7 @@ pub(crate) struct Snapshot {
     seconds: f64,
     tests: Option<Tests>,
     simplex: Option<Simplex>,
+    population: Option<Simplex>,
     /// The evaluations of the iteration, if wanted.
     recent: Vec<(Vec<f64>, Outcome, bool)>,
 }
@@ -38,6 +39,7 @@ impl Snapshot {
             seconds: progress.seconds,
             tests: progress.tests,
             simplex: progress.simplex.map(|s| s.to_owned()),
+            population: progress.population.map(|s| s.to_owned()),
             recent: if detail { progress.recent().map(entry).collect() } else { Vec::new() },
         }
     }
@@ -53,6 +55,8 @@ impl Snapshot {
         fields.set_item("x_size", self.tests.map(|t| t.x_size))?;
         fields.set_item("f_spread", self.tests.and_then(|t| t.f_spread))?;
         fields.set_item("final_simplex", self.simplex.as_ref().map(|s| simplex(py, s)).transpose()?)?;
+        let population = self.population.as_ref().map(|s| simplex(py, s)).transpose()?;
+        fields.set_item("final_population", population)?;
         Ok(fields)
     }
 
@@ -154,6 +158,7 @@ pub(crate) fn to_python<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound
     fields.set_item("nfev", report.n_evaluations)?;
     fields.set_item("nfail", report.n_failed)?;
     fields.set_item("n_speculative", report.n_speculative)?;
+    fields.set_item("n_cached", report.n_cached)?;
     fields.set_item("n_batches", report.n_batches)?;
     fields.set_item("solve_time", report.seconds)?;
     fields.set_item("termination", report.termination.name())?;
@@ -162,6 +167,14 @@ pub(crate) fn to_python<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound
     fields.set_item("x_size", report.tests.map(|t| t.x_size))?;
     fields.set_item("f_spread", report.tests.and_then(|t| t.f_spread))?;
     fields.set_item("final_simplex", report.final_simplex.as_ref().map(|s| simplex(py, s)).transpose()?)?;
+    let population = report.final_population.as_ref().map(|s| simplex(py, s)).transpose()?;
+    fields.set_item("final_population", population)?;
+    let stages = report.schedule.iter().map(|s| {
+        let x = PyArray1::from_slice(py, &s.x);
+        (s.mu, s.barrier, x, s.value, s.n_evaluations)
+    });
+    fields.set_item("schedule", stages.collect::<Vec<_>>())?;
+    fields.set_item("seed", report.seed)?;
     let failures = PyDict::new(py);
     for (reason, count) in &report.failures {
         failures.set_item(reason, count)?;
@@ -216,5 +229,6 @@ pub(crate) fn trace<'py>(py: Python<'py>, trace: &Trace) -> PyResult<Bound<'py, 
         }
     }
     fields.set_item("messages", messages)?;
+    fields.set_item("n_dropped", trace.n_dropped())?;
     py.import("pydfo._result")?.getattr("Trace")?.call((), Some(&fields))
 }

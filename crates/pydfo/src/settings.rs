@@ -1,72 +1,147 @@
 //! What the user chose about a run, checked and in the words of the optimiser.
 
-use dfo::{BatchPlan, Limits, Measure, NelderMead, Stop, Tolerances};
+use crate::methods;
+use dfo::{AnyMethod, Checkpoint, Kind, Limits, Measure, Minimize, Resume, Stop, Tolerances, Transform};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// `pydfo._options.Options`, field by field.
 #[derive(FromPyObject)]
 pub(crate) struct Options {
+    method: String,
+    method_options: Py<PyDict>,
     x_tol: f64,
     f_tol: f64,
     stop: String,
-    batch: String,
+    tolerances: String,
     max_evaluations: Option<usize>,
     max_iterations: Option<usize>,
     max_time: Option<f64>,
     target: Option<f64>,
     workers: Option<usize>,
-    vertices: Option<Vec<Vec<f64>>>,
-    steps: Option<Vec<f64>>,
+    seed: Option<u64>,
+    checkpoint: Option<PathBuf>,
+    resume: String,
+    checkpoint_interval: Option<f64>,
+    cache: Option<usize>,
+    trace_limit: Option<usize>,
+    scale: Vec<String>,
+    nominal: Vec<f64>,
+    kinds: Vec<String>,
+    known: Vec<(Vec<f64>, f64)>,
 }
 
 /// The same for the optimiser.
 #[derive(Debug, Clone)]
 pub(crate) struct Settings {
-    pub(crate) method: NelderMead,
+    pub(crate) method: AnyMethod,
     pub(crate) tolerances: Tolerances,
     pub(crate) limits: Limits,
     pub(crate) workers: Option<usize>,
+    pub(crate) seed: Option<u64>,
+    pub(crate) checkpoint: Option<Checkpoint>,
+    pub(crate) cache: Option<usize>,
+    pub(crate) trace_limit: Option<usize>,
+    pub(crate) known: Vec<(Vec<f64>, f64)>,
+    transforms: Vec<Transform>,
+    sizes: Vec<f64>,
+    kinds: Vec<Kind>,
 }
 
 impl Options {
-    pub(crate) fn check(self, measure: Measure) -> PyResult<Settings> {
-        let Self { x_tol, f_tol, max_evaluations, max_iterations, target, workers, .. } = self;
-        let stop = match self.stop.as_str() {
-            "any" => Stop::Any,
-            "all" => Stop::All,
-            other => return Err(unknown("stop", other, "'any', 'all'")),
-        };
-        let plan = match self.batch.as_str() {
-            "auto" => BatchPlan::Auto,
-            "serial" => BatchPlan::Serial,
-            "two" => BatchPlan::Two,
-            "four" => BatchPlan::Four,
-            other => return Err(unknown("batch", other, "'auto', 'serial', 'two', 'four'")),
-        };
-        let method = NelderMead::default().batch(plan);
-        let method = match (self.vertices, self.steps) {
-            (Some(vertices), _) => method.initial_simplex(vertices),
-            (None, Some(steps)) => method.initial_steps(&steps),
-            (None, None) => method,
+    pub(crate) fn check(self, py: Python<'_>) -> PyResult<Settings> {
+        let measures = [("absolute", Measure::Absolute), ("relative", Measure::Relative)];
+        let resumes = [("auto", Resume::Auto), ("never", Resume::Never), ("require", Resume::Require)];
+        let scales = [("linear", Transform::Linear), ("log", Transform::Log)];
+        let kinds = [
+            ("continuous", Kind::Continuous),
+            ("integer", Kind::Integer),
+            ("categorical", Kind::Categorical),
+        ];
+        let stops = [("any", Stop::Any), ("all", Stop::All)];
+        let tolerances = Tolerances {
+            x_tol: self.x_tol,
+            f_tol: self.f_tol,
+            measure: word("tolerances", &self.tolerances, &measures)?,
+            stop: word("stop", &self.stop, &stops)?,
         };
         let max_time = match self.max_time {
-            None => None,
-            Some(f64::INFINITY) => None,
-            Some(seconds) => Some(Duration::try_from_secs_f64(seconds).map_err(|_| {
-                PyValueError::new_err(format!("max_time = {seconds} must be a number of seconds, at least 0"))
-            })?),
+            None | Some(f64::INFINITY) => None,
+            Some(seconds) => Some(time("max_time", seconds)?),
+        };
+        let resume = word("resume", &self.resume, &resumes)?;
+        let mut checkpoint = self.checkpoint.map(|path| Checkpoint::new(path).resume(resume));
+        if let Some(seconds) = self.checkpoint_interval {
+            let interval = time("checkpoint_interval", seconds)?;
+            checkpoint = checkpoint.map(|c| c.interval(interval));
+        }
+        let limits = Limits {
+            max_evaluations: self.max_evaluations,
+            max_iterations: self.max_iterations,
+            max_time,
+            target: self.target,
         };
         Ok(Settings {
-            method,
-            tolerances: Tolerances { x_tol, f_tol, measure, stop },
-            limits: Limits { max_evaluations, max_iterations, max_time, target },
-            workers,
+            method: methods::method(&self.method, self.method_options.bind(py))?,
+            tolerances,
+            limits,
+            workers: self.workers,
+            seed: self.seed,
+            checkpoint,
+            cache: self.cache,
+            trace_limit: self.trace_limit,
+            known: self.known,
+            transforms: words("scale", &self.scale, &scales)?,
+            sizes: self.nominal,
+            kinds: words("kinds", &self.kinds, &kinds)?,
         })
     }
 }
 
-fn unknown(name: &str, value: &str, known: &str) -> PyErr {
-    PyValueError::new_err(format!("{name} = '{value}' is none of {known}"))
+impl Settings {
+    /// A minimisation with all of it.
+    pub(crate) fn apply<M, D>(self, run: Minimize<'_, M, D>) -> Minimize<'_, AnyMethod, D> {
+        let mut run = run
+            .method(self.method)
+            .tolerances(self.tolerances)
+            .limits(self.limits)
+            .transforms(&self.transforms)
+            .scales(&self.sizes)
+            .kinds(&self.kinds)
+            .known(self.known)
+            .workers(self.workers.unwrap_or(1));
+        if let Some(seed) = self.seed {
+            run = run.seed(seed);
+        }
+        if let Some(evaluations) = self.cache {
+            run = run.cache(evaluations);
+        }
+        if let Some(evaluations) = self.trace_limit {
+            run = run.trace_limit(evaluations);
+        }
+        match self.checkpoint {
+            Some(checkpoint) => run.checkpoint(checkpoint),
+            None => run,
+        }
+    }
+}
+
+fn time(name: &str, seconds: f64) -> PyResult<Duration> {
+    Duration::try_from_secs_f64(seconds).map_err(|_| {
+        PyValueError::new_err(format!("{name} = {seconds} must be a number of seconds, at least 0"))
+    })
+}
+
+fn word<T: Copy>(name: &str, given: &str, words: &[(&str, T)]) -> PyResult<T> {
+    words.iter().find(|(word, _)| *word == given).map(|(_, value)| *value).ok_or_else(|| {
+        let known: Vec<_> = words.iter().map(|(word, _)| format!("'{word}'")).collect();
+        PyValueError::new_err(format!("{name} = '{given}' is none of {}", known.join(", ")))
+    })
+}
+
+fn words<T: Copy>(name: &str, given: &[String], words: &[(&str, T)]) -> PyResult<Vec<T>> {
+    given.iter().map(|g| word(name, g, words)).collect()
 }

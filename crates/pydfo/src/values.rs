@@ -1,13 +1,18 @@
 //! Values on their way between Python and models.
 
-use crate::fmu_error::{BadModelValueError, ModelTypeError};
-use fmi::description::{EnumerationItem, ModelDescription, VariableKind};
+use crate::fmu_error::{self, BadModelValueError, ModelTypeError};
+use fmi::description::{Dimension, EnumerationItem, ModelDescription, VariableKind};
 use fmi::{Value, Variable};
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyBytes, PyFloat, PyInt, PyList, PyString, PyTuple};
+use pyo3::types::{PyBool, PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
 
-/// A value of a model in Python.
-pub(crate) fn to_python<'py>(py: Python<'py>, value: Value) -> PyResult<Bound<'py, PyAny>> {
+/// A value of a model in Python; an array becomes one of NumPy's with these extents.
+pub(crate) fn to_python<'py>(
+    py: Python<'py>,
+    value: Value,
+    kind: VariableKind,
+    extents: &[usize],
+) -> PyResult<Bound<'py, PyAny>> {
     Ok(match value {
         Value::Real(x) => x.into_pyobject(py)?.into_any(),
         Value::Integer(i) => i.into_pyobject(py)?.into_any(),
@@ -15,20 +20,110 @@ pub(crate) fn to_python<'py>(py: Python<'py>, value: Value) -> PyResult<Bound<'p
         Value::String(text) => text.into_pyobject(py)?.into_any(),
         Value::Binary(bytes) => PyBytes::new(py, &bytes).into_any(),
         Value::Array(values) => {
-            let items = values.into_iter().map(|value| to_python(py, value)).collect::<PyResult<Vec<_>>>()?;
-            PyList::new(py, items)?.into_any()
+            let count = values.len();
+            let items = values
+                .into_iter()
+                .map(|value| to_python(py, value, kind, &[]))
+                .collect::<PyResult<Vec<_>>>()?;
+            let dtype = PyDict::new(py);
+            dtype.set_item("dtype", dtype_of(kind))?;
+            let array =
+                py.import("numpy")?.getattr("array")?.call((PyList::new(py, items)?,), Some(&dtype))?;
+            // Sizes that are not known (of a model that is about to be given others) leave it flat.
+            if extents.iter().product::<usize>() == count {
+                array.call_method1("reshape", (extents.to_vec(),))?
+            } else {
+                array
+            }
         }
         other => other.to_string().into_pyobject(py)?.into_any(),
     })
 }
 
-/// The value given for a variable: a Python or NumPy scalar, or one such in an array, list or tuple. An item of an
-/// enumeration may be given by its name.
-pub(crate) fn from_python(
+/// Names and what is given for them, as values for the model.
+pub(crate) fn all_from_python<'py>(
+    py: Python<'py>,
+    description: &ModelDescription,
+    given: impl Iterator<Item = (String, Bound<'py, PyAny>)>,
+) -> PyResult<Vec<(String, Value)>> {
+    given
+        .map(|(name, value)| {
+            let (variable, whole) = find(py, description, &name)?;
+            let value = from_python(description, variable, whole, &value)?;
+            Ok((name, value))
+        })
+        .collect()
+}
+
+/// The variable of a name, and whether the name is that of all of it, not of an element.
+pub(crate) fn find<'a>(
+    py: Python<'_>,
+    description: &'a ModelDescription,
+    name: &str,
+) -> PyResult<(&'a Variable, bool)> {
+    if let Some(variable) = description.variable(name) {
+        return Ok((variable, true));
+    }
+    let array = name.rsplit_once('[').and_then(|(array, _)| description.variable(array));
+    array.filter(|array| !array.dimensions.is_empty()).map(|array| (array, false)).ok_or_else(|| {
+        let nearest = description.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
+        fmu_error::raise(py, &fmi::FmiError::UnknownVariable { name: name.to_owned(), nearest })
+    })
+}
+
+/// NumPy's type for values of a kind.
+pub(crate) fn dtype_of(kind: VariableKind) -> &'static str {
+    match kind {
+        VariableKind::Float32 => "float32",
+        VariableKind::Int8 => "int8",
+        VariableKind::UInt8 => "uint8",
+        VariableKind::Int16 => "int16",
+        VariableKind::UInt16 => "uint16",
+        VariableKind::Integer => "int32",
+        VariableKind::UInt32 => "uint32",
+        VariableKind::Int64 | VariableKind::Enumeration => "int64",
+        VariableKind::UInt64 => "uint64",
+        VariableKind::Boolean | VariableKind::Clock => "bool",
+        VariableKind::String | VariableKind::Binary => "object",
+        _ => "float64",
+    }
+}
+
+/// The value given for a variable, or an element of one: a Python or NumPy scalar, or one such in an array, list or tuple;
+/// for an array (`whole`) its elements, in its shape or one after the other. An item of an enumeration may be given by its
+/// name.
+fn from_python(
     description: &ModelDescription,
     variable: &Variable,
+    whole: bool,
     given: &Bound<'_, PyAny>,
 ) -> PyResult<Value> {
+    if whole && !variable.dimensions.is_empty() {
+        return array(description, variable, given);
+    }
+    scalar(description, variable, given)
+}
+
+fn array(description: &ModelDescription, variable: &Variable, given: &Bound<'_, PyAny>) -> PyResult<Value> {
+    let objects = PyDict::new(given.py());
+    objects.set_item("dtype", "object")?;
+    let elements = given.py().import("numpy")?.getattr("asarray")?.call((given,), Some(&objects))?;
+    let shape: Vec<usize> = elements.getattr("shape")?.extract()?;
+    let fits = shape.len() == variable.dimensions.len()
+        && shape.iter().zip(&variable.dimensions).all(|(extent, dimension)| match dimension {
+            Dimension::Fixed(fixed) => extent == fixed,
+            Dimension::Parameter(_) => true,
+        });
+    if shape.len() > 1 && !fits {
+        let text = format!("{}: an array of shape {shape:?} does not fit", variable.name);
+        return Err(BadModelValueError::new_err(text));
+    }
+    let flat = elements.call_method0("ravel")?.call_method0("tolist")?;
+    let values = flat.try_iter()?.map(|element| scalar(description, variable, &element?));
+    Ok(Value::Array(values.collect::<PyResult<_>>()?))
+}
+
+fn scalar(description: &ModelDescription, variable: &Variable, given: &Bound<'_, PyAny>) -> PyResult<Value> {
     let given = &single(variable, given)?;
     if let Ok(flag) = given.cast::<PyBool>() {
         return Ok(Value::Boolean(flag.is_true()));
@@ -45,6 +140,9 @@ pub(crate) fn from_python(
             VariableKind::Enumeration => item(description, variable, &text),
             _ => Ok(Value::String(text)),
         };
+    }
+    if let Ok(bytes) = given.cast::<PyBytes>() {
+        return Ok(Value::Binary(bytes.as_bytes().to_vec()));
     }
     if given.hasattr("__index__")? {
         return integer(description, variable, given);
@@ -70,14 +168,14 @@ fn single<'py>(variable: &Variable, given: &Bound<'py, PyAny>) -> PyResult<Bound
 }
 
 fn integer(description: &ModelDescription, variable: &Variable, given: &Bound<'_, PyAny>) -> PyResult<Value> {
-    if variable.kind == VariableKind::Real {
+    if variable.kind.is_float() {
         return given.extract().map(Value::Real);
     }
-    let value: i64 = given.extract().map_err(|_| {
-        BadModelValueError::new_err(format!("{} = {given} does not fit into 64 bits", variable.name))
+    let value: i128 = given.extract().map_err(|_| {
+        BadModelValueError::new_err(format!("{} = {given} does not fit into 128 bits", variable.name))
     })?;
     let items = items(description, variable);
-    if items.is_empty() || items.iter().any(|item| item.value == value) {
+    if items.is_empty() || items.iter().any(|item| i128::from(item.value) == value) {
         return Ok(value.into());
     }
     Err(no_item(variable, &value.to_string(), items))

@@ -113,7 +113,7 @@ def test_names_that_lead_elsewhere(tmp_path, name):
 )
 def test_names_that_collide(tmp_path, names, part):
     path = tmp_path / "m.fmu"
-    path.write_bytes(archive([Entry("modelDescription.xml", fmus.xml().encode()), *(Entry(n, b"x") for n in names)]))
+    path.write_bytes(archive([Entry("modelDescription.xml", fmus.xml().encode()), *(Entry(n, b"x%d" % i) for i, n in enumerate(names))]))
     refused(path, part)
 
 

@@ -227,7 +227,7 @@ def test_simulations_that_fail(dahlquist):
         ({"weights": ["heavy"]}, TypeError, "weights must be a number"),
         ({"start_values": {"z": 1.0}}, KeyError, '"z"'),
         ({"start_values": {"k": "a"}}, TypeError, "k is of type"),
-        ({"start_values": {"k": None}}, TypeError, "start_values"),
+        ({"start_values": {"k": None}}, TypeError, "k is of type Real, None"),
         ({"timeout": -1.0}, ValueError, "timeout = -1"),
         ({"relative_tolerance": -1.0}, ValueError, "toleran"),
         ({"solver": "magic"}, ValueError, "magic"),
@@ -290,8 +290,10 @@ def test_parameters_show_themselves():
 @pytest.mark.parametrize(
     ("changes", "error", "said"),
     [
-        ({"method": "de"}, pydfo.MethodNotAvailable, "not in this version"),
-        ({"method": "magic"}, ValueError, "'magic' is none of"),
+        ({"method": "cma-es"}, pydfo.MethodNotAvailable, "not in this version"),
+        ({"options": {"scale": "log"}}, ValueError, "scale of a fit is that of its parameters"),
+        ({"options": {"pop": 3}}, ValueError, "nelder-mead has no option 'pop'"),
+        ({"method": "magic"}, ValueError, "method = 'magic' is none of"),
         ({"workers": 0}, ValueError, "workers = 0"),
         ({"x_tol": -1.0}, ValueError, "x_tol"),
         ({"max_evaluations": 0}, ValueError, "max_evaluations = 0"),

@@ -68,7 +68,7 @@ def test_failing_at_evaluation_k_the_best_point_is_the_minimum_of_the_trace(k, w
         check_best(partial, values)
 
     values = []
-    result = fmin(failing_at(k, "raise", values), [-1.2, 1.0], on_error="continue", **options)
+    result = fmin(failing_at(k, "raise", values), [-1.2, 1.0], on_error="fail", **options)
     assert (result.nfail, result.nfev, result.failures) == (1, 70, {f"Boom: {k}": 1})
     check_best(result, values)
 
@@ -103,7 +103,7 @@ def test_exceptions_that_end_programs_are_never_swallowed():
         raise SystemExit(3)
 
     with pytest.raises(SystemExit):
-        fmin(func, [0.0], on_error="continue", **QUIET)
+        fmin(func, [0.0], on_error="fail", **QUIET)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_exceptions_that_end_programs_are_never_swallowed():
         (b"x" * 500, r"\.\.\. \(bytes\)"),
     ],
 )
-@pytest.mark.parametrize("on_error", ["raise", "continue"])
+@pytest.mark.parametrize("on_error", ["raise", "fail"])
 def test_what_is_no_number_is_a_type_error_that_names_it(value, said, on_error):
     with pytest.raises(TypeError, match=said):
         fmin(lambda x: value, [1.0], on_error=on_error, **QUIET)
@@ -136,7 +136,7 @@ def test_failing_everywhere_is_an_error_of_its_own_with_counts(workers):
         raise Boom(next(reasons))
 
     with pytest.raises(pydfo.AllStartsFailed, match="at every starting point: .*2 x Boom: out of range") as info:
-        fmin(func, [0.0, 0.0], on_error="continue", nbr_cores=workers, **QUIET)
+        fmin(func, [0.0, 0.0], on_error="fail", nbr_cores=workers, **QUIET)
     assert info.value.failures == {"Boom: out of range": 2, "Boom: no licence": 1}
     assert info.value.nfev == 3 and len(info.value.trace) == 3
     assert isinstance(info.value, pydfo.CalibrationError) and isinstance(info.value, pydfo.PydfoError)

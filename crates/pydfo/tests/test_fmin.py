@@ -248,6 +248,15 @@ def test_pictures_are_drawn_only_when_asked_for():
     matplotlib.use("Agg")
     res = fmin(rosenbrock, [-1.2, 1.0], plot=True, plot_conv=True, max_iters=40, **BOX, **QUIET)
     assert len(res.figures) == 2
+    for alg in (2, 3, 4):
+        res = fmin(rosenbrock, [-1.2, 1.0], alg=alg, plot=True, plot_conv=True, max_fevals=300, rng=1, **BOX, **QUIET)
+        plane, (costs, points) = res.figures[0].axes[0], res.figures[1].axes
+        assert plane.get_title().startswith(f"{res.method}: {res.nit} iterations") and len(plane.lines) >= res.nit
+        # what is drawn last is where the run ended: the best cost, and the best point in units of the range evaluated
+        assert costs.lines[-1].get_ydata()[-1] == res.fun and len(points.lines) == 2
+        low, width = res.trace.x.min(axis=0), np.ptp(res.trace.x, axis=0)
+        np.testing.assert_allclose([line.get_ydata()[-1] for line in points.lines], (res.x - low) / width)
+        matplotlib.pyplot.close("all")
     with pytest.raises(ValueError, match="two parameters, but 3 are free"):
         fmin(lambda x: x @ x, [1.0, 1.0, 1.0], plot=True, **QUIET)
     assert fmin(rosenbrock, [-1.2, 1.0], max_iters=4, **QUIET).figures == ()

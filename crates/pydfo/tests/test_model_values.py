@@ -81,10 +81,11 @@ def test_kinds():
         load_fmu(path, kind="XY")
 
 
-def test_co_simulation_alone_is_refused_and_described(tmp_path):
+def test_what_is_not_offered_is_refused_and_described(tmp_path):
     path = fmus.write(tmp_path / "cs.fmu", fmus.xml(interface='<CoSimulation modelIdentifier="m"/>'))
-    with pytest.raises(pydfo.FmuError, match="co-simulation"):
-        FMUModel(path)
+    with pytest.raises(pydfo.FmuError, match="model exchange"):
+        FMUModel(path, kind="ME")
+    assert FMUModel(path).kind == "CS"
     description = pydfo.read_description(path)
     assert description.model_exchange is None and description.co_simulation.model_identifier == "m"
 
@@ -320,7 +321,8 @@ def test_values_of_the_wrong_type(switched, name, given):
         ("K", [1.0, 2.0], "2"),
         ("K", np.zeros(3), "3"),
         ("K", [], "0"),
-        ("gear", 2**31, "32 bits"),
+        ("gear", 2**31, "32 bits, from -2147483648 to 2147483647"),
+        ("gear", 2**200, "bits"),
         ("gear", float("nan"), "NaN"),
         ("time", 1.0, "independent"),
         ("target", 1.0, "calculate"),

@@ -32,7 +32,7 @@ def test_failing_regions_do_not_stall(failure):
         return failure
 
     res = fmin(
-        func, [-0.5, 1.0], [-2, -2], [2, 2], x_tol=1e-8, f_tol=1e-10, stop="all", max_fevals=2000, on_error="continue", **QUIET
+        func, [-0.5, 1.0], [-2, -2], [2, 2], x_tol=1e-8, f_tol=1e-10, stop="all", max_fevals=2000, on_error="fail", **QUIET
     )
     assert res.fun < 1e-6 and res.nfev < 2000
     assert 0 < res.nfail == sum(res.failures.values()) == len(res.trace.messages)
@@ -131,15 +131,39 @@ def test_one_failing_evaluation_does_not_fail_the_run():
             raise OSError("a licence was not to be had")
         return rosenbrock(x)
 
-    res = fmin(func, [-1.2, 1.0], on_error="continue", **QUIET)
+    res = fmin(func, [-1.2, 1.0], on_error="fail", **QUIET)
     assert res.nfail == 1 and res.failures == {"OSError: a licence was not to be had": 1} and res.success
 
 
-@pytest.mark.parametrize("alg", [2, 3, 4, "barrier", "de", "ga", "DE"])
-def test_methods_of_later_versions_say_so(alg):
-    with pytest.raises(ValueError, match="not in this version") as info:
-        fmin(rosenbrock, [0.0, 0.0], alg=alg, **QUIET)
-    assert isinstance(info.value, NotImplementedError) and isinstance(info.value, pydfo.MethodNotAvailable)
+@pytest.mark.parametrize(
+    ("alg", "method"),
+    [(2, "barrier"), (3, "de-classic"), (4, "ga"), ("barrier", "barrier"), ("DE", "de"), ("ga", "ga"), ("de_classic", "de-classic")],
+)
+def test_the_other_methods_run_by_number_and_by_name(alg, method):
+    box = {"lb": [-2.0, -2.0], "ub": [2.0, 2.0]}
+    res = fmin(rosenbrock, [-1.2, 1.0], **box, alg=alg, rng=1, max_fevals=5000, stop="all", **QUIET)
+    assert res.method == method and res.fun < 0.01
+    x_opt, f_opt, nbr_iters, nbr_fevals, _ = res
+    assert (f_opt, nbr_iters, nbr_fevals) == (rosenbrock(x_opt), res.nit, len(res.trace))
+    # The tests on x and f are in force, absolute as everywhere; mutation keeps a population of strings wide.
+    loose = fmin(rosenbrock, [-1.2, 1.0], **box, alg=alg, rng=1, x_tol=5.0 if method == "ga" else 0.5, f_tol=0.0, **QUIET)
+    assert loose.termination == "converged" and loose.nfev < res.nfev and "x test passed" in loose.message
+
+
+def test_what_the_other_methods_need_is_said():
+    with pytest.raises(ValueError, match="barrier needs at least one bound"):
+        fmin(rosenbrock, [0.0, 0.0], alg=2, **QUIET)
+    with pytest.raises(ValueError, match="strictly between its bounds"):
+        fmin(rosenbrock, [-2.0, 0.0], [-2, -2], [2, 2], alg=2, **QUIET)
+    for alg in (3, 4):
+        with pytest.raises(ValueError, match="searches a box, but parameter 0"):
+            fmin(rosenbrock, [0.0, 0.0], alg=alg, **QUIET)
+        assert fmin(rosenbrock, None, [-2, -2], [2, 2], alg=alg, rng=1, max_fevals=100, **QUIET).nfev == 100
+        assert fmin(rosenbrock, None, [-2, -2], 2.0, alg=alg, rng=1, max_fevals=100, max_iters=None, **QUIET).nfev == 100
+    with pytest.raises(ValueError, match="xstart is needed"):
+        fmin(rosenbrock, None, [-2, -2], [2, 2], alg=1, **QUIET)
+    with pytest.raises(pydfo.MethodNotAvailable, match="not in this version"):
+        fmin(rosenbrock, [0.0, 0.0], alg="cma-es", **QUIET)
 
 
 @pytest.mark.parametrize("alg", [None, 1, "nelder-mead", "Nelder-Mead"])

@@ -1,8 +1,9 @@
 //! What the user may choose about differential evolution.
 
-use super::state::DifferentialEvolutionState;
+use super::state::{Differences, DifferentialEvolutionState};
 use crate::error::Error;
-use crate::method::{MethodOptions, Setup, restored};
+use crate::generations::Generations;
+use crate::method::{MethodOptions, Setup};
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
 use crate::scaling::Kind;
@@ -279,11 +280,11 @@ impl MethodOptions for DifferentialEvolution {
             return Err(Error::Option { name: "population", value: members as f64, range });
         }
         let members = if n == 0 { 1 } else { members };
-        DifferentialEvolutionState::new(self, setup.clone(), members, setup.seed.unwrap_or_else(draw_seed))
+        Differences::begin(self, setup.clone(), members, setup.seed.unwrap_or_else(draw_seed))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<DifferentialEvolutionState, Error> {
-        restored(state, |s: &DifferentialEvolutionState| s.is_sound(setup))
+        Generations::restore(setup, state)
     }
 
     fn needs_start(&self) -> bool {

@@ -1,9 +1,10 @@
 //! What the user may choose about the genetic algorithm.
 
 use super::coding::Coding;
-use super::state::GeneticState;
+use super::state::{GeneticState, Strings};
 use crate::error::Error;
-use crate::method::{MethodOptions, Setup, restored};
+use crate::generations::Generations;
+use crate::method::{MethodOptions, Setup};
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
 use serde::{Deserialize, Serialize};
@@ -187,11 +188,11 @@ impl MethodOptions for Genetic {
         self.check(members)?;
         let coding = Coding::new(space, &self.resolution, self.gray)?;
         let members = if n == 0 { 1 } else { members };
-        GeneticState::new(self, setup.clone(), coding, members, setup.seed.unwrap_or_else(draw_seed))
+        Strings::begin(self, setup.clone(), coding, members, setup.seed.unwrap_or_else(draw_seed))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<GeneticState, Error> {
-        restored(state, |s: &GeneticState| s.is_sound(setup))
+        Generations::restore(setup, state)
     }
 
     fn needs_start(&self) -> bool {

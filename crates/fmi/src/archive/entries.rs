@@ -21,6 +21,8 @@ pub(super) struct Listed {
     /// Name without the slash at the end of folders.
     pub(super) name: String,
     pub(super) is_folder: bool,
+    /// An earlier entry has this name, size and checksum: the content has to be the same.
+    pub(super) is_repeated: bool,
     pub(super) is_executable: bool,
     pub(super) is_deflated: bool,
     pub(super) data_start: u64,
@@ -50,7 +52,7 @@ pub(super) fn list(
     let mut names = Names::default();
     let mut listed = Vec::with_capacity(records.len());
     for record in &records {
-        let checked = check_record(record, &mut names, limits);
+        let checked = check_record(record, &mut names, &listed, limits);
         listed.push(checked.map_err(|problem| refused(path, &record.name, problem))?);
         check_limit(path, "files and folders", names.count(), limits.entries)?;
     }
@@ -72,12 +74,22 @@ pub(super) fn refused(path: &Path, entry: &str, problem: EntryProblem) -> FmiErr
     FmiError::BadEntry { path: path.to_owned(), entry: entry.to_owned(), problem }
 }
 
-fn check_record(record: &Record, names: &mut Names, limits: &ArchiveLimits) -> Result<Listed, EntryProblem> {
+fn check_record(
+    record: &Record,
+    names: &mut Names,
+    listed: &[Listed],
+    limits: &ArchiveLimits,
+) -> Result<Listed, EntryProblem> {
     names::check(&record.name)?;
     let is_folder = is_folder(record)?;
     check_storage(record, is_folder, limits)?;
-    names.add(&record.name, is_folder)?;
+    let is_repeated = match names.add(&record.name, is_folder) {
+        // Some tools pack a file twice.
+        Err(EntryProblem::Duplicate) if repeats(record, names, listed) => true,
+        other => other.map(|()| false)?,
+    };
     Ok(Listed {
+        is_repeated,
         name: record.name.strip_suffix('/').unwrap_or(&record.name).to_owned(),
         is_folder,
         is_executable: record.unix_mode & 0o111 != 0,
@@ -86,6 +98,14 @@ fn check_record(record: &Record, names: &mut Names, limits: &ArchiveLimits) -> R
         compressed_size: record.compressed_size,
         size: record.size,
         crc32: record.crc32,
+    })
+}
+
+/// Whether an earlier entry seems to be the same file.
+fn repeats(record: &Record, names: &Names, listed: &[Listed]) -> bool {
+    let first = names.position(&record.name).and_then(|position| listed.get(position));
+    first.is_some_and(|first| {
+        (&first.name, first.size, first.crc32) == (&record.name, record.size, record.crc32)
     })
 }
 

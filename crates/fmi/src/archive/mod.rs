@@ -71,6 +71,8 @@ impl Default for ArchiveLimits {
 pub struct Archive {
     root: PathBuf,
     content_hash: String,
+    /// Names of files that the archive holds more than once, with the same content each time.
+    repeated: Vec<String>,
     /// Removes the folder on drop.
     private: Option<PrivateFolder>,
 }
@@ -98,7 +100,7 @@ impl Archive {
             return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: None });
         }
         let content_hash = hash::of_folder(&root, limits)?;
-        Ok(Archive { root, content_hash, private: None })
+        Ok(Archive { root, content_hash, repeated: Vec::new(), private: None })
     }
 
     fn unpack(path: &Path, limits: &ArchiveLimits) -> Result<Archive, FmiError> {
@@ -107,7 +109,9 @@ impl Archive {
         let content_hash = hash::of_file(path, &mut file)?;
         let private = PrivateFolder::create()?;
         unpack::all(path, &file, &listing, private.path())?;
-        Ok(Archive { root: private.path().to_owned(), content_hash, private: Some(private) })
+        let repeated =
+            listing.into_iter().filter(|entry| entry.is_repeated).map(|entry| entry.name).collect();
+        Ok(Archive { root: private.path().to_owned(), content_hash, repeated, private: Some(private) })
     }
 
     /// The folder that holds `modelDescription.xml`; an absolute path.
@@ -118,6 +122,11 @@ impl Archive {
     /// SHA-256 of the archive file, or of all names and contents of a folder, in hexadecimal digits.
     pub fn content_hash(&self) -> &str {
         &self.content_hash
+    }
+
+    /// Names of files that the archive holds more than once, with the same content each time.
+    pub fn repeated(&self) -> &[String] {
+        &self.repeated
     }
 
     /// The hash of the content as it is at present: a folder that is not private may have been edited.

@@ -49,10 +49,14 @@ fn has_drive(name: &str) -> bool {
 #[derive(Default)]
 pub(super) struct Names {
     seen: HashMap<String, Seen>,
+    /// Names added.
+    added: usize,
 }
 
 struct Seen {
     name: String,
+    /// Which name it was part of.
+    position: usize,
     kind: Kind,
 }
 
@@ -67,10 +71,16 @@ impl Names {
     /// Adds a checked name, or says with what it collides. Folders may be listed more than once.
     pub(super) fn add(&mut self, name: &str, is_folder: bool) -> Result<(), EntryProblem> {
         let path = name.strip_suffix('/').unwrap_or(name);
+        self.added += 1;
         for (end, _) in path.match_indices('/') {
             self.add_one(&path[..end], Kind::Folder)?;
         }
         self.add_one(path, if is_folder { Kind::Folder } else { Kind::File })
+    }
+
+    /// Which of the names added, counted from 0, was the first with this one (or with a part of this name).
+    pub(super) fn position(&self, name: &str) -> Option<usize> {
+        self.seen.get(&fold(name)).map(|seen| seen.position)
     }
 
     /// How many files and folders there are, those included that have no entry of their own.
@@ -80,9 +90,10 @@ impl Names {
 
     /// Adds a name or a leading part of one.
     fn add_one(&mut self, part: &str, kind: Kind) -> Result<(), EntryProblem> {
+        let position = self.added - 1;
         let seen = match self.seen.entry(fold(part)) {
             Entry::Vacant(vacant) => {
-                vacant.insert(Seen { name: part.to_owned(), kind });
+                vacant.insert(Seen { name: part.to_owned(), position, kind });
                 return Ok(());
             }
             Entry::Occupied(occupied) => occupied.into_mut(),

@@ -19,7 +19,9 @@ pub(super) fn all(path: &Path, archive: &File, listed: &[Listed], root: &Path) -
         if made.insert(folder.to_owned()) {
             fs::create_dir_all(folder).map_err(FmiError::io("create", folder))?;
         }
-        if !entry.is_folder {
+        if entry.is_repeated {
+            again(path, &mut archive, entry, &target, &mut buffer)?;
+        } else if !entry.is_folder {
             one(path, &mut archive, entry, &target, &mut buffer)?;
         }
     }
@@ -38,13 +40,60 @@ fn one(
     if entry.is_executable {
         crate::platform::make_executable(&out).map_err(FmiError::io("mark as executable", target))?;
     }
+    contents(path, archive, entry, target, &mut out, buffer)
+}
+
+/// Compares an entry with the file that an earlier one has made.
+fn again(
+    path: &Path,
+    archive: &mut BufReader<&File>,
+    entry: &Listed,
+    target: &Path,
+    buffer: &mut [u8],
+) -> Result<(), FmiError> {
+    let file = File::open(target).map_err(FmiError::io("open", target))?;
+    let mut compared =
+        Compared { first: BufReader::with_capacity(1 << 16, file), same: true, bytes: Vec::new() };
+    contents(path, archive, entry, target, &mut compared, buffer)?;
+    if compared.same { Ok(()) } else { Err(refused(path, &entry.name, EntryProblem::Duplicate)) }
+}
+
+/// Takes bytes and tells whether they are those of a file.
+struct Compared {
+    first: BufReader<File>,
+    same: bool,
+    bytes: Vec<u8>,
+}
+
+impl Write for Compared {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.bytes.resize(bytes.len(), 0);
+        self.first.read_exact(&mut self.bytes)?;
+        self.same &= self.bytes == bytes;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Copies the contents of an entry to `out`, which is or stands for the file `target`.
+fn contents(
+    path: &Path,
+    archive: &mut BufReader<&File>,
+    entry: &Listed,
+    target: &Path,
+    out: &mut dyn Write,
+    buffer: &mut [u8],
+) -> Result<(), FmiError> {
     archive.seek(SeekFrom::Start(entry.data_start)).map_err(FmiError::io("read", path))?;
     let mut packed = archive.take(entry.compressed_size);
     let copied = if entry.is_deflated {
         let mut inflated = DeflateDecoder::new(&mut packed);
-        copy(&mut inflated, entry, &mut out, buffer)
+        copy(&mut inflated, entry, out, buffer)
     } else {
-        copy(&mut packed, entry, &mut out, buffer)
+        copy(&mut packed, entry, out, buffer)
     };
     copied.and_then(|()| check_all_used(packed.limit(), entry)).map_err(|failure| match failure {
         Failure::Entry(problem) => refused(path, &entry.name, problem),
@@ -58,7 +107,12 @@ enum Failure {
 }
 
 /// Copies the contents of an entry; stops as soon as there are more bytes than declared.
-fn copy(source: &mut impl Read, entry: &Listed, out: &mut File, buffer: &mut [u8]) -> Result<(), Failure> {
+fn copy(
+    source: &mut impl Read,
+    entry: &Listed,
+    out: &mut dyn Write,
+    buffer: &mut [u8],
+) -> Result<(), Failure> {
     let mut found = 0;
     let mut checksum = crc32fast::Hasher::new();
     loop {

@@ -301,6 +301,7 @@ impl CoSimulation {
             let mut reached = f64::NAN;
             let known = optional!(component, self.get_real_status, LAST_SUCCESSFUL_TIME, &raw mut reached);
             info.reached = (known == Status::Ok && reached.is_finite()).then_some(reached);
+            info.may_have_ended = info.reached.is_some();
         }
     }
 }

@@ -265,6 +265,7 @@ impl CoSimulation {
         info.reached = (known == Status::Ok && reached.is_finite()).then_some(reached);
         let known = optional!(self.get_boolean_status, component, TERMINATED, &raw mut terminated);
         info.terminate = known == Status::Ok && terminated != 0;
+        info.may_have_ended = known != Status::Ok && info.reached.is_some();
     }
 }
 

@@ -208,6 +208,8 @@ pub(crate) struct StepInfo {
     pub(crate) reached: Option<f64>,
     /// The model wishes to end the simulation.
     pub(crate) terminate: bool,
+    /// The model knows how far it got but has no word for the end of a simulation: it may have meant that.
+    pub(crate) may_have_ended: bool,
     /// The model wants to enter event mode.
     pub(crate) event: bool,
     /// The step is still being computed.

@@ -1,5 +1,5 @@
-/* An FMI 3.0 model (model exchange and co-simulation) with what the example models lack: x' = -k .* x with n states in
- * one array, a matrix, all widths of integers, texts and bytes. Lenient, but strict about the numbers of values. */
+/* An FMI 3.0 model (model exchange and co-simulation) with what the example models lack: x' = u - k .* x with n states
+ * in one array, a matrix, all widths of integers, texts and bytes. Lenient, but strict about the numbers of values. */
 #include "fmi3.h"
 
 #include <math.h>
@@ -10,7 +10,8 @@
 
 typedef struct {
     uint64_t n;
-    double time, x[MOST], k[MOST], sum;
+    double time, x[MOST], dx[MOST], k[MOST], u[MOST], sum;
+    int32_t steps[2];
     float f32;
     int8_t i8; uint8_t u8; int16_t i16; uint16_t u16; int32_t i32; uint32_t u32; int64_t i64; uint64_t u64;
     int64_t choice;
@@ -27,6 +28,7 @@ static void start_values(Model *m) {
     memset(m, 0, sizeof *m);
     m->n = 3;
     for (i = 0; i < MOST; i++) { m->x[i] = i + 1; m->k[i] = 1; }
+    m->steps[0] = m->steps[1] = 1;
     m->f32 = 0.5f; m->i8 = -8; m->u8 = 208; m->i16 = -16; m->u16 = 60016; m->i32 = -32; m->u32 = 4000000032u;
     m->i64 = -64; m->u64 = 18000000000000000064u; m->choice = 2;
     for (i = 0; i < 6; i++) m->matrix[i] = i;
@@ -99,10 +101,9 @@ FMI3_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance i) { ((Model *)i)-
         return at == nv ? fmi3OK : fmi3Error;                                                                         \
     }
 static double *derivatives(Model *m) {
-    static double dx[MOST]; /* one instance at a time reads it */
     size_t j;
-    for (j = 0; j < m->n; j++) dx[j] = -m->k[j] * m->x[j];
-    return dx;
+    for (j = 0; j < m->n; j++) m->dx[j] = m->u[j] - m->k[j] * m->x[j];
+    return m->dx;
 }
 static double *sum(Model *m) {
     size_t j;
@@ -111,13 +112,14 @@ static double *sum(Model *m) {
     return &m->sum;
 }
 ACCESS(Float64, double, case 0: p = &m->time; break; case 2: p = m->x; count = m->n; break;
-       case 3: p = derivatives(m); count = m->n; break; case 4: p = m->k; count = m->n; break; case 5: p = sum(m); break;)
+       case 3: p = derivatives(m); count = m->n; break; case 4: p = m->k; count = m->n; break; case 5: p = sum(m); break;
+       case 6: p = m->u; count = m->n; break;)
 ACCESS(Float32, float, case 10: p = &m->f32; break;)
 ACCESS(Int8, int8_t, case 11: p = &m->i8; break;)
 ACCESS(UInt8, uint8_t, case 12: p = &m->u8; break;)
 ACCESS(Int16, int16_t, case 13: p = &m->i16; break;)
 ACCESS(UInt16, uint16_t, case 14: p = &m->u16; break;)
-ACCESS(Int32, int32_t, case 15: p = &m->i32; break; case 21: p = m->matrix; count = 6; break;)
+ACCESS(Int32, int32_t, case 7: p = m->steps; count = 2; break; case 15: p = &m->i32; break; case 21: p = m->matrix; count = 6; break;)
 ACCESS(UInt32, uint32_t, case 16: p = &m->u32; break;)
 ACCESS(Int64, int64_t, case 17: p = &m->i64; break; case 19: p = &m->choice; break;)
 ACCESS(UInt64, uint64_t, case 1: p = m->configuring || v != NULL ? &m->n : NULL; break; case 18: p = &m->u64; break;)
@@ -192,8 +194,38 @@ FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance i, double t, double h, bool p, bo
     Model *m = i;
     size_t j;
     (void)p;
-    for (j = 0; j < m->n; j++) m->x[j] *= exp(-m->k[j] * h);
+    for (j = 0; j < m->n; j++) m->x[j] = m->u[j] / m->k[j] + (m->x[j] - m->u[j] / m->k[j]) * exp(-m->k[j] * h);
     m->time = *last = t + h;
     *e = *term = *early = false;
     return fmi3OK;
 }
+
+/* The standard wants every function to be there. These are not called: the description offers nothing that needs them. */
+#define NOT_OFFERED(name) FMI3_EXPORT fmi3Status name(fmi3Instance i) { (void)i; return fmi3Error; }
+NOT_OFFERED(fmi3ActivateModelPartition)
+NOT_OFFERED(fmi3DeserializeFMUState)
+NOT_OFFERED(fmi3EnterStepMode)
+NOT_OFFERED(fmi3EvaluateDiscreteStates)
+NOT_OFFERED(fmi3FreeFMUState)
+NOT_OFFERED(fmi3GetAdjointDerivative)
+NOT_OFFERED(fmi3GetClock)
+NOT_OFFERED(fmi3GetDirectionalDerivative)
+NOT_OFFERED(fmi3GetFMUState)
+NOT_OFFERED(fmi3GetIntervalDecimal)
+NOT_OFFERED(fmi3GetIntervalFraction)
+NOT_OFFERED(fmi3GetNumberOfVariableDependencies)
+NOT_OFFERED(fmi3GetOutputDerivatives)
+NOT_OFFERED(fmi3GetShiftDecimal)
+NOT_OFFERED(fmi3GetShiftFraction)
+NOT_OFFERED(fmi3GetVariableDependencies)
+NOT_OFFERED(fmi3InstantiateScheduledExecution)
+NOT_OFFERED(fmi3SerializeFMUState)
+NOT_OFFERED(fmi3SerializedFMUStateSize)
+NOT_OFFERED(fmi3SetClock)
+NOT_OFFERED(fmi3SetDebugLogging)
+NOT_OFFERED(fmi3SetFMUState)
+NOT_OFFERED(fmi3SetIntervalDecimal)
+NOT_OFFERED(fmi3SetIntervalFraction)
+NOT_OFFERED(fmi3SetShiftDecimal)
+NOT_OFFERED(fmi3SetShiftFraction)
+FMI3_EXPORT const char *fmi3GetVersion(void) { return "3.0"; }

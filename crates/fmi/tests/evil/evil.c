@@ -19,6 +19,10 @@ typedef struct {
     double time, x, k, n_sets;
     int n, b;
     int fatal, polls;
+#ifdef ONE_SET
+    double u;
+    int has_u; /* set at this instant */
+#endif
     int restored;
     double restored_k;
     fmi2CallbackFunctions functions;
@@ -61,6 +65,9 @@ static void start_values(Model *m) {
     m->n = 3;
     m->b = 1;
     m->polls = 0;
+#ifdef ONE_SET
+    m->has_u = 0;
+#endif
 }
 
 static void say(Model *m, fmi2Status status, const char *text) {
@@ -239,6 +246,16 @@ EXPORT fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference *vr, siz
             }
             K(m) = value[i];
             break;
+#ifdef ONE_SET
+        case 7:
+            if (m->has_u) {
+                say(m, fmi2Error, "the input is set twice at one instant");
+                return fmi2Error;
+            }
+            m->u = value[i];
+            m->has_u = 1;
+            break;
+#endif
         default: return fmi2Error;
         }
     }
@@ -269,7 +286,13 @@ EXPORT fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference *vr, 
     return fmi2OK;
 }
 
-EXPORT fmi2Status fmi2EnterEventMode(fmi2Component c) { (void)c; return fmi2OK; }
+EXPORT fmi2Status fmi2EnterEventMode(fmi2Component c) {
+    (void)c;
+#ifdef ONE_SET
+    ((Model *)c)->has_u = 0; /* the next instant of super-dense time */
+#endif
+    return fmi2OK;
+}
 
 EXPORT fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     (void)c;
@@ -298,6 +321,9 @@ EXPORT fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_se
 }
 
 EXPORT fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
+#ifdef ONE_SET
+    if (time != ((Model *)c)->time) ((Model *)c)->has_u = 0;
+#endif
     ((Model *)c)->time = time;
     return fmi2OK;
 }
@@ -324,6 +350,9 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
 #endif
 #ifdef UNDEFINED_SYMBOL
     if (m->time > 1e9) dx[0] = not_there(m->x);
+#endif
+#ifdef ONE_SET
+    dx[0] = m->u;
 #endif
 #ifdef LAST_ONLY
     dx[0] = -last->k * m->x;

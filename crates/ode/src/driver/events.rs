@@ -1,6 +1,6 @@
 //! Events at the point where the run stands: one visit for all causes, then on as before or anew.
 
-use super::{ErrorKind, Run, Space, Step, finish, no_retreat, read_indicators};
+use super::{ErrorKind, Run, Space, Step, finish, kind_of, no_retreat, read_indicators};
 use crate::control::{initial_step, probe_step};
 use crate::error::Termination;
 use crate::event::ChatteringGuard;
@@ -69,8 +69,10 @@ where
         if !(same_states && same_slope) || outcome.nominals_changed {
             self.stats.restarts += 1;
             self.stepper.forget();
-            self.estimate_step()?;
-            self.h = self.h.min(before);
+            if self.sliding.step().is_none() {
+                self.estimate_step()?;
+                self.h = self.h.min(before);
+            }
         }
         Ok(())
     }
@@ -115,7 +117,7 @@ where
         self.h = match self.system.derivatives(self.t + probe, &space.x_mid, &mut space.x_new) {
             Ok(()) => initial_step(&space.weights, self.stepper.order(), &space.x, dx, &space.x_new, probe),
             Err(CallError::Discard) => 0.01 * probe,
-            Err(CallError::Failed(e)) => return Err(ErrorKind::Model(e).into()),
+            Err(CallError::Failed(e)) => return Err(kind_of(e).into()),
         };
         if !self.h.is_finite() || self.h <= 0.0 {
             self.h = 0.01 * probe;

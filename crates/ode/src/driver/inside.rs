@@ -1,6 +1,6 @@
 //! Looking inside a step that meets the tolerance: crossings of indicators, and the step that ends at one.
 
-use super::{ErrorKind, Run, Shrink, Space, Step, Tried, U, no_retreat, read_indicators};
+use super::{Run, Shrink, Space, Step, Tried, U, kind_of, no_retreat, read_indicators};
 use crate::observer::Observer;
 use crate::stepper::{Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -41,6 +41,9 @@ where
     /// is in `x_new`, the indicators there are in `domains.end`.
     pub(super) fn look_inside(&mut self, end: f64, h: f64) -> Step<Inside> {
         let mut ready = false;
+        if self.sliding.step().is_some() {
+            return self.slide_over(end, h);
+        }
         let mut bracket = self.space.domains.changed().then_some(end);
         let points = if bracket.is_none() { self.interior_points(end) } else { 0 };
         for i in 0..points + self.space.domains.len() {
@@ -60,7 +63,7 @@ where
             }
         }
         let sampled = self.space.sampler.due_before(self.times, end - self.same).is_some();
-        if (bracket.is_some() || sampled)
+        if (bracket.is_some() || sampled || self.observer.wants_steps())
             && let Err(error) = self.make_ready(end, h, &mut ready)
         {
             return self.cannot_stand(h, error);
@@ -69,6 +72,18 @@ where
             Some(at) => self.locate(at, end, h),
             None => Ok(Inside::Nothing),
         }
+    }
+
+    /// While the solution slides a crossing counts where the step ends.
+    fn slide_over(&mut self, end: f64, h: f64) -> Step<Inside> {
+        let sampled = self.space.sampler.due_before(self.times, end - self.same).is_some();
+        if (sampled || self.observer.wants_steps())
+            && let Err(error) = self.make_ready(end, h, &mut false)
+        {
+            return self.cannot_stand(h, error);
+        }
+        let crossed = self.space.domains.changed();
+        Ok(if crossed { Inside::Crossing(Found { at: end, end, h, crossed }) } else { Inside::Nothing })
     }
 
     /// At how many points inside the step the indicators are looked at whatever they were.
@@ -108,7 +123,7 @@ where
     fn cannot_stand(&mut self, h: f64, error: CallError) -> Step<Inside> {
         match error {
             CallError::Discard => Ok(Inside::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
-            CallError::Failed(e) => Err(ErrorKind::Model(e).into()),
+            CallError::Failed(e) => Err(kind_of(e).into()),
         }
     }
 

@@ -2,13 +2,15 @@
 
 `FMUModel` is a model to set, simulate and get values of; `example_fmu` has some to try.
 `Calibration` puts a model, measurements and `Parameter` objects together, and fits without the interpreter lock.
-`fmin` minimises a Python function, with the signature of the tool of the paper; `pydfo.dfo` has it together with
-`quad_err` for scripts written for that tool.
+`minimize` minimises any Python function, and `Optimizer` lets you drive: ask for points, tell their costs;
+`scipy_method` makes the methods usable in ``scipy.optimize.minimize``. `fmin` has the signature of the tool of the
+paper; `pydfo.dfo` has it together with `quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written
+in Python.
 """
 
 from __future__ import annotations
 
-from . import dfo
+from . import dfo, ode
 from ._calibration import Calibration
 from ._core import __version__
 from ._description import Description, Variable, read_description
@@ -17,6 +19,7 @@ from ._errors import (
     BadCalibrationError,
     BadModelValueError,
     CalibrationError,
+    CheckpointError,
     FmuError,
     Interrupted,
     MethodNotAvailable,
@@ -29,18 +32,24 @@ from ._errors import (
 from ._files import build_fmu, clear_caches, example_fmu
 from ._fit import Fit
 from ._fmin import fmin
+from ._minimize import minimize
 from ._model import FMUModel, load_fmu
+from ._optimizer import Asked, Optimizer
 from ._parameter import Parameter
 from ._progress import Progress
-from ._result import OptimizeResult, Trace
+from ._result import BarrierStage, OptimizeResult, Trace
+from ._scipy import scipy_method
 from ._trajectory import SimulationResult
 
 __all__ = [
     "AllStartsFailed",
+    "Asked",
     "BadCalibrationError",
     "BadModelValueError",
+    "BarrierStage",
     "Calibration",
     "CalibrationError",
+    "CheckpointError",
     "Description",
     "FMUModel",
     "Fit",
@@ -50,6 +59,7 @@ __all__ = [
     "ModelTypeError",
     "NoResult",
     "OptimizeResult",
+    "Optimizer",
     "Parameter",
     "Progress",
     "PydfoError",
@@ -65,5 +75,8 @@ __all__ = [
     "example_fmu",
     "fmin",
     "load_fmu",
+    "minimize",
+    "ode",
     "read_description",
+    "scipy_method",
 ]

@@ -6,15 +6,15 @@ import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, SupportsFloat, SupportsIndex
+from typing import Any, Final, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _core, _data, _options
-from ._errors import BadCalibrationError, MethodNotAvailable
+from ._errors import BadCalibrationError
 from ._fit import Fit
-from ._fmin import Callback, combine, listen
+from ._fmin import Callback, check_callback, combine, listen
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
@@ -23,7 +23,8 @@ FloatArray = npt.NDArray[np.float64]
 
 _log = logging.getLogger("pydfo")
 
-_LATER = ("barrier", "de", "ga", "least-squares", "cma-es", "quadratic-model", "multistart")
+#: What holds in a fit where ``options`` says nothing.
+_DEFAULTS: Final[Mapping[str, Any]] = {"tolerances": "relative"}
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,9 @@ class ExperimentFields:
     columns: _data.Columns
     outputs: list[tuple[str, str, float]]
     inputs: list[tuple[str, str]]
-    start_values: list[tuple[str, bool | int | float | str]]
+    start_values: list[tuple[str, Any]]
     window: tuple[float, float] | None
+    kind: str
     start_time: float | None
     timeout: float | None
     relative_tolerance: float | None
@@ -118,9 +120,12 @@ class Calibration:
     solver : str
         "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler".
     step_size, max_step : float, optional
-        Step of the fixed-step methods; largest step of the others; in s.
+        Step of the fixed-step methods, or the communication step of co-simulation; largest step of the other methods;
+        in s.
     start_time : float, optional
         Where simulations start, in s; default: the model's default experiment, else 0.
+    kind : {"auto", "ME", "CS"}, optional
+        How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
 
     Raises
     ------
@@ -144,12 +149,13 @@ class Calibration:
         window: tuple[float, float] | None = None,
         timeout: SupportsFloat | None = None,
         weights: Mapping[str, float] | Sequence[float] | None = None,
-        start_values: Mapping[str, bool | int | float | str] | None = None,
+        start_values: Mapping[str, Any] | None = None,
         relative_tolerance: SupportsFloat | None = None,
         solver: str = "auto",
         step_size: SupportsFloat | None = None,
         max_step: SupportsFloat | None = None,
         start_time: SupportsFloat | None = None,
+        kind: str | None = None,
     ) -> None:
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
@@ -170,6 +176,7 @@ class Calibration:
             inputs=driven,
             start_values=list((start_values or {}).items()),
             window=span,
+            kind=_options.choice("kind", getattr(model, "kind", "auto") if kind is None else kind),
             start_time=_options.optional_number("start_time", start_time),
             timeout=_options.optional_number("timeout", timeout),
             relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
@@ -280,7 +287,7 @@ class Calibration:
 
     def fit(
         self,
-        method: Literal["nelder-mead"] = "nelder-mead",
+        method: str = "auto",
         workers: SupportsIndex | None = None,
         x_tol: float = 1e-4,
         f_tol: float = 1e-4,
@@ -289,19 +296,24 @@ class Calibration:
         max_time: SupportsFloat | None = None,
         target: SupportsFloat | None = None,
         stop: Literal["any", "all"] = "all",
-        batch: Literal["auto", "serial", "two", "four"] = "auto",
+        batch: str = "auto",
         disp: bool = False,
         callback: Callback | None = None,
         *,
         start: npt.ArrayLike | Mapping[str, float] | None = None,
         initial_simplex: npt.ArrayLike | None = None,
+        rng: int | np.random.Generator | None = None,
+        options: Mapping[str, Any] | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
+        resume: Literal["auto", "never", "require"] = "auto",
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
         Parameters
         ----------
-        method : {"nelder-mead"}
-            The optimiser.
+        method : str
+            The optimiser, as in `minimize`: "nelder-mead" (what "auto" is), "barrier", "de", "de-classic", "ga". The last
+            three need two finite bounds for every parameter.
         workers : int, optional
             Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.
         x_tol : float
@@ -317,8 +329,8 @@ class Calibration:
             End the fit as soon as the cost is at or below this.
         stop : {"all", "any"}
             Whether both tests must hold, or one ends the fit.
-        batch : {"auto", "serial", "two", "four"}
-            How many trial points are simulated at once in an iteration; see `fmin`.
+        batch : {"auto", "serial", "two", "four", "two-ahead", "lee-wiswall"}
+            Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`.
         disp : bool
             Print a line per iteration.
         callback : callable, optional
@@ -327,6 +339,13 @@ class Calibration:
             Another start than that of the parameters.
         initial_simplex : array_like, optional
             Vertices or steps; see `fmin`. Steps of parameters on a log scale are steps of the logarithm.
+        rng : int or numpy.random.Generator, optional
+            The seed of what is random, or a generator to draw it from; None draws one. It stands in the fit (``seed``).
+        options : dict, optional
+            What else the method can be told, see `minimize` (scales and sizes are those of the parameters).
+        checkpoint, resume : optional
+            A file for the state of the fit, and whether to continue from it; see `minimize`. A file that belongs to
+            another model, other data, parameters or settings is refused, saying what differs.
 
         Returns
         -------
@@ -344,24 +363,30 @@ class Calibration:
 
         Notes
         -----
-        Without any of the three limits a fit ends after 1000 (n + 1) iterations or 5000 (n + 1) evaluations.
+        Without any of the three limits the method's own hold: for Nelder-Mead 1000 (n + 1) iterations or 5000 (n + 1)
+        evaluations.
         """
-        self._check_method(method)
-        if callback is not None and not callable(callback):
-            raise TypeError(f"callback must be callable, not {callback!r}")
-        vertices, steps = _options.simplex(initial_simplex, len(self._parameters))
-        options = _options.Options(
-            x_tol=_options.number("x_tol", x_tol),
-            f_tol=_options.number("f_tol", f_tol),
-            stop=_options.choice("stop", stop),
-            batch=_options.choice("batch", batch),
-            max_evaluations=_options.limit("max_evaluations", max_evaluations, 1),
-            max_iterations=_options.limit("max_iterations", max_iterations, 0),
-            max_time=_options.optional_number("max_time", max_time),
-            target=_options.optional_number("target", target),
+        check_callback(callback)
+        own: dict[str, Any] = {"x_tol": x_tol, "f_tol": f_tol, "stop": stop, **(options or {})}
+        for name in ("scale", "nominal", "kinds"):
+            if name in own:
+                raise ValueError(f"options: {name} of a fit is that of its parameters")
+        if initial_simplex is not None:
+            own["initial_simplex"] = initial_simplex
+        if _options.choice("batch", batch) != "auto":
+            own["batch"] = batch
+        built = _options.build(
+            method,
+            own,
+            len(self._parameters),
+            _options.Limits.check(
+                ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
+            ),
             workers=_options.worker_count("workers", workers, None),
-            vertices=vertices,
-            steps=steps,
+            rng=rng,
+            checkpoint=checkpoint,
+            resume=resume,
+            defaults=_DEFAULTS,
         )
         begin = self._values(start)
         printer = Printer(self.names)
@@ -369,7 +394,7 @@ class Calibration:
         if callback is not None:
             listeners.append(listen(callback))
         try:
-            result = self._native.fit(options, start=begin, observer=combine(listeners))
+            result = self._native.fit(built, start=begin, observer=combine(listeners))
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):
@@ -385,14 +410,6 @@ class Calibration:
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
         return Fit(self, result, np.array(start))
-
-    @staticmethod
-    def _check_method(method: str) -> None:
-        name = _options.choice("method", method).lower().replace("_", "-")
-        if name in _LATER:
-            raise MethodNotAvailable(f"method = {method!r} is not in this version; 'nelder-mead' is")
-        if name != "nelder-mead":
-            raise ValueError(f"method = {method!r} is none of 'nelder-mead'")
 
     def __repr__(self) -> str:
         return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_residuals} measurements>"

@@ -159,8 +159,9 @@ class Variable:
     value_reference : int
         Handle within the FMU; aliases share it.
     description : str or None
-    type : {"Real", "Integer", "Boolean", "String", "Enumeration"}
-    causality : {"parameter", "calculatedParameter", "input", "output", "local", "independent"}
+    type : {"Real", "Integer", "Boolean", "String", "Enumeration", "Float32", "Int8", "UInt8", ..., "UInt64", "Binary", "Clock"}
+        In the words of FMI 2.0, those of FMI 3.0 where that has no word.
+    causality : {"parameter", "structuralParameter", "calculatedParameter", "input", "output", "local", "independent"}
     variability : {"constant", "fixed", "tunable", "discrete", "continuous"}
     initial : {"exact", "approx", "calculated"} or None
         How the initial value comes about; None for inputs and time.
@@ -170,8 +171,14 @@ class Variable:
     relative_quantity, unbounded : bool
     min, max, nominal : float or None
         In `unit`.
-    start : float, int, bool, str or None
-        The start value, in `unit`.
+    start : float, int, bool, str, bytes, ndarray or None
+        The start value, in `unit`; that of an array has its shape.
+    shape : tuple of int
+        Of an array, with structural parameters at their start values; () for a single value.
+    dimensions : tuple of int or str
+        The extents, or the names of the structural parameters that they are.
+    aliases : tuple of str
+        Further names, by which the variable is found too.
     derivative : str or None
         Name of the variable that this one is the time derivative of.
     reinit : bool
@@ -198,7 +205,10 @@ class Variable:
     min: float | None
     max: float | None
     nominal: float | None
-    start: float | int | bool | str | None
+    start: Any
+    shape: tuple[int, ...]
+    dimensions: tuple[int | str, ...]
+    aliases: tuple[str, ...]
     derivative: str | None
     reinit: bool
     can_handle_multiple_set_per_time_instant: bool
@@ -217,7 +227,10 @@ class Variables(Mapping[str, Variable]):
             nearest = self._fmu.nearest(name) if isinstance(name, str) else []
             hint = f"; did you mean {', '.join(nearest)}?" if nearest else ""
             raise UnknownVariableError(f'the model has no variable "{name}"{hint}')
-        return Variable(**self._fmu.variable(index))
+        fields = self._fmu.variable(index)
+        for several in ("shape", "dimensions", "aliases"):
+            fields[several] = tuple(fields[several])
+        return Variable(**fields)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._fmu.names())

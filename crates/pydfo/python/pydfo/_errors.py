@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ._result import OptimizeResult, Trace
+    from .ode import OdeResult
 
 __all__ = [
     "AllStartsFailed",
     "BadCalibrationError",
     "BadModelValueError",
     "CalibrationError",
+    "CheckpointError",
     "FmuError",
     "Interrupted",
     "MethodNotAvailable",
@@ -108,17 +110,22 @@ class AllStartsFailed(NoResult):
     """The objective failed at every one of the starting points."""
 
 
+class CheckpointError(PydfoError, ValueError):
+    """A checkpoint that is damaged, or belongs to another run; the message names the difference. The file is untouched."""
+
+
 class MethodNotAvailable(ValueError, NotImplementedError):
     """A method that this version does not have."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C ended a run; the best point seen is in hand.
+    """Ctrl-C ended a run; the best point seen, or the part of the solution that there is, is in hand.
 
     Attributes
     ----------
-    result : OptimizeResult or None
-        The result up to the interrupt (of a fit: a `Fit`); None if no point had a finite cost yet.
+    result : OptimizeResult or OdeResult or None
+        The result up to the interrupt (of a fit: a `Fit`, of `pydfo.ode.solve`: an `OdeResult`); None if no point had a
+        finite cost yet.
     """
 
-    result: OptimizeResult | None = None
+    result: OptimizeResult | OdeResult | None = None

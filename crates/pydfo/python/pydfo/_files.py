@@ -41,13 +41,17 @@ def build_fmu(folder: PathLike, out: PathLike) -> Path:
     return Path(out)
 
 
-def example_fmu(name: str) -> Path:
+def example_fmu(name: str, version: str = "2.0", kind: str = "ME") -> Path:
     """The FMU of a bundled model; built at the first call, and kept in a cache folder.
 
     Parameters
     ----------
     name : {"furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input", "quad_tank", "exhaust"}
         The model.
+    version : {"1.0", "2.0", "3.0"}
+        The version of FMI that it is made for.
+    kind : {"ME", "CS"}
+        Model exchange or co-simulation; FMUs of FMI 3.0 have both.
 
     Returns
     -------
@@ -57,7 +61,7 @@ def example_fmu(name: str) -> Path:
     Raises
     ------
     ValueError
-        There is no such model; the message lists those there are.
+        There is no such model, version or kind; the message lists those there are.
     FmuError
         There is no C compiler.
 
@@ -69,7 +73,7 @@ def example_fmu(name: str) -> Path:
     """
     if not isinstance(name, str):
         raise TypeError(f"name must be a string, not {name!r}")
-    return _core.example_fmu(name)
+    return _core.example_fmu(name, str(version), str(kind))
 
 
 def clear_caches() -> None:

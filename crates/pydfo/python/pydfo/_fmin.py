@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import inspect
 import logging
-from collections.abc import Callable, Sequence
+import operator
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _core, _options
-from ._errors import Interrupted, MethodNotAvailable
+from ._errors import Interrupted
 from ._progress import Printer, Progress
 from ._result import OptimizeResult
 
@@ -23,29 +26,30 @@ _log = logging.getLogger("pydfo")
 Objective = Callable[[npt.NDArray[np.float64]], Any]
 Callback = Callable[[Progress], Any]
 
-_ALGORITHMS: dict[object, str] = {
-    None: "nelder-mead",
-    1: "nelder-mead",
-    "nelder-mead": "nelder-mead",
-    2: "barrier",
-    "barrier": "barrier",
-    3: "de",
-    "de": "de",
-    4: "ga",
-    "ga": "ga",
-}
-_LATER = {"barrier": "the sequential barrier method", "de": "differential evolution", "ga": "the genetic algorithm"}
+#: The numbers that the tool of the paper has for its methods.
+_NUMBERS: dict[int, str] = {1: "nelder-mead", 2: "barrier", 3: "de-classic", 4: "ga"}
+
+#: What holds where ``options`` says nothing: tolerances as the paper has them.
+_DEFAULTS: dict[str, Any] = {"tolerances": "absolute"}
 
 
-def _check_algorithm(alg: object) -> None:
+def _algorithm(alg: int | str | None) -> str:
+    """The name of a method from its number or name; None stands for Nelder-Mead."""
+    if alg is None:
+        return "nelder-mead"
+    if isinstance(alg, str):
+        return _options.method_name(alg)
     try:
-        known = _ALGORITHMS[alg.lower() if isinstance(alg, str) else alg]
+        return _NUMBERS[operator.index(alg)]
     except (KeyError, TypeError):
-        raise ValueError(f"alg = {alg!r} is none of None, 1, 'nelder-mead'") from None
-    if known in _LATER:
-        raise MethodNotAvailable(
-            f"alg = {alg!r}: {_LATER[known]} is not in this version; alg=1 or 'nelder-mead' is"
-        )
+        known = ", ".join(f"{number} ({name})" for number, name in _NUMBERS.items())
+        raise ValueError(f"alg = {alg!r} is none of {known}, or a name as in minimize") from None
+
+
+def check_callback(callback: Any) -> None:
+    """Refuses what cannot be called."""
+    if callback is not None and not callable(callback):
+        raise TypeError(f"callback must be callable, not {callback!r}")
 
 
 def listen(callback: Callback) -> Callback:
@@ -85,11 +89,14 @@ def fmin(
     callback: Callback | None = None,
     rng: int | np.random.Generator | None = None,
     stop: Literal["any", "all"] = "any",
-    batch: Literal["auto", "serial", "two", "four"] = "auto",
+    batch: str = "auto",
     initial_simplex: npt.ArrayLike | None = None,
     target: SupportsFloat | None = None,
     max_time: SupportsFloat | None = None,
-    on_error: Literal["raise", "continue"] = "raise",
+    on_error: Literal["raise", "fail"] = "raise",
+    options: Mapping[str, Any] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    resume: Literal["auto", "never", "require"] = "auto",
 ) -> OptimizeResult:
     """Minimise a function of several variables without derivatives.
 
@@ -102,16 +109,18 @@ def fmin(
         and objects with ``__call__`` will do. It may return a float, a NumPy scalar or an array of one element. NaN and
         infinities mean that there is no cost at this point.
     xstart : array_like, shape (n,)
-        Where to start. May lie on a bound. Required.
+        Where to start. May lie on a bound (not with 2, the barrier method). Methods 3 and 4 can do without.
     lb, ub : array_like, shape (n,), or number, optional
         Bounds; None (also as an element) where there is none. Equal bounds fix a parameter. No point outside of the
         bounds is ever evaluated.
     alg : optional
-        None, 1 or "nelder-mead": Nelder-Mead. The paper's other methods (2, 3, 4) are not in this version.
+        1 or None: Nelder-Mead; 2: Nelder-Mead with a sequential barrier; 3: differential evolution as in the paper
+        (rand/1/bin); 4: genetic algorithm; or a name as in `minimize` ("de" is L-SHADE). 2 needs a bound, 3 and 4 need
+        both bounds for every parameter.
     plot : bool
-        Draw the cost as contours over two parameters, with the simplex walking. Needs matplotlib.
+        Draw the cost as contours over two parameters, with the simplex (or the population) walking. Needs matplotlib.
     plot_conv : bool
-        Draw how the best cost falls with the evaluations. Needs matplotlib.
+        Draw how the best point and its cost change with the evaluations. Needs matplotlib.
     x_tol : float
         Absolute tolerance of the x test: the largest distance, along an axis, of a vertex from the best one.
     f_tol : float
@@ -130,13 +139,13 @@ def fmin(
         Called after the starting points and after each iteration with a `Progress`, on the calling thread. Raising
         StopIteration, or returning True, ends the run with the best point so far.
     rng : int or numpy.random.Generator, optional
-        Source of random numbers, for methods that draw any (Nelder-Mead does not).
+        The seed of what is random, or a generator to draw it from; None draws one. It stands in the result (``seed``).
     stop : {"any", "all"}
         Whether one of the two tests ends the run (as in the paper), or both must hold. A simplex that has not moved yet
         never passes.
-    batch : {"auto", "serial", "two", "four"}
-        How many trial points are evaluated at once in an iteration, ahead of need; "auto" follows `nbr_cores`. The
-        simplices are the same for all; unneeded evaluations count.
+    batch : {"auto", "serial", "two", "four", "two-ahead", "lee-wiswall"}
+        Methods 1 and 2: how many trial points are evaluated at once in an iteration, ahead of need; "auto" follows
+        `nbr_cores`. The simplices are the same for all but the last; unneeded evaluations count.
     initial_simplex : array_like, optional
         Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default a tenth of the width
         of the box, or 0.3 max(1, norm(xstart)) where there is none.
@@ -144,9 +153,13 @@ def fmin(
         End the run as soon as the cost is at or below this.
     max_time : float, optional
         Limit of wall-clock time in s: no call starts after it.
-    on_error : {"raise", "continue"}
+    on_error : {"raise", "fail"}
         What an exception in `func` means: it is raised, or it counts as a failed evaluation. A return value that is no
         number is always raised.
+    options : dict, optional
+        What else the method can be told, see `minimize`.
+    checkpoint, resume : optional
+        A file for the state of the run, and whether to continue from it; see `minimize`.
 
     Returns
     -------
@@ -179,30 +192,35 @@ def fmin(
     if not callable(func):
         hint = "; give the function itself, not the name of its file" if isinstance(func, str) else ""
         raise TypeError(f"func must be callable, not {func!r}{hint}")
-    _check_algorithm(alg)
-    if on_error not in ("raise", "continue"):
-        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'continue'")
-    if callback is not None and not callable(callback):
-        raise TypeError(f"callback must be callable, not {callback!r}")
-    if xstart is None:
-        raise ValueError("xstart is needed: the point where Nelder-Mead starts")
-    x0 = _options.vector("xstart", xstart)
-    n = len(x0)
+    method = _algorithm(alg)
+    if on_error not in ("raise", "fail"):
+        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
+    check_callback(callback)
+    if xstart is None and method not in _options.SAMPLERS:
+        raise ValueError(f"xstart is needed: the point where {method} starts")
+    start = None if xstart is None else _options.vector("xstart", xstart)
+    n = _size(start, lb, ub)
     lower = _options.bound("lb", lb, n, -np.inf)
     upper = _options.bound("ub", ub, n, np.inf)
-    vertices, steps = _options.simplex(initial_simplex, n)
-    options = _options.Options(
-        x_tol=_options.number("x_tol", x_tol),
-        f_tol=_options.number("f_tol", f_tol),
-        stop=_options.choice("stop", stop),
-        batch=_options.choice("batch", batch),
-        max_evaluations=_options.limit("max_fevals", max_fevals, 1),
-        max_iterations=_options.limit("max_iters", max_iters, 0),
-        max_time=_options.optional_number("max_time", max_time),
-        target=_options.optional_number("target", target),
+    own: dict[str, Any] = {"x_tol": x_tol, "f_tol": f_tol, "stop": stop, **(options or {})}
+    if initial_simplex is not None:
+        own["initial_simplex"] = initial_simplex
+    if _options.choice("batch", batch) != "auto":
+        own["batch"] = batch
+    limits = _options.Limits.check(("max_fevals", max_fevals), ("max_iters", max_iters), max_time, target)
+    if limits.max_evaluations is None:
+        # No limit is what the user said; the optimiser's own defaults shall not step in.
+        limits = replace(limits, max_evaluations=2**63)
+    built = _options.build(
+        method,
+        own,
+        n,
+        limits,
         workers=_options.worker_count("nbr_cores", nbr_cores, 1),
-        vertices=vertices,
-        steps=steps,
+        rng=rng,
+        checkpoint=checkpoint,
+        resume=resume,
+        defaults=_DEFAULTS,
     )
     listeners: list[Callback] = []
     if debug:
@@ -223,11 +241,11 @@ def fmin(
     try:
         result: OptimizeResult = _core.minimize(
             func,
-            x0,
-            lower,
-            upper,
-            options,
-            tolerant=on_error == "continue",
+            None if start is None else start.tolist(),
+            lower.tolist(),
+            upper.tolist(),
+            built,
+            tolerant=on_error == "fail",
             observer=combine(listeners),
             detail=debug,
         )
@@ -235,7 +253,6 @@ def fmin(
         if disp and isinstance(e.result, OptimizeResult):
             _print_end(printer, e.result)
         raise
-    result.rng = rng
     _log.info("fmin: %s; f = %r after %d evaluations", result.message, result.fun, result.nfev)
     if disp:
         _print_end(printer, result)
@@ -246,6 +263,13 @@ def fmin(
 
         result.figures += (_plot.convergence(result),)
     return result
+
+
+def _size(start: npt.NDArray[np.float64] | None, *bounds: Any) -> int:
+    """How many parameters there are: the start point says it, else the longest of the bounds."""
+    if start is not None:
+        return len(start)
+    return max(1, *(1 if b is None else np.size(b) for b in bounds))
 
 
 def combine(listeners: list[Callback]) -> Callback | None:

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, SupportsFloat, overload
+from typing import Any, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _core, _inputs, _options
 from ._description import Description
-from ._errors import FmuError
 from ._files import PathLike
 from ._trajectory import SimulationResult
 
@@ -53,7 +52,7 @@ def load_fmu(path: PathLike, kind: str = "auto") -> FMUModel:
     path : path
         An ``.fmu`` file or an unpacked folder.
     kind : {"auto", "ME", "CS"}
-        How to run it. This version runs model exchange.
+        How to run it, as in `FMUModel`.
 
     Returns
     -------
@@ -62,18 +61,13 @@ def load_fmu(path: PathLike, kind: str = "auto") -> FMUModel:
     Raises
     ------
     OSError, FmuError
-        As `FMUModel`; FmuError for ``kind="CS"``.
+        As `FMUModel`.
     """
-    known = str(kind).upper()
-    if known not in ("AUTO", "ME", "CS"):
-        raise ValueError(f"kind = {kind!r} is none of 'auto', 'ME', 'CS'")
-    if known == "CS":
-        raise FmuError("kind='CS': co-simulation is not in this version; 'ME' (model exchange) and 'auto' are")
-    return FMUModel(path)
+    return FMUModel(path, kind)
 
 
 class FMUModel:
-    """A model in an FMU (FMI 2.0, model exchange).
+    """A model in an FMU (FMI 1.0, 2.0 or 3.0, model exchange or co-simulation).
 
     Opening reads the file (the second time, as long as it does not change, next to nothing is done); the FMU's code is
     loaded, or built from its sources, when it is first needed. As a context manager the model is closed at the end.
@@ -85,6 +79,10 @@ class FMUModel:
     ----------
     path : path
         An ``.fmu`` file or an unpacked folder.
+    kind : {"auto", "ME", "CS"}
+        How to run it: "ME" integrates its equations with a method of choice (model exchange), "CS" lets it integrate
+        itself from one communication point to the next (co-simulation), "auto" takes model exchange where it is
+        offered. The case of the letters does not matter.
 
     Raises
     ------
@@ -93,6 +91,8 @@ class FMUModel:
     FmuError
         The archive or its ``modelDescription.xml`` is damaged or not safe to unpack; the FMU is of a kind or version
         that cannot be simulated (`read_description` still describes it).
+    ValueError
+        `kind` is none of those above.
 
     Examples
     --------
@@ -104,36 +104,40 @@ class FMUModel:
     0.13534
     """
 
-    def __init__(self, path: PathLike) -> None:
+    def __init__(self, path: PathLike, kind: str = "auto") -> None:
+        if not isinstance(kind, str):
+            raise TypeError(f"kind must be a string, not {kind!r}")
         self._fmu = _core.Fmu(path)
-        self._fmu.check_runnable()
-        self._model = _core.Model(self._fmu)
+        self._kind = self._fmu.check_runnable(kind)
+        self._model = _core.Model(self._fmu, self._kind)
 
     @property
     def path(self) -> Path:
         """The file, as it was given."""
         return self._fmu.path
 
+    @property
+    def kind(self) -> str:
+        """How it is run: "ME" or "CS"."""
+        return self._kind
+
     @cached_property
     def description(self) -> Description:
         """What the FMU says about itself."""
         return Description(self._fmu)
 
-    @overload
-    def get(self, name: str) -> float | int | bool | str: ...  # type: ignore[overload-overlap]
-    @overload
-    def get(self, name: Iterable[str]) -> list[float | int | bool | str]: ...
-    def get(self, name: str | Iterable[str]) -> float | int | bool | str | list[float | int | bool | str]:
+    def get(self, name: str | Iterable[str]) -> Any:
         """Values of variables: after a simulation the final ones, before it those set, else the initial ones.
 
         Parameters
         ----------
         name : str or iterable of str
+            Names of variables, or of elements of arrays (``name[2,1]``, counted from 1).
 
         Returns
         -------
-        float, int, bool or str, or a list of them
-            A scalar for a name, a list for a list. Enumerations are int.
+        float, int, bool, str, bytes or ndarray, or a list of them
+            One value for a name, a list for a list. Enumerations are int; arrays have their shape.
 
         Raises
         ------
@@ -152,9 +156,11 @@ class FMUModel:
         Parameters
         ----------
         name : str or iterable of str
-        value : float, int, bool or str, or a sequence of them
-            A scalar for a name, as many as names for a list: all are set, or none. NumPy scalars and arrays of one element
-            are scalars, too. Items of enumerations are given as int or by their names.
+            Names of variables, or of elements of arrays (``name[2,1]``, counted from 1).
+        value : float, int, bool, str, bytes or array_like, or a sequence of them
+            One value for a name, as many as names for a list: all are set, or none. NumPy scalars and arrays of one element
+            are single values, too. Arrays are given in their shape or flat, the last index varying fastest. Items of
+            enumerations are given as int or by their names.
 
         Raises
         ------
@@ -226,7 +232,9 @@ class FMUModel:
             Tables are linear between rows for continuous Real inputs, and held for all others; a time listed twice is a
             jump. Jumps are events. Functions can drive continuous Real inputs and should be smooth.
         output : str or iterable of str, optional
-            Variables to record, or "all". Default: the outputs and the states.
+            Variables to record: names, elements of arrays (``name[2,1]``, counted from 1), patterns (``*`` stands for any
+            characters, ``?`` for one), or "all". Default: the outputs and the states; where a model declares neither
+            (FMI 1.0), all variables that change.
         times : array_like, optional
             The times of the rows, ascending. A time listed twice gives the limit from the left, then the value after the
             events of that time.
@@ -240,11 +248,12 @@ class FMUModel:
         relative_tolerance : float, optional
             Default: that of the default experiment, else 1e-6.
         solver : {"auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"}
-            The method; the last two have a fixed step. "CVode" is taken as "auto".
+            The method (model exchange); the last two have a fixed step. "CVode" is taken as "auto".
         step_size : float, optional
-            Step of the methods with a fixed step; default: a 500th of the span.
+            Model exchange: step of the methods with a fixed step; default: a 500th of the span. Co-simulation: the
+            communication step; default: that of the default experiment, else the distance of the rows.
         max_step : float, optional
-            Largest step of the others.
+            Largest step of the other methods.
         timeout : float, optional
             Limit of wall-clock time in s; it acts between calls into the FMU.
         record_events : bool
@@ -301,8 +310,6 @@ class FMUModel:
     def _outputs(self, output: str | Iterable[str] | None) -> list[str] | None:
         if output is None:
             return None
-        if output == "all":
-            return self._fmu.recordable()
         return [output] if isinstance(output, str) else _names("output", output)
 
     def close(self) -> None:
@@ -320,7 +327,7 @@ class FMUModel:
     def __repr__(self) -> str:
         d = self.description
         closed = ", closed" if self._model.closed else ""
-        return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} ME, {d.n_states} states, {str(self.path)!r}{closed}>"
+        return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} {self.kind}, {d.n_states} states, {str(self.path)!r}{closed}>"
 
 
 def _number(argument: str, value: SupportsFloat | None) -> float | None:

@@ -2,36 +2,224 @@
 
 from __future__ import annotations
 
+import difflib
 import logging
 import operator
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
+
+from ._errors import MethodNotAvailable
 
 FloatArray = npt.NDArray[np.float64]
 
 _log = logging.getLogger("pydfo")
 
 
+#: The names of the methods; "auto" stands for one of them.
+METHODS = ("nelder-mead", "barrier", "de", "de-classic", "ga")
+
+#: The methods that sample a box and need no start.
+SAMPLERS = ("de", "de-classic", "ga")
+
+#: What the methods that are to come will be called.
+LATER = ("least-squares", "quadratic-model", "cma-es", "multistart", "pattern-search")
+
+
 @dataclass(frozen=True)
 class Options:
     """The options of a run, as the native code reads them; None is no limit."""
 
+    method: str
+    method_options: dict[str, Any]
     x_tol: float
     f_tol: float
     stop: str
-    batch: str
+    tolerances: str
     max_evaluations: int | None
     max_iterations: int | None
     max_time: float | None
     target: float | None
     workers: int | None
-    vertices: list[list[float]] | None = None
-    steps: list[float] | None = None
+    seed: int | None = None
+    checkpoint: str | None = None
+    resume: str = "auto"
+    checkpoint_interval: float | None = None
+    cache: int | None = None
+    trace_limit: int | None = None
+    scale: list[str] = field(default_factory=list)
+    nominal: list[float] = field(default_factory=list)
+    kinds: list[str] = field(default_factory=list)
+    known: list[tuple[list[float], float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The limits of a run, checked."""
+
+    max_evaluations: int | None
+    max_iterations: int | None
+    max_time: float | None
+    target: float | None
+
+    @classmethod
+    def check(
+        cls,
+        evaluations: tuple[str, SupportsFloat | None],
+        iterations: tuple[str, SupportsFloat | None],
+        max_time: SupportsFloat | None,
+        target: SupportsFloat | None,
+    ) -> Limits:
+        """Checks four limits; the first two come with the names under which the user knows them."""
+        return cls(
+            max_evaluations=limit(*evaluations, 1),
+            max_iterations=limit(*iterations, 0),
+            max_time=optional_number("max_time", max_time),
+            target=optional_number("target", target),
+        )
+
+
+def build(
+    method: str,
+    options: Mapping[str, Any] | None,
+    n: int,
+    limits: Limits,
+    *,
+    workers: int | None,
+    rng: int | np.random.Generator | None,
+    checkpoint: str | os.PathLike[str] | None,
+    resume: str,
+    defaults: Mapping[str, Any],
+) -> Options:
+    """What the user chose about a run over `n` parameters. What is not the method's own is taken out of `options`."""
+    if options is not None and not isinstance(options, Mapping):
+        raise TypeError(f"options must be a dict, not {options!r}")
+    own = {choice("the name of an option", name): value for name, value in (options or {}).items()}
+
+    def take(name: str) -> Any:
+        return own.pop(name, defaults.get(name))
+
+    x_tol, f_tol = number("x_tol", take("x_tol")), number("f_tol", take("f_tol"))
+    stop, tolerances = choice("stop", take("stop")), choice("tolerances", take("tolerances"))
+    cache, trace_limit = limit("cache", take("cache"), 0), limit("trace_limit", take("trace_limit"), 1)
+    scale, kinds = per_parameter("scale", take("scale"), n), per_parameter("kinds", take("kinds"), n)
+    nominal = take("nominal")
+    interval, known = take("checkpoint_interval"), warm_start(take("warm_start"), n)
+    if own.get("initial_simplex") is not None:
+        vertices, steps = simplex(own["initial_simplex"], n)
+        own["initial_simplex"] = vertices if steps is None else steps
+    if isinstance(own.get("resolution"), np.ndarray):
+        own["resolution"] = own["resolution"].tolist()
+    return Options(
+        method=method_name(method, kinds),
+        method_options=own,
+        x_tol=x_tol,
+        f_tol=f_tol,
+        stop=stop,
+        tolerances=tolerances,
+        max_evaluations=limits.max_evaluations,
+        max_iterations=limits.max_iterations,
+        max_time=limits.max_time,
+        target=limits.target,
+        workers=workers,
+        seed=seed(rng),
+        checkpoint=None if checkpoint is None else os.fspath(checkpoint),
+        resume=choice("resume", resume),
+        checkpoint_interval=optional_number("checkpoint_interval", interval),
+        cache=cache,
+        trace_limit=trace_limit,
+        scale=scale,
+        nominal=[] if nominal is None else bound("nominal", nominal, n, np.nan).tolist(),
+        kinds=kinds,
+        known=known,
+    )
+
+
+def method_name(method: str, kinds: Sequence[str] = ()) -> str:
+    """The method of a name. "auto" is Nelder-Mead; differential evolution with integer parameters, the genetic
+    algorithm with categorical ones."""
+    name = choice("method", method).lower().replace("_", "-")
+    if name == "auto":
+        return "ga" if "categorical" in kinds else "de" if "integer" in kinds else "nelder-mead"
+    if name in LATER:
+        raise MethodNotAvailable(f"method = {method!r} is not in this version; there are: {', '.join(METHODS)}")
+    if name not in METHODS:
+        near = difflib.get_close_matches(name, METHODS, 1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise ValueError(f"method = {method!r} is none of 'auto', {', '.join(map(repr, METHODS))}{hint}")
+    return name
+
+
+def seed(rng: int | np.random.Generator | None) -> int | None:
+    """A seed from an integer, or drawn from a generator; None: the optimiser draws one."""
+    if rng is None:
+        return None
+    if isinstance(rng, np.random.Generator):
+        return int(rng.integers(2**63))
+    try:
+        value = operator.index(rng)
+    except TypeError:
+        raise TypeError(f"rng must be a whole number, a numpy.random.Generator or None, not {rng!r}") from None
+    if not 0 <= value < 2**64:
+        raise ValueError(f"rng = {value} must be from 0 to 2**64 - 1")
+    return value
+
+
+def per_parameter(name: str, value: Sequence[str] | str | None, n: int) -> list[str]:
+    """A word for each parameter; one word holds for all."""
+    if value is None:
+        return []
+    words = [value] * n if isinstance(value, str) else [choice(name, word) for word in value]
+    if len(words) != n:
+        raise ValueError(f"{name} has {len(words)} values for {n} parameters")
+    return words
+
+
+def warm_start(value: Any, n: int) -> list[tuple[list[float], float]]:
+    """Points and costs from a trace, or from a result that has one, or from a pair of arrays."""
+    if value is None:
+        return []
+    trace = getattr(value, "trace", value)
+    try:
+        points, costs = (trace.x, trace.fun) if hasattr(trace, "fun") else trace
+        points, costs = np.asarray(points, dtype=np.float64), np.asarray(costs, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"warm_start must be a result, a trace, or points (m, n) and costs (m,), not {value!r}") from None
+    if points.ndim != 2 or points.shape[1] != n or costs.shape != points.shape[:1]:
+        raise ValueError(f"warm_start: points of shape {points.shape}, costs of shape {costs.shape}; (m, {n}) and (m,) fit")
+    return list(zip(points.tolist(), costs.tolist()))
+
+
+def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper bounds from what SciPy takes: a sequence of pairs (None: no bound), or an object with ``lb`` and
+    ``ub``. Without a start point they say how many parameters there are."""
+    if bounds is None:
+        if n is None:
+            raise ValueError("x0 is needed: the point to start from (methods that sample a box need at least bounds)")
+        return np.full(n, -np.inf), np.full(n, np.inf)
+    if hasattr(bounds, "lb") and hasattr(bounds, "ub"):
+        if n is None:
+            n = np.broadcast(np.asarray(bounds.lb), np.asarray(bounds.ub)).size
+        # SciPy makes arrays of length one of scalars, which hold for all parameters.
+        lower, upper = (side[0] if np.shape(side) == (1,) else side for side in (bounds.lb, bounds.ub))
+        return bound("bounds.lb", lower, n, -np.inf), bound("bounds.ub", upper, n, np.inf)
+    try:
+        pairs = [tuple(pair) for pair in bounds]
+    except TypeError:
+        raise TypeError(f"bounds must be pairs of numbers or None, or an object with lb and ub, not {bounds!r}") from None
+    for index, pair in enumerate(pairs):
+        if len(pair) != 2:
+            raise ValueError(f"bounds[{index}] has {len(pair)} values, not two: {pair!r}")
+    if n is not None and len(pairs) != n:
+        raise ValueError(f"bounds has {len(pairs)} pairs for {n} parameters")
+    return (
+        bound("lower bounds", [pair[0] for pair in pairs], len(pairs), -np.inf),
+        bound("upper bounds", [pair[1] for pair in pairs], len(pairs), np.inf),
+    )
 
 
 def number(name: str, value: SupportsFloat | SupportsIndex) -> float:

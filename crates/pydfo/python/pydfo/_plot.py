@@ -60,20 +60,26 @@ class SimplexWalk:
         self._plane.set_xlabel(f"x[{self._axes[0]}]")
         self._plane.set_ylabel(f"x[{self._axes[1]}]")
         self._simplices: list[FloatArray] = []
+        self._closed = True
 
     def __call__(self, progress: Progress) -> None:
-        """Takes in the simplex of one iteration, and shows it if somebody watches."""
-        if progress.final_simplex is None:
+        """Takes in the simplex or the population of one iteration, and shows it if somebody watches."""
+        shape = progress.final_simplex or progress.final_population
+        if shape is None:
             return
-        self._simplices.append(progress.final_simplex[0][:, self._axes])
+        self._closed = progress.final_simplex is not None
+        self._simplices.append(shape[0][:, self._axes])
         if _is_live(self._figure):
             self._draw(self._simplices[-1], "tab:blue", 0.8)
             self._plane.set_title(f"iteration {progress.nit}, cost {progress.fun:.6g}")
             pyplot().pause(1e-3)
 
     def _draw(self, simplex: FloatArray, colour: Any, width: float) -> None:
-        closed = np.vstack((simplex, simplex[:1]))
-        self._plane.plot(closed[:, 0], closed[:, 1], "-", color=colour, linewidth=width, zorder=2)
+        if self._closed:
+            closed = np.vstack((simplex, simplex[:1]))
+            self._plane.plot(closed[:, 0], closed[:, 1], "-", color=colour, linewidth=width, zorder=2)
+        else:
+            self._plane.plot(simplex[:, 0], simplex[:, 1], ".", color=colour, markersize=4.0 * width, zorder=2)
 
     def finish(self, result: OptimizeResult) -> Figure:
         """The whole walk on its contours, with the result marked."""
@@ -87,7 +93,7 @@ class SimplexWalk:
         self._plane.plot(*best, "r*", markersize=12, label=f"best: cost {result.fun:.6g}", zorder=3)
         self._plane.set_xlabel(f"x[{self._axes[0]}]")
         self._plane.set_ylabel(f"x[{self._axes[1]}]")
-        self._plane.set_title(f"Nelder-Mead: {result.nit} iterations, {result.nfev} evaluations")
+        self._plane.set_title(f"{result.method}: {result.nit} iterations, {result.nfev} evaluations")
         self._plane.legend(loc="best")
         return self._figure
 
@@ -107,25 +113,35 @@ class SimplexWalk:
 
 
 def convergence(result: OptimizeResult) -> Figure:
-    """The best cost, and each cost, over the evaluations."""
+    """Each cost and the best one over the evaluations; below, the best point, each parameter in units of the range that
+    the run went through."""
     plt = pyplot()
     figure: Figure
-    figure, axes = plt.subplots(layout="constrained")
+    figure, (costs, points) = plt.subplots(2, 1, sharex=True, height_ratios=[3, 2], figsize=(6.4, 6.4), layout="constrained")
     trace = result.trace
-    if trace is not None:
-        count = np.arange(1, len(trace) + 1)
+    if trace is not None and len(trace) > 0:
+        count = trace.n_dropped + np.arange(1, len(trace) + 1)
         best = trace.running_best()
         positive = bool(np.all(trace.fun[np.isfinite(trace.fun)] > 0.0))
-        axes.plot(count, trace.fun, ".", color="0.6", markersize=4, label="evaluated")
-        axes.step(count, np.where(np.isfinite(best), best, np.nan), where="post", label="best so far")
-        if len(trace.messages) > 0:
-            for k in trace.messages:
-                axes.axvline(k + 1, color="tab:red", linewidth=0.5, alpha=0.5)
-        axes.set_yscale("log" if positive else "symlog")
-    axes.set_xlabel("evaluations")
-    axes.set_ylabel("cost")
-    axes.set_title(f"{result.method}: {result.termination} at {result.fun:.6g}")
-    axes.legend(loc="best")
+        costs.plot(count, trace.fun, ".", color="0.6", markersize=4, label="evaluated")
+        costs.step(count, np.where(np.isfinite(best), best, np.nan), where="post", label="best so far")
+        for k in trace.messages:
+            costs.axvline(count[k], color="tab:red", linewidth=0.5, alpha=0.5)
+        costs.set_yscale("log" if positive else "symlog")
+        # where the best changed, and which point it was until the next change
+        better = np.flatnonzero(np.diff(best, prepend=np.inf) < 0.0)
+        low, width = trace.x.min(axis=0), np.ptp(trace.x, axis=0)
+        if len(better) > 0:
+            rows = better[np.maximum(np.searchsorted(better, np.arange(len(trace)), side="right") - 1, 0)]
+            for i in np.flatnonzero(width > 0.0):
+                points.step(count, (trace.x[rows, i] - low[i]) / width[i], where="post", linewidth=1.0, label=f"x[{i}]")
+    costs.set_ylabel("cost")
+    costs.set_title(f"{result.method}: {result.termination} at {result.fun:.6g}")
+    costs.legend(loc="best")
+    points.set_xlabel("evaluations")
+    points.set_ylabel("best point, scaled")
+    if 0 < len(points.lines) <= 10:
+        points.legend(loc="best", fontsize="small")
     return figure
 
 

@@ -22,13 +22,15 @@ class Progress:
     nit, nfev, nfail : int
         Complete iterations; evaluations, and failed ones, so far.
     operation : str
-        What the iteration did: "initial", "reflection", "expansion", "outside contraction", "inside contraction" or
-        "shrink".
+        What the iteration did: "initial", "reflection", "expansion", "outside contraction", "inside contraction",
+        "shrink", "parallel moves", "restart" or "generation".
     x_size, f_spread : float or None
         Values of the two tests: extent of the simplex, spread of the costs at its vertices. None before the first
         iteration; the spread is None as long as a vertex has failed.
     final_simplex : tuple of ndarray or None
         The simplex as it stands: vertices (n + 1, n) and their costs (n + 1,), best first.
+    final_population : tuple of ndarray or None
+        The population as it stands: members (m, n) and their costs (m,), best first.
     solve_time : float
         Wall-clock time since the start, in s.
     """
@@ -46,6 +48,7 @@ class Progress:
         x_size: float | None,
         f_spread: float | None,
         final_simplex: tuple[FloatArray, FloatArray] | None,
+        final_population: tuple[FloatArray, FloatArray] | None,
         recent: list[tuple[FloatArray, tuple[float, str], bool]],
     ) -> None:
         self.x = x
@@ -58,6 +61,7 @@ class Progress:
         self.x_size = x_size
         self.f_spread = f_spread
         self.final_simplex = final_simplex
+        self.final_population = final_population
         self._recent = recent
 
     def __getitem__(self, key: str) -> Any:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import ItemsView, Iterator, KeysView, ValuesView
-from typing import TYPE_CHECKING, Any, Final, overload
+from collections.abc import ItemsView, Iterator, KeysView, Sequence, ValuesView
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +20,14 @@ STATUS: Final[dict[str, int]] = {
     "target": 10,
     "collapsed": 20,
     "all-fixed": 30,
+    "stalled": 40,
     "max-evaluations": 1,
     "max-iterations": 2,
     "max-time": 3,
     "stopped-by-observer": 4,
     "interrupted": 5,
     "aborted": 6,
+    "not-saved": 7,
 }
 
 
@@ -49,6 +51,8 @@ class Trace:
         Wall-clock time of each evaluation, in s.
     messages : dict of int to str
         Why evaluations failed, by their position in the trace.
+    n_dropped : int
+        Evaluations at the beginning of the run that a limit of the trace has dropped.
     """
 
     def __init__(
@@ -62,6 +66,7 @@ class Trace:
         batch: npt.NDArray[np.uint64],
         seconds: FloatArray,
         messages: dict[int, str],
+        n_dropped: int = 0,
     ) -> None:
         self.x = x
         self.fun = fun
@@ -71,6 +76,7 @@ class Trace:
         self.batch = batch
         self.seconds = seconds
         self.messages = messages
+        self.n_dropped = n_dropped
 
     @property
     def failed(self) -> npt.NDArray[np.bool_]:
@@ -108,6 +114,30 @@ class Trace:
         return f"<Trace: {len(self)} evaluations of {self.x.shape[1]} parameters, {failed} failed, {unused} unused>"
 
 
+class BarrierStage(NamedTuple):
+    """One stage of a sequential barrier search.
+
+    Attributes
+    ----------
+    mu : float
+        The barrier parameter.
+    barrier : float
+        The barrier at the end of the stage.
+    x : ndarray, shape (n,)
+        The best point of the stage for the cost with its barrier.
+    value : float
+        That cost with its barrier: ``fun + mu * barrier``.
+    nfev : int
+        Calls of the objective in the stage.
+    """
+
+    mu: float
+    barrier: float
+    x: FloatArray
+    value: float
+    nfev: int
+
+
 class OptimizeResult:
     """The result of a minimisation.
 
@@ -128,6 +158,8 @@ class OptimizeResult:
         Calls that failed (an exception where tolerated, NaN, infinities).
     n_speculative : int
         Calls made ahead of need that turned out not to be needed.
+    n_cached : int
+        Answers that needed no call, because the point was known already.
     n_batches : int
         Batches of calls that could run at once.
     solve_time : float
@@ -135,16 +167,23 @@ class OptimizeResult:
     success : bool
         Whether the method came to its own end, or reached the target.
     status : int
-        0 converged, 10 target reached, 20 the simplex collapsed, 30 all parameters fixed; 1 evaluations, 2 iterations,
-        3 time used up; 4 stopped by a callback, 5 interrupted, 6 ended by an exception.
+        0 converged, 10 target reached, 20 the search collapsed, 30 all parameters fixed, 40 nothing new for long;
+        1 evaluations, 2 iterations, 3 time used up; 4 stopped by a callback, 5 interrupted, 6 ended by an exception,
+        7 the checkpoint could not be written.
     termination : str
         The same in a word.
     message : str
         The same in a sentence, with the test that fired and its values.
     x_size, f_spread : float or None
-        Last values of the two tests: extent of the simplex, spread of the costs at its vertices.
+        Last values of the two tests: extent of the simplex or population, spread of its costs.
     final_simplex : tuple of ndarray or None
-        Vertices (n + 1, n) and their costs (n + 1,), best first.
+        Vertices (n + 1, n) and their costs (n + 1,), best first, for methods that have a simplex.
+    final_population : tuple of ndarray or None
+        Members (m, n) and their costs (m,), best first, for methods that have a population.
+    schedule : tuple of BarrierStage
+        The stages of a sequential barrier search.
+    seed : int or None
+        The seed of the random numbers, given or drawn; None for methods that draw none.
     failures : dict of str to int
         The reasons of failed calls and how often each occurred.
     trace : Trace or None
@@ -153,8 +192,6 @@ class OptimizeResult:
         The method, and its plan of which points are evaluated ahead of need.
     workers : int
         Evaluations that could run at once.
-    rng : int or Generator or None
-        The source of random numbers as given (Nelder-Mead draws none).
     figures : tuple of matplotlib figures
         What ``plot`` and ``plot_conv`` drew.
     """
@@ -176,12 +213,15 @@ class OptimizeResult:
         final_simplex: tuple[FloatArray, FloatArray] | None = None,
         n_speculative: int = 0,
         n_batches: int = 0,
+        n_cached: int = 0,
+        final_population: tuple[FloatArray, FloatArray] | None = None,
+        schedule: Sequence[tuple[float, float, FloatArray, float, int]] = (),
+        seed: int | None = None,
         failures: dict[str, int] | None = None,
         trace: Trace | None = None,
         method: str = "nelder-mead",
         batch: str = "",
         workers: int = 1,
-        rng: int | np.random.Generator | None = None,
         figures: tuple[Figure, ...] = (),
     ) -> None:
         self.x = x
@@ -191,6 +231,7 @@ class OptimizeResult:
         self.nfail = nfail
         self.n_speculative = n_speculative
         self.n_batches = n_batches
+        self.n_cached = n_cached
         self.solve_time = solve_time
         self.success = success
         self.status = STATUS[termination]
@@ -199,12 +240,14 @@ class OptimizeResult:
         self.x_size = x_size
         self.f_spread = f_spread
         self.final_simplex = final_simplex
+        self.final_population = final_population
+        self.schedule = tuple(BarrierStage(*stage) for stage in schedule)
+        self.seed = seed
         self.failures = failures or {}
         self.trace = trace
         self.method = method
         self.batch = batch
         self.workers = workers
-        self.rng = rng
         self.figures = figures
 
     def _tuple(self) -> tuple[FloatArray, float, int, int, float]:

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-_DTYPES: dict[str, type] = {"Real": np.float64, "Integer": np.int32, "Enumeration": np.int32, "Boolean": np.bool_}
-
 
 @dataclass(frozen=True)
 class SimulationStats:
@@ -29,7 +27,12 @@ class SimulationStats:
     ----------
     accepted_steps, rejected_steps : int
     right_hand_sides, event_indicators : int
-        Evaluations.
+        Evaluations; the right-hand sides for differences of a Jacobian count.
+    jacobians, directional_derivatives : int
+        Jacobians made, and directional derivatives that the model was asked for.
+    decompositions : int
+        Decompositions of matrices; Radau5 makes two at a time, a real and a complex one.
+    newton_iterations : int
     samples : int
         Rows.
     events : int
@@ -38,11 +41,17 @@ class SimulationStats:
     state_events, time_events, step_events, input_events : int
     restarts : int
         Restarts of the method after events that changed something.
+    chattering : int
+        How often state events were found to follow each other while time hardly advanced, and the run went on.
     """
 
     accepted_steps: int
     rejected_steps: int
     right_hand_sides: int
+    jacobians: int
+    directional_derivatives: int
+    decompositions: int
+    newton_iterations: int
     event_indicators: int
     samples: int
     events: int
@@ -51,13 +60,15 @@ class SimulationStats:
     step_events: int
     input_events: int
     restarts: int
+    chattering: int
 
 
 class SimulationResult(Mapping[str, FloatArray]):
     """The result of a simulation: columns of numbers by name, ``res["time"]`` among them.
 
     A mapping of names to arrays of shape (rows,); Integers and Booleans are numbers, too (`to_structured` and
-    `to_dataframe` give them their types). At the time of an event a row holds the values after it. A time that was asked
+    `to_dataframe` give them their types). An array has a column for each element, ``res["a[2,1]"]`` (counted from 1), and
+    ``res["a"]`` is all of it, of shape (rows, ...). At the time of an event a row holds the values after it. A time that was asked
     for twice, and with ``record_events=True`` every event, has two rows: the limit from the left, then the values after
     the event.
 
@@ -85,7 +96,9 @@ class SimulationResult(Mapping[str, FloatArray]):
         names: list[str],
         columns: list[FloatArray],
         types: list[str],
+        dtypes: list[str],
         units: list[str | None],
+        arrays: list[tuple[str, int, list[int]]],
         left: npt.NDArray[np.bool_],
         event_times: FloatArray,
         event_kinds: list[str],
@@ -104,13 +117,19 @@ class SimulationResult(Mapping[str, FloatArray]):
         self.end_time = end_time
         self._columns = {"time": time} | dict(zip(names, columns))
         self._types = {"time": "Real"} | dict(zip(names, types))
+        self._dtypes = {"time": "float64"} | dict(zip(names, dtypes))
+        self._arrays = {array: (names[first : first + int(np.prod(shape))], shape) for array, first, shape in arrays}
         self._units: dict[str, str | None] = {"time": "s", **dict(zip(names, units))}
 
     def __getitem__(self, name: str) -> FloatArray:
         try:
             return self._columns[name]
         except KeyError:
-            raise UnknownVariableError(self._missing(name)) from None
+            if name not in self._arrays:
+                raise UnknownVariableError(self._missing(name)) from None
+        elements, shape = self._arrays[name]
+        values = np.array([self._columns[element] for element in elements]).reshape(len(elements), len(self.time))
+        return np.ascontiguousarray(values.T).reshape(len(self.time), *shape)
 
     def _missing(self, name: object) -> str:
         nearest = difflib.get_close_matches(str(name), self._columns, n=3)
@@ -150,7 +169,7 @@ class SimulationResult(Mapping[str, FloatArray]):
     def to_structured(self) -> npt.NDArray[np.void]:
         """A structured array of shape (rows,) with a field per column, ``time`` first; Integers and Booleans have
         their types."""
-        array = np.empty(len(self.time), dtype=[(name, _DTYPES[self._types[name]]) for name in self])
+        array = np.empty(len(self.time), dtype=[(name, self._dtypes[name]) for name in self])
         for name, column in self.items():
             array[name] = column
         return array
@@ -162,7 +181,7 @@ class SimulationResult(Mapping[str, FloatArray]):
             pd: Any = importlib.import_module("pandas")
         except ImportError as e:
             raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
-        return pd.DataFrame({name: column.astype(_DTYPES[self._types[name]]) for name, column in self.items()})
+        return pd.DataFrame({name: column.astype(self._dtypes[name]) for name, column in self.items()})
 
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
         """Draws columns over time, those of one unit in one plot. Needs matplotlib.
@@ -189,7 +208,7 @@ class SimulationResult(Mapping[str, FloatArray]):
         figure, plots = plt.subplots(max(len(groups), 1), 1, sharex=True, squeeze=False, layout="constrained")
         for axes, (unit, members) in zip(plots[:, 0], groups.items()):
             for name in members:
-                held = self._types[name] != "Real"
+                held = self._types[name] not in ("Real", "Float32")
                 axes.plot(self.time, self[name], label=name, drawstyle="steps-post" if held else "default")
             axes.set_ylabel(unit or "")
             axes.grid(alpha=0.3)

@@ -1,0 +1,229 @@
+//! What the methods with generations have in common: a first population, candidates that are bred and tried, selection,
+//! and how it all ends.
+
+use crate::cost::Cost;
+use crate::error::Error;
+use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status, restored, saved};
+use crate::objective::Outcome;
+use crate::population::Population;
+use crate::rounds::Rounds;
+use crate::sampling::Sampling;
+use crate::termination::{Termination, Tests};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// What one such method does its own way.
+pub trait Breeder: Serialize + DeserializeOwned {
+    /// Name of the method.
+    fn name(&self) -> &'static str;
+
+    /// Makes the candidates of a generation (counted from 1).
+    fn breed(&mut self, generation: u64, pool: &mut Pool);
+
+    /// The cost above which a candidate makes no difference; infinite if there is none.
+    fn cutoff(&self, pool: &Pool, candidate: usize) -> f64;
+
+    /// Takes candidates, all of them tried, into the population.
+    fn select(&mut self, pool: &mut Pool);
+
+    /// The first population is known.
+    fn started(&mut self, pool: &Pool);
+
+    /// Why the run is over after a generation whose tests did not pass, if it is. `best`: the smallest cost so far.
+    fn ended(&mut self, pool: &Pool, best: f64) -> Option<Termination>;
+
+    /// Whether this fits to a problem and to its pool: what comes from a file may not.
+    fn is_sound(&self, pool: &Pool) -> bool;
+}
+
+/// The problem, and those who live.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Pool {
+    pub(crate) setup: Setup,
+    pub(crate) seed: u64,
+    pub(crate) population: Population,
+    pub(crate) candidates: Population,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+enum Phase {
+    /// The first population is being evaluated.
+    Starting,
+    /// Candidates of this generation are to be made.
+    Breeding,
+    /// They are being evaluated.
+    Trying,
+    NoStart,
+    Ended(Termination),
+}
+
+/// A running method with generations.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Generations<B> {
+    breeder: B,
+    pool: Pool,
+    phase: Phase,
+    rounds: Rounds,
+    n_iterations: usize,
+    tests: Option<Tests>,
+    f_0: f64,
+}
+
+impl<B: Breeder> Generations<B> {
+    pub(crate) fn new(breeder: B, pool: Pool) -> Self {
+        let rounds = Rounds::with_capacity(pool.population.len());
+        Self { breeder, pool, phase: Phase::Starting, rounds, n_iterations: 0, tests: None, f_0: 0.0 }
+    }
+
+    /// Continues from a state that was saved for this problem.
+    pub(crate) fn restore(setup: &Setup, state: &[u8]) -> Result<Self, Error> {
+        let space = &setup.space;
+        restored(state, |s: &Self| {
+            s.pool.setup.space == *space
+                && s.pool.population.is_sound(space)
+                && s.pool.candidates.is_sound(space)
+                && s.rounds.is_sound(space.n())
+                && s.breeder.is_sound(&s.pool)
+        })
+    }
+
+    fn start_known(&mut self) {
+        let Pool { population, setup, .. } = &mut self.pool;
+        population.rank();
+        self.f_0 = population.typical_cost();
+        self.phase = if population.n_finite() == 0 {
+            Phase::NoStart
+        } else if setup.space.n_free() == 0 {
+            Phase::Ended(Termination::AllFixed)
+        } else {
+            Phase::Breeding
+        };
+        self.breeder.started(&self.pool);
+    }
+
+    fn end_generation(&mut self) {
+        self.breeder.select(&mut self.pool);
+        let Pool { population, setup, .. } = &mut self.pool;
+        population.rank();
+        self.n_iterations += 1;
+        let tests = population.judge(&setup.space, &setup.tolerances, self.f_0);
+        self.tests = Some(tests);
+        let best = self.rounds.best().map_or(f64::INFINITY, |(_, f)| f);
+        let ended = self.breeder.ended(&self.pool, best);
+        self.phase = match ended {
+            _ if tests.passed => Phase::Ended(Termination::Converged),
+            Some(termination) => Phase::Ended(termination),
+            None => Phase::Breeding,
+        };
+    }
+}
+
+impl<B: Breeder> Method for Generations<B> {
+    fn name(&self) -> &'static str {
+        self.breeder.name()
+    }
+
+    fn ask(&mut self, batch: &mut Batch) {
+        if self.phase == Phase::Breeding {
+            self.breeder.breed(self.n_iterations as u64 + 1, &mut self.pool);
+            self.phase = Phase::Trying;
+        }
+        let Self { breeder, pool, phase, rounds, .. } = self;
+        let n = pool.setup.space.n();
+        match phase {
+            Phase::Starting => rounds.ask(batch, n, &pool.population, |_| f64::INFINITY),
+            Phase::Trying => rounds.ask(batch, n, &pool.candidates, |k| breeder.cutoff(pool, k)),
+            Phase::Breeding | Phase::NoStart | Phase::Ended(_) => rounds.ask_nothing(batch, n),
+        }
+    }
+
+    fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
+        if self.phase == Phase::Starting {
+            if self.rounds.tell(outcomes, &mut self.pool.population)? {
+                self.start_known();
+            }
+        } else if self.rounds.tell(outcomes, &mut self.pool.candidates)? {
+            self.end_generation();
+        }
+        Ok(())
+    }
+
+    fn used(&self) -> &[bool] {
+        self.rounds.used()
+    }
+
+    fn status(&self) -> Status {
+        match &self.phase {
+            Phase::NoStart => Status::NoStart,
+            Phase::Ended(termination) => Status::Ended(termination.clone()),
+            Phase::Starting | Phase::Breeding | Phase::Trying => Status::Running,
+        }
+    }
+
+    fn n_iterations(&self) -> usize {
+        self.n_iterations
+    }
+
+    fn operation(&self) -> Option<Operation> {
+        match (&self.phase, self.n_iterations) {
+            (Phase::Starting | Phase::NoStart, _) => None,
+            (_, 0) => Some(Operation::Initial),
+            _ => Some(Operation::Generation),
+        }
+    }
+
+    fn plan(&self) -> &'static str {
+        "generation"
+    }
+
+    fn tests(&self) -> Option<Tests> {
+        self.tests
+    }
+
+    fn best(&self) -> Option<(&[f64], f64)> {
+        self.rounds.best()
+    }
+
+    fn population(&self) -> Option<SimplexView<'_>> {
+        Some(self.pool.population.view())
+    }
+
+    fn save(&self) -> Option<Vec<u8>> {
+        saved(self)
+    }
+
+    fn seed(&self) -> Option<u64> {
+        Some(self.pool.seed)
+    }
+}
+
+impl Pool {
+    /// The first population, sampled; what is known and the start point stand first. Returns how many those are.
+    pub(crate) fn new(
+        setup: Setup,
+        seed: u64,
+        (members, candidates): (usize, usize),
+        sampling: Sampling,
+        include_start: bool,
+    ) -> Result<(Self, usize), Error> {
+        let space = &setup.space;
+        let n = space.n_free();
+        let mut population = Population::new(space, members);
+        let mut points = Vec::new();
+        sampling.fill(space, seed, members, &mut points)?;
+        for slot in 0..members {
+            population.place(slot, &points[slot * n..(slot + 1) * n], space);
+        }
+        let n_exact = population.seed_with(&setup, include_start || n == 0);
+        let candidates = Population::new(space, candidates);
+        Ok((Self { setup, seed, population, candidates }, n_exact))
+    }
+
+    /// The cost of a member as a cutoff for what would take its place.
+    pub(crate) fn cost_as_cutoff(&self, member: usize) -> f64 {
+        match self.population.cost(member) {
+            Cost::Value(cost) => cost,
+            _ => f64::INFINITY,
+        }
+    }
+}

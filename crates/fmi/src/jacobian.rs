@@ -1,0 +1,142 @@
+//! What a model says of its Jacobian: directional derivatives, and which derivatives depend on which states.
+
+use crate::description::{Capabilities, Causality, ModelDescription, Structure, Variability};
+use ode::JacobianPattern;
+use std::collections::HashMap;
+
+/// How the Jacobian of the right-hand side can be had from the FMU.
+#[derive(Debug, Default)]
+pub(crate) struct JacobianPlan {
+    /// Places that may differ from zero, where the description says so and they are not all.
+    pub(crate) pattern: Option<JacobianPattern>,
+    /// Value references of derivatives and states, where the FMU offers directional derivatives.
+    pub(crate) directional: Option<Directional>,
+}
+
+/// The two sides of a directional derivative.
+#[derive(Debug)]
+pub(crate) struct Directional {
+    pub(crate) derivatives: Vec<u32>,
+    pub(crate) states: Vec<u32>,
+}
+
+impl JacobianPlan {
+    pub(crate) fn new(model: &ModelDescription, structure: &Structure, capabilities: &Capabilities) -> Self {
+        Self {
+            pattern: pattern(model, structure),
+            directional: if capabilities.provides_directional_derivative { directional(model) } else { None },
+        }
+    }
+}
+
+/// Value references one by one; none where a state is an array or not named: then differences serve.
+fn directional(model: &ModelDescription) -> Option<Directional> {
+    let (mut derivatives, mut states) = (Vec::new(), Vec::new());
+    for unknown in &model.structure.derivatives {
+        let derivative = &model.variables[unknown.index];
+        let state = &model.variables[derivative.derivative?];
+        if !derivative.dimensions.is_empty() || derivative.negated || state.negated {
+            return None;
+        }
+        derivatives.push(derivative.value_reference);
+        states.push(state.value_reference);
+    }
+    (model.n_states() == states.len()).then_some(Directional { derivatives, states })
+}
+
+/// The declared dependencies between derivatives and states. Whatever is not understood counts as a dependency on all
+/// states; a pattern without gaps is none.
+fn pattern(model: &ModelDescription, structure: &Structure) -> Option<JacobianPattern> {
+    // Where in the state vector the elements of a state stand; aliases share the value reference of their variable.
+    let mut places = HashMap::new();
+    let mut rows = Vec::new();
+    let mut n = 0;
+    for unknown in &model.structure.derivatives {
+        let derivative = &model.variables[unknown.index];
+        let state = &model.variables[derivative.derivative?];
+        let elements = n..n + structure.elements(model, derivative);
+        n = elements.end;
+        places.insert((state.kind, state.value_reference), elements.clone());
+        rows.push((elements, unknown.dependencies.as_ref()?));
+    }
+    if n != structure.states(model) {
+        return None;
+    }
+    let mut entries = Vec::new();
+    for (row, dependencies) in rows {
+        for &index in dependencies {
+            let variable = &model.variables[index];
+            let columns = match places.get(&(variable.kind, variable.value_reference)) {
+                Some(columns) => columns.clone(),
+                None if is_known(variable.causality, variable.variability) => continue,
+                None => 0..n,
+            };
+            entries.extend(row.clone().flat_map(|i| columns.clone().map(move |k| (i, k))));
+        }
+    }
+    JacobianPattern::new(n, entries).filter(|pattern| pattern.n_entries() < n * n)
+}
+
+/// Whether a variable does not change with the states.
+fn is_known(causality: Causality, variability: Variability) -> bool {
+    use Causality::{CalculatedParameter, Independent, Input, Parameter, StructuralParameter};
+    matches!(causality, Input | Independent | Parameter | StructuralParameter | CalculatedParameter)
+        || variability != Variability::Continuous
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three states; the dependencies of their derivatives as attributes.
+    fn plan(dependencies: [&str; 3]) -> JacobianPlan {
+        let unknowns: String = dependencies
+            .iter()
+            .zip(4..)
+            .map(|(text, index)| format!("<Unknown index=\"{index}\" {text}/>"))
+            .collect();
+        let states: String = (1..=3)
+            .map(|i| format!("<ScalarVariable name=\"x{i}\" valueReference=\"{i}\"><Real/></ScalarVariable>"))
+            .collect();
+        let derivatives: String = (1..=3)
+            .map(|i| {
+                format!(
+                    "<ScalarVariable name=\"der(x{i})\" valueReference=\"1{i}\"><Real derivative=\"{i}\"/></ScalarVariable>"
+                )
+            })
+            .collect();
+        let text = format!(
+            "<fmiModelDescription fmiVersion=\"2.0\" modelName=\"m\" guid=\"1\">\
+             <ModelExchange modelIdentifier=\"m\" providesDirectionalDerivative=\"true\"/><ModelVariables>\
+             {states}{derivatives}\
+             <ScalarVariable name=\"u\" valueReference=\"20\" causality=\"input\"><Real start=\"0\"/></ScalarVariable>\
+             <ScalarVariable name=\"alias of x2\" valueReference=\"2\"><Real/></ScalarVariable>\
+             <ScalarVariable name=\"algebraic\" valueReference=\"30\"><Real/></ScalarVariable>\
+             </ModelVariables><ModelStructure><Derivatives>{unknowns}</Derivatives></ModelStructure></fmiModelDescription>"
+        );
+        let model = ModelDescription::parse(text.as_bytes()).unwrap();
+        let capabilities = model.model_exchange.as_ref().unwrap().capabilities;
+        JacobianPlan::new(&model, &Structure::default(), &capabilities)
+    }
+
+    fn pattern_of(entries: &[(usize, usize)]) -> Option<JacobianPattern> {
+        JacobianPattern::new(3, entries.iter().copied())
+    }
+
+    #[test]
+    fn declared_dependencies_are_the_pattern() {
+        let found = plan(["dependencies=\"1 7\"", "dependencies=\"1 8\"", "dependencies=\"\""]);
+        assert_eq!(found.pattern, pattern_of(&[(0, 0), (1, 0), (1, 1)]));
+        let directional = found.directional.unwrap();
+        assert_eq!((directional.derivatives, directional.states), (vec![11, 12, 13], vec![1, 2, 3]));
+    }
+
+    #[test]
+    fn what_is_not_declared_or_not_understood_is_full() {
+        assert_eq!(plan(["dependencies=\"1\"", "", "dependencies=\"3\""]).pattern, None);
+        // An algebraic variable may depend on any state.
+        let found = plan(["dependencies=\"1\"", "dependencies=\"9\"", "dependencies=\"3\""]);
+        assert_eq!(found.pattern, pattern_of(&[(0, 0), (1, 0), (1, 1), (1, 2), (2, 2)]));
+        assert_eq!(plan(["dependencies=\"1 2 3\""; 3]).pattern, None);
+    }
+}

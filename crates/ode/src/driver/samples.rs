@@ -1,0 +1,67 @@
+//! Samples on the way: inside of a step, left of an event, after everything at an instant.
+
+use super::{Run, Space, Step, finish, no_retreat};
+use crate::error::Termination;
+use crate::observer::{Observer, StepView};
+use crate::sampling::Here;
+use crate::stepper::{Stepper, Trial};
+use crate::system::{CallError, CallResult, HybridSystem};
+use std::ops::ControlFlow;
+
+impl<S, M, O> Run<'_, S, M, O>
+where
+    S: HybridSystem + ?Sized,
+    M: Stepper,
+    O: Observer + ?Sized,
+{
+    /// Samples strictly inside the step, up to (not including) `at`. `false`: the model refused one of these points;
+    /// nothing is committed, so a smaller step can follow.
+    pub(super) fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
+        while let Some(t) = self.space.sampler.due_before(self.times, at - self.same) {
+            let Space { x, x_mid, sampler, .. } = &mut *self.space;
+            let theta = ((t - self.t) / h).clamp(0.0, 1.0);
+            self.stepper.interpolate(Trial { t: self.t, end, h, x }, theta, x_mid);
+            let here = Here { t, x: x_mid, same: 0.0, record: false };
+            match sampler.deliver(self.system, self.times, &here, self.observer) {
+                Err(CallError::Discard) => return Ok(false),
+                flow => follow(flow)?,
+            }
+        }
+        Ok(true)
+    }
+
+    /// The left limit at the current time, where somebody wants it: the time is listed twice, or events are recorded.
+    pub(super) fn sample_left(&mut self) -> Step<()> {
+        let Space { x, sampler, .. } = &mut *self.space;
+        let here = Here { t: self.t, x, same: self.same, record: self.options.record_events };
+        follow(sampler.deliver_left(self.system, self.times, &here, self.observer))
+    }
+
+    /// All samples still due at the current time, after everything that happened there.
+    pub(super) fn sample_here(&mut self, after_event: bool) -> Step<()> {
+        let Space { x, sampler, .. } = &mut *self.space;
+        let record = after_event && self.options.record_events;
+        let here = Here { t: self.t, x, same: self.same, record };
+        follow(sampler.deliver_here(self.system, self.times, &here, self.observer))
+    }
+
+    /// Shows the step of size `h` that ends at `end`, up to `at`, to an observer that wants to look into it.
+    pub(super) fn show_step(&mut self, at: f64, end: f64, h: f64) {
+        if self.observer.wants_steps() {
+            let (stepper, began) = (&*self.stepper, self.t);
+            let trial = Trial { t: began, end, h, x: &self.space.x };
+            let inside = |t: f64, x: &mut [f64]| {
+                stepper.interpolate(trial, ((t - began) / h).clamp(0.0, 1.0), x);
+            };
+            self.observer.step(&StepView::new(began, at, &inside));
+        }
+    }
+}
+
+/// The observer's word on a sample.
+fn follow(flow: CallResult<ControlFlow<()>>) -> Step<()> {
+    match flow.map_err(no_retreat)? {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => finish(Termination::StoppedByObserver),
+    }
+}

@@ -1,0 +1,103 @@
+//! Cancelling and the time limit also end long steps: no evaluation follows, in whatever part of a step they come.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use ode::*;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+const METHODS: &[Method] =
+    &[Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf, Method::Rk4, Method::Euler];
+
+/// A chain of tanks with a level that is watched; counts evaluations, and at one of them calls `then`.
+struct Chain<F> {
+    calls: u64,
+    at: u64,
+    after: u64,
+    then: F,
+}
+
+impl<F: FnMut()> Chain<F> {
+    fn count(&mut self) {
+        if self.calls >= self.at {
+            self.after += 1;
+        }
+        self.calls += 1;
+        if self.calls == self.at {
+            (self.then)();
+        }
+    }
+}
+
+const TANKS: usize = 40;
+
+impl<F: FnMut()> HybridSystem for Chain<F> {
+    fn n_states(&self) -> usize {
+        TANKS
+    }
+    fn n_event_indicators(&self) -> usize {
+        1
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.fill(1.0);
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        self.count();
+        let mut inflow = 1.0 + (3.0 * t).sin();
+        for (dx, x) in dx.iter_mut().zip(x) {
+            let outflow = x * x.abs().sqrt();
+            *dx = inflow - outflow;
+            inflow = outflow;
+        }
+        Ok(())
+    }
+    fn event_indicators(&mut self, _: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        self.count();
+        z[0] = x[0] - 1.1;
+        Ok(())
+    }
+}
+
+fn run(
+    method: Method,
+    at: u64,
+    (cancel, timeout): (Option<Arc<AtomicBool>>, Option<Duration>),
+    then: impl FnMut(),
+) -> (Box<SimulationError>, u64) {
+    let limits = Limits { timeout, ..Limits::default() };
+    let step_size = Some(0.01);
+    let mut driver =
+        Driver::new(Options { method, limits, cancel, step_size, ..Options::default() }).unwrap();
+    let mut chain = Chain { calls: 0, at, after: 0, then };
+    let error = driver.run(&mut chain, 0.0, 1e6, &[], &mut Ignore).unwrap_err();
+    (error, chain.after)
+}
+
+#[test]
+fn nothing_is_evaluated_once_cancelled() {
+    for &method in METHODS {
+        // The first differences of a Jacobian are evaluations 3 to 42 or so; later ones are Newton's, stages, indicators.
+        for at in (1..60).chain([97, 150, 151, 152, 153, 154, 155, 1003]) {
+            let flag = Arc::new(AtomicBool::new(false));
+            let set = Arc::clone(&flag);
+            let (error, after) =
+                run(method, at, (Some(flag), None), move || set.store(true, Ordering::Relaxed));
+            assert!(matches!(error.kind, ErrorKind::Cancelled), "{}: {error}", method.name());
+            assert_eq!(after, 0, "{} at evaluation {at}", method.name());
+        }
+    }
+}
+
+#[test]
+fn nothing_is_evaluated_once_the_time_is_up() {
+    let limit = Duration::from_millis(60);
+    for method in [Method::Tsit5, Method::Radau5, Method::Bdf] {
+        for at in [2, 20, 60] {
+            let (error, after) = run(method, at, (None, Some(limit)), || std::thread::sleep(2 * limit));
+            assert!(matches!(error.kind, ErrorKind::TimedOut(l) if l == limit), "{}: {error}", method.name());
+            assert_eq!(after, 0, "{} at evaluation {at}", method.name());
+        }
+    }
+}

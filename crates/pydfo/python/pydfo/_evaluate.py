@@ -1,0 +1,114 @@
+"""Who calls the objective: somebody's executor or map, or the objective itself with all points at once.
+
+Each function here takes the points of a batch, shape (S, n), and a function that says whether the run is to end; it
+returns for each point a cost, the exception that was raised, or Ellipsis for a point that was left out.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import pickle
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Batches = Callable[[FloatArray, Callable[[], bool]], list[Any]]
+
+#: Seconds between two looks for Ctrl-C while an executor computes.
+PATIENCE = 0.02
+
+
+class WithArguments:
+    """The objective with its further arguments; can be pickled if they can."""
+
+    def __init__(self, fun: Callable[..., Any], args: tuple[Any, ...]) -> None:
+        self.fun = fun
+        self.args = args
+
+    def __call__(self, x: FloatArray) -> Any:
+        return self.fun(x, *self.args)
+
+
+class Returning:
+    """Calls the objective and returns its exception instead of raising it, so that one point does not cost the others
+    of its batch. Can be pickled if the objective can; an exception that cannot is replaced by one with the same text."""
+
+    def __init__(self, fun: Callable[[FloatArray], Any], crosses: bool) -> None:
+        self.fun = fun
+        self.crosses = crosses
+
+    def __call__(self, x: FloatArray) -> Any:
+        try:
+            return self.fun(x)
+        except Exception as e:
+            if not self.crosses:
+                return e
+            try:
+                pickle.loads(pickle.dumps(e))
+            except Exception:
+                return RuntimeError(f"{type(e).__name__}: {e}")
+            return e
+
+
+def vectorized(fun: Callable[[FloatArray], Any]) -> Batches:
+    """The objective takes points in columns, shape (n, S), and returns costs of shape (S,)."""
+
+    def evaluate(points: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
+        try:
+            costs = np.asarray(fun(np.ascontiguousarray(points.T)))
+        except Exception as e:
+            return [e] * len(points)
+        if costs.shape != (len(points),):
+            wrong = TypeError(
+                f"a vectorized objective must return an array of shape ({len(points)},) for points of shape "
+                f"{points.T.shape}, not of shape {costs.shape}"
+            )
+            raise wrong
+        return list(costs)
+
+    return evaluate
+
+
+def mapped(fun: Callable[[FloatArray], Any], apply: Callable[..., Iterable[Any]]) -> Batches:
+    """``apply(function, points)`` evaluates a batch, like the built-in ``map``."""
+    returning = Returning(fun, crosses=False)
+
+    def evaluate(points: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
+        return list(apply(returning, list(points)))
+
+    return evaluate
+
+
+def executed(fun: Callable[[FloatArray], Any], executor: concurrent.futures.Executor) -> Batches:
+    """An executor evaluates the points of a batch; when the run is to end, those that have not begun are left out."""
+    returning = Returning(fun, crosses=isinstance(executor, concurrent.futures.ProcessPoolExecutor))
+
+    def evaluate(points: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
+        futures = [executor.submit(returning, point) for point in points]
+        waiting = set(futures)
+        try:
+            while waiting:
+                _, waiting = concurrent.futures.wait(waiting, timeout=PATIENCE)
+                if waiting and stopped():
+                    waiting = {future for future in waiting if not future.cancel()}
+        except BaseException:
+            for future in futures:
+                future.cancel()
+            raise
+        return [... if future.cancelled() else future.result() for future in futures]
+
+    return evaluate
+
+
+def foreign(fun: Callable[[FloatArray], Any], workers: Any) -> Batches | None:
+    """How `workers` evaluates a batch; None if it is a number or nothing that could."""
+    if callable(getattr(workers, "submit", None)):
+        return executed(fun, workers)
+    if callable(workers):
+        return mapped(fun, workers)
+    if callable(getattr(workers, "map", None)):
+        return mapped(fun, workers.map)
+    return None

@@ -1,0 +1,204 @@
+"""`minimize`: a function of several variables, without derivatives, by any of the methods."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Literal, SupportsFloat, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core, _evaluate, _options
+from ._fmin import Callback, check_callback, listen
+from ._result import OptimizeResult
+
+_log = logging.getLogger("pydfo")
+
+#: What holds where ``options`` says nothing.
+DEFAULTS: Final[Mapping[str, Any]] = {"x_tol": 1e-6, "f_tol": 1e-6, "stop": "all", "tolerances": "relative"}
+
+
+def minimize(
+    fun: Callable[..., Any],
+    x0: npt.ArrayLike | None = None,
+    bounds: Any = None,
+    method: str = "auto",
+    args: Any = (),
+    workers: SupportsIndex | Any = 1,
+    callback: Callback | None = None,
+    rng: int | np.random.Generator | None = None,
+    max_evaluations: SupportsFloat | None = None,
+    max_iterations: SupportsFloat | None = None,
+    max_time: SupportsFloat | None = None,
+    target: SupportsFloat | None = None,
+    options: Mapping[str, Any] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    resume: Literal["auto", "never", "require"] = "auto",
+    on_error: Literal["raise", "fail"] = "raise",
+    vectorized: bool = False,
+) -> OptimizeResult:
+    """Minimise a function of several variables without derivatives.
+
+    The same arguments and the same seed give the same trace, bit for bit, for any number and kind of workers as long as
+    the batch plan is the same, and also if the run is interrupted and continued from a checkpoint.
+
+    Parameters
+    ----------
+    fun : callable
+        ``fun(x, *args) -> float`` with `x` an array of shape (n,), which the function may keep. NaN and infinities mean
+        that there is no cost at this point.
+    x0 : array_like, shape (n,), optional
+        Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without.
+    bounds : sequence of pairs, or scipy.optimize.Bounds, optional
+        ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
+        outside is ever evaluated.
+    method : str
+        "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
+        "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings). "auto" is Nelder-Mead, with
+        integer parameters "de", with categorical ones "ga".
+    args : tuple
+        Further arguments of `fun`.
+    workers : int, map-like or executor
+        How many calls of `fun` may run at once, each in a thread of its own; -1 for all cores. Or a
+        ``concurrent.futures`` executor, or a function like the built-in ``map`` (``multiprocessing.Pool().map``): it is
+        given whole batches from the calling thread. With processes, `fun` must be one that can be pickled. A map does not
+        say how many workers it has: Nelder-Mead then plans for all cores; pin ``options={"batch": ...}`` to be
+        independent of the machine.
+    callback : callable, optional
+        ``callback(intermediate_result)`` after the starting points and after each iteration, on the calling thread, with
+        a `Progress`. Raising StopIteration, or returning True, ends the run with the best point so far.
+    rng : int or numpy.random.Generator, optional
+        The seed of what is random, or a generator to draw it from; None draws one. It stands in the result (``seed``).
+    max_evaluations, max_iterations : int, optional
+        Exact limits of calls of `fun` and of iterations. Without any of the first three limits the method's defaults
+        hold (for Nelder-Mead 5000 (n + 1) evaluations or 1000 (n + 1) iterations).
+    max_time : float, optional
+        Limit of wall-clock time in s: no call starts after it.
+    target : float, optional
+        End the run as soon as the cost is at or below this.
+    options : dict, optional
+        For every method: ``x_tol`` (1e-6), ``f_tol`` (1e-6), ``stop`` ("all" or "any" of both tests), ``tolerances``
+        ("relative": x_tol in units of the parameters' sizes, f_tol as a fraction of the best cost; or "absolute"),
+        ``nominal`` (typical sizes of the parameters), ``scale`` ("linear" or "log", for all or each), ``kinds``
+        ("continuous", "integer" or "categorical", for all or each), ``cache`` (evaluations remembered, so that exact
+        repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``warm_start`` (an earlier result or trace,
+        or points and costs), ``checkpoint_interval`` (seconds between writes, 0.2).
+        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "lee-wiswall"), ``coefficients`` ("auto",
+        "standard", "adaptive" or four numbers), ``bounds_handling`` ("mirror", "clamp", "sine"), ``initial_simplex``
+        (vertices or steps), ``restarts``. Barrier: ``batch``, ``mu``, ``factor``. DE: ``population``, ``sampling``
+        ("uniform", "latin-hypercube", "sobol"), ``repair`` ("midpoint", "mirror", "clamp", "resample"), ``include_start``;
+        L-SHADE also ``budget``, ``p_best``, ``memory``, ``archive``, ``final_population``; classic also ``strategy``
+        ("rand1", "best1", "current-to-best1", "rand2"), ``crossover`` ("binomial", "exponential"), ``weight`` (a number,
+        or a pair to draw from), ``probability``. GA: ``population``, ``selection`` ("fitness", or the size of a
+        tournament), ``crossover_rate``, ``mutation_rate``, ``elite``, ``gray``, ``resolution``, ``sampling``,
+        ``include_start``, ``stall`` (generations without gain that end the run; None: never).
+    checkpoint : path, optional
+        A file for the state of the run, written after batches and at the end.
+    resume : {"auto", "never", "require"}
+        Whether to continue from that file: if it is there, never, or as a must. A finished run gives its stored result; a
+        file of another run is refused and left as it is. What `fun` computes is not part of what identifies a run.
+    on_error : {"raise", "fail"}
+        What an exception in `fun` means: it is raised, or it counts as a failed evaluation. A return value that is no
+        number is always raised.
+    vectorized : bool
+        ``fun(x, *args)`` takes points as columns, shape (n, S), and returns costs of shape (S,). `workers` must then be a
+        number; it says how many points Nelder-Mead plans for.
+
+    Returns
+    -------
+    OptimizeResult
+        Fields as in SciPy. However a run ends, ``x`` is the best point that was seen.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Arguments that cannot be used; a return value that is no number (TypeError).
+    CheckpointError, OSError
+        A checkpoint that belongs to another run or is damaged; one that cannot be read or written
+        (FileNotFoundError: required, but not there).
+    AllStartsFailed
+        There was no cost at any of the starting points; the reasons are counted in its ``failures``.
+    Interrupted
+        Ctrl-C: a KeyboardInterrupt with the result so far in ``result``.
+    Exception
+        Whatever `fun` or `callback` raises comes out as it is, with the result so far in ``partial_result``.
+
+    Examples
+    --------
+    >>> import pydfo
+    >>> res = pydfo.minimize(lambda x: (x[0] - 1) ** 2 + (x[1] + 2) ** 2, [0, 0], bounds=[(-5, 5), (None, 5)])
+    >>> res.x.round(3), res.success
+    (array([ 1., -2.]), True)
+    """
+    if not callable(fun):
+        raise TypeError(f"fun must be callable, not {fun!r}")
+    if on_error not in ("raise", "fail"):
+        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
+    check_callback(callback)
+    extra = args if isinstance(args, tuple) else (args,)
+    called = _evaluate.WithArguments(fun, extra) if extra else fun
+    batches = None if workers is None else _evaluate.foreign(called, workers)
+    if vectorized:
+        if batches is not None:
+            raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
+        batches = _evaluate.vectorized(called)
+        count = _options.worker_count("workers", workers, 1)
+    elif batches is not None:
+        count = plan_width(workers)
+    else:
+        count = _options.worker_count("workers", workers, 1)
+    start, lower, upper, built = describe(
+        method, x0, bounds, options, count, rng, (max_evaluations, max_iterations, max_time, target), checkpoint, resume
+    )
+    result: OptimizeResult = _core.minimize(
+        batches or called,
+        start,
+        lower,
+        upper,
+        built,
+        tolerant=on_error == "fail",
+        observer=None if callback is None else listen(callback),
+        batches=batches is not None,
+    )
+    _log.info("minimize: %s; f = %r after %d evaluations", result.message, result.fun, result.nfev)
+    return result
+
+
+def plan_width(workers: Any) -> int:
+    """How many points a batch plan may ask for at once: the workers of an executor, else all cores."""
+    known = getattr(workers, "_max_workers", None)
+    return known if isinstance(known, int) and known > 0 else _options.all_cores()
+
+
+def describe(
+    method: str,
+    x0: npt.ArrayLike | None,
+    bounds: Any,
+    options: Mapping[str, Any] | None,
+    workers: int | None,
+    rng: int | np.random.Generator | None,
+    limits: Sequence[SupportsFloat | None],
+    checkpoint: str | os.PathLike[str] | None,
+    resume: str,
+) -> tuple[list[float] | None, list[float], list[float], _options.Options]:
+    """Start, bounds and options of a run, as the native code takes them."""
+    start = None if x0 is None else _options.vector("x0", x0).tolist()
+    lower, upper = _options.pairs_of_bounds(bounds, None if start is None else len(start))
+    max_evaluations, max_iterations, max_time, target = limits
+    checked = _options.Limits.check(
+        ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
+    )
+    built = _options.build(
+        method,
+        options,
+        len(lower),
+        checked,
+        workers=workers,
+        rng=rng,
+        checkpoint=checkpoint,
+        resume=resume,
+        defaults=DEFAULTS,
+    )
+    return start, lower.tolist(), upper.tolist(), built

@@ -1,0 +1,382 @@
+"""Integrate systems written in Python with the stepper that simulates the models: ``pydfo.ode.solve``.
+
+Arguments and results have the shape of SciPy's ``solve_ivp``; what is new are events that change the state, mass matrices,
+and methods for stiff systems that do not slow down where the system is not stiff.
+"""
+
+from __future__ import annotations
+
+import logging
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, SupportsFloat, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core, _options
+from ._trajectory import SimulationStats
+
+__all__ = ["DenseOutput", "OdeResult", "solve"]
+
+FloatArray = npt.NDArray[np.float64]
+
+_log = logging.getLogger("pydfo")
+
+#: Names of SciPy's methods and what stands for them here.
+_ALIASES = {"rk45": "tsit5", "radau": "radau5", "lsoda": "auto", "cvode": "auto"}
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What the native code reads, field by field."""
+
+    rhs: Callable[..., Any]
+    start: float
+    end: float
+    x0: list[float]
+    method: str
+    times: list[float] | None
+    dense_output: bool
+    events: list[tuple[Callable[..., Any], float, int]]
+    on_event: Callable[..., Any] | None
+    jacobian: object
+    sparsity: list[tuple[int, int]] | None
+    mass: object
+    rtol: float
+    atol: list[float]
+    first_step: float | None
+    max_step: float | None
+    step: float | None
+    interior_samples: int | None
+    chattering: str
+    max_steps: int | None
+    max_events: int | None
+    timeout: float | None
+
+
+class DenseOutput:
+    """The solution between the steps: a function of time, as accurate as the steps themselves.
+
+    Attributes
+    ----------
+    ts : ndarray, shape (steps + 1,)
+        The ends of the steps.
+    t_min, t_max : float
+        Where it begins and ends; it is not continued beyond.
+    """
+
+    def __init__(self, spans: FloatArray, values: FloatArray) -> None:
+        self._spans = spans
+        self._values = values
+        self.ts = np.append(spans[:, 0], spans[-1:, 1])
+        self.t_min = float(self.ts[0])
+        self.t_max = float(self.ts[-1])
+        m = values.shape[1]
+        self._nodes = -np.cos(np.pi * np.arange(m) / (m - 1))
+        # Barycentric weights of Chebyshev's extreme points (Berrut and Trefethen, SIAM Review 46 (2004) 501, eq. 5.4).
+        self._weights = (-1.0) ** np.arange(m)
+        self._weights[[0, -1]] *= 0.5
+
+    def __call__(self, t: npt.ArrayLike) -> FloatArray:
+        """The states at the times `t`: shape (n,) for a number, (n, len(t)) for an array.
+
+        At the time of an event these are the values after it.
+        """
+        times = np.asarray(t, dtype=np.float64)
+        if times.ndim > 1:
+            raise ValueError(f"t must be a number or one-dimensional, not of shape {times.shape}")
+        flat = np.atleast_1d(times)
+        slack = 1e-14 * max(abs(self.t_min), abs(self.t_max))
+        outside = ~((flat >= self.t_min - slack) & (flat <= self.t_max + slack))
+        if outside.any():
+            raise ValueError(f"t = {flat[outside][0]} lies outside of [{self.t_min}, {self.t_max}]")
+        which = np.clip(np.searchsorted(self._spans[:, 0], flat, side="right") - 1, 0, len(self._spans) - 1)
+        start, end = self._spans[which].T
+        s = np.clip((2.0 * flat - start - end) / (end - start), -1.0, 1.0)
+        distance = s[:, np.newaxis] - self._nodes
+        hit = distance == 0.0
+        share = self._weights / np.where(hit, 1.0, distance)
+        share = np.where(hit.any(axis=1)[:, np.newaxis], hit, share)
+        share /= share.sum(axis=1)[:, np.newaxis]
+        y: FloatArray = np.einsum("tk,tkn->nt", share, self._values[which])
+        return y[:, 0] if times.ndim == 0 else y
+
+
+class OdeResult:
+    """The result of `solve`.
+
+    Attributes
+    ----------
+    t : ndarray, shape (m,)
+        The times that were asked for, or the ends of the steps. Where `on_event` changed the state, the end of a step
+        is listed twice: before and after.
+    y : ndarray, shape (n, m)
+        The states there.
+    sol : DenseOutput or None
+        The solution as a function of time, if ``dense_output=True``.
+    t_events, y_events : list of ndarray, shapes (k,) and (k, n), or None
+        Per event function: when it occurred, and the states before `on_event` changed them. None without events.
+    nfev, njev, nlu : int
+        Right-hand sides (those for differences of a Jacobian included), Jacobians, decompositions of matrices.
+    status : int
+        0: the final time was reached, 1: a terminal event occurred, -1: the integration failed.
+    message : str
+        How it ended, with numbers.
+    success : bool
+        Whether `status` is not negative.
+    end_time : float
+        The time that was reached.
+    stats : SimulationStats
+        What it cost, in more detail.
+    seconds, seconds_in_model : float
+        Wall-clock time of the integration, and the part of it that was spent in the functions given, in s.
+    """
+
+    def __init__(
+        self,
+        *,
+        t: FloatArray,
+        states: FloatArray,
+        t_events: list[FloatArray],
+        y_events: list[FloatArray],
+        status: int,
+        message: str,
+        end_time: float,
+        stats: dict[str, int],
+        seconds: float,
+        seconds_in_model: float,
+        spans: FloatArray | None = None,
+        values: FloatArray | None = None,
+    ) -> None:
+        self.t = t
+        self.y = states.T
+        self.sol = DenseOutput(spans, values) if spans is not None and values is not None and len(spans) else None
+        self.t_events = t_events if t_events else None
+        self.y_events = y_events if t_events else None
+        self.stats = SimulationStats(**stats)
+        self.nfev = self.stats.right_hand_sides
+        self.njev = self.stats.jacobians
+        self.nlu = self.stats.decompositions
+        self.status = status
+        self.message = message
+        self.success = status >= 0
+        self.end_time = end_time
+        self.seconds = seconds
+        self.seconds_in_model = seconds_in_model
+
+    def __repr__(self) -> str:
+        n, m = self.y.shape
+        return f"<OdeResult: {self.message} t = {self.end_time}, {n} states at {m} times, nfev = {self.nfev}>"
+
+
+def solve(
+    rhs: Callable[..., npt.ArrayLike],
+    t_span: Sequence[SupportsFloat],
+    x0: npt.ArrayLike,
+    method: str = "auto",
+    t_eval: npt.ArrayLike | None = None,
+    dense_output: bool = False,
+    events: Callable[..., SupportsFloat] | Sequence[Callable[..., SupportsFloat]] | None = None,
+    *,
+    on_event: Callable[..., npt.ArrayLike | None] | None = None,
+    args: Sequence[Any] = (),
+    rtol: SupportsFloat = 1e-6,
+    atol: npt.ArrayLike | None = None,
+    jac: Callable[..., npt.ArrayLike] | npt.ArrayLike | None = None,
+    jac_sparsity: npt.ArrayLike | None = None,
+    mass: npt.ArrayLike | None = None,
+    first_step: SupportsFloat | None = None,
+    max_step: SupportsFloat | None = None,
+    step: SupportsFloat | None = None,
+    interior_samples: SupportsIndex | None = None,
+    chattering: Literal["error", "warn", "slide"] = "error",
+    max_steps: SupportsFloat | None = None,
+    max_events: SupportsFloat | None = None,
+    timeout: SupportsFloat | None = None,
+) -> OdeResult:
+    """Integrate ``y' = rhs(t, y)``, or ``mass @ y' = rhs(t, y)``, with events that may change the state.
+
+    Parameters
+    ----------
+    rhs : callable
+        ``rhs(t, y) -> array_like, shape (n,)``. The arrays it is given are its to keep. Where it returns NaN or infinity
+        (the logarithm of a negative number, say) a smaller step is tried.
+    t_span : (float, float)
+        Start and end. The end must not lie before the start.
+    x0 : array_like, shape (n,)
+        States at the start.
+    method : str
+        "auto" (Tsit5, and Radau5 where a test made at every step finds the system stiff), "tsit5", "dop853" (for tight
+        tolerances), "radau5" (stiff), "bdf" (stiff, expensive right-hand side, few events); with a fixed `step`, "rk4"
+        and "euler". SciPy's names "RK45", "Radau" and "LSODA" stand for "tsit5", "radau5" and "auto".
+    t_eval : array_like, shape (m,), optional
+        When to store the solution: ascending, within the span. A time at which `on_event` changes the state holds the
+        value after it; listed twice, the values before and after. By default the ends of the steps are stored.
+    dense_output : bool
+        Keep the solution as a function of time, too (`OdeResult.sol`).
+    events : callable, or list of callables, optional
+        ``event(t, y) -> float``: an event occurs where it becomes positive or stops being positive. Its attributes are
+        those of SciPy: ``terminal`` (True, or after how many occurrences the run ends) and ``direction`` (positive: only
+        upward, negative: only downward crossings count).
+    on_event : callable, optional
+        ``on_event(t, y, which) -> array_like, shape (n,), or None``: called at each event with the list `which` of the
+        positions of the functions that have crossed; returns the states to go on with, or None to keep them.
+    args : tuple
+        Further arguments for all of these functions.
+    rtol : float
+        Relative tolerance.
+    atol : float or array_like, shape (n,), optional
+        Absolute tolerance, in the units of the states; by default ``0.01 * rtol``. Positive.
+    jac : callable or array_like, shape (n, n), optional
+        ``jac(t, y)``, or the constant Jacobian: ``jac[i, k]`` is the derivative of ``rhs[i]`` with respect to ``y[k]``.
+        Sparse matrices are taken, too. By default differences.
+    jac_sparsity : array_like or sparse matrix, shape (n, n), optional
+        Not zero where the Jacobian may differ from zero: columns that share no row then come from one difference.
+    mass : array_like, shape (n, n), optional
+        The constant matrix on the left. It may be singular (a differential-algebraic system of index 1; `x0` must be
+        consistent). Only for "radau5" and "auto".
+    first_step, max_step : float, optional
+        First and largest step. By default the first step is estimated, and the largest is the span.
+    step : float, optional
+        Step of "rk4" and "euler"; by default a 500th of the span.
+    interior_samples : int, optional
+        At how many points inside each step the events are looked at besides its end, so that a crossing and its return
+        do not hide in one step. By default one where steps are long.
+    chattering : {"error", "warn", "slide"}
+        What to do where events follow each other while time hardly advances: fail; go on and log a warning (an error
+        still where time stands still); or go on in steps of 1e-5 of the span at whose ends the events happen, which
+        slides along a border that the solution cannot leave.
+    max_steps, max_events : int, optional
+        Limits.
+    timeout : float, optional
+        Limit of wall-clock time in s, looked at between calls of the functions.
+
+    Returns
+    -------
+    OdeResult
+        With fields ``t``, ``y``, ``t_events``, ``y_events``, ``sol``, ``status``, ``message``, ``success``, ``nfev``,
+        ``njev``, ``nlu`` and ``stats``. An integration that fails (steps too small, a limit) has ``success=False``, says
+        why in ``message``, and holds what was reached.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Arguments that cannot be used; a function that returns something of the wrong shape or type.
+    Interrupted
+        Ctrl-C: a KeyboardInterrupt with what was reached in ``result``.
+    Exception
+        Whatever a function raises comes out as it is, with what was reached in ``partial_result``.
+
+    Examples
+    --------
+    A ball that loses a fifth of its speed at each bounce, until the third:
+
+    >>> from pydfo import ode
+    >>> def height(t, y):
+    ...     return y[0]
+    >>> height.direction, height.terminal = -1, 3
+    >>> res = ode.solve(lambda t, y: [y[1], -9.81], (0, 10), [1.0, 0.0], events=height,
+    ...                 on_event=lambda t, y, which: [0.0, -0.8 * y[1]])
+    >>> res.t_events[0].round(6)
+    array([0.451524, 1.173961, 1.751912])
+    >>> res.message
+    'A terminal event occurred.'
+    """
+    for name, function in (("rhs", rhs), ("on_event", on_event)):
+        if not callable(function) and (name == "rhs" or function is not None):
+            raise TypeError(f"{name} must be callable, not {function!r}")
+    start, end = _span(t_span)
+    x = _options.vector("x0", x0)
+    if not np.isfinite(x).all():
+        raise ValueError(f"x0 must be finite, not {x}")
+    n = len(x)
+    extra = tuple(args)
+
+    def bind(function: Callable[..., Any]) -> Callable[..., Any]:
+        return (lambda *given: function(*given, *extra)) if extra else function
+
+    times = None if t_eval is None else _options.vector("t_eval", t_eval).tolist()
+    name = _options.choice("method", method)
+    problem = _Problem(
+        rhs=bind(rhs),
+        start=start,
+        end=end,
+        x0=x.tolist(),
+        method=_ALIASES.get(name.lower(), name),
+        times=times,
+        dense_output=bool(dense_output),
+        events=[(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(events))],
+        on_event=None if on_event is None else bind(on_event),
+        jacobian=bind(jac) if callable(jac) else jac,
+        sparsity=None if jac_sparsity is None else _pattern(jac_sparsity, n),
+        mass=mass,
+        rtol=_options.number("rtol", rtol),
+        atol=_tolerances(atol, float(rtol), n),
+        first_step=_options.optional_number("first_step", first_step),
+        max_step=None if max_step == np.inf else _options.optional_number("max_step", max_step),
+        step=_options.optional_number("step", step),
+        interior_samples=None if interior_samples is None else _count("interior_samples", interior_samples),
+        chattering=_options.choice("chattering", chattering),
+        max_steps=_options.limit("max_steps", max_steps, 0),
+        max_events=_options.limit("max_events", max_events, 0),
+        timeout=_options.optional_number("timeout", timeout),
+    )
+    result = _core.solve(problem)
+    if result.stats.chattering and chattering == "warn":
+        _log.warning("solve: %d times a hundred events hardly advanced time", result.stats.chattering)
+    return result
+
+
+def _span(t_span: Sequence[SupportsFloat]) -> tuple[float, float]:
+    try:
+        start, end = map(float, t_span)
+    except (TypeError, ValueError):
+        raise ValueError(f"t_span must be two numbers, start and end, not {t_span!r}") from None
+    return start, end
+
+
+def _listed(events: Any) -> list[Callable[..., Any]]:
+    functions = [] if events is None else [events] if callable(events) else list(events)
+    for i, function in enumerate(functions):
+        if not callable(function):
+            raise TypeError(f"event {i} must be callable, not {function!r}")
+    return functions
+
+
+def _marks(i: int, function: Callable[..., Any]) -> tuple[float, int]:
+    """Direction and terminal count (0: never) of an event function."""
+    direction = _options.number(f"direction of event {i}", getattr(function, "direction", None) or 0.0)
+    if np.isnan(direction):
+        raise ValueError(f"direction of event {i} is NaN")
+    terminal = getattr(function, "terminal", None)
+    return float(np.sign(direction)), _count(f"terminal of event {i}", terminal or 0)
+
+
+def _count(name: str, value: SupportsIndex) -> int:
+    try:
+        count = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name} must be a whole number, not {value!r}") from None
+    if count < 0:
+        raise ValueError(f"{name} = {count} must not be negative")
+    return count
+
+
+def _tolerances(atol: npt.ArrayLike | None, rtol: float, n: int) -> list[float]:
+    """One absolute tolerance, or one per state."""
+    if atol is None:
+        return [0.01 * rtol]
+    tolerances = _options.vector("atol", atol)
+    if np.ndim(atol) > 0 and len(tolerances) != n:
+        raise ValueError(f"atol has {len(tolerances)} values for {n} states")
+    return [float(v) for v in tolerances]
+
+
+def _pattern(sparsity: Any, n: int) -> list[tuple[int, int]]:
+    """The places of a matrix that are not zero."""
+    dense = np.asarray(sparsity.toarray() if hasattr(sparsity, "toarray") else sparsity)
+    if dense.shape != (n, n):
+        raise ValueError(f"jac_sparsity must have the shape ({n}, {n}), not {dense.shape}")
+    return [(int(i), int(k)) for i, k in zip(*np.nonzero(dense))]

@@ -1,0 +1,94 @@
+//! A run that Python drives, point by point.
+
+use crate::error;
+use crate::interrupt::lock;
+use crate::minimize::Problem;
+use crate::objective;
+use crate::report;
+use crate::settings::Options;
+use dfo::Outcome;
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::exceptions::PyBaseException;
+use pyo3::prelude::*;
+use std::sync::Mutex;
+
+/// An optimiser that is asked and told; `pydfo.Optimizer` is its face.
+#[pyclass(frozen, module = "pydfo._core", name = "Optimizer")]
+pub(crate) struct PyOptimizer {
+    inner: Mutex<dfo::Optimizer>,
+    n: usize,
+}
+
+/// Numbers, points (k, n), cutoffs.
+type Asked<'py> = (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
+
+#[pymethods]
+impl PyOptimizer {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        x0: Option<Vec<f64>>,
+        lower: Vec<f64>,
+        upper: Vec<f64>,
+        options: Options,
+    ) -> PyResult<Self> {
+        let n = lower.len();
+        let problem = Problem::new(x0, lower, upper, options.check(py)?);
+        let optimizer = problem.describe(dfo::by_hand()).and_then(|run| run.optimizer());
+        let inner = Mutex::new(optimizer.map_err(|e| error::optimiser(py, &e))?);
+        Ok(Self { inner, n })
+    }
+
+    fn ask<'py>(&self, py: Python<'py>, at_most: Option<usize>) -> PyResult<Asked<'py>> {
+        let points = lock(&self.inner).ask(at_most.unwrap_or(usize::MAX));
+        let flat: Vec<f64> = points.iter().flat_map(|p| p.x.iter().copied()).collect();
+        Ok((
+            PyArray1::from_iter(py, points.iter().map(|p| p.id)),
+            PyArray1::from_vec(py, flat).reshape([points.len(), self.n])?,
+            PyArray1::from_iter(py, points.iter().map(|p| p.cutoff)),
+        ))
+    }
+
+    /// The value of a point: a number, None or an exception (it failed), or Ellipsis (it is given back).
+    fn tell(&self, py: Python<'_>, id: u64, value: &Bound<'_, PyAny>) -> PyResult<()> {
+        let outcome = if value.is(py.Ellipsis()) {
+            Outcome::Skipped
+        } else if value.is_none() {
+            Outcome::failed("no value")
+        } else if value.is_instance_of::<PyBaseException>() {
+            Outcome::failed(PyErr::from_value(value.clone()).to_string())
+        } else {
+            Outcome::Value(objective::number(value, "the objective")?)
+        };
+        lock(&self.inner).tell(id, outcome).map_err(|e| error::optimiser(py, &e))
+    }
+
+    #[getter]
+    fn best<'py>(&self, py: Python<'py>) -> Option<(Bound<'py, PyArray1<f64>>, f64)> {
+        lock(&self.inner).best().map(|(x, fun)| (PyArray1::from_slice(py, x), fun))
+    }
+
+    #[getter]
+    fn n_pending(&self) -> usize {
+        lock(&self.inner).n_pending()
+    }
+
+    /// Why the run is over; None while it is not.
+    #[getter]
+    fn termination(&self) -> Option<&'static str> {
+        lock(&self.inner).termination().map(|t| t.name())
+    }
+
+    fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let report = lock(&self.inner).report();
+        report::to_python(py, &report.map_err(|e| error::optimiser(py, &e))?)
+    }
+
+    fn save(&self, py: Python<'_>) -> PyResult<()> {
+        lock(&self.inner).save().map_err(|e| error::optimiser(py, &e))
+    }
+
+    fn stop(&self, py: Python<'_>) -> PyResult<()> {
+        lock(&self.inner).stop().map_err(|e| error::optimiser(py, &e))
+    }
+}

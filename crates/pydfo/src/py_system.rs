@@ -1,0 +1,231 @@
+//! A hybrid system written in Python: right-hand side, events, Jacobian as functions. Called on the thread that holds the
+//! interpreter lock.
+
+use crate::interrupt::{Inside, Stop};
+use crate::objective::number;
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use ode::{CallError, CallResult, EventOutcome, EventVisit, HybridSystem, JacobianPattern, StepAction};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// One event function and what was seen of it.
+pub(crate) struct Event<'py> {
+    pub(crate) function: Bound<'py, PyAny>,
+    /// Only upward crossings count (positive), only downward ones (negative), or both (zero).
+    pub(crate) direction: f64,
+    /// The run ends with this occurrence; 0: never.
+    pub(crate) terminal: usize,
+    pub(crate) times: Vec<f64>,
+    /// States before the event, one occurrence after the other.
+    pub(crate) states: Vec<f64>,
+}
+
+/// Where Jacobians come from.
+pub(crate) enum JacobianSource<'py> {
+    Differences,
+    Function(Bound<'py, PyAny>),
+    /// By columns.
+    Constant(Vec<f64>),
+}
+
+/// The system, and what it keeps of a run.
+pub(crate) struct PySystem<'py> {
+    pub(crate) py: Python<'py>,
+    pub(crate) stop: Arc<Stop>,
+    pub(crate) rhs: Bound<'py, PyAny>,
+    pub(crate) x0: Vec<f64>,
+    pub(crate) events: Vec<Event<'py>>,
+    pub(crate) on_event: Option<Bound<'py, PyAny>>,
+    pub(crate) jacobian: JacobianSource<'py>,
+    pub(crate) pattern: Option<JacobianPattern>,
+    /// By columns.
+    pub(crate) mass: Option<Vec<f64>>,
+    /// Keep the ends of all steps and the states that events make.
+    pub(crate) keeps_steps: bool,
+    pub(crate) times: Vec<f64>,
+    pub(crate) states: Vec<f64>,
+    /// The exception that ended the run.
+    pub(crate) raised: Option<PyErr>,
+    /// Time spent in Python functions.
+    pub(crate) spent: Duration,
+}
+
+impl<'py> PySystem<'py> {
+    /// Calls into Python and keeps the exception if there is one.
+    fn ask<T>(&mut self, call: impl FnOnce(&Self) -> PyResult<T>) -> CallResult<T> {
+        let began = Instant::now();
+        let inside = Inside::new(&self.stop);
+        let answer = call(self);
+        drop(inside);
+        self.spent += began.elapsed();
+        answer.map_err(|e| {
+            let message = e.to_string();
+            self.raised.get_or_insert(e);
+            CallError::failed(message)
+        })
+    }
+
+    fn array(&self, x: &[f64]) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_slice(self.py, x)
+    }
+
+    fn keep(&mut self, t: f64, x: &[f64]) {
+        if self.keeps_steps {
+            self.times.push(t);
+            self.states.extend_from_slice(x);
+        }
+    }
+}
+
+impl HybridSystem for PySystem<'_> {
+    fn n_states(&self) -> usize {
+        self.x0.len()
+    }
+
+    fn n_event_indicators(&self) -> usize {
+        self.events.len()
+    }
+
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.copy_from_slice(&self.x0);
+        self.keep(t0, x);
+        Ok(EventOutcome::default())
+    }
+
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        self.ask(|this| vector(&this.rhs.call1((t, this.array(x)))?, dx, "rhs"))
+    }
+
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        self.pattern.as_ref()
+    }
+
+    fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
+        self.ask(|this| match &this.jacobian {
+            JacobianSource::Differences => Ok(false),
+            JacobianSource::Constant(values) => {
+                j.copy_from_slice(values);
+                Ok(true)
+            }
+            JacobianSource::Function(function) => {
+                let columns = matrix(&function.call1((t, this.array(x)))?, x.len(), "jac")?;
+                j.copy_from_slice(&columns);
+                Ok(true)
+            }
+        })
+    }
+
+    fn mass_matrix(&self) -> Option<&[f64]> {
+        self.mass.as_deref()
+    }
+
+    fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        self.ask(|this| {
+            for (i, (event, z)) in this.events.iter().zip(z).enumerate() {
+                *z = number(&event.function.call1((t, this.array(x)))?, &format!("event {i}"))?;
+            }
+            Ok(())
+        })
+    }
+
+    fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
+        self.keep(t, x);
+        Ok(StepAction::default())
+    }
+
+    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        let mut which = Vec::new();
+        let mut outcome = EventOutcome::default();
+        for (i, (event, crossing)) in self.events.iter_mut().zip(visit.crossings).enumerate() {
+            if *crossing != 0 && f64::from(*crossing) * event.direction >= 0.0 {
+                which.push(i);
+                event.times.push(visit.time);
+                event.states.extend_from_slice(x);
+                outcome.terminate |= event.terminal != 0 && event.times.len() >= event.terminal;
+            }
+        }
+        if which.is_empty() || self.on_event.is_none() {
+            return Ok(outcome);
+        }
+        outcome.states_changed = self.ask(|this| {
+            let Some(on_event) = &this.on_event else { return Ok(false) };
+            let answer = on_event.call1((visit.time, this.array(x), which))?;
+            if answer.is_none() {
+                return Ok(false);
+            }
+            vector(&answer, x, "on_event")?;
+            match x.iter().position(|v| !v.is_finite()) {
+                Some(i) => Err(PyValueError::new_err(format!(
+                    "on_event returned {} for state {i} at t = {}",
+                    x[i], visit.time
+                ))),
+                None => Ok(true),
+            }
+        })?;
+        if outcome.states_changed {
+            self.keep(visit.time, x);
+        }
+        Ok(outcome)
+    }
+}
+
+/// An array of doubles from whatever NumPy makes one of, except complex numbers and texts.
+fn doubles<'py>(value: &Bound<'py, PyAny>, who: &str) -> PyResult<Bound<'py, PyAny>> {
+    let numpy = value.py().import("numpy")?;
+    let array = numpy.call_method1("asarray", (value,))?;
+    let kind: char = array.getattr("dtype")?.getattr("kind")?.extract()?;
+    if !"fiubO".contains(kind) {
+        let dtype = array.getattr("dtype")?;
+        return Err(PyTypeError::new_err(format!("{who} must return numbers, not an array of type {dtype}")));
+    }
+    numpy.call_method1("ascontiguousarray", (array, "float64")).map_err(|e| {
+        let message = format!("{who} must return numbers: {e}");
+        let error = PyTypeError::new_err(message);
+        error.set_cause(value.py(), Some(e));
+        error
+    })
+}
+
+/// Copies the vector that a function returned.
+fn vector(value: &Bound<'_, PyAny>, into: &mut [f64], who: &str) -> PyResult<()> {
+    if let Ok(array) = value.extract::<PyReadonlyArray1<'_, f64>>()
+        && let Ok(numbers) = array.as_slice()
+        && numbers.len() == into.len()
+    {
+        into.copy_from_slice(numbers);
+        return Ok(());
+    }
+    let n = into.len();
+    let wrong = |what: &str| {
+        Err(PyValueError::new_err(format!("{who} must return an array of shape ({n},), not {what}")))
+    };
+    if value.is_none() {
+        return wrong("None; is a return statement missing?");
+    }
+    let array = doubles(value, who)?;
+    let scalar =
+        n == 1 && value.py().import("numpy")?.call_method1("ndim", (value,))?.extract::<usize>()? == 0;
+    let shape: Vec<usize> = array.getattr("shape")?.extract()?;
+    if !(scalar || shape == [n]) {
+        return wrong(&format!("one of shape {}", array.getattr("shape")?));
+    }
+    let flat = array.call_method0("ravel")?;
+    into.copy_from_slice(flat.cast::<PyArray1<f64>>()?.readonly().as_slice()?);
+    Ok(())
+}
+
+/// A square matrix by columns; sparse ones are made dense.
+pub(crate) fn matrix(value: &Bound<'_, PyAny>, n: usize, who: &str) -> PyResult<Vec<f64>> {
+    let dense = if value.hasattr("toarray")? { value.call_method0("toarray")? } else { value.clone() };
+    let array = doubles(&dense, who)?;
+    let shape: Vec<usize> = array.getattr("shape")?.extract()?;
+    if shape != [n, n] {
+        let shape = array.getattr("shape")?;
+        return Err(PyValueError::new_err(format!("{who} must have the shape ({n}, {n}), not {shape}")));
+    }
+    let rows: PyReadonlyArray2<'_, f64> = array.extract()?;
+    let rows = rows.as_slice()?;
+    Ok((0..n * n).map(|p| rows[(p % n) * n + p / n]).collect())
+}

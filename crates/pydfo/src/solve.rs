@@ -1,0 +1,253 @@
+//! `pydfo.ode.solve`: hybrid systems written in Python meet the stepper.
+
+use crate::error;
+use crate::interrupt::{Stop, Watch};
+use crate::py_system::{Event, JacobianSource, PySystem, matrix};
+use crate::trajectory::Counts;
+use numpy::{PyArray1, PyArrayMethods};
+use ode::{
+    AbsoluteTolerance, Driver, ErrorKind, JacobianPattern, Limits, Method, Observer, Options, Report, Sample,
+    SimulationError, StepView, Termination,
+};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Nodes per step of the dense output: enough for a polynomial of degree 8.
+const NODES: usize = 9;
+
+/// `pydfo.ode._Problem`, field by field.
+#[derive(FromPyObject)]
+pub(crate) struct Problem<'py> {
+    rhs: Bound<'py, PyAny>,
+    start: f64,
+    end: f64,
+    x0: Vec<f64>,
+    method: String,
+    times: Option<Vec<f64>>,
+    dense_output: bool,
+    events: Vec<(Bound<'py, PyAny>, f64, usize)>,
+    on_event: Option<Bound<'py, PyAny>>,
+    jacobian: Option<Bound<'py, PyAny>>,
+    sparsity: Option<Vec<(usize, usize)>>,
+    mass: Option<Bound<'py, PyAny>>,
+    rtol: f64,
+    atol: Vec<f64>,
+    first_step: Option<f64>,
+    max_step: Option<f64>,
+    step: Option<f64>,
+    interior_samples: Option<u32>,
+    chattering: String,
+    max_steps: Option<u64>,
+    max_events: Option<u64>,
+    timeout: Option<f64>,
+}
+
+/// Keeps what the driver shows: requested samples, and each step as its values at nodes.
+struct Keeper<'a, 'py> {
+    py: Python<'py>,
+    stop: &'a Stop,
+    times: Vec<f64>,
+    states: Vec<f64>,
+    dense: Option<Dense>,
+    n: usize,
+}
+
+/// The steps: where each begins and ends, and its states at the nodes, one node after the other.
+#[derive(Default)]
+struct Dense {
+    spans: Vec<f64>,
+    values: Vec<f64>,
+}
+
+impl Observer for Keeper<'_, '_> {
+    fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
+        self.times.push(sample.time);
+        self.states.extend_from_slice(sample.states);
+        ControlFlow::Continue(())
+    }
+
+    fn wants_steps(&self) -> bool {
+        self.dense.is_some()
+    }
+
+    fn step(&mut self, step: &StepView<'_>) {
+        let Some(dense) = &mut self.dense else { return };
+        let (middle, half) = (0.5 * (step.start + step.end), 0.5 * (step.end - step.start));
+        dense.spans.extend([step.start, step.end]);
+        for k in 0..NODES {
+            // Chebyshev's extreme points, ascending.
+            let s = -(std::f64::consts::PI * k as f64 / (NODES - 1) as f64).cos();
+            let from = dense.values.len();
+            dense.values.resize(from + self.n, 0.0);
+            step.states_at(middle + half * s, &mut dense.values[from..]);
+        }
+    }
+
+    fn poll(&mut self) -> ControlFlow<()> {
+        if self.stop.poll(self.py) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+}
+
+impl Problem<'_> {
+    fn driver(&self, stop: &Stop) -> PyResult<Driver> {
+        let bad = |e: ode::OptionsError| PyValueError::new_err(e.to_string());
+        let timeout = self.timeout.filter(|t| *t != f64::INFINITY);
+        let timeout = timeout.map(Duration::try_from_secs_f64).transpose().map_err(|_| {
+            PyValueError::new_err(format!(
+                "timeout = {} must be a number of seconds, at least 0",
+                self.timeout.unwrap_or(f64::NAN)
+            ))
+        })?;
+        let absolute_tolerance = match self.atol[..] {
+            [one] => AbsoluteTolerance::Scalar(one),
+            _ => AbsoluteTolerance::PerState(self.atol.clone()),
+        };
+        Driver::new(Options {
+            method: self.method.parse::<Method>().map_err(bad)?,
+            relative_tolerance: self.rtol,
+            absolute_tolerance,
+            step_size: self.step,
+            max_step: self.max_step,
+            initial_step: self.first_step,
+            interior_samples: self.interior_samples,
+            chattering: self.chattering.parse().map_err(bad)?,
+            limits: Limits {
+                max_steps: self.max_steps,
+                max_events: self.max_events,
+                timeout,
+                ..Limits::default()
+            },
+            cancel: Some(stop.flag()),
+            ..Options::default()
+        })
+        .map_err(bad)
+    }
+}
+
+impl<'py> Problem<'py> {
+    fn system(&self, py: Python<'py>, stop: Arc<Stop>) -> PyResult<PySystem<'py>> {
+        let n = self.x0.len();
+        let jacobian = match &self.jacobian {
+            None => JacobianSource::Differences,
+            Some(function) if function.is_callable() => JacobianSource::Function(function.clone()),
+            Some(constant) => JacobianSource::Constant(matrix(constant, n, "jac")?),
+        };
+        let pattern =
+            self.sparsity.as_ref().and_then(|places| JacobianPattern::new(n, places.iter().copied()));
+        let event = |(function, direction, terminal): &(Bound<'py, PyAny>, f64, usize)| Event {
+            function: function.clone(),
+            direction: *direction,
+            terminal: *terminal,
+            times: Vec::new(),
+            states: Vec::new(),
+        };
+        Ok(PySystem {
+            py,
+            stop,
+            rhs: self.rhs.clone(),
+            x0: self.x0.clone(),
+            events: self.events.iter().map(event).collect(),
+            on_event: self.on_event.clone(),
+            jacobian,
+            pattern,
+            mass: self.mass.as_ref().map(|m| matrix(m, n, "mass")).transpose()?,
+            keeps_steps: self.times.is_none(),
+            times: Vec::new(),
+            states: Vec::new(),
+            raised: None,
+            spent: Duration::ZERO,
+        })
+    }
+}
+
+/// Integrates a system written in Python, on the calling thread.
+#[pyfunction]
+pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bound<'py, PyAny>> {
+    let watch = Watch::new(py)?;
+    let stop = watch.stop();
+    let mut driver = problem.driver(stop)?;
+    let mut system = problem.system(py, Arc::clone(stop))?;
+    let mut keeper = Keeper {
+        py,
+        stop,
+        times: Vec::new(),
+        states: Vec::new(),
+        dense: problem.dense_output.then(Dense::default),
+        n: problem.x0.len(),
+    };
+    let times = problem.times.as_deref().unwrap_or_default();
+    let began = Instant::now();
+    let outcome = driver.run(&mut system, problem.start, problem.end, times, &mut keeper);
+    let seconds = began.elapsed();
+    if let Err(e) = &outcome
+        && is_misuse(&e.kind)
+    {
+        return Err(PyValueError::new_err(e.to_string()));
+    }
+    let raised = system.raised.take();
+    let result = result(py, system, keeper, &outcome, seconds)?;
+    error::ended(py, stop, raised, Some(result))
+}
+
+/// Errors of the caller, not of the integration.
+fn is_misuse(kind: &ErrorKind) -> bool {
+    matches!(
+        kind,
+        ErrorKind::Span { .. }
+            | ErrorKind::SampleTimes { .. }
+            | ErrorKind::ToleranceCount { .. }
+            | ErrorKind::MassMatrix { .. }
+            | ErrorKind::MassMatrixNeedsRadau5
+    )
+}
+
+/// `pydfo.ode.OdeResult`
+fn result<'py>(
+    py: Python<'py>,
+    system: PySystem<'py>,
+    keeper: Keeper<'_, 'py>,
+    outcome: &Result<Report, Box<SimulationError>>,
+    seconds: Duration,
+) -> PyResult<Bound<'py, PyAny>> {
+    let n = system.x0.len();
+    let rows = |states: Vec<f64>, m: usize| PyArray1::from_vec(py, states).reshape([m, n]);
+    let (status, message, end_time, stats) = match outcome {
+        Ok(report) => {
+            let (status, message) = match report.termination {
+                Termination::Finished => (0, "The final time was reached."),
+                Termination::StoppedByModel => (1, "A terminal event occurred."),
+                Termination::StoppedByObserver => (-1, "Interrupted."),
+            };
+            (status, message.to_owned(), report.time, &report.stats)
+        }
+        Err(e) => (-1, e.to_string(), e.time, &e.stats),
+    };
+    let fields = PyDict::new(py);
+    let (times, states) =
+        if system.keeps_steps { (system.times, system.states) } else { (keeper.times, keeper.states) };
+    fields.set_item("states", rows(states, times.len())?)?;
+    fields.set_item("t", PyArray1::from_vec(py, times))?;
+    let (event_times, event_states) = (PyList::empty(py), PyList::empty(py));
+    for event in system.events {
+        event_states.append(rows(event.states, event.times.len())?)?;
+        event_times.append(PyArray1::from_vec(py, event.times))?;
+    }
+    fields.set_item("t_events", event_times)?;
+    fields.set_item("y_events", event_states)?;
+    fields.set_item("status", status)?;
+    fields.set_item("message", message)?;
+    fields.set_item("end_time", end_time)?;
+    fields.set_item("stats", Counts::new(stats))?;
+    fields.set_item("seconds", seconds.as_secs_f64())?;
+    fields.set_item("seconds_in_model", system.spent.as_secs_f64())?;
+    if let Some(dense) = keeper.dense {
+        let steps = dense.spans.len() / 2;
+        fields.set_item("spans", PyArray1::from_vec(py, dense.spans).reshape([steps, 2])?)?;
+        fields.set_item("values", PyArray1::from_vec(py, dense.values).reshape([steps, NODES, n])?)?;
+    }
+    py.import("pydfo.ode")?.getattr("OdeResult")?.call((), Some(&fields))
+}

@@ -1,0 +1,176 @@
+"""Checkpoints from Python: a run that was interrupted anywhere goes on as if nothing had happened."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import os
+import random
+import shutil
+import signal
+import time
+
+import pytest
+from conftest import Recorder
+from methods import METHODS, RUN, rosenbrock, timeless
+
+import pydfo
+from pydfo import minimize
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("how", ["budget", "exception", "base exception", "stop", "ctrl-c"])
+def test_interrupted_at_random_points_and_resumed_is_the_uninterrupted_run(method, how, tmp_path):
+    chance = random.Random(f"{method} {how}")
+    # L-SHADE plans with its budget, so that it is pinned where the limit changes.
+    own = {"budget": 260} if method == "de" else {}
+    run = {**RUN, "method": method, "options": own}
+    whole = timeless(minimize(rosenbrock, **run, max_evaluations=260))
+    path = tmp_path / "run"
+    calls, limit = 0, 260
+
+    class Exit(BaseException):
+        pass
+
+    for _ in range(200):
+        left = chance.randrange(1, 60)
+
+        def func(x, left=left):
+            nonlocal calls
+            func.count += 1
+            if how == "ctrl-c" and func.count == left:
+                signal.raise_signal(signal.SIGINT)
+            if func.count > left and "exception" in how:
+                raise (RuntimeError if how == "exception" else Exit)
+            calls += 1
+            return rosenbrock(x)
+
+        func.count = 0
+        limits = {"max_evaluations": min(limit, calls + left) if how == "budget" else limit}
+        options = {**run["options"], "checkpoint_interval": 0.0}
+        workers = chance.choice([1, map, 2]) if how in ("budget", "stop") else 1
+        if method in ("nelder-mead", "barrier"):
+            options["batch"] = "serial"
+
+        def stop(progress, left=left):
+            if how == "stop" and func.count >= left:
+                raise StopIteration
+
+        try:
+            arguments = {**run, "options": options, **limits}
+            res = minimize(func, **arguments, checkpoint=path, workers=workers, callback=stop)
+        except (RuntimeError, pydfo.Interrupted, Exit):
+            assert path.exists()
+            continue
+        if res.termination == "stopped-by-observer" or (how == "budget" and calls < limit and not res.success):
+            continue
+        break
+    assert timeless(res) == whole
+    assert calls == res.nfev
+
+
+def test_a_finished_run_gives_its_stored_result(tmp_path):
+    path = tmp_path / "run"
+    first = minimize(rosenbrock, [-1.2, 1.0], checkpoint=path)
+    func = Recorder(rosenbrock)
+    again = minimize(func, [-1.2, 1.0], checkpoint=path, resume="require")
+    assert timeless(first) == timeless(again) and func.values == []
+    assert minimize(func, [-1.2, 1.0], checkpoint=path, resume="never").nfev == len(func.values) > 0
+
+
+def test_what_does_not_fit_is_refused_and_left_as_it_is(tmp_path):
+    path = tmp_path / "run"
+    with pytest.raises(FileNotFoundError):
+        minimize(rosenbrock, [-1.2, 1.0], checkpoint=path, resume="require")
+    minimize(rosenbrock, [-1.2, 1.0], [(-2, 2)] * 2, checkpoint=path)
+    before = path.read_bytes()
+    for changes, said in [
+        ({"x0": [-1.0, 1.0]}, "its start is"),
+        ({"bounds": [(-3, 2), (-2, 2)]}, "its bounds is"),
+        ({"method": "barrier"}, "its method and options is nelder-mead"),
+        ({"options": {"restarts": 0}}, "its method and options"),
+        ({"options": {"x_tol": 1e-3}}, "its tolerances"),
+    ]:
+        arguments = {"x0": [-1.2, 1.0], "bounds": [(-2, 2)] * 2, **changes}
+        with pytest.raises(pydfo.CheckpointError, match=said):
+            minimize(rosenbrock, **arguments, checkpoint=path)
+    assert path.read_bytes() == before
+    path.write_bytes(before[:-1] + b"x")
+    with pytest.raises(pydfo.CheckpointError, match="damaged"):
+        minimize(rosenbrock, [-1.2, 1.0], [(-2, 2)] * 2, checkpoint=path)
+    with pytest.raises(OSError):
+        minimize(rosenbrock, [-1.2, 1.0], checkpoint=tmp_path / "nowhere" / "run")
+    other = {"bounds": [(-2, 2)] * 2, "method": "de", "max_evaluations": 50, "checkpoint": tmp_path / "seeded"}
+    minimize(rosenbrock, **other, rng=1)
+    with pytest.raises(pydfo.CheckpointError, match="its seed is 1, not 2"):
+        minimize(rosenbrock, **other, rng=2)
+    assert minimize(rosenbrock, **other).seed == 1
+
+
+def killed_at(path, method, count):
+    """Runs in a process of its own, which ends without a word at an evaluation."""
+    calls = 0
+
+    def func(x):
+        nonlocal calls
+        calls += 1
+        if calls == count:
+            os._exit(1)
+        time.sleep(0.003)
+        return rosenbrock(x)
+
+    options = {"checkpoint_interval": 0.0}
+    minimize(func, **RUN, method=method, max_evaluations=300, checkpoint=path, options=options)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_killed_process_goes_on_from_what_was_written_last(method, tmp_path):
+    path = tmp_path / "run"
+    process = multiprocessing.get_context("spawn").Process(target=killed_at, args=(path, method, 170))
+    process.start()
+    process.join(60.0)
+    assert process.exitcode == 1
+    func = Recorder(rosenbrock)
+    resumed = minimize(func, **RUN, method=method, max_evaluations=300, checkpoint=path, resume="require")
+    assert timeless(resumed) == timeless(minimize(rosenbrock, **RUN, method=method, max_evaluations=300))
+    assert len(func.values) < 300
+
+
+def test_ctrl_c_with_an_executor_leaves_out_what_has_not_begun(tmp_path):
+    started = []
+
+    def func(x):
+        started.append(1)
+        if len(started) == 30:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.3)
+        return rosenbrock(x)
+
+    run = {**RUN, "method": "de", "options": {"budget": 300}, "max_evaluations": 300}
+    whole = timeless(minimize(rosenbrock, **run))
+    with concurrent.futures.ThreadPoolExecutor(1) as threads:
+        with pytest.raises(pydfo.Interrupted) as info:
+            minimize(func, **run, workers=threads, checkpoint=tmp_path / "run")
+    assert info.value.result.nfev == len(started) == 30
+    assert timeless(minimize(func, **run, checkpoint=tmp_path / "run")) == whole
+    assert len(started) == 300
+
+
+def test_a_file_that_cannot_be_written_any_more_costs_no_result(tmp_path):
+    place = tmp_path / "place"
+    place.mkdir()
+    calls = []
+
+    def func(x):
+        calls.append(1)
+        if len(calls) == 100:
+            shutil.rmtree(place)
+        return rosenbrock(x)
+
+    run = {**RUN, "method": "de", "max_evaluations": 5000, "options": {"checkpoint_interval": 0.0}}
+    res = minimize(func, **run, checkpoint=place / "run")
+    assert (res.status, res.termination, res.success) == (7, "not-saved", False) and res.nfev >= 100
+    assert res.fun == rosenbrock(res.x) == res.trace.fun.min() and "cannot be saved" in res.message
+    with pytest.raises(FileNotFoundError):
+        minimize(func, **run, checkpoint=place / "run")
+    assert len(calls) == res.nfev

@@ -1,0 +1,346 @@
+"""minimize: arguments as SciPy takes them, every method, every kind of worker."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import inspect
+import multiprocessing
+import os
+import pickle
+import threading
+
+import numpy as np
+import pytest
+from conftest import Recorder
+from methods import (
+    METHODS,
+    RUN,
+    CannotBeSent,
+    columns,
+    fails_sometimes,
+    process_id,
+    raises_what_cannot_be_sent,
+    rosenbrock,
+    shifted,
+    timeless,
+)
+
+import pydfo
+from pydfo import minimize
+
+
+def test_the_signature_is_what_was_promised():
+    parameters = inspect.signature(minimize).parameters
+    assert [(p.name, p.default) for p in parameters.values() if p.name not in ("fun", "x0")] == [
+        ("bounds", None),
+        ("method", "auto"),
+        ("args", ()),
+        ("workers", 1),
+        ("callback", None),
+        ("rng", None),
+        ("max_evaluations", None),
+        ("max_iterations", None),
+        ("max_time", None),
+        ("target", None),
+        ("options", None),
+        ("checkpoint", None),
+        ("resume", "auto"),
+        ("on_error", "raise"),
+        ("vectorized", False),
+    ]
+    assert list(parameters)[:2] == ["fun", "x0"]
+    assert all(p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters.values())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_finds_the_minimum(method):
+    res = minimize(rosenbrock, **RUN, method=method, max_evaluations=6000)
+    np.testing.assert_allclose(res.x, [1.0, 1.0], atol=0.05)
+    assert res.method == method and res.fun == rosenbrock(res.x) and len(res.trace) == res.nfev
+    assert (res.final_simplex is None) == (method not in ("nelder-mead", "barrier"))
+    if method in ("de", "de-classic", "ga"):
+        members, costs = res.final_population
+        assert res.seed == 7 and members.shape[1] == 2 and np.all(np.diff(costs) >= 0) and costs[0] == res.fun
+    else:
+        assert res.seed is None and res.final_population is None
+    mus = [stage.mu for stage in res.schedule]
+    assert (method == "barrier") == bool(mus) and mus == sorted(mus, reverse=True)
+    assert timeless(pickle.loads(pickle.dumps(res))) == timeless(res)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_budgets_are_exact_for_every_method(method):
+    for budget in (*range(1, 60), 97, 150, 200):
+        func = Recorder(rosenbrock)
+        res = minimize(func, **RUN, method=method, max_evaluations=budget)
+        assert res.nfev == len(func.values) <= budget
+        assert res.fun == func.best and rosenbrock(res.x) == res.fun
+        assert res.nfev == budget or res.success
+
+
+def test_bounds_as_scipy_takes_them():
+    optimize = pytest.importorskip("scipy.optimize")
+
+    def cost(x):
+        return (x[0] - 3.0) ** 2 + (x[1] + 3.0) ** 2
+
+    runs = [
+        minimize(cost, [0.0, 0.0], bounds)
+        for bounds in (
+            [(-1, 1), (-2, None)],
+            ((-1, 1), (-2, np.inf)),
+            np.array([[-1, 1], [-2, np.inf]]),
+            optimize.Bounds([-1, -2], [1, np.inf]),
+        )
+    ]
+    assert len({timeless(run) for run in runs}) == 1
+    np.testing.assert_allclose(runs[0].x, [1.0, -2.0], atol=2e-5)
+    scalar = minimize(cost, [0.0, 0.0], optimize.Bounds(-1, 2))
+    np.testing.assert_allclose(scalar.x, [2.0, -1.0], atol=1e-3)
+    fixed = minimize(cost, [0.5, 0.0], [(0.5, 0.5), (None, None)])
+    assert np.all(fixed.trace.x[:, 0] == 0.5) and fixed.x[1] == pytest.approx(-3.0, abs=1e-5)
+    # methods that sample a box need no start, and Bounds then say how many parameters there are
+    sampled = minimize(cost, None, optimize.Bounds([-1, -2], [1, 2]), "de", rng=1, max_evaluations=2000)
+    np.testing.assert_allclose(sampled.x, [1.0, -2.0], atol=1e-3)
+
+
+def test_further_arguments_reach_the_function():
+    res = minimize(shifted, [0.0, 0.0], args=(0.5, 3.0), max_iterations=20)
+    assert res.fun == 3.0 * rosenbrock(res.x - 0.5)
+    assert timeless(minimize(lambda x, a: rosenbrock(x), [0.0, 0.0], args="a", max_iterations=20)) == timeless(
+        minimize(rosenbrock, [0.0, 0.0], max_iterations=20)
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_serial_threads_executors_and_maps_give_the_same_trace(method):
+    """With one batch plan nothing depends on who evaluates."""
+    plan = {"batch": "four"} if method in ("nelder-mead", "barrier") else {}
+    run = {**RUN, "method": method, "max_evaluations": 250, "options": plan}
+    first = timeless(minimize(rosenbrock, **run))
+    for workers in (2, 7, -1, map):
+        assert timeless(minimize(rosenbrock, **run, workers=workers)) == first, workers
+    assert timeless(minimize(columns, **run, vectorized=True)) == first
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ThreadPoolExecutor(3) as threads:
+        assert timeless(minimize(rosenbrock, **run, workers=threads)) == first
+        assert timeless(minimize(rosenbrock, **run, workers=threads.map)) == first
+    with concurrent.futures.ProcessPoolExecutor(2, mp_context=context) as processes:
+        assert timeless(minimize(rosenbrock, **run, workers=processes)) == first
+        assert timeless(minimize(rosenbrock, **run, workers=processes.map)) == first
+        assert timeless(minimize(shifted, **run, args=(0.0, 1.0), workers=processes)) == first
+
+
+def test_a_pool_of_processes_is_used():
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        ids = set()
+        for workers in (pool, pool.map):
+            res = minimize(process_id, **RUN, method="de", workers=workers, max_evaluations=60)
+            ids |= set(res.trace.fun)
+        assert len(ids) <= 2 and os.getpid() not in ids
+
+
+def test_exceptions_in_executors_keep_the_other_points():
+    start = {"x0": [0.0, 0.0], "bounds": [(-2, 2), (-2, 2)], "method": "de", "rng": 1}
+    with concurrent.futures.ThreadPoolExecutor(2) as threads:
+        with pytest.raises(ValueError, match="too large") as info:
+            minimize(fails_sometimes, **start, workers=threads)
+        partial = info.value.partial_result
+        assert partial.nfev > 10 and partial.status == 6 and partial.fun == rosenbrock(partial.x)
+        res = minimize(fails_sometimes, **start, workers=threads, on_error="fail", max_evaluations=300)
+        assert res.nfail > 0 and res.failures == {"ValueError: too large": res.nfail}
+        serial = minimize(fails_sometimes, **start, on_error="fail", max_evaluations=300)
+        assert timeless(res) == timeless(serial)
+    with concurrent.futures.ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as processes:
+        res = minimize(fails_sometimes, **start, workers=processes, on_error="fail", max_evaluations=300)
+        assert timeless(res) == timeless(serial)
+        with pytest.raises(RuntimeError, match="CannotBeSent: 1 and 2"):
+            minimize(raises_what_cannot_be_sent, **start, workers=processes)
+        with pytest.raises(Exception, match="[Pp]ickle"):
+            minimize(lambda x: 1.0, **start, workers=processes)
+    error = CannotBeSent(3, 4)
+
+    def raising(x):
+        raise error
+
+    with pytest.raises(CannotBeSent) as info:
+        minimize(raising, **start, workers=map)
+    assert info.value is error and info.traceback[-1].name == "raising"
+
+
+def test_an_executor_has_as_many_points_as_it_has_workers():
+    widths = []
+
+    class Counting(concurrent.futures.ThreadPoolExecutor):
+        def submit(self, *args, **kwargs):
+            widths.append(threading.get_ident())
+            return super().submit(*args, **kwargs)
+
+    with Counting(5) as executor:
+        res = minimize(rosenbrock, [-1.2, 1.0], workers=executor, max_iterations=30)
+    assert res.batch == "four" and res.workers == 5
+    assert set(widths) == {threading.get_ident()} and len(widths) == res.nfev
+    assert minimize(rosenbrock, [-1.2, 1.0], workers=map, max_iterations=3, options={"batch": "serial"}).batch == "serial"
+
+
+def test_vectorized_points_stand_in_columns():
+    shapes = []
+
+    def cost(x, factor):
+        shapes.append(x.shape)
+        return factor * columns(x)
+
+    res = minimize(cost, **RUN, args=(2.0,), method="de-classic", vectorized=True, max_evaluations=100)
+    assert {shape[0] for shape in shapes} == {2} and sum(shape[1] for shape in shapes) == res.nfev == 100
+    with pytest.raises(TypeError, match=r"array of shape \(20,\) for points of shape \(2, 20\), not of shape \(2,\)"):
+        minimize(lambda x: x[:, 0], **RUN, method="de-classic", vectorized=True)
+    with pytest.raises(ValueError, match="workers must be a number"):
+        minimize(columns, **RUN, vectorized=True, workers=map)
+    bad = minimize(lambda x: np.where(x[0] > 0, np.nan, columns(x)), **RUN, method="de", vectorized=True, max_evaluations=200)
+    assert 0 < bad.nfail < 200
+
+
+def test_the_callback_sees_progress_and_may_stop():
+    seen = []
+
+    def callback(intermediate_result):
+        seen.append(intermediate_result)
+        if intermediate_result.nit == 4:
+            raise StopIteration
+
+    for method in METHODS:
+        seen.clear()
+        res = minimize(rosenbrock, **RUN, method=method, callback=callback)
+        assert (res.nit, res.termination, res.success) == (4, "stopped-by-observer", False)
+        assert [p.nit for p in seen] == [0, 1, 2, 3, 4] and seen[-1].fun == res.fun
+        assert (seen[-1].final_population is None) != (seen[-1].final_simplex is None)
+    error = KeyError("mine")
+
+    def raising(progress):
+        raise error
+
+    with pytest.raises(KeyError) as info:
+        minimize(rosenbrock, **RUN, callback=raising, workers=map)
+    assert info.value is error and error.partial_result.nfev >= 3
+
+
+def test_seeds_are_given_drawn_and_reported():
+    run = {"bounds": [(-2, 2)] * 2, "method": "de", "max_evaluations": 200}
+    first = minimize(rosenbrock, **run)
+    again = minimize(rosenbrock, **run, rng=first.seed)
+    assert timeless(first) == timeless(again) and isinstance(first.seed, int)
+    assert minimize(rosenbrock, **run).seed != first.seed
+    drawn = [minimize(rosenbrock, **run, rng=np.random.default_rng(3)) for _ in range(2)]
+    assert timeless(drawn[0]) == timeless(drawn[1])
+    generator = np.random.default_rng(3)
+    assert minimize(rosenbrock, **run, rng=generator).seed != minimize(rosenbrock, **run, rng=generator).seed
+    assert minimize(rosenbrock, **run, rng=np.uint64(2**64 - 1)).seed == 2**64 - 1
+
+
+def test_integer_and_categorical_parameters():
+    def cost(x):
+        assert x[1] == round(x[1]) and x[2] == round(x[2])
+        return (x[0] - 0.3) ** 2 + (x[1] - 4.0) ** 2 + (0.0 if x[2] == 2 else 1.0)
+
+    box = [(-1, 1), (-10, 10), (0, 5)]
+    kinds = ["continuous", "integer", "categorical"]
+    res = minimize(cost, None, box, rng=1, max_evaluations=4000, options={"kinds": kinds})
+    assert res.method == "ga" and list(res.x[1:]) == [4.0, 2.0] and res.fun < 1e-3
+    whole = minimize(lambda x: (x[0] - 0.3) ** 2 + (x[1] - 4.0) ** 2, None, box[:2], rng=1, options={"kinds": kinds[:2]})
+    assert whole.method == "de" and whole.x[1] == 4.0 and whole.fun < 1e-9 and whole.success
+    with pytest.raises(ValueError, match="parameter 2, which is discrete"):
+        minimize(cost, None, box, "de", options={"kinds": kinds})
+    with pytest.raises(ValueError, match="nelder-mead cannot search over parameter 1"):
+        minimize(cost, [0, 0, 0], box, "nelder-mead", options={"kinds": kinds})
+
+
+def test_sizes_scales_and_warm_starts_are_options():
+    def cost(x):
+        return (np.log10(x[0]) - 3.0) ** 2 + (x[1] - 2e-6) ** 2 * 1e12
+
+    res = minimize(cost, [1.0, 0.0], [(1e-3, 1e6), (None, None)], options={"scale": ["log", "linear"], "nominal": [1, 1e-6]})
+    np.testing.assert_allclose(res.x, [1e3, 2e-6], rtol=1e-4)
+    for known in (res, res.trace, (res.trace.x, res.trace.fun)):
+        more = minimize(cost, [1.0, 0.0], [(1e-3, 1e6), (None, None)], options={"warm_start": known})
+        assert more.fun <= res.fun and more.trace.x[0].tolist() != [1.0, 0.0]
+    limited = minimize(rosenbrock, [-1.2, 1.0], options={"trace_limit": 10})
+    assert len(limited.trace) == 10 and limited.trace.n_dropped == limited.nfev - 10
+    # Gray codes meet the same point again and again
+    cached = minimize(rosenbrock, **RUN, method="ga", options={"resolution": np.array([0.5, 0.5])}, max_iterations=40)
+    assert cached.n_cached > 100
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("nelder-mead", {"batch": "lee-wiswall", "coefficients": "adaptive", "bounds_handling": "clamp", "restarts": 0}),
+        ("nelder-mead", {"coefficients": (1, 2, 0.5, 0.5), "initial_simplex": np.array([[0, 0], [1, 0], [0, 1.0]])}),
+        ("nelder-mead", {"bounds_handling": "sine", "initial_simplex": [0.1, 0.2], "stop": "any", "tolerances": "absolute"}),
+        ("barrier", {"mu": 0.5, "factor": 0.2, "batch": "two"}),
+        ("barrier", {"mu": None}),
+        ("de", {"population": 30, "sampling": "sobol", "repair": "mirror", "include_start": False, "budget": 500}),
+        ("de", {"p_best": 0.2, "memory": 6, "archive": 1.5, "final_population": 6, "budget": None}),
+        ("de-classic", {"strategy": "best1", "crossover": "exponential", "weight": (0.5, 1.0), "probability": 0.7}),
+        ("de-classic", {"strategy": "current_to_best1", "weight": 0.6}),
+        ("ga", {"population": 20, "selection": 3, "crossover_rate": 0.6, "mutation_rate": 0.02, "elite": 2, "gray": np.True_}),
+        ("ga", {"selection": "fitness", "resolution": [0.01, 0.01], "sampling": "uniform", "stall": None, "cache": 0}),
+    ],
+)
+def test_every_option_of_every_method_reaches_it(method, options):
+    res = minimize(rosenbrock, **RUN, method=method, options=options, max_evaluations=300)
+    assert res.fun < rosenbrock([-1.2, 1.0])
+    if "population" in options:
+        assert np.count_nonzero(res.trace.batch == 0) == options["population"]
+    if options.get("batch"):
+        assert res.batch.startswith(options["batch"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "said"),
+    [
+        ({"fun": 3}, TypeError, "fun must be callable"),
+        ({"method": "nelder_meat"}, ValueError, "did you mean 'nelder-mead'"),
+        ({"method": "least-squares"}, pydfo.MethodNotAvailable, "not in this version"),
+        ({"method": 1}, TypeError, "method must be a string"),
+        ({"options": {"popsize": 3}}, ValueError, "nelder-mead has no option 'popsize'; it has batch, bounds_handling, .*every"),
+        ({"method": "de", "options": {"crossover": "binomial"}}, ValueError, "de has no option 'crossover'; it has archive"),
+        ({"options": {"restarts": 1.5}}, TypeError, "option 'restarts' of nelder-mead must be a whole number"),
+        ({"options": {"restarts": True}}, TypeError, "option 'restarts' of nelder-mead must be a whole number"),
+        ({"options": {"batch": "six"}}, ValueError, "batch = 'six' is none of 'auto', 'serial'"),
+        ({"options": {"coefficients": (1, 2)}}, TypeError, "option 'coefficients' of nelder-mead must be 'auto'"),
+        ({"options": {"coefficients": (1, 0.5, 0.5, 0.5)}}, ValueError, "expansion = 0.5 must be above 1"),
+        ({"method": "ga", "options": {"crossover_rate": 1.5}}, ValueError, "crossover_rate = 1.5 must be from 0 to 1"),
+        ({"method": "ga", "options": {"gray": "yes"}}, TypeError, "option 'gray' of ga must be True or False"),
+        ({"method": "de-classic", "options": {"weight": "F"}}, TypeError, "option 'weight' of de-classic must be a number or"),
+        ({"options": {"tolerances": "loose"}}, ValueError, "tolerances = 'loose' is none of"),
+        ({"options": {"kinds": "whole"}}, ValueError, "kinds = 'whole' is none of 'continuous'"),
+        ({"options": {"kinds": ["integer"]}}, ValueError, "kinds has 1 values for 2 parameters"),
+        ({"options": {"nominal": [1.0]}}, ValueError, "nominal has 1 values for 2"),
+        ({"options": {"warm_start": 3}}, TypeError, "warm_start must be a result"),
+        ({"options": {"warm_start": (np.zeros((3, 1)), np.zeros(3))}}, ValueError, r"\(m, 2\) and \(m,\) fit"),
+        ({"options": [("batch", "two")]}, TypeError, "options must be a dict"),
+        ({"bounds": [(0, 1)]}, ValueError, "bounds has 1 pairs for 2 parameters"),
+        ({"bounds": [(0, 1), (0, 1, 2)]}, ValueError, r"bounds\[1\] has 3 values"),
+        ({"bounds": 3}, TypeError, "bounds must be pairs"),
+        ({"bounds": [(1, 0), (0, 1)]}, ValueError, "lower bound 1 is above"),
+        ({"bounds": None, "method": "de"}, ValueError, "de searches a box"),
+        ({"x0": None, "bounds": None}, ValueError, "x0 is needed"),
+        ({"x0": None}, ValueError, "no start point"),
+        ({"workers": 0}, ValueError, "workers = 0"),
+        ({"workers": "two"}, TypeError, "workers must be a whole number"),
+        ({"rng": -1}, ValueError, "rng = -1"),
+        ({"rng": "seed"}, TypeError, "rng must be a whole number"),
+        ({"on_error": "continue"}, ValueError, "on_error = 'continue' is none of 'raise', 'fail'"),
+        ({"callback": 1}, TypeError, "callback must be callable"),
+        ({"max_evaluations": 0}, ValueError, "max_evaluations = 0"),
+        ({"target": np.nan}, ValueError, "target = NaN"),
+        ({"resume": "maybe"}, ValueError, "resume = 'maybe' is none of"),
+    ],
+    ids=lambda v: str(v)[:60] if isinstance(v, dict) else "",
+)
+def test_bad_arguments_teach_before_anything_runs(changes, error, said):
+    func = Recorder(rosenbrock)
+    arguments = {"fun": func, "x0": [0.5, 0.5], "bounds": [(-2, 2), (-2, 2)], **changes}
+    with pytest.raises(error, match=said):
+        minimize(**arguments)
+    assert func.values == []

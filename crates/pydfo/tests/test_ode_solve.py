@@ -1,0 +1,348 @@
+"""Systems written in Python: the results of SciPy, closed forms, events that change the state, and every way to end."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.sparse import csr_matrix, diags
+
+import pydfo
+from pydfo import ode
+
+ADAPTIVE = ["auto", "tsit5", "dop853", "radau5", "bdf"]
+STIFF = ["auto", "radau5", "bdf"]
+
+
+def circle(t, y):
+    return [y[1], -y[0]]
+
+
+def robertson(t, y):
+    a, b, c = 0.04 * y[0], 1e4 * y[1] * y[2], 3e7 * y[1] ** 2
+    return [b - a, a - b - c, c]
+
+
+def robertson_jacobian(t, y):
+    return [[-0.04, 1e4 * y[2], 1e4 * y[1]], [0.04, -1e4 * y[2] - 6e7 * y[1], -1e4 * y[1]], [0, 6e7 * y[1], 0]]
+
+
+def lotka(t, y, a, b):
+    return np.array([a * y[0] - y[0] * y[1], b * y[0] * y[1] - y[1]])
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_closed_form_at_the_times_asked_for(method):
+    t = np.linspace(0.0, 10.0, 37)
+    res = ode.solve(circle, (0, 10), [0.0, 1.0], method, t, rtol=1e-9, atol=1e-9)
+    assert np.array_equal(res.t, t) and res.y.shape == (2, 37)
+    assert np.abs(res.y - [np.sin(t), np.cos(t)]).max() < 2e-7
+    assert res.success and res.status == 0 and res.end_time == 10.0 and res.sol is None and res.t_events is None
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_the_same_as_scipy(method):
+    t = np.linspace(0.0, 15.0, 31)
+    reference = solve_ivp(lotka, (0, 15), [1.5, 1.0], "DOP853", t, rtol=1e-12, atol=1e-12, args=(1.2, 0.8))
+    res = ode.solve(lotka, (0, 15), [1.5, 1.0], method, t, rtol=1e-8, atol=1e-10, args=(1.2, 0.8))
+    assert np.abs(res.y / reference.y - 1).max() < (2e-5 if method == "bdf" else 1e-6)
+
+
+@pytest.mark.parametrize("method", STIFF)
+@pytest.mark.parametrize("jac", [None, robertson_jacobian, lambda t, y: csr_matrix(robertson_jacobian(t, y))])
+def test_stiff_as_scipy(method, jac):
+    t = [1e-2, 1.0, 1e2, 1e4]
+    reference = solve_ivp(robertson, (0, 1e4), [1, 0, 0], "Radau", t, rtol=1e-11, atol=1e-16, jac=robertson_jacobian)
+    res = ode.solve(robertson, (0, 1e4), [1, 0, 0], method, t, rtol=1e-7, atol=1e-13, jac=jac)
+    assert np.abs(res.y / reference.y - 1).max() < 1e-4
+    assert res.njev > 0 and res.nlu > 0 and res.stats.newton_iterations > 0
+    assert res.nfev < 4000
+
+
+def test_ends_of_steps_by_default_and_dense_output():
+    for method in [*ADAPTIVE, "rk4"]:
+        res = ode.solve(circle, (0, 5), [0.0, 1.0], method, dense_output=True, rtol=1e-9, atol=1e-9, max_step=0.5)
+        assert len(res.t) == res.stats.accepted_steps + 1
+        assert res.t[0] == 0.0 and res.t[-1] == 5.0 and np.diff(res.t).max() <= 0.5
+        assert np.array_equal(res.sol.ts, res.t)
+        assert np.abs(res.sol(res.t) - res.y).max() < 1e-14
+        t = np.linspace(0, 5, 1001)
+        bar = 1e-6 if method == "bdf" else 1e-7
+        assert np.abs(res.sol(t) - [np.sin(t), np.cos(t)]).max() < bar, method
+        assert res.sol(1.0).shape == (2,)
+    with pytest.raises(ValueError, match=r"6\.0 lies outside of \[0\.0, 5\.0\]"):
+        res.sol(6.0)
+
+
+def test_constant_jacobian_and_pattern_save_evaluations():
+    n = 30
+    heat = (n + 1) ** 2 * diags([1.0, -2.0, 1.0], [-1, 0, 1], (n, n)).toarray()
+    x0 = np.sin(np.pi * np.arange(1, n + 1) / (n + 1))
+    decay = 2 * (n + 1) ** 2 * (np.cos(np.pi / (n + 1)) - 1)
+    plain = ode.solve(lambda t, y: heat @ y, (0, 0.3), x0, "radau5")
+    coloured = ode.solve(lambda t, y: heat @ y, (0, 0.3), x0, "radau5", jac_sparsity=csr_matrix(heat))
+    given = ode.solve(lambda t, y: heat @ y, (0, 0.3), x0, "radau5", jac=heat)
+    for res in plain, coloured, given:
+        assert np.abs(res.y[:, -1] - x0 * math.exp(0.3 * decay)).max() < 1e-6
+    assert plain.nfev - given.nfev >= 30 * plain.njev and coloured.nfev - given.nfev <= 3 * coloured.njev + 6
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_events_as_scipy(method):
+    def up(t, y):
+        return y[0] - 0.5
+
+    def both(t, y):
+        return y[1]
+
+    up.direction = 1
+    ours = ode.solve(circle, (0, 12), [0.0, 1.0], method, events=[up, both], rtol=1e-9, atol=1e-9)
+    theirs = solve_ivp(circle, (0, 12), [0.0, 1.0], "DOP853", events=[up, both], rtol=1e-11, atol=1e-12)
+    for a, b in zip(ours.t_events, theirs.t_events):
+        assert len(a) == len(b) and np.abs(a - b).max() < 1e-6
+    for a, b in zip(ours.y_events, theirs.y_events):
+        assert a.shape == b.shape and np.abs(a - b).max() < 1e-6
+    assert [len(t) for t in ours.t_events] == [2, 4]
+    assert ours.status == theirs.status == 0
+
+
+def test_terminal_events():
+    def ground(t, y):
+        return y[0]
+
+    ground.terminal, ground.direction = True, -1
+    res = ode.solve(lambda t, y: [y[1], -9.81], (0, 100), [0.0, 10.0], events=ground)
+    assert res.status == 1 and res.success and abs(res.end_time - 20 / 9.81) < 1e-12 and res.t[-1] == res.end_time
+    res = ode.solve(lambda t, y: [y[1], -9.81], (0, 100), [0.0, 10.0], t_eval=[1.0, 50.0], events=ground)
+    assert res.t.tolist() == [1.0]
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_events_change_the_state(method):
+    def height(t, y, loss):
+        return y[0]
+
+    def bounce(t, y, which, loss):
+        assert which == [0]
+        return [0.0, -loss * y[1]]
+
+    height.direction, height.terminal = -1, 11
+    res = ode.solve(
+        lambda t, y, loss: [y[1], -9.81], (0, 4), [1.0, 0.0], method,
+        events=height, on_event=bounce, args=(0.7,), rtol=1e-9, dense_output=True,
+    )
+    # The ball of the FMI reference models: closed form.
+    expected = {0: 0.45152364098573090445, 1: 1.0836567383657541707, 9: 2.4736044636412544968, 10: 2.4991133142246206853}
+    for k, t in expected.items():
+        assert abs(res.t_events[0][k] - t) < (1e-12 if method not in ("radau5", "bdf") else 1e-7)
+    assert res.y_events[0].shape == (11, 2) and (res.y_events[0][:, 1] < 0).all()
+    # Both sides of each event stand in the result; the dense output takes the right one.
+    first = res.t_events[0][0]
+    at = np.flatnonzero(res.t == first)
+    assert len(at) == 2 and res.y[1, at[0]] < -4 and res.y[1, at[1]] > 3
+    assert np.allclose(res.sol(first), res.y[:, at[1]], atol=1e-12)
+    # The way up from zero is a crossing, too, which nobody asked for; it restarts nothing.
+    assert res.stats.state_events == 21 and res.stats.restarts == 10
+
+
+def test_both_sides_of_an_event_where_asked_for_twice():
+    def clock(t, y):
+        return t - 0.5
+
+    def double(t, y, which):
+        return 2.0 * y
+
+    res = ode.solve(lambda t, y: 0 * y, (0, 1), [1.0], t_eval=[0.25, 0.5, 0.5, 1.0], events=clock, on_event=double)
+    assert res.t.tolist() == [0.25, 0.5, 0.5, 1.0] and res.y[0].tolist() == [1.0, 1.0, 2.0, 2.0]
+
+
+def test_differential_algebraic_system():
+    # Robertson's problem with the conservation of mass in place of the third equation.
+    def rhs(t, y):
+        return [*robertson(t, y)[:2], y.sum() - 1.0]
+
+    mass = np.diag([1.0, 1.0, 0.0])
+    reference = solve_ivp(robertson, (0, 1e3), [1, 0, 0], "Radau", [1e3], rtol=1e-11, atol=1e-16, jac=robertson_jacobian)
+    for method in "radau5", "auto":
+        res = ode.solve(rhs, (0, 1e3), [1, 0, 0], method, [1e3], mass=mass, rtol=1e-8, atol=1e-13)
+        assert np.abs(res.y / reference.y - 1).max() < 1e-6
+        assert abs(res.y.sum() - 1) < 1e-12
+    with pytest.raises(ValueError, match="mass matrix can only be integrated by radau5"):
+        ode.solve(rhs, (0, 1), [1, 0, 0], "bdf", mass=mass)
+    with pytest.raises(ValueError, match=r"mass must have the shape \(3, 3\), not \(2, 2\)"):
+        ode.solve(rhs, (0, 1), [1, 0, 0], mass=np.eye(2))
+
+
+def test_tolerances_and_steps():
+    scales = np.array([1.0, 1e-6])
+    loose = ode.solve(lambda t, y: -y, (0, 1), scales, "tsit5", atol=[1e-9, 1e-3], rtol=1e-9)
+    tight = ode.solve(lambda t, y: -y, (0, 1), scales, "tsit5", atol=1e-15, rtol=1e-9)
+    assert np.abs(tight.y[:, -1] / scales - math.exp(-1)).max() < 1e-9 and loose.nfev <= tight.nfev
+    res = ode.solve(circle, (0, 1), [0.0, 1.0], "tsit5", first_step=1e-3)
+    assert res.t[1] == 1e-3
+    res = ode.solve(circle, (0, 1), [0.0, 1.0], "euler", step=0.25)
+    assert res.t.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
+    assert res.y[0, -1] == pytest.approx(((1 + 0.25j) ** 4).imag, abs=1e-15)
+
+
+def test_scipys_names_stand_for_ours():
+    for theirs, ours in {"RK45": "tsit5", "Radau": "radau5", "BDF": "bdf", "DOP853": "dop853", "LSODA": "auto"}.items():
+        a, b = (ode.solve(circle, (0, 3), [0.0, 1.0], name) for name in (theirs, ours))
+        assert np.array_equal(a.y, b.y) and a.nfev == b.nfev
+
+
+def test_nothing_to_integrate():
+    res = ode.solve(circle, (1.0, 1.0), [0.0, 1.0], t_eval=[1.0])
+    assert res.success and res.y.T.tolist() == [[0.0, 1.0]]
+    res = ode.solve(lambda t, y: [], (0, 1), [], t_eval=[0.0, 1.0])
+    assert res.success and res.y.shape == (0, 2)
+
+
+def test_failures_are_results_that_say_why():
+    res = ode.solve(lambda t, y: y**2, (0, 2), [1.0])
+    assert not res.success and res.status == -1 and abs(res.end_time - 1) < 1e-4 and "steps" in res.message
+    assert res.t[-1] == res.end_time and res.y[0, -1] > 1e4
+    res = ode.solve(lambda t, y: [math.log(y[0])] if y[0] > 0.5 else [math.nan], (0, 9), [0.6])
+    assert not res.success and "cannot be evaluated beyond" in res.message
+    res = ode.solve(circle, (0, 100), [0.0, 1.0], max_steps=5)
+    assert "limit of 5 steps" in res.message and len(res.t) <= 6
+
+
+def test_sliding():
+    state = {}
+
+    def relay(t, y):
+        return [-state["sign"], 2.0 - state["sign"]]
+
+    def switch(t, y, which):
+        state["sign"] = 1.0 if y[0] > 0 else -1.0
+
+    def run(**options):
+        state["sign"] = 1.0
+        return ode.solve(relay, (0, 2), [1.0, 0.0], events=lambda t, y: y[0], on_event=switch, **options)
+
+    res = run()
+    assert not res.success and "chattering at t = " in res.message and abs(res.end_time - 1) < 1e-5
+    res = run(chattering="slide", t_eval=[2.0])
+    # Along x = 0 both fields have the same share: y' = 2.
+    assert res.success and np.abs(res.y[:, 0] - [0.0, 3.0]).max() < 1e-4 and res.stats.chattering == 1
+
+
+def test_chattering_can_be_a_warning(caplog):
+    def hysteresis(t, y):
+        return y[0] + 1e-9 * y[1]
+
+    res = ode.solve(
+        lambda t, y: [-y[1], 0.0], (0, 1), [1e-9, 1.0], "tsit5", events=hysteresis, max_events=250,
+        on_event=lambda t, y, which: [y[0], -y[1]], chattering="warn",
+    )
+    assert "limit of 250 events" in res.message and res.stats.chattering == 2
+    assert "2 times a hundred events hardly advanced time" in caplog.text
+
+
+def test_time_limit():
+    def slow(t, y):
+        time.sleep(2e-3)
+        return circle(t, y)
+
+    res = ode.solve(slow, (0, 1e6), [0.0, 1.0], timeout=0.1)
+    assert not res.success and "time limit of 0.1 s" in res.message and res.t[-1] > 0
+    assert res.seconds >= res.seconds_in_model >= 0.09
+
+
+class Odd(Exception):
+    pass
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_exceptions_keep_their_identity(method):
+    error = Odd("here")
+
+    def rhs(t, y):
+        if t > 3:
+            raise error
+        return circle(t, y)
+
+    with pytest.raises(Odd) as info:
+        ode.solve(rhs, (0, 10), [0.0, 1.0], method, rtol=1e-9)
+    assert info.value is error
+    partial = error.partial_result
+    assert isinstance(partial, ode.OdeResult) and not partial.success and 2 < partial.t[-1] <= 3
+    assert np.abs(partial.y[0] - np.sin(partial.t)).max() < 1e-5
+
+    def event(t, y):
+        return y[0] - 0.5
+
+    def on_event(t, y, which):
+        raise error
+
+    with pytest.raises(Odd) as info:
+        ode.solve(circle, (0, 10), [0.0, 1.0], method, events=event, on_event=on_event)
+    assert info.value is error and abs(error.partial_result.t_events[0][0] - math.pi / 6) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("wrong", "kind", "message"),
+    [
+        ({"rhs": lambda t, y: [1.0]}, ValueError, r"rhs must return an array of shape \(2,\), not one of shape \(1,\)"),
+        ({"rhs": lambda t, y: None}, ValueError, "rhs must return .* not None; is a return statement missing"),
+        ({"rhs": lambda t, y: ["a", "b"]}, TypeError, "rhs must return numbers"),
+        ({"rhs": lambda t, y: [1j, 0]}, TypeError, "rhs must return numbers"),
+        ({"rhs": 3}, TypeError, "rhs must be callable, not 3"),
+        ({"t_span": (1, 0)}, ValueError, "from 1 to 0: both must be finite, the end not before the start"),
+        ({"t_span": (0, math.inf)}, ValueError, "from 0 to inf"),
+        ({"t_span": 3}, ValueError, "t_span must be two numbers"),
+        ({"x0": [1j, 0]}, TypeError, "x0 must be numbers"),
+        ({"x0": [math.nan, 0]}, ValueError, "x0 must be finite"),
+        ({"t_eval": [0.5, 0.2]}, ValueError, "requested time 0.2 at position 1"),
+        ({"t_eval": [7.0]}, ValueError, "requested time 7 at position 0"),
+        ({"method": "rk23"}, ValueError, "unknown solver 'rk23'; there are"),
+        ({"rtol": 0.0}, ValueError, "relative_tolerance = 0"),
+        ({"atol": [1e-6]}, ValueError, "atol has 1 values for 2 states"),
+        ({"atol": -1.0}, ValueError, "absolute_tolerance = -1"),
+        ({"events": [3]}, TypeError, "event 0 must be callable, not 3"),
+        ({"events": lambda t, y: "a"}, TypeError, "event 0 must return one number"),
+        ({"jac": [[1.0]], "method": "bdf"}, ValueError, r"jac must have the shape \(2, 2\), not \(1, 1\)"),
+        ({"jac": lambda t, y: [1.0], "method": "bdf"}, ValueError, r"jac must have the shape \(2, 2\), not \(1,\)"),
+        ({"jac_sparsity": [[1.0]]}, ValueError, r"jac_sparsity must have the shape \(2, 2\)"),
+        ({"chattering": "stop"}, ValueError, "unknown answer to chattering 'stop'"),
+        ({"timeout": -1}, ValueError, "timeout = -1 must be a number of seconds"),
+        ({"max_step": 0.0}, ValueError, "max_step = 0"),
+        ({"interior_samples": -1}, ValueError, "interior_samples = -1 must not be negative"),
+    ],
+)
+def test_what_cannot_be_used_is_said(wrong, kind, message):
+    given = {"rhs": circle, "t_span": (0, 1), "x0": [0.0, 1.0], **wrong}
+    with pytest.raises(kind, match=message):
+        ode.solve(**given)
+
+
+def test_ctrl_c_ends_with_the_part_that_there_is():
+    calls = []
+
+    def rhs(t, y):
+        calls.append(t)
+        if len(calls) == 200:
+            os.kill(os.getpid(), signal.SIGINT)
+        return circle(t, y)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(pydfo.Interrupted) as info:
+        ode.solve(rhs, (0, 1e9), [0.0, 1.0], "tsit5")
+    assert signal.getsignal(signal.SIGINT) is before
+    assert isinstance(info.value.result, ode.OdeResult) and info.value.result.t[-1] > 1
+    assert len(calls) <= 210
+
+
+def test_simulations_inside_an_objective():
+    """A fit by hand: the rate of a decay from its values."""
+    t = np.linspace(0, 2, 9)
+    measured = np.exp(-1.3 * t)
+    cost = lambda p: float(((ode.solve(lambda t, y: -p[0] * y, (0, 2), [1.0], t_eval=t).y - measured) ** 2).sum())  # noqa: E731
+    res = pydfo.fmin(cost, [0.5], lb=[0], ub=[5], x_tol=1e-7, f_tol=1e-14, stop="all", disp=False)
+    assert abs(res.x[0] - 1.3) < 1e-5

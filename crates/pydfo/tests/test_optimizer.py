@@ -1,0 +1,98 @@
+"""Optimizer: driven by hand, in any order, with checkpoints."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+from methods import METHODS, RUN, rosenbrock, timeless
+
+import pydfo
+from pydfo import Optimizer, minimize
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("k", [1, 3, None])
+def test_any_order_and_pieces_give_the_driven_run(method, k):
+    chance = random.Random(k)
+    run = {**RUN, "max_evaluations": 300}
+    driven = timeless(minimize(rosenbrock, **run, method=method))
+    opt = Optimizer(method, **run)
+    waiting = []
+    while not opt.done:
+        ids, points, cutoffs = opt.ask(k)
+        assert points.shape == (len(ids), 2) and cutoffs.shape == ids.shape
+        waiting += zip(ids, points)
+        assert opt.n_pending == len(waiting)
+        chance.shuffle(waiting)
+        for _ in range(chance.randrange(1, len(waiting) + 1)):
+            number, point = waiting.pop()
+            if chance.random() < 0.1:
+                opt.tell(number, ...)
+            else:
+                opt.tell(number, rosenbrock(point))
+    assert timeless(opt.report()) == driven
+    x, fun = opt.best
+    assert (x.tobytes(), fun) == driven[:2] and opt.ask().ids.size == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_left_anywhere_it_goes_on_from_its_checkpoint(method, tmp_path):
+    chance = random.Random(method)
+    run = {**RUN, "max_evaluations": 200, "checkpoint": tmp_path / "run", "options": {"trace_limit": 150}}
+    told = 0
+    while True:
+        opt = Optimizer(method, **run)
+        left = chance.randrange(1, 40)
+        while not opt.done and left > 0:
+            ids, points, _ = opt.ask(min(left, 7))
+            opt.tell(ids[::-1], [rosenbrock(x) for x in points[::-1]])
+            left, told = left - len(ids), told + len(ids)
+        if opt.done:
+            break
+        opt.save()
+    run["checkpoint"] = None
+    assert timeless(opt.report()) == timeless(minimize(rosenbrock, **run, method=method))
+    assert told == opt.report().nfev and len(opt.report().trace) == min(told, 150)
+
+
+def test_none_nan_and_exceptions_mean_failed():
+    opt = Optimizer("nelder-mead", [0.0, 0.0], max_evaluations=20)
+    ids, points, _ = opt.ask()
+    opt.tell(ids, [1.0, None, np.nan])
+    ids, _, _ = opt.ask()
+    opt.tell(ids[0], ZeroDivisionError("by zero"))
+    while not opt.done:
+        ids, points, _ = opt.ask()
+        opt.tell(ids, np.array([rosenbrock(x) for x in points]))
+    failures = opt.report().failures
+    assert failures == {"no value": 1, "cost is NaN": 1, "ZeroDivisionError: by zero": 1}
+
+
+def test_misuse_and_early_ends():
+    opt = Optimizer("de", **RUN)
+    assert opt.best is None and "no cost yet" in repr(opt) and not opt.done
+    with pytest.raises(pydfo.NoResult):
+        opt.report()
+    with pytest.raises(KeyError, match="point 0, which is not waiting"):
+        opt.tell(0, 1.0)
+    ids, _, _ = opt.ask(5)
+    with pytest.raises(ValueError, match="2 values for 5 points"):
+        opt.tell(ids, [1.0, 2.0])
+    with pytest.raises(TypeError, match="must return one number"):
+        opt.tell(ids[0], "one")
+    with pytest.raises(ValueError):
+        opt.ask(-1)
+    opt.tell(ids[3:], [4.0, 3.0])
+    with pytest.raises(KeyError):
+        opt.tell(ids[3], 4.0)
+    opt.stop()
+    opt.stop()
+    assert opt.done and opt.report().termination == "interrupted" and opt.report().fun == 3.0
+    assert opt.report().nfev == 2
+    with pytest.raises(ValueError, match="did you mean 'de'"):
+        Optimizer("dee", **RUN)
+    wide = Optimizer("nelder-mead", [0.0, 0.0], workers=4)
+    wide.tell(wide.ask().ids, [3.0, 2.0, 1.0])
+    assert len(wide.ask().ids) == 4
