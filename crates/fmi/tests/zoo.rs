@@ -54,7 +54,7 @@ fn stuck(kind: &ErrorKind) -> bool {
 
 /// The faults of `tests/evil/model.c`: the value of k that stands for each, its name, and its end for model exchange and
 /// co-simulation.
-const FAULTS: [(f64, &str, Ends, Ends); 11] = [
+const FAULTS: [(f64, &str, Ends, Ends); 12] = [
     (
         10.0,
         "NO_START",
@@ -85,6 +85,7 @@ const FAULTS: [(f64, &str, Ends, Ends); 11] = [
         Integration(|kind| matches!(kind, ErrorKind::EventInThePast(time) if *time == -1.0)),
         Call("", Status::Error, START, ""),
     ),
+    (20.0, "ENDS_ITSELF", Well(Termination::StoppedByModel), Well(Termination::StoppedByModel)),
     (
         21.0,
         "FAILING_EVENT",
@@ -135,7 +136,12 @@ fn every_fault_ends_in_a_typed_error_and_leaves_the_library_as_it_was() {
             assert!(error.abs() < 1e-6, "{version:?} {kind:?}: {error}");
             for (k, name, exchange, stepping) in FAULTS {
                 let what = format!("{name} of {version:?} {kind:?}");
-                let ends = if kind == Kind::ModelExchange { exchange } else { stepping };
+                let ends = match (version, kind) {
+                    (_, Kind::ModelExchange) => exchange,
+                    // In FMI 1.0 a step that is not made is also how a model says that it is at its end.
+                    (Fmi1CoSimulation, _) if name == "DISCARD_LATE" => Well(Termination::StoppedByModel),
+                    _ => stepping,
+                };
                 if matches!(ends, NotHere) {
                     continue;
                 }
