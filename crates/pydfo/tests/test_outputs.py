@@ -136,7 +136,7 @@ def test_arrays_texts_and_bytes_are_set(path):
     res = model.simulate(0, 1, ncp=1, output=["matrix", "text", "bytes", "i64"], start_values={"k": [[0.5], 1.0, np.float64(2.0)]})
     assert np.array_equal(res.final("matrix"), [[6, 5, 4], [3, 2, 1]])
     assert list(res.final("text")) == ["left", "right"] and res.final("bytes") == b"\x00\xff" and res.final("i64") == 2**62 + 1
-    assert model.get("matrix") == [6, 5, 4, 3, 2, 1] and model.get("k") == [0.5, 1.0, 2.0]
+    assert model.get("matrix").tolist() == [[6, 5, 4], [3, 2, 1]] and model.get("k").tolist() == [0.5, 1.0, 2.0]
     for wrong in ([1, 2], 3, [[1, 2, 3], [4, 5, "x"]]):
         with pytest.raises((TypeError, ValueError), match="matrix"):
             model.simulate(0, 1, start_values={"matrix": wrong})
