@@ -169,6 +169,7 @@ impl Fmu {
     }
 
     /// The variable of type Real with this value reference (the first one, of aliases).
+    #[inline]
     pub(crate) fn real_variable(&self, reference: u32) -> Option<&Variable> {
         let variables = &self.description().variables;
         let known = self.inner.real_references.get_or_init(|| {
@@ -178,11 +179,17 @@ impl Fmu {
             known.dedup_by_key(|(reference, _)| *reference);
             known
         });
-        let place = known.binary_search_by_key(&reference, |(reference, _)| *reference).ok()?;
+        // Most tools count their references up from one number: then the place is known.
+        let offset = reference.wrapping_sub(known.first()?.0) as usize;
+        let place = match known.get(offset) {
+            Some((guessed, _)) if *guessed == reference => offset,
+            _ => known.binary_search_by_key(&reference, |(reference, _)| *reference).ok()?,
+        };
         Some(&variables[known[place].1])
     }
 
     /// Refuses value references that no variable of type Real has: FMUs use them as indices without looking.
+    #[inline]
     pub(crate) fn check_real_references(
         &self,
         call: &'static str,

@@ -242,6 +242,7 @@ impl Core {
 
     /// Refuses value references that are not those of variables of type Real, and slices that do not have as many
     /// elements as these have values: where a reference may stand for an array, only the description knows how many.
+    #[inline]
     pub(crate) fn check_reals(
         &self,
         call: &'static str,

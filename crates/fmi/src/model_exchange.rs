@@ -140,6 +140,19 @@ impl Instance<ContinuousTime> {
         self.states(states)
     }
 
+    /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs stay as they are.
+    ///
+    /// # Errors
+    /// A slice has not the length of the state vector; the FMU refuses.
+    pub fn right_hand_side(
+        &mut self,
+        time: f64,
+        states: &[f64],
+        derivatives: &mut [f64],
+    ) -> Result<(), FmiError> {
+        self.core().call(|raw| raw.right_hand_side(time, states, derivatives))
+    }
+
     /// Computes the derivatives of the states.
     ///
     /// # Errors

@@ -432,6 +432,28 @@ trait Binding: Send + Sync {
     unsafe fn set_continuous_states(&self, component: Component, states: &[f64]) -> Status;
     unsafe fn get_continuous_states(&self, component: Component, states: &mut [f64]) -> Status;
     unsafe fn get_derivatives(&self, component: Component, derivatives: &mut [f64]) -> Status;
+    /// Time, states and derivatives: the calls of a right-hand side in one, up to the first that fails.
+    unsafe fn right_hand_side(
+        &self,
+        component: Component,
+        time: f64,
+        states: &[f64],
+        derivatives: &mut [f64],
+    ) -> (Call, Status) {
+        let is_good = |status| matches!(status, Status::Ok | Status::Warning);
+        // SAFETY: the caller's promises are those of the three functions.
+        unsafe {
+            let status = self.set_time(component, time);
+            if !is_good(status) {
+                return (Call::SetTime, status);
+            }
+            let status = self.set_continuous_states(component, states);
+            if !is_good(status) {
+                return (Call::SetContinuousStates, status);
+            }
+            (Call::GetDerivatives, self.get_derivatives(component, derivatives))
+        }
+    }
     unsafe fn get_event_indicators(&self, component: Component, indicators: &mut [f64]) -> Status;
     unsafe fn get_nominals(&self, component: Component, nominals: &mut [f64]) -> Status;
     /// One communication step. `Discard` is for steps of which nothing or only a part was computed, also because the

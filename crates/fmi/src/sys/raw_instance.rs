@@ -216,16 +216,19 @@ impl RawInstance {
     }
 
     /// Refuses calls on a dead component, or into a library that is not to be trusted any more.
+    #[inline]
     fn alive(&self, call: Call) -> Outcome {
-        if self.dead {
-            return Err(Fault::Failed(Box::new(
-                self.failed(self.library.binding().name(call), Status::Fatal),
-            )));
+        if self.dead || self.library.shared().is_fatal() { self.not_alive(call) } else { Ok(()) }
+    }
+
+    #[cold]
+    fn not_alive(&self, call: Call) -> Outcome {
+        match self.dead {
+            true => {
+                Err(Fault::Failed(Box::new(self.failed(self.library.binding().name(call), Status::Fatal))))
+            }
+            false => Err(Fault::Unusable(self.library_path())),
         }
-        if self.library.shared().is_fatal() {
-            return Err(Fault::Unusable(self.library_path()));
-        }
-        Ok(())
     }
 
     fn length(&self, call: Call, expected: usize, found: usize) -> Outcome {
@@ -551,6 +554,19 @@ impl RawInstance {
     pub(crate) fn get_continuous_states(&mut self, states: &mut [f64]) -> Outcome {
         self.length(Call::GetContinuousStates, self.sizes.states, states.len())?;
         run!(self, Call::GetContinuousStates, |b, c| b.get_continuous_states(c, states))
+    }
+
+    /// The derivatives at a point: sets the time, then the states, and reads them.
+    pub(crate) fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Outcome {
+        self.length(Call::SetContinuousStates, self.sizes.states, states.len())?;
+        self.length(Call::GetDerivatives, self.sizes.states, derivatives.len())?;
+        self.alive(Call::SetTime)?;
+        self.log.go_on();
+        self.time = Some(time);
+        // SAFETY: the component is alive and ours alone (`&mut self`), both slices have as many places as it has states.
+        let (call, status) =
+            unsafe { self.library.binding().right_hand_side(self.component, time, states, derivatives) };
+        self.check(call, status)
     }
 
     pub(crate) fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Outcome {
