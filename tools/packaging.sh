@@ -6,7 +6,8 @@ bin=$(cd "$1" && pwd)
 root=$(cd "$(dirname "$0")/.." && pwd)
 out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
-export CARGO_TARGET_DIR="$root/target/packaging"
+# What comes from the registry need not be compiled twice.
+export CARGO_TARGET_DIR="$root/target"
 "$bin/maturin" sdist --manifest-path "$root/crates/pydfo/Cargo.toml" --out "$out/dist" >/dev/null 2>"$out/log" || { cat "$out/log"; exit 1; }
 "$bin/python" -m venv "$out/venv"
 cd "$out"
