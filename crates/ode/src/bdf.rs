@@ -291,6 +291,7 @@ impl Bdf {
         let n = self.rhs.len();
         let j = &self.jacobian.values;
         stats.decompositions += 1;
+        stats.linear_algebra += self.lu.operations().0;
         let good = self.lu.decompose(|p| f64::from(p.is_multiple_of(n + 1)) - gamma * j[p]);
         self.decomposed_gamma = if good { gamma } else { 0.0 };
         self.decomposition_age = 0;
@@ -315,6 +316,7 @@ impl Bdf {
         let mut last = 0.0;
         for count in 1..=MAX_NEWTON {
             stats.newton_iterations += 1;
+            stats.linear_algebra += self.lu.operations().1;
             for (i, b) in self.increment.iter_mut().enumerate() {
                 *b = gamma * self.rhs[i] - share * self.z_new[1][i] - self.correction[i];
             }

@@ -108,8 +108,45 @@ def test_the_cost_is_smooth_across_the_kinks_of_the_inputs(record):
         relative_tolerance=1e-6,
         solver="radau5",
     )
+    assert (calibration.solver, calibration.race) == ("radau5", None)
     cost = calibration.cost(start)
     for k in range(4):
         moved = list(start)
         moved[k] *= 1 + 1e-9
         assert abs(calibration.cost(moved) / cost - 1) < 1e-8
+
+
+def test_the_solver_of_a_stiff_fit_is_raced_once_and_reported():
+    time = np.arange(121.0)
+    load = 0.5 - 0.4 * np.cos(0.05 * time)
+    inputs = {
+        "time": time,
+        "T_in": 450 + 450 * load,
+        "p_in": 1.1e5 + 1.2e5 * load,
+        "w_turb1": 2000 + 4000 * load,
+        "w_turb2": 1500 + 3500 * load,
+        "p_out": np.full_like(time, 1.013e5),
+    }
+    truth = FMUModel(example_fmu("exhaust")).simulate(0, 120, times=time, input=inputs, output=["T_out"])
+
+    def calibrate(solver):
+        return Calibration(
+            example_fmu("exhaust"),
+            data=inputs | {"T_out": truth["T_out"]},
+            inputs=INPUTS,
+            outputs=["T_out"],
+            parameters=[Parameter("C1", 4000, 250, 25000, scale="log")],
+            solver=solver,
+        )
+
+    calibration = calibrate("auto")
+    assert calibration.race is None
+    fit = calibration.fit(max_evaluations=5)
+    assert fit.solver == calibration.solver != "auto"
+    assert [entry.solver for entry in fit.race] == ["auto", "bdf", "radau5"]
+    winner = next(entry for entry in fit.race if entry.solver == fit.solver)
+    assert winner.verdict == "agrees" and winner.deviation <= 50
+    assert all(winner.work <= entry.work for entry in fit.race)
+    assert calibrate(fit.solver).cost(fit.x) == fit.cost == calibration.cost(fit.x)
+    named = calibrate("radau5").fit(max_evaluations=3)
+    assert (named.solver, named.race) == ("radau5", None)
