@@ -3,9 +3,10 @@
     cargo bench -p fmufit-ode --bench work_precision > ours.csv
     python benches/work_precision.py ours.csv
 
-Needs numpy, scipy and scikit-sundae. A straight line of log(right-hand sides) on digits over rtol 1e-4 ... 1e-9 is
-drawn per solver and problem, and read at 4, 5 and 6 digits. Right-hand sides for Jacobians count on both sides; all
-Jacobians are dense differences; atol is the same multiple of rtol for all.
+What it printed last is kept in `work_precision.md`. Needs numpy, scipy and scikit-sundae. A straight line of
+log(right-hand sides) on digits over rtol 1e-4 ... 1e-9 is drawn per solver and problem, and read at 4, 5 and 6 digits.
+Right-hand sides for Jacobians count on both sides; all Jacobians are dense differences; atol is the same multiple of
+rtol for all.
 """
 
 from __future__ import annotations

@@ -5,23 +5,28 @@ use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
 use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
-use dfo::{Checkpoint, Evaluation, Failure, FailureKind, Objective, Outcome};
+use crate::solver::Choice;
+use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
 use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Trajectory};
-use ode::{ErrorKind, Stats};
+use ode::{ErrorKind, Method, Stats};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
 ///
 /// The cost is the sum of the squared (weighted) residuals, simulated minus measured, over all experiments, outputs and
 /// measured times: no 1/N, no 1/2. It is added up in one fixed order while the simulation runs, so the same parameters
-/// give the same bits on every worker.
+/// give the same bits on every worker. Where no integration method is named, the [`solver`](Self::solver) is found once, by
+/// a race at the parameters' start values, and used for everything: a cost is the same function in a fit and outside.
 #[derive(Debug)]
 pub struct Calibration {
     fmu: Fmu,
     parameters: Vec<Parameter>,
     experiments: Vec<Prepared>,
     n_residuals: usize,
+    /// The method that the settings name.
+    method: Method,
+    choice: Choice,
     /// What a fit is made from, by name and in words or as a hash.
     identity: Vec<(String, String)>,
 }
@@ -61,7 +66,7 @@ pub struct CalibrationBuilder {
 }
 
 /// Why there is no cost at a point.
-enum NoCost {
+pub(crate) enum NoCost {
     /// The partial sum is strictly above the cutoff.
     Above,
     /// The run is being ended.
@@ -119,7 +124,8 @@ impl CalibrationBuilder {
             .map(|e| Prepared::new(&fmu, e, (&names, &start), &settings))
             .collect::<Result<Vec<_>, _>>()?;
         let n_residuals = experiments.iter().map(|e| e.comparison.n_residuals()).sum();
-        Ok(Calibration { fmu, parameters, experiments, n_residuals, identity })
+        let (method, choice) = (settings.method, Choice::default());
+        Ok(Calibration { fmu, parameters, experiments, n_residuals, method, choice, identity })
     }
 }
 
@@ -182,6 +188,7 @@ impl Prepared {
             step_size: settings.step_size,
             max_step: settings.max_step,
             timeout: settings.timeout,
+            chattering: settings.chattering,
             ..SimulateOptions::default()
         };
         let plan = SimulationPlan::new(fmu, &options)?;
@@ -223,9 +230,26 @@ impl Calibration {
         }
     }
 
-    /// A checkpoint that knows what it belongs to.
-    pub(crate) fn tag(&self, checkpoint: Checkpoint) -> Checkpoint {
-        self.identity.iter().fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
+    /// What tells this calibration from others, by name.
+    pub(crate) fn identity(&self) -> &[(String, String)] {
+        &self.identity
+    }
+
+    pub(crate) fn choice(&self) -> &Choice {
+        &self.choice
+    }
+
+    pub(crate) fn method_of_settings(&self) -> Method {
+        self.method
+    }
+
+    pub(crate) fn pool_of_settings(&self, experiment: usize) -> &Pool {
+        &self.experiments[experiment].pool
+    }
+
+    /// How the experiments are simulated, but for the choice of the method.
+    pub(crate) fn all_options(&self) -> impl Iterator<Item = &SimulateOptions> {
+        self.experiments.iter().map(|e| &e.options)
     }
 
     /// The model.
@@ -308,8 +332,10 @@ impl Calibration {
         cancel: Arc<AtomicBool>,
     ) -> Result<Vec<Trajectory>, CalibrationError> {
         self.check_length(x)?;
+        let method = self.solver_until(&|| cancel.load(Ordering::Relaxed))?.method;
         let at = |e: &Prepared| {
             let mut options = e.options.clone();
+            options.method = method;
             options.parameters.clear();
             options.cancel = Some(Arc::clone(&cancel));
             let values = self.parameters.iter().zip(x).map(|(p, v)| (p.name().to_owned(), (*v).into()));
@@ -326,8 +352,10 @@ impl Calibration {
     /// Has the model tested before its first use (once per process): how instances are reused, and whether several can be
     /// used at once.
     pub(crate) fn prepare(&self) -> Result<(), CalibrationError> {
-        for experiment in &self.experiments {
-            experiment.pool.is_concurrent()?;
+        for k in 0..self.experiments.len() {
+            if let Ok(pool) = self.pool(k, &|| false) {
+                pool.is_concurrent()?;
+            }
         }
         Ok(())
     }
@@ -396,13 +424,14 @@ impl Calibration {
     ) -> Result<f64, NoCost> {
         let mut sum = 0.0;
         let mut place = 0;
-        for experiment in &self.experiments {
+        for (k, experiment) in self.experiments.iter().enumerate() {
             let comparison = &experiment.comparison;
             let end = place + comparison.n_residuals();
             let part = out.as_deref_mut().map(|out| &mut out[place..end]);
             place = end;
             let mut accumulator = Accumulator::new(comparison, evaluation, sum, part);
-            let ran = experiment.pool.lend().and_then(|mut simulator| simulator.run(x, &mut accumulator));
+            let pool = self.pool(k, &|| evaluation.cancelled())?;
+            let ran = pool.lend().and_then(|mut simulator| simulator.run(x, &mut accumulator));
             if let Ok(report) = &ran {
                 *stats += report.stats;
             }
@@ -443,7 +472,7 @@ impl Objective for Calibration {
 }
 
 /// Sorts a failed simulation: its kind, and a reason that is the same for all failures of that sort.
-fn no_cost(error: FmiError) -> NoCost {
+pub(crate) fn no_cost(error: FmiError) -> NoCost {
     let mut kind = FailureKind::Error;
     let reason = match &error {
         FmiError::Simulation(e) => match &e.kind {

@@ -120,7 +120,8 @@ impl Experiment {
 pub struct SimulationSettings {
     /// How the model is run; default: by model exchange where it offers that, else by co-simulation.
     pub kind: fmi::Kind,
-    /// Integration method; default [`ode::Method::Auto`].
+    /// Integration method. Default [`ode::Method::Auto`]: the winner of a race between the methods, see
+    /// [`Calibration::solver`](crate::Calibration::solver).
     pub method: ode::Method,
     /// Relative tolerance; default: the model's default experiment, else 1e-6.
     pub relative_tolerance: Option<f64>,
@@ -128,6 +129,9 @@ pub struct SimulationSettings {
     pub step_size: Option<f64>,
     /// Largest step of an adaptive method.
     pub max_step: Option<f64>,
+    /// What happens when state events follow each other so closely that time hardly advances; default: the simulation
+    /// counts as failed.
+    pub chattering: ode::ChatteringPolicy,
     /// Wall-clock limit of one simulation; one that reaches it counts as failed.
     pub timeout: Option<Duration>,
 }

@@ -3,6 +3,7 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
+use crate::solver::Solver;
 use dfo::{
     AnyMethod, ByRef, Checkpoint, Evaluation, Limits, Measure, NelderMead, Objective, Outcome, Progress,
     Report, Stop, Tolerances, Transform, WorkerPool,
@@ -98,6 +99,8 @@ pub struct Fit {
     /// What the simulations of the fit took in all: right-hand sides, steps, events. Without those of a resumed fit from
     /// before, and without simulations that ended in an error.
     pub stats: Stats,
+    /// The integration method of all simulations, and how it was found.
+    pub solver: Solver,
     /// How the optimiser got there: counts, reason to end, trace.
     pub report: Report,
 }
@@ -122,7 +125,12 @@ impl fmt::Display for Fit {
             writeln!(f, "{name} = {}", Short(*value))?;
         }
         writeln!(f, "cost {}, RMS {}", Short(self.cost), Short(self.rms))?;
-        writeln!(f, "{} right-hand sides", self.stats.right_hand_sides)?;
+        writeln!(
+            f,
+            "{} right-hand sides, solver {}",
+            self.stats.right_hand_sides,
+            self.solver.method.name()
+        )?;
         self.report.fmt(f)
     }
 }
@@ -170,7 +178,7 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit(&self, options: FitOptions<'_>) -> Result<Fit, CalibrationError> {
-        let FitOptions { method, workers, start, tolerances, limits, observer, poll, .. } = options;
+        let FitOptions { method, workers, start, tolerances, limits, observer, mut poll, .. } = options;
         let workers = workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
@@ -185,7 +193,11 @@ impl Calibration {
             .collect();
         let sizes: Vec<f64> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.size_of(p, *x)).collect();
-        // The model's first-use test is not part of the time that the fit is given.
+        if let Some(checkpoint) = &options.checkpoint {
+            self.adopt_solver(checkpoint)?;
+        }
+        // The race and the model's first-use test are not part of the time that the fit is given.
+        let solver = self.find_solver(poll.as_deref_mut())?;
         self.prepare()?;
         let counted = Counted { calibration: self, cutoffs: options.cutoffs, stats: Mutex::default() };
         let mut run = dfo::minimize(ByRef(&counted))
@@ -208,7 +220,7 @@ impl Calibration {
             run = run.trace_limit(evaluations);
         }
         if let Some(checkpoint) = options.checkpoint {
-            run = run.checkpoint(self.tag(checkpoint));
+            run = run.checkpoint(self.tag(checkpoint, solver));
         }
         if let Some(observer) = observer {
             run = run.observer(observer);
@@ -222,7 +234,16 @@ impl Calibration {
         let rms = (report.fun / self.n_residuals() as f64).sqrt();
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let stats = *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
-        Ok(Fit { x: report.x.clone(), names, cost: report.fun, rms, start_cost, stats, report })
+        Ok(Fit {
+            x: report.x.clone(),
+            names,
+            cost: report.fun,
+            rms,
+            start_cost,
+            stats,
+            solver: solver.clone(),
+            report,
+        })
     }
 
     /// Checks a start given for this fit as the parameters' own starts were checked.

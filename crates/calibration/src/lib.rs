@@ -12,6 +12,7 @@ mod experiment;
 mod fit;
 mod parameter;
 mod residual;
+mod solver;
 
 pub use calibration::{Calibration, CalibrationBuilder};
 pub use data::Data;
@@ -22,3 +23,4 @@ pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use parameter::{Parameter, Scale};
 pub use residual::quad_err;
+pub use solver::Solver;

@@ -71,6 +71,15 @@ impl Checkpoint {
         self
     }
 
+    /// What identifies the run in the file, by name, its tags among it; `None` where there is no file, or where it will not
+    /// be continued.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is no checkpoint, or there is none and one is required.
+    pub fn stored_identity(&self) -> Result<Option<Vec<(String, String)>>, Error> {
+        Ok(load(self)?.map(|snapshot| snapshot.fingerprint))
+    }
+
     /// Adds something that identifies the run: a file with another value is refused.
     #[must_use]
     pub fn tag(mut self, name: impl Into<String>, value: impl Into<String>) -> Self {
@@ -148,13 +157,8 @@ fn file_failed(path: &Path, e: &std::io::Error) -> Error {
     Error::CheckpointFile { path: path.display().to_string(), kind: e.kind(), message: e.to_string() }
 }
 
-/// Reads the checkpoint that a run is to continue from, if it is to.
-pub(crate) fn read(
-    options: &Checkpoint,
-    fingerprint: &[(String, String)],
-    seed: Option<u64>,
-    n: usize,
-) -> Result<Option<Snapshot>, Error> {
+/// The state in the file that a run is to continue from, if it is to; whatever run it is of.
+fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
     let path = &options.path;
     if options.resume == Resume::Never {
         return Ok(None);
@@ -175,7 +179,18 @@ pub(crate) fn read(
     if u32::from_le_bytes(*sum) != crc32fast::hash(payload) {
         return Err(failed(path, "the file is damaged: its checksum does not fit"));
     }
-    let snapshot: Snapshot = postcard::from_bytes(payload).map_err(|e| failed(path, e))?;
+    postcard::from_bytes(payload).map(Some).map_err(|e| failed(path, e))
+}
+
+/// Reads the checkpoint that a run is to continue from, if it is to.
+pub(crate) fn read(
+    options: &Checkpoint,
+    fingerprint: &[(String, String)],
+    seed: Option<u64>,
+    n: usize,
+) -> Result<Option<Snapshot>, Error> {
+    let path = &options.path;
+    let Some(snapshot) = load(options)? else { return Ok(None) };
     let mismatch = |what: &str, stored: &str, given: &str| Error::CheckpointMismatch {
         path: path.display().to_string(),
         what: what.to_owned(),

@@ -301,3 +301,20 @@ fn a_file_that_cannot_be_written_any_more_costs_no_result() {
         assert_eq!(calls.load(Ordering::Relaxed), before);
     }
 }
+
+#[test]
+fn what_a_file_belongs_to_can_be_read() {
+    let folder = Folder::new("identity");
+    let file = folder.file();
+    let checkpoint = || at(&file).tag("solver", "radau5");
+    assert_eq!(checkpoint().stored_identity().unwrap(), None);
+    assert!(checkpoint().resume(Resume::Require).stored_identity().is_err());
+    let method: AnyMethod = NelderMead::default().into();
+    set_up(minimize(rosenbrock), &method).checkpoint(checkpoint()).run().unwrap();
+    let stored = checkpoint().stored_identity().unwrap().unwrap();
+    assert!(stored.contains(&("solver".to_owned(), "radau5".to_owned())), "{stored:?}");
+    assert_eq!(checkpoint().resume(Resume::Never).stored_identity().unwrap(), None);
+    std::fs::write(&file, b"something else").unwrap();
+    let message = checkpoint().stored_identity().unwrap_err().to_string();
+    assert!(message.contains("no checkpoint"), "{message}");
+}

@@ -3,7 +3,7 @@
 use crate::description::{DefaultExperiment, Value};
 use crate::error::FmiError;
 use crate::input::Inputs;
-use ode::Method;
+use ode::{ChatteringPolicy, Method};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -89,6 +89,10 @@ pub struct SimulateOptions {
     pub max_step: Option<f64>,
     /// Limit of wall-clock time.
     pub timeout: Option<Duration>,
+    /// Limit of work in equivalents of a right-hand side, see [`ode::Stats::work`] (model exchange).
+    pub max_work: Option<f64>,
+    /// What happens when state events follow each other so closely that time hardly advances (model exchange).
+    pub chattering: ChatteringPolicy,
     /// Add rows for both sides of every event.
     pub record_events: bool,
     /// Set from outside to end the run.
@@ -206,6 +210,20 @@ impl SimulateOptions {
         self
     }
 
+    /// Sets [`max_work`](Self::max_work).
+    #[must_use]
+    pub fn max_work(mut self, work: f64) -> Self {
+        self.max_work = Some(work);
+        self
+    }
+
+    /// Sets [`chattering`](Self::chattering).
+    #[must_use]
+    pub fn chattering(mut self, policy: ChatteringPolicy) -> Self {
+        self.chattering = policy;
+        self
+    }
+
     /// Sets [`record_events`](Self::record_events).
     #[must_use]
     pub fn record_events(mut self, on: bool) -> Self {
@@ -229,7 +247,8 @@ impl SimulateOptions {
             step_size: self.step_size,
             max_step: self.max_step,
             record_events: self.record_events,
-            limits: ode::Limits { timeout: self.timeout, ..ode::Limits::default() },
+            limits: ode::Limits { timeout: self.timeout, max_work: self.max_work, ..ode::Limits::default() },
+            chattering: self.chattering,
             cancel: self.cancel.clone(),
             ..ode::Options::default()
         }

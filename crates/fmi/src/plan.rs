@@ -336,6 +336,16 @@ impl SimulationPlan {
         self.end
     }
 
+    /// Relative tolerance of the method.
+    pub fn relative_tolerance(&self) -> f64 {
+        self.options.relative_tolerance
+    }
+
+    /// Number of continuous states.
+    pub fn n_states(&self) -> usize {
+        self.n_states
+    }
+
     /// How instances are brought back to their beginning for this way of running the model, as far as is known.
     pub(crate) fn reuse(&self) -> Option<Reuse> {
         self.fmu.reuse_of(self.kind)

@@ -25,6 +25,11 @@ const NEWTON_SHARE: f64 = 0.1;
 const KEEP_GAMMA: f64 = 0.3;
 const KEEP_DECOMPOSITION: u32 = 20;
 const KEEP_JACOBIAN: u32 = 50;
+/// Where an input changes its slope the second derivative jumps; the rows of the array above it are of the past only, and
+/// are left out. Measured on an exhaust pipe driven by inputs with a kink each second: steps that go over the kinks take
+/// 17 % more right-hand sides and are off by 50 times as much at rtol 1e-8, and the noise of a cost at rtol 1e-6 is 2e-5
+/// instead of 5e-9. All rows kept: 5 % less at rtol 1e-8, but a noise of 1e-7 instead of 6e-9. Order 1: 10 % more.
+const KINK_ORDER: usize = 2;
 /// The step size is left alone unless it can grow by this factor.
 const WORTH_IT: f64 = 1.5;
 /// Growth allowed after the first step, and after each other one.
@@ -291,6 +296,7 @@ impl Bdf {
         let n = self.rhs.len();
         let j = &self.jacobian.values;
         stats.decompositions += 1;
+        stats.linear_algebra += self.lu.operations().0;
         let good = self.lu.decompose(|p| f64::from(p.is_multiple_of(n + 1)) - gamma * j[p]);
         self.decomposed_gamma = if good { gamma } else { 0.0 };
         self.decomposition_age = 0;
@@ -315,6 +321,7 @@ impl Bdf {
         let mut last = 0.0;
         for count in 1..=MAX_NEWTON {
             stats.newton_iterations += 1;
+            stats.linear_algebra += self.lu.operations().1;
             for (i, b) in self.increment.iter_mut().enumerate() {
                 *b = gamma * self.rhs[i] - share * self.z_new[1][i] - self.correction[i];
             }
@@ -484,10 +491,6 @@ impl Stepper for Bdf {
         true
     }
 
-    fn steps_over_kinks(&self) -> bool {
-        true
-    }
-
     fn takes_long_steps(&self) -> bool {
         true
     }
@@ -532,6 +535,13 @@ impl Stepper for Bdf {
         self.rate = 1.0;
         self.jacobian_is_suspect = true;
         self.wants_jacobian = false;
+    }
+
+    fn kink(&mut self) {
+        self.order = self.order.min(KINK_ORDER);
+        self.next_order = self.order;
+        self.wait = self.order as u32 + 1;
+        self.last_scale = 0.0;
     }
 
     fn derivative(&self) -> &[f64] {

@@ -332,7 +332,7 @@ where
         }
         self.read_nominals()?;
         self.take_event_time(outcome.next_time)?;
-        self.input_stop = self.input_stop_after(self.t);
+        self.input_stop = self.system.next_input_stop(self.t);
         self.evaluate_here()?;
         // Events announced for the very start belong to it: samples there see them done.
         self.more_events_here()?;
@@ -371,6 +371,11 @@ where
         if let Some(n) = over(limits.max_right_hand_sides, self.stats.right_hand_sides) {
             return Err(ErrorKind::TooManyRightHandSides(n).into());
         }
+        if let Some(most) = limits.max_work
+            && self.stats.work(self.space.x.len()) > most
+        {
+            return Err(ErrorKind::TooMuchWork(most).into());
+        }
         Ok(())
     }
 
@@ -383,20 +388,6 @@ where
             }
         }
         target
-    }
-
-    /// The first instant after `t` at which an input is not smooth enough to be stepped over.
-    fn input_stop_after(&mut self, mut t: f64) -> Option<InputStop> {
-        loop {
-            let stop = self.system.next_input_stop(t)?;
-            if stop.jump || !self.stepper.steps_over_kinks() {
-                return Some(stop);
-            }
-            if stop.time >= self.end || stop.time <= t {
-                return None;
-            }
-            t = stop.time;
-        }
     }
 
     /// The step to try: what the controller proposes, cut or stretched so that no sliver is left before the target.
@@ -526,7 +517,7 @@ where
         }
         if let Some(stop) = stop {
             self.stepper.kink();
-            self.input_stop = self.input_stop_after(at.max(stop.time));
+            self.input_stop = self.system.next_input_stop(at.max(stop.time));
         }
         if eventful {
             self.visit_event(cause)?;

@@ -75,6 +75,8 @@ pub enum ErrorKind {
     TooManyEvents(u64),
     /// More right-hand sides than allowed.
     TooManyRightHandSides(u64),
+    /// More [work](crate::Stats::work) than allowed, in equivalents of a right-hand side.
+    TooMuchWork(f64),
     /// The wall clock ran out.
     TimedOut(Duration),
     /// Somebody set the cancel flag.
@@ -114,6 +116,7 @@ impl ErrorKind {
             Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
             Self::TooManyEvents(n) => format!("the limit of {n} events was reached"),
             Self::TooManyRightHandSides(n) => format!("the limit of {n} right-hand sides was reached"),
+            Self::TooMuchWork(n) => format!("the limit of {n} right-hand sides' work was reached"),
             Self::TimedOut(limit) => format!("the time limit of {} s was reached", limit.as_secs_f64()),
             Self::Cancelled => "cancelled".to_owned(),
             Self::Chattering { indicator, .. } => format!("chattering (event indicator {indicator})"),
@@ -189,6 +192,9 @@ impl fmt::Display for SimulationError {
             ErrorKind::TooManyEvents(n) => write!(f, "the limit of {n} events was reached at t = {t}")?,
             ErrorKind::TooManyRightHandSides(n) => {
                 write!(f, "the limit of {n} right-hand sides was reached at t = {t}")?;
+            }
+            ErrorKind::TooMuchWork(n) => {
+                write!(f, "the limit of {n} right-hand sides' work was reached at t = {t}")?;
             }
             ErrorKind::TimedOut(d) => {
                 write!(f, "the time limit of {} s was reached at t = {t}", d.as_secs_f64())?

@@ -14,6 +14,7 @@ mod jacobian;
 mod lu;
 mod observer;
 mod options;
+mod race;
 mod radau5;
 mod sampling;
 mod sparse_lu;
@@ -28,6 +29,7 @@ pub use error::{ErrorKind, Report, SimulationError, Termination};
 pub use jacobian::JacobianPattern;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
+pub use race::{Entry, Heat, Lap, Race, Verdict, race};
 pub use stats::Stats;
 pub use system::{
     CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction,

@@ -176,6 +176,7 @@ impl Radau5 {
         };
         let (gamma, eigen) = (GAMMA / h, Complex::new(ALPHA / h, BETA / h));
         stats.decompositions += 2;
+        stats.linear_algebra += self.real.operations().0 + self.complex.operations().0;
         let good = self.real.decompose(|p| gamma * m(p) - j[p])
             && self.complex.decompose(|p| eigen * m(p) - Complex::new(j[p], 0.0));
         self.decomposed_h = if good { h } else { 0.0 };
@@ -219,6 +220,7 @@ impl Radau5 {
         let (mut last_norm, mut last_quotient) = (0.0, 0.0);
         for count in 1..=MAX_NEWTON {
             stats.newton_iterations += 1;
+            stats.linear_algebra += self.real.operations().1 + self.complex.operations().1;
             for (r, time) in [t + C1 * h, t + C2 * h, end].into_iter().enumerate() {
                 for ((p, x), z) in self.stage_x.iter_mut().zip(x).zip(&self.z[r]) {
                     *p = x + z;
@@ -323,6 +325,7 @@ impl Radau5 {
         for ((e, s), f) in self.error.iter_mut().zip(&*slopes).zip(&self.f) {
             *e = s + f;
         }
+        stats.linear_algebra += self.real.operations().1;
         self.real.solve(&mut self.error);
         for (d, e) in self.defect.iter_mut().zip(&self.error) {
             *d = GAMMA * e;
@@ -344,6 +347,7 @@ impl Radau5 {
         for i in 0..n {
             self.error[i] = self.stage_f[1][i] + self.stage_f[0][i];
         }
+        stats.linear_algebra += self.real.operations().1;
         self.real.solve(&mut self.error);
         Ok(scaled_norm(&self.error, &self.inverse).max(1e-10))
     }

@@ -42,11 +42,6 @@ pub(crate) trait Stepper {
         false
     }
 
-    /// Whether a step need not end where an input changes its slope.
-    fn steps_over_kinks(&self) -> bool {
-        false
-    }
-
     /// Whether the state at an event inside a step must come from a new step that ends there.
     fn repeats_step_at_event(&self) -> bool {
         false
@@ -73,7 +68,7 @@ pub(crate) trait Stepper {
     /// The current point has nothing to do with the steps before it.
     fn forget(&mut self);
 
-    /// An input changes its slope at the current point.
+    /// An input changes its slope at the current point, where a step always ends.
     fn kink(&mut self) {}
 
     /// The next trial is the last one, which was good, with an earlier end.

@@ -34,3 +34,60 @@ fn a_warm_driver_allocates_nothing() {
         assert_eq!(counted.count_total, 0, "{}: {counted:?}", method.name());
     }
 }
+
+/// Heat in a rod of 150 cells, whose pattern is known: decompositions are sparse.
+struct Rod(JacobianPattern);
+
+impl HybridSystem for Rod {
+    fn n_states(&self) -> usize {
+        self.0.n_states()
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        let cells = x.len() as f64;
+        x.iter_mut().enumerate().for_each(|(i, x)| *x = (i as f64 / cells).powi(2));
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        for (i, dx) in dx.iter_mut().enumerate() {
+            let at = |i: usize| x.get(i).copied().unwrap_or(0.0);
+            *dx = 2e4 * (at(i.wrapping_sub(1)) + at(i + 1) - 2.0 * x[i]);
+        }
+        Ok(())
+    }
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        Some(&self.0)
+    }
+}
+
+/// The library for sparse matrices allocates 37 times for a decomposition and once for a solution, and gives everything
+/// back; steps and right-hand sides allocate nothing there either.
+#[test]
+fn a_sparse_run_allocates_for_its_decompositions_and_solutions_alone() {
+    let n = 150;
+    let places = (0..n).flat_map(|i| (i.max(1) - 1..(i + 2).min(n)).map(move |k| (i, k)));
+    let mut rod = Rod(JacobianPattern::new(n, places).unwrap());
+    for method in [Method::Radau5, Method::Bdf] {
+        let mut driver = Driver::new(Options { method, ..Options::default() }).unwrap();
+        let mut run = |end| {
+            let mut stats = Stats::default();
+            let counted = allocation_counter::measure(|| {
+                stats = driver.run(&mut rod, 0.0, end, &[end], &mut Sum(0.0)).unwrap().stats;
+            });
+            (counted, stats)
+        };
+        run(0.1);
+        for end in [0.1, 1.0, 10.0] {
+            let (counted, stats) = run(end);
+            assert_eq!(counted.count_current, 0, "{}: {counted:?}", method.name());
+            let steps = stats.accepted_steps + stats.rejected_steps;
+            let solutions = match method {
+                // Two in an iteration, one or two for the error of a step.
+                Method::Radau5 => 2 * stats.newton_iterations + 2 * steps,
+                _ => stats.newton_iterations,
+            };
+            assert!(stats.decompositions > 20 && stats.right_hand_sides > stats.newton_iterations);
+            let most = 40 * stats.decompositions + solutions;
+            assert!((1..=most).contains(&counted.count_total), "{}: {counted:?} {stats:?}", method.name());
+        }
+    }
+}

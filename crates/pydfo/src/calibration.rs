@@ -12,12 +12,13 @@ use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Sca
 use dfo::Progress;
 use fmi::FmiError;
 use numpy::PyArray1;
+use ode::{Entry, Verdict};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// `pydfo.Parameter`, field by field.
@@ -78,6 +79,7 @@ pub(crate) struct ExperimentFields {
     solver: String,
     step_size: Option<f64>,
     max_step: Option<f64>,
+    chattering: String,
 }
 
 impl ExperimentFields {
@@ -94,6 +96,7 @@ impl ExperimentFields {
             step_size: self.step_size,
             max_step: self.max_step,
             timeout: timeout.transpose()?,
+            chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
         })
     }
 
@@ -189,6 +192,34 @@ impl PyCalibration {
     #[getter]
     fn n_residuals(&self) -> usize {
         self.inner.n_residuals()
+    }
+
+    /// Name of the integration method that is in use; None: not chosen yet.
+    fn known_solver(&self) -> Option<&'static str> {
+        self.inner.known_solver().map(|solver| solver.method.name())
+    }
+
+    /// The same, chosen if it is not yet.
+    fn solver(&self, py: Python<'_>) -> PyResult<&'static str> {
+        self.compute(py, |calibration, cancel| {
+            calibration.solver_until(&|| cancel.load(Ordering::Relaxed)).map(|solver| solver.method.name())
+        })
+    }
+
+    /// The methods that were compared: name, work, how far from right, what became of it.
+    fn race(&self) -> Option<Vec<Raced>> {
+        let race = self.inner.known_solver()?.race.as_ref()?;
+        let raced = |entry: &Entry| {
+            let (deviation, verdict) = match &entry.verdict {
+                Verdict::Agrees(distance) => (Some(*distance), "agrees".to_owned()),
+                Verdict::Differs(distance) => (Some(*distance), "differs".to_owned()),
+                Verdict::GivenUp => (None, "given up".to_owned()),
+                Verdict::Failed(why) => (None, format!("failed: {why}")),
+                _ => (None, "not compared".to_owned()),
+            };
+            (entry.method.name(), entry.work, deviation, verdict)
+        };
+        Some(race.entries.iter().map(raced).collect())
     }
 
     fn cost(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<f64> {
@@ -288,6 +319,9 @@ impl PyCalibration {
         error::ended(py, &stop, raised, result)
     }
 }
+
+/// Solver, work, deviation in tolerances, verdict.
+type Raced = (&'static str, Option<f64>, Option<f64>, String);
 
 /// Variable, column, values.
 type Measured<'py> = (String, String, Bound<'py, PyArray1<f64>>);

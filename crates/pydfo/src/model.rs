@@ -63,6 +63,7 @@ pub(crate) struct Request<'py> {
     max_step: Option<f64>,
     timeout: Option<f64>,
     record_events: bool,
+    chattering: String,
 }
 
 #[pymethods]
@@ -187,6 +188,8 @@ impl Model {
         options.relative_tolerance = request.relative_tolerance;
         options.method =
             request.solver.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
+        options.chattering =
+            request.chattering.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
         options.step_size = request.step_size;
         options.max_step = request.max_step;
         options.timeout = match request.timeout {

@@ -81,20 +81,21 @@ def test_every_stiff_method_gives_the_nominal_trajectory(solver, record):
         )
 
     reference, res = run("radau5", 1e-11), run(solver, 1e-8)
-    # BDF steps over the kinks of the inputs, after some of which it is off by a hundred times the tolerance for a while.
-    rows = [1, 60, 300, 600, 1200, 1800] if solver == "bdf" else slice(None)
     for name in STATES:
         within = 1e-2 if name.startswith("p") else 1e-4
-        off = np.abs(res[name] - reference[name])
-        assert off[rows].max() < within and off.max() < 20 * within, name
+        # In the temperature of the first wall, which is slow, the errors of BDF's steps add up to twice as much.
+        if (solver, name) == ("bdf", "Tw1"):
+            within = 3e-4
+        assert np.abs(res[name] - reference[name]).max() < within, name
     # "auto" begins with Tsit5, notices, and goes on with Newton's method.
     assert res.stats.jacobians > 0 and res.stats.newton_iterations > 0
     explicit = run("tsit5", 1e-8)
     assert res.stats.right_hand_sides < explicit.stats.right_hand_sides
 
 
-def test_the_cost_is_smooth_across_the_kinks_of_the_inputs(record):
-    """Inputs change their slope at each of 600 times: a cost at rtol 1e-6 must not tell by noise."""
+@pytest.mark.parametrize(("solver", "rtol"), [("radau5", 1e-6), ("bdf", 1e-6), ("bdf", 1e-8), ("auto", 1e-6)])
+def test_the_cost_is_smooth_across_the_kinks_of_the_inputs(solver, rtol, record):
+    """Inputs change their slope at each of 600 times: a cost must not tell by noise."""
     first = record["time"] <= 600
     names = ["C1", "G1", "C2", "G2"]
     start = [2500.0, 120.0, 9000.0, 80.0]
@@ -105,11 +106,47 @@ def test_the_cost_is_smooth_across_the_kinks_of_the_inputs(record):
         inputs=INPUTS,
         outputs={"T_out": "T_out"},
         parameters=[Parameter(name, value, 0.1 * value, 10 * value) for name, value in zip(names, start)],
-        relative_tolerance=1e-6,
-        solver="radau5",
+        relative_tolerance=rtol,
+        solver=solver,
     )
     cost = calibration.cost(start)
     for k in range(4):
         moved = list(start)
         moved[k] *= 1 + 1e-9
         assert abs(calibration.cost(moved) / cost - 1) < 1e-8
+
+
+def test_the_solver_of_a_stiff_fit_is_raced_once_and_reported():
+    time = np.arange(121.0)
+    load = 0.5 - 0.4 * np.cos(0.05 * time)
+    inputs = {
+        "time": time,
+        "T_in": 450 + 450 * load,
+        "p_in": 1.1e5 + 1.2e5 * load,
+        "w_turb1": 2000 + 4000 * load,
+        "w_turb2": 1500 + 3500 * load,
+        "p_out": np.full_like(time, 1.013e5),
+    }
+    truth = FMUModel(example_fmu("exhaust")).simulate(0, 120, times=time, input=inputs, output=["T_out"])
+
+    def calibrate(solver):
+        return Calibration(
+            example_fmu("exhaust"),
+            data=inputs | {"T_out": truth["T_out"]},
+            inputs=INPUTS,
+            outputs=["T_out"],
+            parameters=[Parameter("C1", 4000, 250, 25000, scale="log")],
+            solver=solver,
+        )
+
+    calibration = calibrate("auto")
+    assert calibration.race is None
+    fit = calibration.fit(max_evaluations=5)
+    assert fit.solver == calibration.solver != "auto"
+    assert [entry.solver for entry in fit.race] == ["auto", "bdf", "radau5"]
+    winner = next(entry for entry in fit.race if entry.solver == fit.solver)
+    assert winner.verdict == "agrees" and winner.deviation <= 50
+    assert all(winner.work <= entry.work for entry in fit.race)
+    assert calibrate(fit.solver).cost(fit.x) == fit.cost == calibration.cost(fit.x)
+    named = calibrate("radau5").fit(max_evaluations=3)
+    assert (named.solver, named.race) == ("radau5", None)

@@ -152,7 +152,7 @@ where
             let stop = self.input_stop.filter(|stop| stop.time <= self.t + self.same);
             if let Some(stop) = stop {
                 self.stepper.kink();
-                self.input_stop = self.input_stop_after(stop.time);
+                self.input_stop = self.system.next_input_stop(stop.time);
             }
             let input = stop.is_some_and(|stop| stop.jump);
             if time || input {

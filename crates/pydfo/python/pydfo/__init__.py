@@ -11,7 +11,7 @@ in Python.
 from __future__ import annotations
 
 from . import dfo, ode
-from ._calibration import Calibration
+from ._calibration import Calibration, Raced
 from ._core import __version__
 from ._description import Description, Variable, read_description
 from ._errors import (
@@ -63,6 +63,7 @@ __all__ = [
     "Parameter",
     "Progress",
     "PydfoError",
+    "Raced",
     "SimulationError",
     "SimulationResult",
     "Trace",

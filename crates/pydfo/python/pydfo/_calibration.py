@@ -6,7 +6,7 @@ import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, SupportsFloat, SupportsIndex
+from typing import Any, Final, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +44,21 @@ class ExperimentFields:
     solver: str
     step_size: float | None
     max_step: float | None
+    chattering: str
+
+
+class Raced(NamedTuple):
+    """A method in the race by which a `Calibration` chooses its solver."""
+
+    solver: str
+    """Name of the method."""
+    work: float | None
+    """Right-hand sides, directional derivatives, evaluations of event indicators, and linear algebra in equivalents of a
+    right-hand side. Of a method that was given up: what it had done then, at least."""
+    deviation: float | None
+    """Largest difference from a simulation with a tenth of the tolerance, in tolerances of the sample."""
+    verdict: str
+    """"agrees", "differs", "given up", "not compared", or "failed: " and why."""
 
 
 def _pairs(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> list[tuple[str, str]]:
@@ -118,10 +133,14 @@ class Calibration:
     relative_tolerance : float, optional
         Of the integration; default: that of the model's default experiment, else 1e-6.
     solver : str
-        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler".
+        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto" methods are compared at the first use, at
+        the parameters' start values, see `solver`.
     step_size, max_step : float, optional
         Step of the fixed-step methods, or the communication step of co-simulation; largest step of the other methods;
         in s.
+    chattering : {"error", "warn", "slide"}
+        What happens when state events follow each other so closely that time hardly advances, as in `FMUModel.simulate`;
+        a simulation that ends with the error counts as failed.
     start_time : float, optional
         Where simulations start, in s; default: the model's default experiment, else 0.
     kind : {"auto", "ME", "CS"}, optional
@@ -156,6 +175,7 @@ class Calibration:
         max_step: SupportsFloat | None = None,
         start_time: SupportsFloat | None = None,
         kind: str | None = None,
+        chattering: Literal["error", "warn", "slide"] = "error",
     ) -> None:
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
@@ -183,6 +203,7 @@ class Calibration:
             solver=_options.solver(solver),
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
+            chattering=_options.choice("chattering", chattering),
         )
         self._model = _path(model)
         self._native = _core.Calibration(self._model, experiment, list(self._parameters))
@@ -206,6 +227,24 @@ class Calibration:
     def n_residuals(self) -> int:
         """Length of the residual vector: how many measurements count."""
         return self._native.n_residuals
+
+    @property
+    def solver(self) -> str:
+        """The integration method of all simulations, in fits and outside of them.
+
+        The one that was named; or, with "auto", the winner of a race at the parameters' start values, which is held at the
+        first use and counts work, never time: if the model is not stiff there, "auto" stays (Tsit5, which gives way to Radau5
+        where the model becomes stiff); else BDF, Radau5 and "auto" are compared, and the one with the least work is taken
+        of those whose samples are within 50 tolerances of a simulation with a tenth of the tolerance. A fit that is
+        resumed from a checkpoint takes the method from there. See `race` for the numbers.
+        """
+        return self._native.solver()
+
+    @property
+    def race(self) -> list[Raced] | None:
+        """The methods that were compared when the solver was chosen; None: there was no race, or not yet."""
+        entries = self._native.race()
+        return None if entries is None else [Raced(*entry) for entry in entries]
 
     def _values(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
         if x is None:
@@ -409,7 +448,7 @@ class Calibration:
         return fit
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
-        return Fit(self, result, np.array(start))
+        return Fit(self, result, np.array(start), self._native.known_solver())
 
     def __repr__(self) -> str:
         return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_residuals} measurements>"

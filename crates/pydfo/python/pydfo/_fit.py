@@ -32,14 +32,20 @@ class Fit(OptimizeResult):
         Root of the mean squared weighted residual there.
     start : ndarray, shape (n,)
         Where the fit started.
+    solver : str or None
+        The integration method of all simulations; see `Calibration.solver`. (None: interrupted before it was chosen.)
+    race : list of Raced or None
+        The methods that were compared, if there was a race.
     start_cost, start_rms : float or None
         The same as `cost` and `rms` at the start; None if the simulation failed there.
     """
 
-    def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray) -> None:
+    def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
         vars(self).update(vars(result))
         self._calibration = calibration
         self.start = start
+        self.solver = solver
+        self.race = calibration.race
         self.start_cost: float | None = None
         if result.trace is not None:
             at_start = np.flatnonzero((result.trace.x == start).all(axis=1) & np.isfinite(result.trace.fun))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, SupportsFloat
+from typing import Any, Literal, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +42,7 @@ class Request:
     max_step: float | None
     timeout: float | None
     record_events: bool
+    chattering: str
 
 
 def load_fmu(path: PathLike, kind: str = "auto") -> FMUModel:
@@ -208,6 +209,7 @@ class FMUModel:
         max_step: SupportsFloat | None = None,
         timeout: SupportsFloat | None = None,
         record_events: bool = False,
+        chattering: Literal["error", "warn", "slide"] = "error",
     ) -> SimulationResult:
         """Simulates from a freshly reset model with all values that were `set`.
 
@@ -260,6 +262,10 @@ class FMUModel:
             Limit of wall-clock time in s; it acts between calls into the FMU.
         record_events : bool
             Add rows for both sides of every event.
+        chattering : {"error", "warn", "slide"}
+            What happens when more than a hundred state events in a row let time hardly advance: the simulation fails; or it
+            goes on, and a warning is logged; or it goes on in small steps along the surface where the events are, which
+            is the solution where the model pushes against it from both sides.
 
         Returns
         -------
@@ -306,8 +312,12 @@ class FMUModel:
             max_step=_number("max_step", max_step),
             timeout=_number("timeout", timeout),
             record_events=bool(record_events),
+            chattering=_options.choice("chattering", chattering),
         )
-        return SimulationResult(**self._model.simulate(request))
+        result = SimulationResult(**self._model.simulate(request))
+        if result.stats.chattering and chattering == "warn":
+            _log.warning("simulate: %d times a hundred events hardly advanced time", result.stats.chattering)
+        return result
 
     def _outputs(self, output: str | Iterable[str] | None) -> list[str] | None:
         if output is None:

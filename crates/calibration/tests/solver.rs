@@ -1,0 +1,149 @@
+//! The integration method of a calibration is found by a race at its start, kept, reported, stored, and can be named.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::{
+    Calibration, CalibrationError, Data, Experiment, FitOptions, Parameter, SimulationSettings,
+};
+use dfo::{Checkpoint, Limits, Resume};
+use fmi::{Fmu, Inputs, SimulateOptions, example_fmu};
+use ode::{Method, Verdict};
+
+const TRUE: [(&str, f64); 2] = [("C1", 2500.0), ("C2", 9000.0)];
+const INPUTS: [(&str, f64, f64); 5] = [
+    ("T_in", 450.0, 450.0),
+    ("p_in", 1.1e5, 1.2e5),
+    ("w_turb1", 2000.0, 4000.0),
+    ("w_turb2", 1500.0, 3500.0),
+    ("p_out", 1.013e5, 0.0),
+];
+
+/// Two minutes of the exhaust pipe, which is stiff, under loads that go up and down.
+fn exhaust() -> Data {
+    let time: Vec<f64> = (0..=120).map(f64::from).collect();
+    let load = |t: f64| 0.5 - 0.4 * (0.05 * t).cos();
+    let column = |from: f64, by: f64| time.iter().map(|t| from + by * load(*t)).collect::<Vec<f64>>();
+    let mut inputs = Inputs::new();
+    let mut columns = Vec::new();
+    for (name, from, by) in INPUTS {
+        inputs = inputs.series(name, time.clone(), column(from, by));
+        columns.push((name.to_owned(), column(from, by)));
+    }
+    let fmu = Fmu::open(example_fmu("exhaust").unwrap()).unwrap();
+    let options = SimulateOptions { relative_tolerance: Some(1e-9), ..SimulateOptions::default() };
+    let truth = fmu.simulate(&options.times(time.clone()).inputs(inputs).outputs(["T_out"])).unwrap();
+    columns.push(("T_out".to_owned(), truth.get("T_out").unwrap().to_vec()));
+    Data::from_columns(time, columns).unwrap()
+}
+
+fn calibration(method: Method) -> Calibration {
+    let mut experiment = Experiment::new(exhaust()).output("T_out", "T_out");
+    for (name, ..) in INPUTS {
+        experiment = experiment.input(name, name);
+    }
+    let mut builder = Calibration::builder(Fmu::open(example_fmu("exhaust").unwrap()).unwrap())
+        .settings(SimulationSettings { method, ..SimulationSettings::default() })
+        .experiment(experiment);
+    for (name, value) in TRUE {
+        builder = builder.parameter(Parameter::new(name, 1.5 * value).bounds(0.1 * value, 10.0 * value));
+    }
+    builder.build().unwrap()
+}
+
+fn few(n: usize) -> FitOptions<'static> {
+    FitOptions { limits: Limits { max_evaluations: Some(n), ..Limits::default() }, ..FitOptions::default() }
+}
+
+#[test]
+fn a_stiff_model_is_raced_once_and_the_winner_is_used_everywhere() {
+    let raced = calibration(Method::Auto);
+    assert_eq!(raced.known_solver(), None);
+    let x = [2600.0, 9100.0];
+    let cost = raced.cost(&x).unwrap();
+    let solver = raced.solver().unwrap().clone();
+    let race = solver.race.as_ref().unwrap();
+    let methods: Vec<_> = race.entries.iter().map(|e| e.method).collect();
+    assert_eq!(methods, [Method::Auto, Method::Bdf, Method::Radau5]);
+    let winner = race.entries.iter().find(|e| e.method == solver.method).unwrap();
+    assert!(matches!(winner.verdict, Verdict::Agrees(d) if d <= 50.0), "{race:?}");
+    for entry in &race.entries {
+        assert!(winner.work <= entry.work, "{race:?}");
+    }
+    let fit = raced.fit(few(5)).unwrap();
+    assert_eq!(fit.solver, solver);
+    assert!(fit.to_string().contains(&format!("solver {}", solver.method.name())), "{fit}");
+    // A cost is the same function before, in and after a fit, and with the winner named.
+    assert_eq!(raced.cost(&x).unwrap().to_bits(), cost.to_bits());
+    assert_eq!(raced.cost(&fit.x).unwrap().to_bits(), fit.cost.to_bits());
+    let named = calibration(solver.method);
+    assert_eq!(named.cost(&x).unwrap().to_bits(), cost.to_bits());
+    assert_eq!(named.solver().unwrap().race, None);
+    let trajectory = &raced.simulate(&x, None).unwrap()[0];
+    let rows = trajectory.get("T_out").unwrap().iter().zip(exhaust().column("T_out").unwrap().to_vec());
+    let sum: f64 = rows.map(|(simulated, measured)| (simulated - measured).powi(2)).sum();
+    assert_eq!(sum.to_bits(), cost.to_bits());
+}
+
+#[test]
+fn the_race_has_the_same_winner_and_numbers_again() {
+    let [one, two] = [0, 1].map(|_| calibration(Method::Auto));
+    assert_eq!(one.solver().unwrap(), two.solver().unwrap());
+}
+
+#[test]
+fn a_named_method_is_used_and_nothing_is_raced() {
+    for method in [Method::Radau5, Method::Bdf] {
+        let named = calibration(method);
+        let fit = named.fit(few(3)).unwrap();
+        assert_eq!((fit.solver.method, fit.solver.race), (method, None));
+    }
+}
+
+#[test]
+fn a_model_that_is_not_stiff_keeps_auto() {
+    let t = vec![0.0, 0.5, 1.0, 1.5];
+    let x: Vec<f64> = t.iter().map(|t: &f64| (-2.0 * t).exp()).collect();
+    let calibration = Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())
+        .experiment(Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x"))
+        .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+        .build()
+        .unwrap();
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    assert_eq!(fit.solver.method, Method::Auto);
+    let race = fit.solver.race.unwrap();
+    assert_eq!(race.entries.len(), 1);
+    assert_eq!(race.entries[0].verdict, Verdict::NotCompared);
+}
+
+#[test]
+fn a_resumed_fit_takes_the_solver_from_its_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("fit");
+    let with = |resume, n| FitOptions { checkpoint: Some(Checkpoint::new(&file).resume(resume)), ..few(n) };
+    let first = calibration(Method::Auto);
+    let begun = first.fit(with(Resume::Auto, 5)).unwrap();
+    assert!(begun.solver.race.is_some());
+    let second = calibration(Method::Auto);
+    let resumed = second.fit(with(Resume::Require, 8)).unwrap();
+    assert_eq!((resumed.solver.method, &resumed.solver.race), (begun.solver.method, &None));
+    let whole = calibration(Method::Auto).fit(few(8)).unwrap();
+    assert_eq!((&resumed.x, resumed.cost.to_bits()), (&whole.x, whole.cost.to_bits()));
+    // A file of another calibration binds nobody: the difference is named, as ever.
+    let third = calibration(if begun.solver.method == Method::Bdf { Method::Radau5 } else { Method::Bdf });
+    let message = third.fit(with(Resume::Auto, 8)).unwrap_err().to_string();
+    assert!(message.contains("simulation settings"), "{message}");
+}
+
+#[test]
+fn a_fit_can_be_interrupted_in_the_race() {
+    let slow = calibration(Method::Auto);
+    let options = FitOptions { poll: Some(Box::new(|| true)), ..few(5) };
+    let ended = slow.fit(options);
+    // Either the race was over before the first look, or nothing was found.
+    match ended {
+        Err(CalibrationError::Cancelled) => assert_eq!(slow.known_solver(), None),
+        Err(CalibrationError::Optimiser(_)) | Ok(_) => assert!(slow.known_solver().is_some()),
+        Err(other) => panic!("{other}"),
+    }
+    assert!(slow.fit(few(3)).is_ok());
+}

@@ -1,0 +1,290 @@
+//! A race between methods: who does one simulation with the least counted work, and right.
+//!
+//! For a system that is simulated over and over, as in a fit. Work is counted ([`Stats::work`]), never measured, so that
+//! the race has the same winner on every machine. [`Method::Auto`] runs first. Where the system is not stiff that is
+//! Tsit5, and there is nothing to win: the race is over, and `Auto` stays, which also copes with parameters that make the
+//! system stiff. Where it is stiff, Radau5 with a tenth of the tolerance shows what is right, and BDF and Radau5 compete.
+//! A method takes part as long as its work is below that of the best one so far.
+
+use crate::options::Method;
+use crate::stats::Stats;
+
+/// Samples may differ by this many tolerances: the tolerance bounds the error of a step, not that of a simulation.
+const AGREEMENT: f64 = 50.0;
+/// The simulation that shows what is right: its share of the tolerance, and how much more work than the first it may be.
+const TIGHTER: f64 = 0.1;
+const MOST_WORK: f64 = 20.0;
+/// Who competes with [`Method::Auto`] where the system is stiff.
+const STIFF: [Method; 2] = [Method::Bdf, Method::Radau5];
+
+/// What is to be simulated in a race.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Heat {
+    /// With this method.
+    pub method: Method,
+    /// With this relative tolerance; the absolute ones in proportion.
+    pub relative_tolerance: f64,
+    /// The work after which it may be given up, for [`Limits::max_work`](crate::Limits::max_work).
+    pub max_work: Option<f64>,
+}
+
+/// How a simulation of a race ended.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Lap {
+    /// Well.
+    Finished {
+        /// The samples, row by row, all of their outputs one after the other.
+        samples: Vec<f64>,
+        /// What it took. (Of several simulations: the sum.)
+        stats: Stats,
+    },
+    /// It was given up at the limit of its work.
+    GivenUp,
+    /// It failed: why.
+    Failed(String),
+}
+
+/// What became of a method in a race.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Verdict {
+    /// It agrees with the simulation of tighter tolerance: the largest difference in tolerances of its sample.
+    Agrees(f64),
+    /// It does not: the largest difference, above 50.
+    Differs(f64),
+    /// There was nothing to compare it with: the system is not stiff, or the simulation of tighter tolerance failed.
+    NotCompared,
+    /// It was given up when its work was that of the best method so far.
+    GivenUp,
+    /// It failed: why.
+    Failed(String),
+}
+
+/// A method in a race.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entry {
+    /// The method.
+    pub method: Method,
+    /// Its work in equivalents of a right-hand side; of one that was given up: what it had done then, at least. `None`: it
+    /// failed.
+    pub work: Option<f64>,
+    /// What became of it.
+    pub verdict: Verdict,
+}
+
+/// A race and its winner.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Race {
+    /// The winner: of the methods that agree the one with the least work; [`Method::Auto`] where none agrees.
+    pub method: Method,
+    /// The methods that took part, in the order in which they ran.
+    pub entries: Vec<Entry>,
+}
+
+/// The differences that count as none.
+#[derive(Debug, Clone, Copy)]
+struct Tolerance<'a> {
+    relative: f64,
+    /// Of the first samples, then repeated.
+    absolute: &'a [f64],
+}
+
+impl Tolerance<'_> {
+    /// The largest difference in tolerances of the samples; NaN where they cannot be compared.
+    fn distance(self, samples: &[f64], right: &[f64]) -> f64 {
+        if samples.len() != right.len() {
+            return f64::NAN;
+        }
+        let scales = self.absolute.iter().cycle();
+        samples.iter().zip(right).zip(scales).fold(0.0, |largest: f64, ((y, right), absolute)| {
+            let distance = (y - right).abs() / (absolute + self.relative * right.abs());
+            if largest.is_nan() || distance.is_nan() { f64::NAN } else { largest.max(distance) }
+        })
+    }
+}
+
+/// Races the methods on a system of `n_states`. `run` makes one simulation and gives its samples; an error of it ends the
+/// race. `absolute` holds the absolute tolerances of the first samples, and of the following ones again from its start: one per
+/// output is enough.
+///
+/// ```
+/// use ode::{Lap, Method, Stats, race};
+/// // A system on which BDF takes a tenth of the right-hand sides.
+/// let result: Result<_, ()> = race(1e-6, &[1e-8], 1, |heat| {
+///     let right_hand_sides = if heat.method == Method::Bdf { 100 } else { 1000 };
+///     let stats = Stats { right_hand_sides, newton_iterations: 50, ..Stats::default() };
+///     Ok(Lap::Finished { samples: vec![1.0, 2.0], stats })
+/// });
+/// assert_eq!(result.unwrap().method, Method::Bdf);
+/// ```
+///
+/// # Errors
+/// What `run` returns as one: when the race is to be given up altogether.
+pub fn race<E>(
+    relative_tolerance: f64,
+    absolute: &[f64],
+    n_states: usize,
+    mut run: impl FnMut(&Heat) -> Result<Lap, E>,
+) -> Result<Race, E> {
+    let tolerance = Tolerance { relative: relative_tolerance, absolute };
+    let auto = Heat { method: Method::Auto, relative_tolerance, max_work: None };
+    let first = run(&auto)?;
+    let mut race = Race { method: Method::Auto, entries: Vec::new() };
+    let mut reference_work = None;
+    if let Lap::Finished { stats, .. } = &first {
+        let work = stats.work(n_states);
+        if stats.newton_iterations == 0 {
+            race.entries.push(Entry {
+                method: Method::Auto,
+                work: Some(work),
+                verdict: Verdict::NotCompared,
+            });
+            return Ok(race);
+        }
+        reference_work = Some(MOST_WORK * work);
+    }
+    let tighter = Heat {
+        method: Method::Radau5,
+        relative_tolerance: (TIGHTER * relative_tolerance).max(1e-14),
+        max_work: reference_work,
+    };
+    let right = match run(&tighter)? {
+        Lap::Finished { samples, .. } => Some(samples),
+        Lap::GivenUp | Lap::Failed(_) => None,
+    };
+    let mut least = None;
+    race.enter((Method::Auto, first), (tolerance, right.as_deref(), n_states), &mut least);
+    if right.is_some() {
+        for method in STIFF {
+            let lap = run(&Heat { method, relative_tolerance, max_work: least })?;
+            race.enter((method, lap), (tolerance, right.as_deref(), n_states), &mut least);
+        }
+    }
+    Ok(race)
+}
+
+impl Race {
+    /// Judges a simulation against the right one; the best so far leads.
+    fn enter(
+        &mut self,
+        (method, lap): (Method, Lap),
+        (tolerance, right, n_states): (Tolerance<'_>, Option<&[f64]>, usize),
+        least: &mut Option<f64>,
+    ) {
+        let (work, verdict) = match lap {
+            Lap::GivenUp => (*least, Verdict::GivenUp),
+            Lap::Failed(why) => (None, Verdict::Failed(why)),
+            Lap::Finished { samples, stats } => {
+                let distance = right.map(|right| tolerance.distance(&samples, right));
+                let verdict = match distance {
+                    None => Verdict::NotCompared,
+                    Some(distance) if distance <= AGREEMENT => Verdict::Agrees(distance),
+                    Some(distance) => Verdict::Differs(distance),
+                };
+                (Some(stats.work(n_states)), verdict)
+            }
+        };
+        if let (Verdict::Agrees(_), Some(work)) = (&verdict, work)
+            && least.is_none_or(|least| work < least)
+        {
+            *least = Some(work);
+            self.method = method;
+        }
+        self.entries.push(Entry { method, work, verdict });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn finished(sample: f64, work: u64, newton_iterations: u64) -> Lap {
+        let stats = Stats { right_hand_sides: work, newton_iterations, ..Stats::default() };
+        Lap::Finished { samples: vec![1.0, sample], stats }
+    }
+
+    fn methods(race: &Race) -> Vec<Method> {
+        race.entries.iter().map(|e| e.method).collect()
+    }
+
+    /// With `rtol = 1e-6` and `atol = 1e-6` a difference of 1e-4 at 1 is 50 tolerances.
+    fn run(lap: impl Fn(&Heat) -> Lap) -> (Race, Vec<Heat>) {
+        let mut heats = Vec::new();
+        let race: Result<_, ()> = race(1e-6, &[1e-6], 1, |heat| {
+            heats.push(*heat);
+            Ok(lap(heat))
+        });
+        (race.unwrap(), heats)
+    }
+
+    #[test]
+    fn without_stiffness_there_is_one_simulation() {
+        let (race, heats) = run(|_| finished(1.0, 100, 0));
+        assert_eq!((race.method, methods(&race)), (Method::Auto, vec![Method::Auto]));
+        assert_eq!(heats, [Heat { method: Method::Auto, relative_tolerance: 1e-6, max_work: None }]);
+        assert_eq!(race.entries[0].work, Some(100.0));
+    }
+
+    #[test]
+    fn the_least_work_that_agrees_wins() {
+        let (race, heats) = run(|heat| match heat.method {
+            Method::Auto => finished(1.0 + 9e-5, 100, 9),
+            Method::Bdf => finished(1.0 - 1.1e-4, 10, 9),
+            _ if heat.relative_tolerance < 1e-6 => finished(1.0, 200, 9),
+            _ => finished(1.0, 99, 9),
+        });
+        assert_eq!((race.method, methods(&race)), (Method::Radau5, [&[Method::Auto], &STIFF[..]].concat()));
+        assert!(matches!(race.entries[0].verdict, Verdict::Agrees(d) if (d - 45.0).abs() < 1e-6));
+        assert!(matches!(race.entries[1].verdict, Verdict::Differs(d) if (d - 55.0).abs() < 1e-6));
+        // The limits: none, twenty times the first, and from then on the best so far.
+        let limits: Vec<_> = heats.iter().map(|h| h.max_work).collect();
+        assert_eq!(limits, [None, Some(2000.0), Some(100.0), Some(100.0)]);
+        assert_eq!(heats[1].relative_tolerance, 0.1 * 1e-6);
+    }
+
+    #[test]
+    fn who_fails_or_is_given_up_cannot_win() {
+        let (race, heats) = run(|heat| match heat.method {
+            Method::Auto => Lap::Failed("too many steps".to_owned()),
+            Method::Bdf => finished(1.0, 50, 9),
+            _ if heat.max_work.is_some() => Lap::GivenUp,
+            _ => finished(1.0, 200, 9),
+        });
+        assert_eq!(race.method, Method::Bdf);
+        assert_eq!(race.entries[0].verdict, Verdict::Failed("too many steps".to_owned()));
+        assert_eq!(race.entries[2].work, Some(50.0));
+        assert_eq!(race.entries[2].verdict, Verdict::GivenUp);
+        let limits: Vec<_> = heats.iter().map(|h| h.max_work).collect();
+        assert_eq!(limits, [None, None, None, Some(50.0)]);
+    }
+
+    #[test]
+    fn without_anything_to_compare_with_auto_stays() {
+        let (race, heats) = run(|heat| match heat.method {
+            Method::Radau5 => Lap::GivenUp,
+            _ => finished(1.0, 50, 9),
+        });
+        assert_eq!((race.method, heats.len()), (Method::Auto, 2));
+        assert_eq!(race.entries[0].verdict, Verdict::NotCompared);
+        // Not a number, or samples missing: no agreement.
+        for bad in [vec![1.0, f64::NAN], vec![1.0]] {
+            let (race, _) = run(|heat| match heat.method {
+                Method::Bdf => Lap::Finished { samples: bad.clone(), stats: Stats::default() },
+                _ => finished(1.0, 50, 9),
+            });
+            assert!(matches!(race.entries[1].verdict, Verdict::Differs(d) if d.is_nan()));
+            assert_eq!(race.method, Method::Auto);
+        }
+    }
+
+    #[test]
+    fn an_error_ends_the_race() {
+        let stopped = race(1e-6, &[1e-6], 1, |heat| match heat.method {
+            Method::Auto => Ok(finished(1.0, 10, 9)),
+            _ => Err("cancelled"),
+        });
+        assert_eq!(stopped, Err("cancelled"));
+    }
+}
