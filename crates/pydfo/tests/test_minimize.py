@@ -158,6 +158,8 @@ def test_exceptions_in_executors_keep_the_other_points():
             minimize(raises_what_cannot_be_sent, **start, workers=processes)
         with pytest.raises(Exception, match="[Pp]ickle"):
             minimize(lambda x: 1.0, **start, workers=processes)
+    with multiprocessing.get_context("spawn").Pool(1) as pool, pytest.raises(RuntimeError, match="CannotBeSent: 1 and 2"):
+        minimize(raises_what_cannot_be_sent, **start, workers=pool)
     error = CannotBeSent(3, 4)
 
     def raising(x):

@@ -6,6 +6,7 @@ import difflib
 import logging
 import operator
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, SupportsFloat, SupportsIndex
@@ -224,6 +225,8 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
 
 def number(name: str, value: SupportsFloat | SupportsIndex) -> float:
     """The argument `name` as a float."""
+    if isinstance(value, (str, bytes)):
+        raise TypeError(f"{name} must be a number, not {value!r}")
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -251,7 +254,8 @@ def limit(name: str, value: SupportsFloat | None, least: int) -> int | None:
         return None
     if not (count >= least and count == int(count)):
         raise ValueError(f"{name} = {value} must be a whole number, at least {least}")
-    return int(count)
+    # More than the machine can count is no limit.
+    return min(int(count), sys.maxsize)
 
 
 def worker_count(name: str, value: SupportsIndex | None, default: int | None) -> int | None:
