@@ -252,8 +252,8 @@ impl DifferentialEvolution {
             Scheme::Adaptive(a) => {
                 within("p_best", a.p_best, f64::MIN_POSITIVE, 1.0, "above 0, at most 1")?;
                 within("archive", a.archive, 0.0, 100.0, "from 0 to 100")?;
-                within("memory", a.memory as f64, 1.0, 1e6, "at least 1")?;
-                within("final population", a.final_population as f64, 4.0, 1e6, "at least 4")
+                within("memory", a.memory as f64, 1.0, 1e6, "from 1 to a million")?;
+                within("final population", a.final_population as f64, 4.0, 1e6, "from 4 to a million")
             }
         }
     }

@@ -58,6 +58,10 @@ class Options:
     known: list[tuple[list[float], float]] = field(default_factory=list)
 
 
+#: A limit of time beyond this, in s, is none: 30 million years.
+ENDLESS = 1e15
+
+
 @dataclass(frozen=True)
 class Limits:
     """The limits of a run, checked."""
@@ -76,10 +80,11 @@ class Limits:
         target: SupportsFloat | None,
     ) -> Limits:
         """Checks four limits; the first two come with the names under which the user knows them."""
+        seconds = optional_number("max_time", max_time)
         return cls(
             max_evaluations=limit(*evaluations, 1),
             max_iterations=limit(*iterations, 0),
-            max_time=optional_number("max_time", max_time),
+            max_time=None if seconds is not None and seconds > ENDLESS else seconds,
             target=optional_number("target", target),
         )
 
