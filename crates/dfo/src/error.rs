@@ -1,5 +1,6 @@
 //! What can be wrong before or instead of a result: one typed error, with indices and values.
 
+use crate::scaling::Kind;
 use crate::termination::Termination;
 use crate::trace::Trace;
 use std::fmt;
@@ -12,7 +13,7 @@ use std::fmt;
 #[non_exhaustive]
 pub enum Error {
     /// No start point was given.
-    #[error("no start point given: call start(&x0)")]
+    #[error("no start point (x0) is given")]
     NoStart,
     /// The start point has no parameters.
     #[error("the start point is empty: there is nothing to minimise over")]
@@ -140,12 +141,14 @@ pub enum Error {
         method: &'static str,
     },
     /// A method cannot search over a discrete parameter.
-    #[error("{method} cannot search over parameter {index}, which is discrete (of its kind)")]
+    #[error("{method} cannot search over parameter {index}, which is discrete: {kind:?}")]
     NotContinuous {
         /// The method.
         method: &'static str,
         /// Parameter, counted from 0.
         index: usize,
+        /// Its kind.
+        kind: Kind,
     },
     /// An initial simplex does not have one vertex more than there are free parameters.
     #[error("the initial simplex has {got} vertices; {expected} are needed (free parameters + 1)")]

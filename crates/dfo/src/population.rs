@@ -6,6 +6,9 @@ use crate::scaling::{Space, Transform};
 use crate::termination::{Extent, Measure, Tests, Tolerances};
 use serde::{Deserialize, Serialize};
 
+/// More members than this are a mistake, not a wish.
+pub(crate) const MAX_MEMBERS: usize = 1_000_000;
+
 /// Members in slots, and the slots by rank.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Population {

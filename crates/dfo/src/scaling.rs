@@ -68,6 +68,9 @@ pub struct Space {
 /// Logarithms of about the smallest and the largest normal number, with room for rounding.
 const LN_RANGE: (f64, f64) = (-708.0, 709.0);
 
+/// Up to here every whole number is a number of its own.
+const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
+
 impl Space {
     /// Checks everything. `transforms` and `sizes` may be empty (all linear, all sizes by default); a size of a
     /// logarithmic parameter is in units of `ln x`.
@@ -161,7 +164,8 @@ impl Space {
     /// number has the same share of it.
     ///
     /// # Errors
-    /// Another number of kinds than parameters; a discrete parameter whose start value is not whole.
+    /// Another number of kinds than parameters; a discrete parameter whose start value is not whole, or whose bounds lie
+    /// beyond the numbers that are told apart from their neighbours (2^53).
     pub fn with_kinds(mut self, kinds: &[Kind]) -> Result<Self, Error> {
         if kinds.len() != self.n() {
             return Err(Error::Length { what: "kinds", expected: self.n(), got: kinds.len() });
@@ -171,6 +175,11 @@ impl Space {
             let value = self.x0[index];
             if kinds[index] == Kind::Continuous {
                 continue;
+            }
+            let ends = [self.bounds.lower()[index], self.bounds.upper()[index]];
+            if let Some(value) = ends.into_iter().find(|b| b.is_finite() && b.abs() > LARGEST_WHOLE) {
+                let range = "at most 2^53 in size, for the parameter is discrete";
+                return Err(Error::ParameterOption { name: "bound", index, value, range });
             }
             if value != value.round() {
                 let range = "a whole number, for the parameter is discrete";
@@ -195,7 +204,7 @@ impl Space {
     /// The first parameter that is not.
     pub fn require_continuous(&self, method: &'static str) -> Result<(), Error> {
         match self.kinds.iter().position(|k| *k != Kind::Continuous) {
-            Some(k) => Err(Error::NotContinuous { method, index: self.free[k] }),
+            Some(k) => Err(Error::NotContinuous { method, index: self.free[k], kind: self.kinds[k] }),
             None => Ok(()),
         }
     }
@@ -206,9 +215,12 @@ impl Space {
     /// The first parameter without a finite range (or whose range has no finite width).
     pub fn require_box(&self, method: &'static str) -> Result<(), Error> {
         let endless = (0..self.n_free()).find(|&k| self.width(k).is_none_or(|w| !w.is_finite()));
-        match endless.map(|k| self.free[k]) {
-            Some(index) => {
+        match endless.map(|k| (self.transforms[k], self.free[k])) {
+            Some((transform, index)) => {
                 let (lower, upper) = (self.bounds.lower()[index], self.bounds.upper()[index]);
+                if transform == Transform::Log && lower == 0.0 {
+                    return Err(Error::LogScale { index, what: "lower bound", value: lower });
+                }
                 Err(Error::NeedsBox { method, index, lower, upper })
             }
             None => Ok(()),
@@ -299,7 +311,9 @@ impl Space {
                 Transform::Log => u.exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
             };
             if self.kinds[k] != Kind::Continuous {
-                x[i] = x[i].round().clamp(self.bounds.lower()[i].ceil(), self.bounds.upper()[i].floor());
+                let whole = x[i].round().clamp(self.bounds.lower()[i].ceil(), self.bounds.upper()[i].floor());
+                // There is but one zero: -0 would be another point for the cache, and look odd.
+                x[i] = whole + 0.0;
             }
         }
     }
@@ -457,7 +471,15 @@ mod tests {
             counts[x[0] as usize] += 1;
         }
         assert!(counts.iter().all(|c| (1000..=1001).contains(c)), "{counts:?}");
+        let mut x = [1.0];
+        integer.to_user(&[-0.3], &mut x);
+        assert_eq!(x[0].to_bits(), 0.0f64.to_bits());
         assert!(matches!(space(2.5, Kind::Categorical), Err(Error::ParameterOption { .. })));
+        for end in [1e20, f64::MAX] {
+            let wide =
+                Space::new(&[0.0], Bounds::new(&[0.0], &[end])?, &[], &[])?.with_kinds(&[Kind::Integer]);
+            assert!(matches!(wide, Err(Error::ParameterOption { name: "bound", .. })), "{end}");
+        }
         assert!(space(2.5, Kind::Continuous)?.require_continuous("m").is_ok());
         assert!(matches!(integer.require_continuous("m"), Err(Error::NotContinuous { index: 0, .. })));
         let endless = Space::new(&[1.0, 1.0], Bounds::new(&[0.0; 2], &[2.0, INF])?, &[], &[])?;

@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
-    BatchView, Coefficients, Error, Minimize, NelderMead, Outcome, Report, Termination, Transform,
-    WorkerPool, fallible, minimize, minimize_batches,
+    BatchView, Coefficients, DifferentialEvolution, Error, Genetic, Kind, Minimize, NelderMead, Outcome,
+    Report, Termination, Transform, WorkerPool, fallible, minimize, minimize_batches,
 };
 
 const INF: f64 = f64::INFINITY;
@@ -154,4 +154,33 @@ fn many_different_reasons_stay_bounded() {
     let report = minimize(cost).start(&[0.5]).max_iterations(200).run().unwrap();
     assert!(report.failures.len() <= 51 && report.n_failed > 51);
     assert_eq!(report.failures.iter().map(|(_, n)| n).sum::<usize>(), report.n_failed);
+}
+
+#[test]
+fn sizes_that_no_memory_holds_are_refused() {
+    let run = || minimize(sum).start(&[1.0, 2.0]).bounds(&[0.0; 2], &[5.0; 2]).unwrap();
+    for members in [0, 1_000_001, 1 << 62, usize::MAX] {
+        let (e, _) = error(run().method(Genetic::default().population(members)).run());
+        assert!(matches!(e, Error::Option { name: "population", .. }), "{e}");
+        for method in [DifferentialEvolution::default(), DifferentialEvolution::classic()] {
+            let (e, _) = error(run().method(method.population(members)).run());
+            assert!(matches!(e, Error::Option { name: "population", .. }), "{e}");
+        }
+    }
+    for size in [0, 51, usize::MAX] {
+        let (e, _) =
+            error(run().method(Genetic::default().selection(dfo::Selection::Tournament(size))).run());
+        assert!(matches!(e, Error::Option { name: "tournament", .. }), "{e}");
+    }
+    let wide = minimize(sum).start(&[1.0]).bounds(&[0.0], &[1e20]).unwrap().kinds(&[Kind::Integer]);
+    let (_, text) = error(wide.method(Genetic::default()).run());
+    assert!(text.contains("bound of parameter 0 = 100000000000000000000 must be at most 2^53"), "{text}");
+}
+
+#[test]
+fn a_box_that_reaches_zero_has_no_logarithm_there() {
+    let run =
+        minimize(sum).start(&[1.0]).bounds(&[0.0], &[1e-12 + 1.0]).unwrap().transforms(&[Transform::Log]);
+    let (e, text) = error(run.method(DifferentialEvolution::default()).run());
+    assert!(matches!(e, Error::LogScale { index: 0, what: "lower bound", .. }), "{text}");
 }

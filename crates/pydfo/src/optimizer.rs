@@ -8,7 +8,7 @@ use crate::report;
 use crate::settings::Options;
 use dfo::Outcome;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
-use pyo3::exceptions::PyBaseException;
+use pyo3::exceptions::{PyBaseException, PyTypeError};
 use pyo3::prelude::*;
 use std::sync::Mutex;
 
@@ -49,9 +49,14 @@ impl PyOptimizer {
         ))
     }
 
-    /// The value of a point: a number, None or an exception (it failed), or Ellipsis (it is given back).
-    fn tell(&self, py: Python<'_>, id: u64, value: &Bound<'_, PyAny>) -> PyResult<()> {
-        let outcome = if value.is(py.Ellipsis()) {
+    /// The value of a point: a number, None or an exception (it failed), Ellipsis (it is given back), or `above`: the
+    /// number is one that the cost exceeds.
+    fn tell(&self, py: Python<'_>, id: u64, value: &Bound<'_, PyAny>, above: bool) -> PyResult<()> {
+        let outcome = if above {
+            Outcome::Above(
+                value.extract().map_err(|_| PyTypeError::new_err("the cutoff of Above must be a number"))?,
+            )
+        } else if value.is(py.Ellipsis()) {
             Outcome::Skipped
         } else if value.is_none() {
             Outcome::failed("no value")

@@ -158,6 +158,8 @@ def test_exceptions_in_executors_keep_the_other_points():
             minimize(raises_what_cannot_be_sent, **start, workers=processes)
         with pytest.raises(Exception, match="[Pp]ickle"):
             minimize(lambda x: 1.0, **start, workers=processes)
+    with multiprocessing.get_context("spawn").Pool(1) as pool, pytest.raises(RuntimeError, match="CannotBeSent: 1 and 2"):
+        minimize(raises_what_cannot_be_sent, **start, workers=pool)
     error = CannotBeSent(3, 4)
 
     def raising(x):
@@ -344,3 +346,12 @@ def test_bad_arguments_teach_before_anything_runs(changes, error, said):
     with pytest.raises(error, match=said):
         minimize(**arguments)
     assert func.values == []
+
+
+def test_limits_beyond_the_machine_are_none():
+    free = timeless(minimize(rosenbrock, **RUN))
+    for limits in ({"max_time": 1e30}, {"max_iterations": 1e30}, {"max_evaluations": 2**70}, {"max_time": np.inf}):
+        assert timeless(minimize(rosenbrock, **{**RUN, **limits}))[:2] == free[:2]
+    for name in ("max_time", "max_evaluations", "target"):
+        with pytest.raises(TypeError, match=f"{name} must be a number, not '3'"):
+            minimize(rosenbrock, [0.0, 0.0], **{name: "3"})

@@ -96,3 +96,44 @@ def test_misuse_and_early_ends():
     wide = Optimizer("nelder-mead", [0.0, 0.0], workers=4)
     wide.tell(wide.ask().ids, [3.0, 2.0, 1.0])
     assert len(wide.ask().ids) == 4
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_giving_up_above_the_cutoff_changes_no_decision(method):
+    run = {**RUN, "max_evaluations": 300}
+    opt = Optimizer(method, **run)
+    given_up = 0
+    while not opt.done:
+        ids, points, cutoffs = opt.ask()
+        costs = [rosenbrock(x) for x in points]
+        told = [pydfo.Above(c) if f > c else f for f, c in zip(costs, cutoffs)]
+        given_up += sum(isinstance(t, pydfo.Above) for t in told)
+        opt.tell(ids, told)
+    driven, report = minimize(rosenbrock, **run, method=method), opt.report()
+    assert report.trace.x.tobytes() == driven.trace.x.tobytes()
+    assert (report.x.tobytes(), report.fun, report.nit) == (driven.x.tobytes(), driven.fun, driven.nit)
+    assert report.nfail == 0 and given_up == np.isnan(report.trace.fun).sum()
+    assert given_up > 0 or method == "ga"
+
+
+def test_a_cutoff_below_the_one_asked_for_is_a_failure():
+    opt = Optimizer("nelder-mead", [1.0, 2.0])
+    ids, _, cutoffs = opt.ask()
+    assert np.isinf(cutoffs).all()
+    opt.tell(ids, [3.0, pydfo.Above(1.0), 2.0])
+    assert opt.report().failures == {"given up above 1, although the cutoff was inf": 1}
+    with pytest.raises(TypeError, match="the cutoff of Above must be a number"):
+        opt.tell(opt.ask().ids[0], pydfo.Above("a"))
+
+
+def test_numbers_that_were_never_asked_for():
+    opt = Optimizer("nelder-mead", [1.0, 2.0])
+    opt.ask(2**70)
+    for number in (-1, 3, 2**70):
+        with pytest.raises(KeyError, match="not waiting"):
+            opt.tell(number, 1.0)
+        with pytest.raises(KeyError, match="not waiting"):
+            opt.tell(np.array([number], dtype=object), [1.0])
+    for number in (0.5, "a", None):
+        with pytest.raises(TypeError):
+            opt.tell(number, 1.0)

@@ -4,6 +4,7 @@ use super::state::{Differences, DifferentialEvolutionState};
 use crate::error::Error;
 use crate::generations::Generations;
 use crate::method::{MethodOptions, Setup};
+use crate::population::MAX_MEMBERS;
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
 use crate::scaling::Kind;
@@ -251,8 +252,8 @@ impl DifferentialEvolution {
             Scheme::Adaptive(a) => {
                 within("p_best", a.p_best, f64::MIN_POSITIVE, 1.0, "above 0, at most 1")?;
                 within("archive", a.archive, 0.0, 100.0, "from 0 to 100")?;
-                within("memory", a.memory as f64, 1.0, 1e6, "at least 1")?;
-                within("final population", a.final_population as f64, 4.0, 1e6, "at least 4")
+                within("memory", a.memory as f64, 1.0, 1e6, "from 1 to a million")?;
+                within("final population", a.final_population as f64, 4.0, 1e6, "from 4 to a million")
             }
         }
     }
@@ -267,7 +268,11 @@ impl MethodOptions for DifferentialEvolution {
         let (space, name) = (&setup.space, self.name());
         space.require_box(name)?;
         if let Some(k) = (0..space.n_free()).find(|&k| space.kind(k) == Kind::Categorical) {
-            return Err(Error::NotContinuous { method: name, index: space.free()[k] });
+            return Err(Error::NotContinuous {
+                method: name,
+                index: space.free()[k],
+                kind: Kind::Categorical,
+            });
         }
         let n = space.n_free();
         let (default, least) = match self.scheme {
@@ -275,8 +280,9 @@ impl MethodOptions for DifferentialEvolution {
             Scheme::Classic { strategy, .. } => (10 * n, strategy.n_drawn() + 1),
         };
         let members = self.population.unwrap_or(default.max(20));
-        if members < least {
-            let range = "large enough for the strategy (rand/1: 4, rand/2: 6, L-SHADE: its final population)";
+        if !(least..=MAX_MEMBERS).contains(&members) {
+            let range = "large enough for the strategy (rand/1: 4, rand/2: 6, L-SHADE: its final population), at most \
+                         a million";
             return Err(Error::Option { name: "population", value: members as f64, range });
         }
         let members = if n == 0 { 1 } else { members };

@@ -5,6 +5,7 @@ use super::state::{GeneticState, Strings};
 use crate::error::Error;
 use crate::generations::Generations;
 use crate::method::{MethodOptions, Setup};
+use crate::population::MAX_MEMBERS;
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
 use serde::{Deserialize, Serialize};
@@ -163,9 +164,14 @@ impl Genetic {
         for (name, value, good, range) in [
             ("crossover_rate", self.crossover_rate, rate(self.crossover_rate), "from 0 to 1"),
             ("mutation_rate", mutation, rate(mutation), "from 0 to 1"),
-            ("population", size, members >= 2, "at least 2"),
+            ("population", size, (2..=MAX_MEMBERS).contains(&members), "from 2 to a million"),
             ("elite", self.elite as f64, self.elite < members, "below the number of members"),
-            ("tournament", tournament as f64, tournament >= 1, "at least 1"),
+            (
+                "tournament",
+                tournament as f64,
+                (1..=members).contains(&tournament),
+                "from 1 to the number of members",
+            ),
             ("stall", 0.0, self.stall != Some(0), "at least 1"),
         ] {
             if !good {

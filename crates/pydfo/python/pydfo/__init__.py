@@ -34,7 +34,7 @@ from ._fit import Fit
 from ._fmin import fmin
 from ._minimize import minimize
 from ._model import FMUModel, load_fmu
-from ._optimizer import Asked, Optimizer
+from ._optimizer import Above, Asked, Optimizer
 from ._parameter import Parameter
 from ._progress import Progress
 from ._result import BarrierStage, OptimizeResult, Trace
@@ -42,6 +42,7 @@ from ._scipy import scipy_method
 from ._trajectory import SimulationResult
 
 __all__ = [
+    "Above",
     "AllStartsFailed",
     "Asked",
     "BadCalibrationError",

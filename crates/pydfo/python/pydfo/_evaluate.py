@@ -7,6 +7,7 @@ returns for each point a cost, the exception that was raised, or Ellipsis for a 
 from __future__ import annotations
 
 import concurrent.futures
+import os
 import pickle
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -34,17 +35,18 @@ class WithArguments:
 
 class Returning:
     """Calls the objective and returns its exception instead of raising it, so that one point does not cost the others
-    of its batch. Can be pickled if the objective can; an exception that cannot is replaced by one with the same text."""
+    of its batch. Can be pickled if the objective can. An exception that cannot come back from another process (a pool
+    would wait for it for ever) is replaced by one with the same text."""
 
-    def __init__(self, fun: Callable[[FloatArray], Any], crosses: bool) -> None:
+    def __init__(self, fun: Callable[[FloatArray], Any]) -> None:
         self.fun = fun
-        self.crosses = crosses
+        self.home = os.getpid()
 
     def __call__(self, x: FloatArray) -> Any:
         try:
             return self.fun(x)
         except Exception as e:
-            if not self.crosses:
+            if os.getpid() == self.home:
                 return e
             try:
                 pickle.loads(pickle.dumps(e))
@@ -74,7 +76,7 @@ def vectorized(fun: Callable[[FloatArray], Any]) -> Batches:
 
 def mapped(fun: Callable[[FloatArray], Any], apply: Callable[..., Iterable[Any]]) -> Batches:
     """``apply(function, points)`` evaluates a batch, like the built-in ``map``."""
-    returning = Returning(fun, crosses=False)
+    returning = Returning(fun)
 
     def evaluate(points: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
         return list(apply(returning, list(points)))
@@ -84,7 +86,7 @@ def mapped(fun: Callable[[FloatArray], Any], apply: Callable[..., Iterable[Any]]
 
 def executed(fun: Callable[[FloatArray], Any], executor: concurrent.futures.Executor) -> Batches:
     """An executor evaluates the points of a batch; when the run is to end, those that have not begun are left out."""
-    returning = Returning(fun, crosses=isinstance(executor, concurrent.futures.ProcessPoolExecutor))
+    returning = Returning(fun)
 
     def evaluate(points: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
         futures = [executor.submit(returning, point) for point in points]

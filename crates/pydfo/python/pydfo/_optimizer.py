@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
@@ -32,6 +33,20 @@ class Asked(NamedTuple):
     ids: npt.NDArray[np.uint64]
     x: FloatArray
     cutoffs: FloatArray
+
+
+class Above(NamedTuple):
+    """What to tell of a point whose evaluation was given up because its cost exceeds the cutoff that came with it.
+
+    It never counts as a cost. A method decides just as it would have with the cost itself.
+
+    Attributes
+    ----------
+    cutoff : float
+        A number that the cost is strictly greater than, at least the cutoff of the point; else the evaluation failed.
+    """
+
+    cutoff: float
 
 
 class Optimizer:
@@ -94,8 +109,8 @@ class Optimizer:
         ids : int or sequence of int
             Numbers of points that were asked for.
         values : float or sequence
-            Their costs. None, NaN, infinities and exceptions (the objects) mean that the evaluation failed; Ellipsis gives
-            a point back, to be asked for again.
+            Their costs. None, NaN, infinities and exceptions (the objects) mean that the evaluation failed; `Above` that
+            it was given up above the cutoff; Ellipsis gives a point back, to be asked for again.
 
         Raises
         ------
@@ -104,13 +119,21 @@ class Optimizer:
         ValueError, TypeError
             More or fewer values than numbers; a value that is no number.
         """
-        if not isinstance(ids, Iterable):
-            ids, values = [ids], [values]
-        numbers, costs = [i.__index__() for i in ids], list(values)
+        if type(ids) is np.ndarray and ids.ndim == 1:
+            numbers = ids.tolist()
+        elif isinstance(ids, Iterable):
+            numbers = [operator.index(i) for i in ids]
+        else:
+            numbers, values = [operator.index(ids)], [values]
+        costs = list(values)
+        tell = self._native.tell
         if len(numbers) != len(costs):
             raise ValueError(f"{len(costs)} values for {len(numbers)} points")
         for number, cost in zip(numbers, costs):
-            self._native.tell(number, cost)
+            if not 0 <= number < 2**64:
+                raise KeyError(f"tell called for point {number}, which is not waiting for an answer")
+            above = isinstance(cost, Above)
+            tell(number, cost.cutoff if above else cost, above)
 
     @property
     def best(self) -> tuple[FloatArray, float] | None:

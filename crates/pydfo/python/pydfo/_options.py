@@ -6,6 +6,7 @@ import difflib
 import logging
 import operator
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, SupportsFloat, SupportsIndex
@@ -57,6 +58,10 @@ class Options:
     known: list[tuple[list[float], float]] = field(default_factory=list)
 
 
+#: A limit of time beyond this, in s, is none: 30 million years.
+ENDLESS = 1e15
+
+
 @dataclass(frozen=True)
 class Limits:
     """The limits of a run, checked."""
@@ -75,10 +80,11 @@ class Limits:
         target: SupportsFloat | None,
     ) -> Limits:
         """Checks four limits; the first two come with the names under which the user knows them."""
+        seconds = optional_number("max_time", max_time)
         return cls(
             max_evaluations=limit(*evaluations, 1),
             max_iterations=limit(*iterations, 0),
-            max_time=optional_number("max_time", max_time),
+            max_time=None if seconds is not None and seconds > ENDLESS else seconds,
             target=optional_number("target", target),
         )
 
@@ -224,6 +230,8 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
 
 def number(name: str, value: SupportsFloat | SupportsIndex) -> float:
     """The argument `name` as a float."""
+    if isinstance(value, (str, bytes)):
+        raise TypeError(f"{name} must be a number, not {value!r}")
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -251,7 +259,8 @@ def limit(name: str, value: SupportsFloat | None, least: int) -> int | None:
         return None
     if not (count >= least and count == int(count)):
         raise ValueError(f"{name} = {value} must be a whole number, at least {least}")
-    return int(count)
+    # More than the machine can count is no limit.
+    return min(int(count), sys.maxsize)
 
 
 def worker_count(name: str, value: SupportsIndex | None, default: int | None) -> int | None:
