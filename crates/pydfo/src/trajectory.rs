@@ -111,7 +111,8 @@ fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: Vec<Value>) -> PyRe
             PyArray1::from_iter(py, column.iter().map(|value| integer(value) as u64)).into_any()
         }
         _ => {
-            let objects = column.into_iter().map(|value| values::to_python(py, value, kind, &[]).map(Bound::unbind));
+            let objects =
+                column.into_iter().map(|value| values::to_python(py, value, kind, &[]).map(Bound::unbind));
             PyArray1::from_vec(py, objects.collect::<PyResult<Vec<Py<PyAny>>>>()?).into_any()
         }
     })
