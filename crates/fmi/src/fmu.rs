@@ -17,7 +17,7 @@ use crate::sys::{
 use crate::trajectory::Trajectory;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 
 /// Instances kept for later, per FMU.
 const MAX_IDLE: usize = 4;
@@ -47,9 +47,17 @@ struct Inner {
 #[derive(Debug, Default)]
 struct Side {
     idle: Arc<Idle>,
+    /// Ways of bringing instances back that passed their trials, each with what was set in the runs of the trial: that
+    /// hides what such a way leaves behind, so the verdict is one for plans that set all of it.
+    proven: Mutex<Vec<(Reuse, Arc<[Setting]>)>>,
     /// Private copies of the library; made when first needed.
     copies: OnceLock<Arc<CopyStore>>,
     library: Mutex<Option<Arc<Library>>>,
+}
+
+/// Whether all of `set` is among `settings`; both are sorted.
+fn are_covered(set: &[Setting], settings: &[Setting]) -> bool {
+    set.iter().all(|one| settings.binary_search(one).is_ok())
 }
 
 /// Instances that nobody uses at present, each with everything that was ever set in it. Resetting may leave what was set
@@ -59,7 +67,7 @@ struct Side {
 struct Idle(Mutex<Vec<(RawInstance, Arc<[Setting]>)>>);
 
 impl Idle {
-    fn lock(&self) -> std::sync::MutexGuard<'_, Vec<(RawInstance, Arc<[Setting]>)>> {
+    fn lock(&self) -> MutexGuard<'_, Vec<(RawInstance, Arc<[Setting]>)>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -482,8 +490,7 @@ impl Fmu {
     /// An instance that was used before, in which nothing was set but what `settings` set again; to be reset before use.
     pub(crate) fn take_idle(&self, kind: InterfaceKind, settings: &[Setting]) -> Option<RawInstance> {
         let mut idle = self.side(kind).idle.lock();
-        let covered = |set: &[Setting]| set.iter().all(|one| settings.binary_search(one).is_ok());
-        let place = idle.iter().rposition(|(_, set)| covered(set))?;
+        let place = idle.iter().rposition(|(_, set)| are_covered(set, settings))?;
         Some(idle.remove(place).0)
     }
 
@@ -527,7 +534,20 @@ impl Fmu {
         }
     }
 
-    pub(crate) fn set_reuse(&self, kind: InterfaceKind, reuse: Reuse) {
+    /// The same for plans that set `settings`; `None` before it was tried with all or some of these.
+    pub(crate) fn reuse_for(&self, kind: InterfaceKind, settings: &[Setting]) -> Option<Reuse> {
+        let reuse = self.reuse_of(kind)?;
+        let proven = self.proven(kind);
+        let is_proven = || proven.iter().any(|(way, set)| *way == reuse && are_covered(set, settings));
+        (reuse == Reuse::Reinstantiate || is_proven()).then_some(reuse)
+    }
+
+    fn proven(&self, kind: InterfaceKind) -> MutexGuard<'_, Vec<(Reuse, Arc<[Setting]>)>> {
+        self.side(kind).proven.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Stores what trial runs of a plan that sets `settings` have shown.
+    pub(crate) fn set_reuse(&self, kind: InterfaceKind, reuse: Reuse, settings: &Arc<[Setting]>) {
         if let Some(shared) = self.shared(kind) {
             // Once found out, a broken reset stays broken.
             let verdict = match reuse {
@@ -539,8 +559,12 @@ impl Fmu {
             shared.worsen_reuse(kind, verdict);
         }
         if reuse == Reuse::Reinstantiate {
-            self.drop_idle(kind);
+            return self.drop_idle(kind);
         }
+        let mut proven = self.proven(kind);
+        // What was shown while more was set is shown by this, too.
+        proven.retain(|(way, set)| *way != reuse || !are_covered(settings, set));
+        proven.push((reuse, Arc::clone(settings)));
     }
 
     /// Whether instances may be brought back by a saved state, as far as is known.

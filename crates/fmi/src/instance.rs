@@ -484,8 +484,9 @@ impl<P: Phase, K> Instance<P, K> {
         let variable = &fmu.description().variables[index];
         P::check_settable(variable)?;
         let mut values = Assignments::default();
-        let value = value.into();
-        values.push(variable, &value, self.core.elements(variable))?;
+        let elements = self.core.elements(variable);
+        let value = assign::convert(variable, &value.into(), elements)?;
+        values.push(variable, &value, elements)?;
         if variable.causality != Causality::StructuralParameter {
             return self.core.apply(&values);
         }

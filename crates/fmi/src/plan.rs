@@ -348,11 +348,11 @@ impl SimulationPlan {
 
     /// How instances are brought back to their beginning for this way of running the model, as far as is known.
     pub(crate) fn reuse(&self) -> Option<Reuse> {
-        self.fmu.reuse_of(self.kind)
+        self.fmu.reuse_for(self.kind, &self.settings)
     }
 
     pub(crate) fn set_reuse(&self, reuse: Reuse) {
-        self.fmu.set_reuse(self.kind, reuse);
+        self.fmu.set_reuse(self.kind, reuse, &self.settings);
     }
 
     /// Whether instances may be brought back by a saved state, as far as is known.

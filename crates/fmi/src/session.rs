@@ -80,6 +80,19 @@ impl Session {
         Ok(())
     }
 
+    /// Sets several variables one after the other: all of them, or none if one cannot be set.
+    ///
+    /// # Errors
+    /// As [`set`](Self::set).
+    pub fn set_all<'a>(&mut self, given: impl IntoIterator<Item = (&'a str, Value)>) -> Result<(), FmiError> {
+        let (values, pending) = (self.values.clone(), self.pending.clone());
+        let outcome = given.into_iter().try_for_each(|(name, value)| self.set(name, value));
+        if outcome.is_err() {
+            (self.values, self.pending) = (values, pending);
+        }
+        outcome
+    }
+
     /// Value of a variable: after a simulation its final value, unless it has been set since; before, the value set or the
     /// start value, or what the initialization makes of them.
     ///
@@ -99,7 +112,11 @@ impl Session {
         if let Some(value) = set(&self.values) {
             return Ok(value);
         }
-        if let Some(value) = &self.fmu.description().variables[index].start {
+        let variable = &self.fmu.description().variables[index];
+        let n = self.structure().elements(self.fmu.description(), variable);
+        // The start values of an array that has got another size are not those of this model.
+        let fits = |start: &&Value| if let Value::Array(values) = start { values.len() == n } else { true };
+        if let Some(value) = variable.start.as_ref().filter(fits) {
             return Ok(element_value(value.clone(), element));
         }
         self.initial_value(name)

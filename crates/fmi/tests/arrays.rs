@@ -350,3 +350,33 @@ fn tunable_structural_parameters_change_a_running_instance() {
     let error = instance.enter_reconfiguration().unwrap_err().to_string();
     assert!(error.contains("no tunable structural parameters"), "{error}");
 }
+
+#[test]
+fn a_structural_parameter_given_as_a_real_number_counts() {
+    let folder = arrays();
+    let fmu = folder.open();
+    let mut instance = fmu.instantiate().unwrap();
+    // A whole number is one, also for the sizes of the vectors.
+    instance.set("n", 2.0).unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    let mut states = [0.0; 2];
+    instance.get_continuous_states(&mut states).unwrap();
+    assert_eq!(states, [1.0, 2.0]);
+    assert_eq!(instance.get("x").unwrap(), vec![1.0, 2.0].into());
+}
+
+#[test]
+fn a_session_knows_the_sizes_that_it_was_given() {
+    let folder = arrays();
+    let mut session = Session::new(folder.open());
+    session.set_all([("n", 4.into()), ("k", vec![1.0, 2.0, 3.0, 4.0].into()), ("k[4]", 5.into())]).unwrap();
+    assert_eq!(session.get("k").unwrap(), vec![1.0, 2.0, 3.0, 5.0].into());
+    // Start values for another size are none: the model says what it has.
+    assert_eq!(session.get("x").unwrap(), vec![1.0, 2.0, 3.0, 4.0].into());
+    assert_eq!(session.get("u[4]").unwrap(), 0.0.into());
+    // All or none.
+    let error = session.set_all([("k[1]", 9.into()), ("f32", 0.25.into()), ("k[5]", 1.into())]).unwrap_err();
+    assert!(error.to_string().contains("k[5]"), "{error}");
+    assert_eq!(session.get("k[1]").unwrap(), 1.0.into());
+    assert_eq!(session.get("f32").unwrap(), 0.5.into());
+}

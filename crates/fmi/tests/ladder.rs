@@ -7,7 +7,7 @@ mod support;
 use fmi::ode::Ignore;
 use fmi::{Fmu, InterfaceKind, Kind, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
-use support::{Folder, evil_with, model};
+use support::{Folder, evil, evil_with, model};
 
 /// An evil model that says it can save and restore states, of both kinds.
 fn with_states(faults: &[&str]) -> Folder {
@@ -142,4 +142,32 @@ fn the_bundled_models_come_back_by_their_states() {
     let pool = Pool::new(Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap()));
     assert_eq!(pool.reuse().unwrap(), Reuse::Restore);
     assert!(pool.is_concurrent().unwrap());
+}
+
+#[test]
+fn a_way_that_passed_while_more_was_set_is_tried_again() {
+    // Reset leaves the state at 0, which runs that set it do not see.
+    let folder = evil(&["RESET_TO_ZERO"]);
+    let fmu = folder.open();
+    let plain = SimulateOptions::new().kind(Kind::ModelExchange);
+    let truth = folder.open().simulate(&plain).unwrap();
+    let setting = plain.clone().start_value("x", 1.0);
+    for _ in 0..3 {
+        assert_eq!(fmu.simulate(&setting).unwrap().columns, truth.columns);
+    }
+    assert_eq!(fmu.reuse_of(InterfaceKind::ModelExchange), Some(Reuse::Reset));
+    for _ in 0..3 {
+        assert_eq!(fmu.simulate(&plain).unwrap().columns, truth.columns);
+    }
+    assert_eq!(fmu.reuse_of(InterfaceKind::ModelExchange), Some(Reuse::Reinstantiate));
+    // A pool finds it out, too.
+    let folder = evil(&["RESET_TO_ZERO"]);
+    let fmu = folder.open();
+    for (options, reuse) in [(&setting, Reuse::Reset), (&plain, Reuse::Reinstantiate)] {
+        let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, options).unwrap()));
+        assert_eq!(pool.reuse().unwrap(), reuse);
+        for _ in 0..2 {
+            assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap().columns, truth.columns);
+        }
+    }
 }

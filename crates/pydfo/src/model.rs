@@ -99,11 +99,8 @@ impl Model {
     /// Sets variables: all of them, or none if one of them cannot be set.
     fn set(&self, py: Python<'_>, names: Vec<String>, given: Vec<Bound<'_, PyAny>>) -> PyResult<()> {
         let pairs = values::all_from_python(py, self.fmu.description(), names.into_iter().zip(given))?;
-        let set_all = |session: &mut Session| {
-            pairs.iter().try_for_each(|(name, value)| session.set(name, value.clone()))
-        };
-        set_all(&mut Session::new(self.fmu.clone())).map_err(|e| fmu_error::raise(py, &e))?;
-        self.with_session(set_all)?.map_err(|e| fmu_error::raise(py, &e))
+        let pairs = pairs.iter().map(|(name, value)| (name.as_str(), value.clone()));
+        self.with_session(|session| session.set_all(pairs))?.map_err(|e| fmu_error::raise(py, &e))
     }
 
     fn reset(&self) -> PyResult<()> {

@@ -161,3 +161,14 @@ def test_fmpy_agrees(path, kind):
     for name in ("x", "sum", "matrix", "u8"):
         found, expected = ours[name].reshape(len(ours.time), -1), theirs[name].reshape(len(ours.time), -1)
         assert np.abs(found - expected).max() <= (0 if kind == "CS" else 1e-6), name
+
+
+def test_elements_of_an_array_of_another_size(path):
+    model = FMUModel(path)
+    model.set(["n", "k"], [4, [1, 2, 3, 4]])
+    model.set("k[4]", 5)
+    assert model.get("k").tolist() == [1, 2, 3, 5]
+    assert model.get("x").shape == (4,)
+    with pytest.raises(KeyError):
+        model.set(["k[1]", "k[5]"], [9, 9])
+    assert model.get("k[1]") == 1
