@@ -48,6 +48,8 @@ struct Chosen {
 /// Keeps the samples of one simulation.
 struct Samples<'a> {
     values: Vec<f64>,
+    /// Numbers of a sample that have a name.
+    named: usize,
     cancelled: &'a dyn Fn() -> bool,
     was_cancelled: bool,
 }
@@ -55,7 +57,7 @@ struct Samples<'a> {
 impl Observer for Samples<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         if sample.index.is_some() {
-            self.values.extend_from_slice(sample.outputs);
+            self.values.extend_from_slice(&sample.outputs[..self.named]);
         }
         ControlFlow::Continue(())
     }
@@ -156,8 +158,10 @@ impl Calibration {
                     max_work: heat.max_work.map(|most| (most - total.work(n)).max(0.0)),
                     ..options.clone()
                 };
-                let mut simulator = Simulator::new(Arc::new(SimulationPlan::new(self.fmu(), &options)?))?;
-                let mut samples = Samples { values: all, cancelled, was_cancelled: false };
+                let plan = Arc::new(SimulationPlan::new(self.fmu(), &options)?);
+                let named = plan.output_names().len();
+                let mut simulator = Simulator::new(plan)?;
+                let mut samples = Samples { values: all, named, cancelled, was_cancelled: false };
                 let ran = simulator.run(&self.start(), &mut samples);
                 if samples.was_cancelled {
                     return Err(CalibrationError::Cancelled);

@@ -376,6 +376,12 @@ impl SimulationPlan {
         &self.outputs.names
     }
 
+    /// Positions in the description of the variables of the outputs that are numbers; all elements of an array have the
+    /// same.
+    pub fn output_variables(&self) -> &[usize] {
+        &self.outputs.variables
+    }
+
     /// Where the outputs come from.
     pub(crate) fn outputs(&self) -> &OutputPlan {
         &self.outputs.plan

@@ -17,6 +17,8 @@ const ALL: &str = "all";
 pub(crate) struct Selection {
     pub(crate) plan: OutputPlan,
     pub(crate) names: Vec<String>,
+    /// Of each column: position of its variable.
+    pub(crate) variables: Vec<usize>,
     /// Positions of the variables that are there as a whole.
     known: HashSet<usize>,
 }
@@ -106,6 +108,7 @@ impl Selection {
         if element.is_none() {
             self.known.insert(position);
         }
+        self.variables.extend(columns.iter().map(|_| position));
         self.names.extend(columns);
     }
 }
