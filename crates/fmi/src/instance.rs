@@ -113,6 +113,8 @@ pub struct SavedState {
     slot: SavedSlot,
     /// Name of the phase it was saved in.
     phase: &'static str,
+    /// The structural parameters are part of the state, and with them the sizes of the arrays.
+    structure: Structure,
 }
 
 /// The bytes of a saved state, for any instance of the same kind of the same FMU. Only [`Instance::serialize`] makes them: FMUs read
@@ -125,6 +127,7 @@ pub struct SerializedState {
     /// The way of running it.
     kind: &'static str,
     phase: &'static str,
+    structure: Structure,
 }
 
 impl SerializedState {
@@ -386,7 +389,7 @@ impl<P, K> Instance<P, K> {
     /// The FMU cannot, or refuses.
     pub fn save_state(&mut self) -> Result<SavedState, FmiError> {
         let slot = self.core.call(RawInstance::save_state)?;
-        Ok(SavedState { slot, phase: phase_name::<P>() })
+        Ok(SavedState { slot, phase: phase_name::<P>(), structure: self.core.structure.clone() })
     }
 
     /// The bytes of a saved state.
@@ -397,7 +400,8 @@ impl<P, K> Instance<P, K> {
         self.check_own(state)?;
         let bytes = self.core.call(|raw| raw.serialize(&state.slot))?;
         let fmu = self.core.fmu.content_hash().to_owned();
-        Ok(SerializedState { bytes, fmu, kind: std::any::type_name::<K>(), phase: state.phase })
+        let (kind, structure) = (std::any::type_name::<K>(), state.structure.clone());
+        Ok(SerializedState { bytes, fmu, kind, phase: state.phase, structure })
     }
 
     /// Makes a saved state of bytes that an instance of the same FMU has written.
@@ -409,7 +413,7 @@ impl<P, K> Instance<P, K> {
             return Err(FmiError::ForeignState);
         }
         let slot = self.core.call(|raw| raw.deserialize(&state.bytes))?;
-        Ok(SavedState { slot, phase: state.phase })
+        Ok(SavedState { slot, phase: state.phase, structure: state.structure.clone() })
     }
 
     fn check_own(&self, state: &SavedState) -> Result<(), FmiError> {
@@ -511,7 +515,9 @@ impl<P: Phase, K> Instance<P, K> {
         if state.phase != now {
             return Err(FmiError::StateOfAnotherPhase { saved: state.phase, now });
         }
-        self.core.call(|raw| raw.restore_state(&state.slot))
+        self.core.call(|raw| raw.restore_state(&state.slot))?;
+        self.core.restructure(&state.structure);
+        Ok(())
     }
 }
 

@@ -351,7 +351,11 @@ impl SimulationPlan {
         self.fmu.reuse_for(self.kind, &self.settings)
     }
 
+    /// Stores what trial runs have shown; without a step they show nothing good.
     pub(crate) fn set_reuse(&self, reuse: Reuse) {
+        if self.end <= self.start && reuse != Reuse::Reinstantiate {
+            return;
+        }
         self.fmu.set_reuse(self.kind, reuse, &self.settings);
     }
 

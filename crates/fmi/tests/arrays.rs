@@ -380,3 +380,22 @@ fn a_session_knows_the_sizes_that_it_was_given() {
     assert_eq!(session.get("k[1]").unwrap(), 1.0.into());
     assert_eq!(session.get("f32").unwrap(), 0.5.into());
 }
+
+#[test]
+fn saved_states_bring_their_sizes_back() {
+    let folder = arrays();
+    let fmu = folder.open();
+    let mut instance = fmu.instantiate().unwrap();
+    let three = instance.save_state().unwrap();
+    instance.set("n", 2).unwrap();
+    let two = instance.save_state().unwrap();
+    instance.restore_state(&three).unwrap();
+    instance.restore_state(&two).unwrap();
+    instance.restore_state(&three).unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
+    assert_eq!(instance.get("x").unwrap(), vec![1.0, 2.0, 3.0].into());
+    let mut instance = instance.exit_initialization().unwrap();
+    let mut states = [0.0; 3];
+    instance.get_continuous_states(&mut states).unwrap();
+    assert_eq!(states, [1.0, 2.0, 3.0]);
+}

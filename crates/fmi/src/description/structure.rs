@@ -7,7 +7,7 @@ use super::variable::{Dimension, Value, Variable};
 pub(crate) const MOST_ELEMENTS: usize = 100_000_000;
 
 /// Values of structural parameters, where they are not the start values.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Structure {
     values: Vec<(usize, usize)>,
 }

@@ -70,6 +70,14 @@ FMI3_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance i, bool td, doub
 FMI3_EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance i) { (void)i; return fmi3OK; }
 FMI3_EXPORT fmi3Status fmi3Terminate(fmi3Instance i) { (void)i; return fmi3OK; }
 FMI3_EXPORT fmi3Status fmi3Reset(fmi3Instance i) { start_values(i); return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3GetFMUState(fmi3Instance i, fmi3FMUState *s) {
+    if (*s == NULL) *s = malloc(sizeof(Model));
+    if (*s == NULL) return fmi3Error;
+    memcpy(*s, i, sizeof(Model));
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3SetFMUState(fmi3Instance i, fmi3FMUState s) { memcpy(i, s, sizeof(Model)); return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3FreeFMUState(fmi3Instance i, fmi3FMUState *s) { (void)i; free(*s); *s = NULL; return fmi3OK; }
 FMI3_EXPORT fmi3Status fmi3EnterConfigurationMode(fmi3Instance i) { ((Model *)i)->configuring = 1; return fmi3OK; }
 FMI3_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance i) { ((Model *)i)->configuring = 0; return fmi3OK; }
 
