@@ -73,7 +73,7 @@ sanitize: nightly  ## the importer's tests under AddressSanitizer, LeakSanitizer
 		LSAN_OPTIONS=suppressions=$(CURDIR)/tools/sanitize.supp:print_suppressions=0 \
 		cargo +nightly test --quiet -p fmufit-fmi --tests --target $(HOST) --target-dir target/sanitize)
 	@command -v valgrind >/dev/null || { echo "valgrind is needed: it also sees what C does to our buffers"; exit 1; }
-	$(call suite,valgrind,CARGO_TARGET_$(subst -,_,$(shell echo $(HOST) | tr a-z A-Z))_RUNNER="valgrind -q --error-exitcode=9" \
+	$(call suite,valgrind,CARGO_TARGET_$(subst -,_,$(shell echo $(HOST) | tr a-z A-Z))_RUNNER="valgrind -q --error-exitcode=9 --suppressions=$(CURDIR)/tools/valgrind.supp" \
 		cargo test --quiet -p fmufit-fmi --tests)
 
 nightly:

@@ -85,7 +85,7 @@ impl Spares for Idle {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Reuse {
-    /// By bringing back the state saved when the instance was new (FMUs that can save states): it was seen to restore
+    /// By bringing back the state saved when the instance was new (model exchange, FMUs that can save states): it was seen to restore
     /// everything, bit for bit. All values are set again afterwards, and read back.
     Restore,
     /// By the FMU's reset function: it was seen to restore everything, bit for bit.
@@ -567,9 +567,12 @@ impl Fmu {
         proven.push((reuse, Arc::clone(settings)));
     }
 
-    /// Whether instances may be brought back by a saved state, as far as is known.
+    /// Whether instances may be brought back by a saved state, as far as is known. Not in co-simulation: some models abort
+    /// the process when they are initialized after it (seen in Dymola's, whose solver is no part of the state), and reset
+    /// is as fast.
     pub(crate) fn may_restore(&self, kind: InterfaceKind) -> bool {
-        self.interface(kind).is_some_and(|interface| interface.capabilities.can_get_and_set_state)
+        kind == InterfaceKind::ModelExchange
+            && self.interface(kind).is_some_and(|interface| interface.capabilities.can_get_and_set_state)
             && self.shared(kind).is_none_or(|shared| !shared.is_restore_refused(kind))
     }
 

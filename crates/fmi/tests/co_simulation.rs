@@ -208,8 +208,8 @@ fn a_second_run_has_the_same_bits_on_every_worker() {
         .outputs(["armJoint.phi", "pendulumJoint.phi"]);
     let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap()));
     let truth = bits(&pool.lend().unwrap().trajectory(&[0.011, 0.0015]).unwrap());
-    assert_eq!((pool.reuse().unwrap(), pool.is_concurrent().unwrap()), (Reuse::Restore, true));
-    assert_eq!(fmu.reuse_of(InterfaceKind::CoSimulation), Some(Reuse::Restore));
+    assert_eq!((pool.reuse().unwrap(), pool.is_concurrent().unwrap()), (Reuse::Reset, true));
+    assert_eq!(fmu.reuse_of(InterfaceKind::CoSimulation), Some(Reuse::Reset));
     std::thread::scope(|scope| {
         for _ in 0..2 {
             scope.spawn(|| {
