@@ -6,6 +6,7 @@ use crate::error::FmiError;
 use crate::instance::Core;
 use crate::lanes;
 use crate::places::{Place, Slots, Starts};
+use crate::text_inputs::TextInput;
 use ode::InputStop;
 use std::fmt;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
 
 /// What drives the inputs of a model.
 ///
-/// Continuous real inputs are linear between the rows of their table, all other inputs keep the value of a row until the
+/// Continuous real inputs are linear between the rows of their table, all other inputs ([texts](Self::texts), too) keep the value of a row until the
 /// next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
 /// is the limit from the left. Jumps and changes of held values are events; changes of slope are hit by steps.
 ///
@@ -34,12 +35,15 @@ pub struct Inputs {
 enum Source {
     Column { name: String, times: Arc<[f64]>, values: Arc<[f64]> },
     Function { name: String, function: InputFunction },
+    Texts { name: String, times: Arc<[f64]>, values: Arc<[Value]> },
 }
 
 impl fmt::Debug for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Source::Column { name, times, .. } => write!(f, "{name}: {} rows", times.len()),
+            Source::Column { name, times, .. } | Source::Texts { name, times, .. } => {
+                write!(f, "{name}: {} rows", times.len())
+            }
             Source::Function { name, .. } => write!(f, "{name}: function"),
         }
     }
@@ -82,6 +86,19 @@ impl Inputs {
         self
     }
 
+    /// Adds a variable that is text or binary, with times of its own; it keeps the value of a row until the next.
+    #[must_use]
+    pub fn texts(
+        mut self,
+        name: impl Into<String>,
+        times: impl Into<Arc<[f64]>>,
+        values: impl IntoIterator<Item = impl Into<Value>>,
+    ) -> Self {
+        let values = values.into_iter().map(Into::into).collect();
+        self.sources.push(Source::Texts { name: name.into(), times: times.into(), values });
+        self
+    }
+
     /// Adds a continuous real input that is a function of time. It should be smooth; where it returns NaN or an
     /// infinity, the model counts as not defined. It may be called from any thread.
     #[must_use]
@@ -97,7 +114,9 @@ impl Inputs {
     /// The names, in the order given.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.sources.iter().map(|source| match source {
-            Source::Column { name, .. } | Source::Function { name, .. } => name.as_str(),
+            Source::Column { name, .. } | Source::Function { name, .. } | Source::Texts { name, .. } => {
+                name.as_str()
+            }
         })
     }
 }
@@ -128,6 +147,7 @@ enum Target {
     Real(usize),
     /// Group and place in it.
     Packed(usize, usize),
+    Text(usize),
 }
 
 /// The inputs of one simulation, resolved and checked.
@@ -138,6 +158,7 @@ pub(crate) struct InputPlan {
     held: Vec<Held>,
     pub(crate) held_reals: Slots<f64>,
     pub(crate) held_packed: Vec<(VariableKind, Slots<i64>)>,
+    texts: Vec<TextInput>,
     /// Instants of jumps, ascending.
     jumps: Vec<f64>,
     /// Jumps and kinks, ascending.
@@ -172,7 +193,8 @@ impl InputPlan {
         let mut plan = Self { same, ..Self::default() };
         let mut stops = Vec::new();
         for source in &inputs.sources {
-            let (Source::Column { name, .. } | Source::Function { name, .. }) = source;
+            let (Source::Column { name, .. } | Source::Function { name, .. } | Source::Texts { name, .. }) =
+                source;
             let place = Place::of_name(description, starts.structure, name)?;
             let variable = &description.variables[place.variable];
             if variable.causality != Causality::Input {
@@ -202,6 +224,18 @@ impl InputPlan {
                 Source::Function { .. } => {
                     let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
                     return Err(bad(variable, problem.to_owned()));
+                }
+                Source::Texts { .. } if place.element.is_some() || !variable.clocks.is_empty() => {
+                    let problem = "texts drive single variables that belong to no clock";
+                    return Err(bad(variable, problem.to_owned()));
+                }
+                Source::Texts { times, values, .. } => {
+                    let (text, numbers) = TextInput::new(variable, values)?;
+                    check_rows(variable, times, &numbers)?;
+                    let column = Column { times: Arc::clone(times), values: numbers.into() };
+                    column.held_stops(&mut stops);
+                    plan.held.push(Held { column, target: Target::Text(plan.texts.len()) });
+                    plan.texts.push(text);
                 }
                 Source::Column { times, values, .. } => {
                     check_rows(variable, times, values)?;
@@ -343,7 +377,8 @@ impl InputPlan {
     pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
         let reals = self.continuous.references.iter().chain(&self.held_reals.references);
         let packed = self.held_packed.iter();
-        reals.map(|reference| (VariableKind::Real, *reference)).chain(
+        let texts = self.texts.iter().map(TextInput::reference);
+        reals.map(|reference| (VariableKind::Real, *reference)).chain(texts).chain(
             packed.flat_map(|(kind, slots)| slots.references.iter().map(|reference| (*kind, *reference))),
         )
     }
@@ -526,6 +561,8 @@ pub(crate) struct InputState {
     pub(crate) held_reals: Vec<f64>,
     /// Lanes, by the groups of the plan.
     pub(crate) held_packed: Vec<Vec<i64>>,
+    /// The number of the value that each text has.
+    texts: Vec<usize>,
 }
 
 impl InputState {
@@ -537,6 +574,7 @@ impl InputState {
             continuous: plan.continuous.start.clone(),
             held_reals: plan.held_reals.start.clone(),
             held_packed: plan.held_packed.iter().map(|(_, slots)| slots.start.clone()).collect(),
+            texts: vec![0; plan.texts.len()],
         }
     }
 
@@ -564,6 +602,7 @@ impl InputState {
                     let kind = plan.held_packed[group].0;
                     self.held_packed[group][i] = lanes::lane_of_number(kind, value).unwrap_or_default();
                 }
+                Target::Text(i) => self.texts[i] = value as usize,
             }
         }
         self.passed > before
@@ -591,6 +630,9 @@ impl InputState {
         core.set_reals(&plan.held_reals.references, &self.held_reals)?;
         for ((kind, slots), lanes) in plan.held_packed.iter().zip(&self.held_packed) {
             core.call(|raw| raw.set_packed(*kind, &slots.references, lanes))?;
+        }
+        for (text, number) in plan.texts.iter().zip(&self.texts) {
+            text.set(core, *number)?;
         }
         Ok(())
     }

@@ -38,6 +38,7 @@ mod simulation;
 mod source;
 mod sys;
 mod system;
+mod text_inputs;
 mod texts;
 mod trajectory;
 mod trial;

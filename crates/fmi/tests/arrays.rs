@@ -399,3 +399,44 @@ fn saved_states_bring_their_sizes_back() {
     instance.get_continuous_states(&mut states).unwrap();
     assert_eq!(states, [1.0, 2.0, 3.0]);
 }
+
+/// Texts and bytes change at their rows, as events, and come back to the start values in the next run.
+#[test]
+fn texts_and_bytes_are_inputs() {
+    let folder = arrays();
+    let fmu = folder.open();
+    let inputs = || {
+        Inputs::new().texts("word", [0.0, 0.25, 0.5], ["first", "second", "first"]).texts(
+            "packet",
+            [0.25, 0.5],
+            [vec![], vec![0, 255]].map(Value::Binary),
+        )
+    };
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = SimulateOptions::new()
+            .kind(kind)
+            .final_time(1.0)
+            .output_interval(0.25)
+            .outputs(["word", "packet"]);
+        let found = fmu.simulate(&options.clone().inputs(inputs())).unwrap();
+        let words = ["first", "second", "first", "first", "first"].map(|word| Value::String(word.into()));
+        assert_eq!(found.values_of("word").unwrap(), words);
+        let packets = [vec![], vec![], vec![0, 255], vec![0, 255], vec![0, 255]].map(Value::Binary);
+        assert_eq!(found.values_of("packet").unwrap(), packets);
+        let plain = fmu.simulate(&options).unwrap();
+        assert!(plain.values_of("word").unwrap().iter().all(|word| *word == Value::String("none".into())));
+    }
+    let problem = |inputs: Inputs| {
+        SimulationPlan::new(&fmu, &SimulateOptions::new().inputs(inputs)).unwrap_err().to_string()
+    };
+    for (inputs, text) in [
+        (Inputs::new().texts("word", [0.0], [Value::Binary(vec![1])]), "word is of type String"),
+        (Inputs::new().texts("word", [0.0], ["a\0b"]), "NUL"),
+        (Inputs::new().texts("word", [0.0, 1.0], ["a"]), "1 values for 2 times"),
+        (Inputs::new().texts("u[1]", [0.0], ["a"]), "texts drive single variables"),
+        (Inputs::new().table([0.0], [("word", vec![1.0])]), "text and binary"),
+    ] {
+        let problem = problem(inputs);
+        assert!(problem.contains(text), "{problem}");
+    }
+}

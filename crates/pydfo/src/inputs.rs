@@ -1,7 +1,7 @@
 //! Inputs from Python: tables as arrays, and functions that are called with the interpreter lock taken only inside.
 
 use crate::interrupt::lock;
-use fmi::Inputs;
+use fmi::{Inputs, Value};
 use numpy::PyReadonlyArray1;
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -13,6 +13,25 @@ use std::sync::{Arc, Mutex};
 pub(crate) struct Table<'py> {
     times: PyReadonlyArray1<'py, f64>,
     columns: Vec<(String, PyReadonlyArray1<'py, f64>)>,
+    texts: Vec<(String, Vec<Text>)>,
+}
+
+/// A value of an input that is text or binary.
+#[derive(FromPyObject)]
+enum Text {
+    #[pyo3(transparent, annotation = "str")]
+    Text(String),
+    #[pyo3(transparent, annotation = "bytes")]
+    Bytes(Vec<u8>),
+}
+
+impl From<Text> for Value {
+    fn from(text: Text) -> Self {
+        match text {
+            Text::Text(text) => Value::String(text),
+            Text::Bytes(bytes) => Value::Binary(bytes),
+        }
+    }
 }
 
 /// A function of time for one input, or one that returns the values of several.
@@ -50,10 +69,13 @@ pub(crate) fn inputs(
     stop: &Arc<AtomicBool>,
 ) -> PyResult<(Inputs, Callbacks)> {
     let mut inputs = Inputs::new();
-    for Table { times, columns } in tables {
+    for Table { times, columns, texts } in tables {
         let columns: PyResult<Vec<(String, Vec<f64>)>> =
             columns.into_iter().map(|(name, values)| Ok((name, values.as_slice()?.to_vec()))).collect();
         inputs = inputs.table(times.as_slice()?, columns?);
+        for (name, values) in texts {
+            inputs = inputs.texts(name, times.as_slice()?, values);
+        }
     }
     let mut callbacks = Callbacks::default();
     for Function { names, function } in functions {

@@ -149,3 +149,16 @@ def test_the_description_has_extents_and_clocks(path, tmp_path):
     assert (variables["matrix"].extents, variables["x"].extents, variables["i8"].extents) == ([2, 3], [3], [])
     clocks = FMUModel(fmus.compiled("clocks", tmp_path / "clocks.fmu")).description.variables
     assert clocks["later"].interval_variability == "countdown" and clocks["x"].interval_variability is None
+
+
+@pytest.mark.parametrize("kind", ["ME", "CS"])
+def test_texts_and_bytes_are_inputs(path, kind):
+    model = FMUModel(path, kind=kind)
+    table = {"time": [0.0, 0.25, 0.5], "word": ["first", "second", "first"], "packet": [b"", b"\x00\xff", b""], "u[1]": [1.0, 1.0, 1.0]}
+    res = model.simulate(0, 1, output_interval=0.25, output=["word", "packet", "u"], input=table)
+    assert list(res["word"]) == ["first", "second", "first", "first", "first"]
+    assert list(res["packet"]) == [b"", b"\x00\xff", b"", b"", b""] and res["u"][-1, 0] == 1.0
+    res = model.simulate(0, 1, ncp=1, output=["word"], input={"word": "always"})
+    assert list(res["word"]) == ["always", "always"]
+    with pytest.raises((TypeError, ValueError), match="word"):
+        model.simulate(0, 1, input={"time": [0.0, 1.0], "word": ["a", 1]})

@@ -17,9 +17,9 @@ typedef struct {
     int64_t choice, count;
     int32_t matrix[6];
     bool flags[2];
-    char text[2][16];
-    uint8_t bytes[16];
-    size_t n_bytes;
+    char text[2][16], word[16];
+    uint8_t bytes[16], packet[16];
+    size_t n_bytes, n_packet;
     int configuring;
 } Model;
 
@@ -33,7 +33,7 @@ static void start_values(Model *m) {
     m->i64 = -64; m->u64 = 18000000000000000064u; m->choice = 2;
     for (i = 0; i < 6; i++) m->matrix[i] = i;
     m->flags[0] = true;
-    strcpy(m->text[0], "one"); strcpy(m->text[1], "two");
+    strcpy(m->text[0], "one"); strcpy(m->text[1], "two"); strcpy(m->word, "none");
     m->bytes[0] = 0xca; m->bytes[1] = 0xfe; m->n_bytes = 2;
 }
 
@@ -147,6 +147,8 @@ FMI3_EXPORT fmi3Status fmi3GetString(fmi3Instance i, const fmi3ValueReference r[
             v[at++] = m->text[0]; v[at++] = m->text[1];
         } else if (r[j] == 24 && at < nv) {
             v[at++] = m->time < 0.45 ? "early" : "late";
+        } else if (r[j] == 27 && at < nv) {
+            v[at++] = m->word;
         } else {
             return fmi3Error;
         }
@@ -155,6 +157,10 @@ FMI3_EXPORT fmi3Status fmi3GetString(fmi3Instance i, const fmi3ValueReference r[
 }
 FMI3_EXPORT fmi3Status fmi3SetString(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3String v[], size_t nv) {
     Model *m = i;
+    if (n == 1 && r[0] == 27 && nv == 1 && strlen(v[0]) < 16) {
+        strcpy(m->word, v[0]);
+        return fmi3OK;
+    }
     if (n != 1 || r[0] != 22 || nv != 2 || strlen(v[0]) > 15 || strlen(v[1]) > 15) return fmi3Error;
     strcpy(m->text[0], v[0]); strcpy(m->text[1], v[1]);
     return fmi3OK;
@@ -166,6 +172,8 @@ FMI3_EXPORT fmi3Status fmi3GetBinary(fmi3Instance i, const fmi3ValueReference r[
     for (j = 0; j < n; j++) {
         if (r[j] == 23) {
             s[j] = m->n_bytes; v[j] = m->bytes;
+        } else if (r[j] == 28) {
+            s[j] = m->n_packet; v[j] = m->packet;
         } else if (r[j] == 25) { /* longer with time, and empty at first */
             s[j] = (size_t)floor(10 * m->time + 0.5) % 4; v[j] = (const uint8_t *)"\0\1\377";
         } else {
@@ -176,6 +184,10 @@ FMI3_EXPORT fmi3Status fmi3GetBinary(fmi3Instance i, const fmi3ValueReference r[
 }
 FMI3_EXPORT fmi3Status fmi3SetBinary(fmi3Instance i, const fmi3ValueReference r[], size_t n, const size_t s[], const fmi3Binary v[], size_t nv) {
     Model *m = i;
+    if (n == 1 && r[0] == 28 && nv == 1 && s[0] <= sizeof m->packet) {
+        memcpy(m->packet, v[0], s[0]); m->n_packet = s[0];
+        return fmi3OK;
+    }
     if (n != 1 || r[0] != 23 || nv != 1 || s[0] > sizeof m->bytes) return fmi3Error;
     memcpy(m->bytes, v[0], s[0]); m->n_bytes = s[0];
     return fmi3OK;

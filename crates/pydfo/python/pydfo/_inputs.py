@@ -18,6 +18,8 @@ class Table:
 
     times: FloatArray
     columns: list[tuple[str, FloatArray]]
+    #: Inputs that are texts or bytes.
+    texts: list[tuple[str, list[Any]]]
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,10 @@ def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
         if not isinstance(name, str):
             raise TypeError(f"names of inputs must be strings, not {name!r}")
     functions = [Function([name], value) for name, value in given.items() if callable(value)]
-    constants = [
-        (name, _column(name, [value])) for name, value in given.items() if not callable(value) and np.ndim(value) == 0
-    ]
+    constants = {name: [value] for name, value in given.items() if not callable(value) and np.ndim(value) == 0}
     names = [name for name, value in given.items() if not callable(value) and np.ndim(value) > 0]
     # The only row of a table holds at all times.
-    tables = [Table(np.zeros(1), constants)] if constants else []
+    tables = [_columns(np.zeros(1), constants)] if constants else []
     if names and names != ["time"]:
         tables.append(_table(names, lambda name: given[name], "the dict"))
     return tables, functions
@@ -77,15 +77,25 @@ def _frame(given: Any) -> Table:
     if getattr(index, "name", None) != "time":
         raise ValueError(f"the DataFrame has no column 'time', and no index of that name; it has: {', '.join(names)}")
     times = _column("time", np.asarray(index))
-    return Table(times, [(name, _column(name, given[name].to_numpy())) for name in names])
+    return _columns(times, {name: given[name].to_numpy() for name in names})
 
 
 def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Table:
     if "time" not in names:
         raise ValueError(f"{what} of inputs has no 'time'; it has: {', '.join(names)}")
-    return Table(
-        _column("time", column("time")), [(name, _column(name, column(name))) for name in names if name != "time"]
-    )
+    return _columns(_column("time", column("time")), {name: column(name) for name in names if name != "time"})
+
+
+def _columns(times: FloatArray, given: Mapping[str, Any]) -> Table:
+    texts = [(name, list(values)) for name, values in given.items() if _is_text(values)]
+    are_text = {name for name, _ in texts}
+    return Table(times, [(name, _column(name, values)) for name, values in given.items() if name not in are_text], texts)
+
+
+def _is_text(values: Any) -> bool:
+    if isinstance(values, np.ndarray) and values.dtype.kind not in "USO":
+        return False
+    return np.ndim(values) == 1 and len(values) > 0 and all(isinstance(value, (str, bytes)) for value in values)
 
 
 def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:
@@ -105,7 +115,7 @@ def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:
             f"the matrix of inputs has the shape {matrix.shape}: time and {len(names)} inputs need {len(names) + 1} columns"
         )
     columns = [np.ascontiguousarray(matrix[:, k]) for k in range(len(names) + 1)]
-    return [Table(columns[0], list(zip(names, columns[1:])))], []
+    return [Table(columns[0], list(zip(names, columns[1:])), [])], []
 
 
 def _column(name: str, values: Any) -> FloatArray:

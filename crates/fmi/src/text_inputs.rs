@@ -1,0 +1,82 @@
+//! Inputs that are texts or bytes: each value they take has a number, and the numbers are held from row to row like those
+//! of any other input.
+
+use crate::description::{Value, Variable, VariableKind};
+use crate::error::FmiError;
+use crate::instance::Core;
+use std::ffi::CString;
+
+/// An input and the values that it takes.
+#[derive(Debug, Clone)]
+pub(crate) struct TextInput {
+    reference: u32,
+    values: Values,
+}
+
+#[derive(Debug, Clone)]
+enum Values {
+    Texts(Vec<CString>),
+    Bytes(Vec<Vec<u8>>),
+}
+
+impl TextInput {
+    /// The values in these rows, and the number of each row's.
+    ///
+    /// # Errors
+    /// [`FmiError::WrongType`] where the variable or a value is of another type; a text has a NUL in it.
+    pub(crate) fn new(variable: &Variable, rows: &[Value]) -> Result<(Self, Vec<f64>), FmiError> {
+        let bad = |problem: String| FmiError::BadInput { name: variable.name.clone(), problem };
+        let wrong = |value: &Value| FmiError::WrongType {
+            name: variable.name.clone(),
+            kind: variable.kind,
+            value: value.clone(),
+            given: value.kind_name(),
+        };
+        let mut values = match (variable.kind, rows.first()) {
+            (VariableKind::String, _) => Values::Texts(Vec::new()),
+            (VariableKind::Binary, _) => Values::Bytes(Vec::new()),
+            (_, Some(value)) => return Err(wrong(value)),
+            (_, None) => return Err(bad("the table has no rows".to_owned())),
+        };
+        let mut numbers = Vec::with_capacity(rows.len());
+        for (row, value) in rows.iter().enumerate() {
+            let number = match (&mut values, value) {
+                (Values::Texts(known), Value::String(text)) => {
+                    let text = CString::new(text.as_str())
+                        .map_err(|_| bad(format!("the text in row {} has a NUL in it", row + 1)))?;
+                    number_of(known, text)
+                }
+                (Values::Bytes(known), Value::Binary(bytes)) => number_of(known, bytes.clone()),
+                (_, other) => return Err(wrong(other)),
+            };
+            numbers.push(number as f64);
+        }
+        Ok((Self { reference: variable.value_reference, values }, numbers))
+    }
+
+    /// Type and reference of the variable.
+    pub(crate) fn reference(&self) -> (VariableKind, u32) {
+        let kind = match self.values {
+            Values::Texts(_) => VariableKind::String,
+            Values::Bytes(_) => VariableKind::Binary,
+        };
+        (kind, self.reference)
+    }
+
+    /// Sets the value of this number.
+    pub(crate) fn set(&self, core: &mut Core, number: usize) -> Result<(), FmiError> {
+        let one = number..number + 1;
+        match &self.values {
+            Values::Texts(values) => core.call(|raw| raw.set_string(&[self.reference], &values[one])),
+            Values::Bytes(values) => core.call(|raw| raw.set_binary(&[self.reference], &values[one])),
+        }
+    }
+}
+
+/// The place of a value, which is added if it is new.
+fn number_of<T: PartialEq>(known: &mut Vec<T>, value: T) -> usize {
+    known.iter().rposition(|other| *other == value).unwrap_or_else(|| {
+        known.push(value);
+        known.len() - 1
+    })
+}
