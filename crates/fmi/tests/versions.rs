@@ -148,10 +148,10 @@ fn a_second_run_has_the_same_bits_in_all_versions() {
         assert_ne!(first.columns, other.columns);
         assert_eq!(pool.lend().unwrap().trajectory(&[0.012, 0.002]).unwrap(), first);
         assert!(pool.is_concurrent().unwrap());
-        // FMI 1.0 has no saved states, and no reset for model exchange.
+        // FMI 1.0 has no saved states, and no reset for model exchange; co-simulation is always reset.
         let expected = match kind {
             ExampleKind::Fmi1ModelExchange => Reuse::Reinstantiate,
-            ExampleKind::Fmi1CoSimulation => Reuse::Reset,
+            ExampleKind::Fmi1CoSimulation | ExampleKind::Fmi2CoSimulation => Reuse::Reset,
             _ => Reuse::Restore,
         };
         assert_eq!(pool.reuse().unwrap(), expected, "{kind:?}");
