@@ -5,11 +5,11 @@
 //! multiplied out before they are divided. The rules are those of FMI 3.0.x, sections 2.2.8.3 and 2.3.5.
 
 use crate::assign::{Assignments, resolve};
+use crate::column::Column;
 use crate::description::{
     Causality, ClockKind, ClockTiming, Interval, ModelDescription, Value, Variable, VariableKind,
 };
 use crate::error::FmiError;
-use crate::input::Column;
 use crate::instance::{Core, Instance, Readable};
 use crate::lanes;
 use crate::model_exchange::MAX_EVENT_ITERATIONS;

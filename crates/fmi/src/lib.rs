@@ -6,6 +6,7 @@ mod assign;
 mod binary;
 mod clocks;
 mod co_simulation;
+mod column;
 mod communication;
 mod copies;
 pub mod description;

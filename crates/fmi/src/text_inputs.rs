@@ -4,6 +4,7 @@
 use crate::description::{Value, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::Core;
+use std::collections::HashMap;
 use std::ffi::CString;
 
 /// An input and the values that it takes.
@@ -39,16 +40,23 @@ impl TextInput {
             (_, None) => return Err(bad("the table has no rows".to_owned())),
         };
         let mut numbers = Vec::with_capacity(rows.len());
+        let mut known: HashMap<&[u8], usize> = HashMap::new();
         for (row, value) in rows.iter().enumerate() {
-            let number = match (&mut values, value) {
-                (Values::Texts(known), Value::String(text)) => {
-                    let text = CString::new(text.as_str())
-                        .map_err(|_| bad(format!("the text in row {} has a NUL in it", row + 1)))?;
-                    number_of(known, text)
-                }
-                (Values::Bytes(known), Value::Binary(bytes)) => number_of(known, bytes.clone()),
+            let (bytes, n) = match (&values, value) {
+                (Values::Texts(texts), Value::String(text)) => (text.as_bytes(), texts.len()),
+                (Values::Bytes(all), Value::Binary(bytes)) => (bytes.as_slice(), all.len()),
                 (_, other) => return Err(wrong(other)),
             };
+            let number = *known.entry(bytes).or_insert(n);
+            if number == n {
+                match &mut values {
+                    Values::Texts(texts) => texts.push(
+                        CString::new(bytes)
+                            .map_err(|_| bad(format!("the text in row {} has a NUL in it", row + 1)))?,
+                    ),
+                    Values::Bytes(all) => all.push(bytes.to_vec()),
+                }
+            }
             numbers.push(number as f64);
         }
         Ok((Self { reference: variable.value_reference, values }, numbers))
@@ -71,12 +79,4 @@ impl TextInput {
             Values::Bytes(values) => core.call(|raw| raw.set_binary(&[self.reference], &values[one])),
         }
     }
-}
-
-/// The place of a value, which is added if it is new.
-fn number_of<T: PartialEq>(known: &mut Vec<T>, value: T) -> usize {
-    known.iter().rposition(|other| *other == value).unwrap_or_else(|| {
-        known.push(value);
-        known.len() - 1
-    })
 }
