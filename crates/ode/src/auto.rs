@@ -244,8 +244,8 @@ impl Stepper for Auto {
         active!(self.forget());
     }
 
-    fn kink(&mut self) {
-        active!(self.kink());
+    fn kink(&mut self, h: f64) -> f64 {
+        active!(self.kink(h))
     }
 
     fn repeat(&mut self) {

@@ -537,11 +537,12 @@ impl Stepper for Bdf {
         self.wants_jacobian = false;
     }
 
-    fn kink(&mut self) {
+    fn kink(&mut self, h: f64) -> f64 {
         self.order = self.order.min(KINK_ORDER);
         self.next_order = self.order;
         self.wait = self.order as u32 + 1;
         self.last_scale = 0.0;
+        h
     }
 
     fn derivative(&self) -> &[f64] {

@@ -160,6 +160,9 @@ impl Stepper for Dop853 {
         }
         stats.right_hand_sides += 1;
         system.derivatives(end, x_new, &mut self.k[END])?;
+        if !self.k[END].iter().sum::<f64>().is_finite() {
+            return Err(CallError::Discard);
+        }
         Ok(Attempt::Good)
     }
 

@@ -516,7 +516,7 @@ where
             self.sample_left()?;
         }
         if let Some(stop) = stop {
-            self.stepper.kink();
+            self.h = self.stepper.kink(self.h);
             self.input_stop = self.system.next_input_stop(at.max(stop.time));
         }
         if eventful {

@@ -69,7 +69,9 @@ pub(crate) trait Stepper {
     fn forget(&mut self);
 
     /// An input changes its slope at the current point, where a step always ends.
-    fn kink(&mut self) {}
+    fn kink(&mut self, h: f64) -> f64 {
+        h
+    }
 
     /// The next trial is the last one, which was good, with an earlier end.
     fn repeat(&mut self) {}

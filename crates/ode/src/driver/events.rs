@@ -151,7 +151,7 @@ where
             let time = self.next_time_event.is_some_and(|next| next <= self.t + self.same);
             let stop = self.input_stop.filter(|stop| stop.time <= self.t + self.same);
             if let Some(stop) = stop {
-                self.stepper.kink();
+                self.h = self.stepper.kink(self.h);
                 self.input_stop = self.system.next_input_stop(stop.time);
             }
             let input = stop.is_some_and(|stop| stop.jump);

@@ -1,0 +1,180 @@
+//! What a step of Radau5 knows about its inside.
+//!
+//! The collocation polynomial `p` of degree 3 passes the stages, and so can its own error be written down. With
+//! `M(theta)`, the product of the distances to the abscissae, and stages that are off by `e_i` it is
+//! `(h^4 x'''' / 24) theta M(theta)` plus the cubic through `e_i` at the abscissae and 0 at the start of the step (for
+//! `x' = lambda x + g(t)`; the same to leading order elsewhere). Two terms undo it.
+//!
+//! *Defect.* `q(theta) d`, where `q` is the integral of `M` with slope 1 at 0 and `d` the difference between the slope at
+//! the start and that of `p`, filtered like the error estimate. Where the system is not stiff this is all of it. Where it
+//! is, `d` vanishes, because stiff components are held to their slow path whatever the step: the stages are exact, the
+//! polynomial between them is not, and nothing inside of the step tells.
+//!
+//! *Bend.* `c theta M(theta)` leaves the ends and the stages alone; `c` follows from the point where the step before
+//! began, through which the solution went. Both terms together are of order 4, stiff or not.
+//!
+//! The bend measures how far the two orders differ, and so how far the inside of the step can be trusted.
+
+use super::coefficients::{C1, C2};
+use crate::control::scaled_norm;
+
+/// The largest value of `|theta M(theta)|` within a step.
+const LARGEST_BEND: f64 = 0.018_25;
+/// The largest value of `|q(theta)|` within a step.
+const LARGEST_CORRECTION: f64 = 0.067_8;
+
+/// The collocation polynomial of a step of size `h`: `end + s (p0 + (s - C2 + 1) (p1 + (s - C1 + 1) p2))` with
+/// `s = theta - 1`.
+#[derive(Debug, Default)]
+pub(super) struct Collocation {
+    p: [Vec<f64>; 3],
+    h: f64,
+}
+
+impl Collocation {
+    /// Room for `n` states.
+    pub(super) fn begin(&mut self, n: usize) {
+        for p in &mut self.p {
+            p.clear();
+            p.resize(n, 0.0);
+        }
+    }
+
+    /// The polynomial of a step of size `h` with these stage increments.
+    pub(super) fn set(&mut self, h: f64, [z1, z2, z3]: &[Vec<f64>; 3]) {
+        self.h = h;
+        for i in 0..z1.len() {
+            let p0 = (z3[i] - z2[i]) / (1.0 - C2);
+            let d12 = (z2[i] - z1[i]) / (C2 - C1);
+            let p1 = (p0 - d12) / (1.0 - C1);
+            self.p[0][i] = p0;
+            self.p[1][i] = p1;
+            self.p[2][i] = p1 - (d12 - z1[i] / C1) / C2;
+        }
+    }
+
+    /// The size of its step.
+    pub(super) fn h(&self) -> f64 {
+        self.h
+    }
+
+    /// State `i` at `s = theta - 1`, less that at the end of the step.
+    pub(super) fn value(&self, i: usize, s: f64) -> f64 {
+        s * (self.p[0][i] + (s + 1.0 - C2) * (self.p[1][i] + (s + 1.0 - C1) * self.p[2][i]))
+    }
+
+    /// The derivative of [`value`](Self::value).
+    fn slope(&self, i: usize, s: f64) -> f64 {
+        let (s1, s2) = (s + 1.0 - C2, s + 1.0 - C1);
+        let inner = self.p[1][i] + s2 * self.p[2][i];
+        self.p[0][i] + s1 * inner + s * (inner + s1 * self.p[2][i])
+    }
+}
+
+/// The terms beyond the collocation polynomial.
+#[derive(Debug, Default)]
+pub(super) struct Terms {
+    /// The filtered difference of slopes at the start of the step.
+    pub(super) defect: Vec<f64>,
+    bend: Vec<f64>,
+}
+
+impl Terms {
+    /// Room for `n` states.
+    pub(super) fn begin(&mut self, n: usize) {
+        for v in [&mut self.defect, &mut self.bend] {
+            v.clear();
+            v.resize(n, 0.0);
+        }
+    }
+
+    /// Finds the bend of the step `trial` from the step that ended where it starts. Returns the norm, by these inverse
+    /// weights, of what is not certain inside of the step.
+    pub(super) fn bend(&mut self, trial: &Collocation, last: Option<&Collocation>, inverse: &[f64]) -> f64 {
+        let Some(last) = last else {
+            self.bend.fill(0.0);
+            return LARGEST_CORRECTION * scaled_norm(&self.defect, inverse);
+        };
+        let theta = -last.h / trial.h;
+        let (q, w) = (correction(theta), theta * nodes(theta));
+        for (i, bend) in self.bend.iter_mut().enumerate() {
+            // Both counted from the point where the steps meet.
+            let known = last.value(i, -1.0);
+            let continued = trial.value(i, theta - 1.0) - trial.value(i, -1.0) + q * self.defect[i];
+            *bend = (known - continued) / w;
+        }
+        LARGEST_BEND * scaled_norm(&self.bend, inverse)
+    }
+
+    /// State `i` at `theta` within the step, less that at its end.
+    pub(super) fn value(&self, step: &Collocation, theta: f64) -> impl Fn(usize) -> f64 {
+        let (q, w) = (correction(theta), theta * nodes(theta));
+        move |i| step.value(i, theta - 1.0) + q * self.defect[i] + w * self.bend[i]
+    }
+
+    /// Its slope, for `theta` as the independent variable.
+    pub(super) fn slope(&self, step: &Collocation, theta: f64) -> impl Fn(usize) -> f64 {
+        let q = -10.0 * nodes(theta);
+        let w = -0.1 + theta * (1.8 + theta * (-5.4 + 4.0 * theta));
+        move |i| step.slope(i, theta - 1.0) + q * self.defect[i] + w * self.bend[i]
+    }
+}
+
+/// `M`: the product of the distances to the abscissae.
+fn nodes(theta: f64) -> f64 {
+    (theta - C1) * (theta - C2) * (theta - 1.0)
+}
+
+/// `q`: the integral of `M` over its value at 0: zero at 0 and 1, slope 1 at 0, slope 0 at the abscissae.
+fn correction(theta: f64) -> f64 {
+    theta * (1.0 + theta * (-4.5 + theta * (6.0 - 2.5 * theta)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_correction_keeps_ends_and_slopes() {
+        let slope = |s: f64| (correction(s + 1e-6) - correction(s - 1e-6)) / 2e-6;
+        assert_eq!(correction(0.0), 0.0);
+        assert!(correction(1.0).abs() < 1e-15);
+        assert!((slope(0.0) - 1.0).abs() < 1e-9);
+        for c in [C1, C2, 1.0] {
+            assert!(slope(c).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_largest_values_are_those() {
+        let largest =
+            |f: &dyn Fn(f64) -> f64| (0..=10_000).map(|k| f(f64::from(k) * 1e-4).abs()).fold(0.0, f64::max);
+        assert!((largest(&|s| s * nodes(s)) / LARGEST_BEND - 1.0).abs() < 0.01);
+        assert!((largest(&correction) / LARGEST_CORRECTION - 1.0).abs() < 0.01);
+    }
+
+    /// With exact stages, as stiff components have them, the inside is exact for polynomials of degree 4, and so are
+    /// slopes.
+    #[test]
+    fn a_quartic_is_interpolated() {
+        let x = |t: f64| 2.0 + t * (1.0 + t * (-3.0 + t * (0.5 + 0.25 * t)));
+        let slope = |t: f64| 1.0 + t * (-6.0 + t * (1.5 + t));
+        let step = |t: f64, h: f64| {
+            let mut c = Collocation::default();
+            c.begin(1);
+            c.set(h, &[C1, C2, 1.0].map(|c| vec![x(t + c * h) - x(t)]));
+            c
+        };
+        let (t, h) = (0.3, 0.7);
+        let (last, trial) = (step(t - 0.4, 0.4), step(t, h));
+        let mut terms = Terms::default();
+        terms.begin(1);
+        let uncertain = terms.bend(&trial, Some(&last), &[1.0]);
+        assert!((uncertain / (LARGEST_BEND * 0.25 * h.powi(4)) - 1.0).abs() < 1e-9, "{uncertain}");
+        for theta in [0.1, 0.35, 0.5, 0.8] {
+            let value = x(t + h) + terms.value(&trial, theta)(0);
+            assert!((value - x(t + theta * h)).abs() < 1e-13);
+            assert!((terms.slope(&trial, theta)(0) / h - slope(t + theta * h)).abs() < 1e-12);
+        }
+    }
+}
