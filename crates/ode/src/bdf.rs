@@ -17,6 +17,12 @@ use crate::stats::Stats;
 use crate::stepper::{Attempt, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
+mod array;
+mod coefficients;
+
+use array::add_multiple;
+use coefficients::Coefficients;
+
 const MAX_ORDER: usize = 5;
 const MAX_NEWTON: u32 = 3;
 /// Newton's error, as a share of the error test.
@@ -35,67 +41,6 @@ const WORTH_IT: f64 = 1.5;
 /// Growth allowed after the first step, and after each other one.
 const FIRST_GROWTH: f64 = 1e4;
 const GROWTH: f64 = 10.0;
-
-/// Coefficients of one step: they follow from its size, its order and the sizes of the steps before.
-#[derive(Debug, Default, Clone, Copy)]
-struct Coefficients {
-    /// What the corrector adds to each row of the array.
-    l: [f64; MAX_ORDER + 1],
-    /// Error constants: of the order below (times `z_q`), of this order (times `e`), of the order above.
-    below: f64,
-    here: f64,
-    above: f64,
-    /// The constant that makes differences of `e` over steps of several sizes comparable.
-    scale: f64,
-}
-
-impl Coefficients {
-    /// For order `q` and step `h` after steps `past[0]` (the last one), `past[1]`, ...
-    fn new(q: usize, h: f64, past: &[f64; MAX_ORDER + 1]) -> Self {
-        let order = q as f64;
-        let mut l = [0.0; MAX_ORDER + 1];
-        (l[0], l[1]) = (1.0, 1.0);
-        // The polynomial l(s) has the roots -1/xi_j of the past points, but for one that is moved so that the leading
-        // coefficient is that of equal steps.
-        let (mut alpha, mut alpha_hat) = (-1.0, -1.0);
-        let (mut xi, mut xi_fixed) = (1.0, 1.0);
-        let mut sum = h;
-        if q > 1 {
-            for j in 2..q {
-                sum += past[j - 2];
-                xi = h / sum;
-                alpha -= 1.0 / j as f64;
-                for i in (1..=j).rev() {
-                    l[i] += l[i - 1] * xi;
-                }
-            }
-            alpha -= 1.0 / order;
-            xi_fixed = -l[1] - alpha;
-            sum += past[q - 2];
-            xi = h / sum;
-            alpha_hat = -l[1] - xi;
-            for i in (1..=q).rev() {
-                l[i] += l[i - 1] * xi_fixed;
-            }
-        }
-        let a1 = 1.0 - alpha_hat + alpha;
-        let a2 = 1.0 + order * a1;
-        let here = (a1 / (alpha * a2)).abs();
-        let scale = (a2 * xi_fixed / (l[q] * xi)).abs();
-        let below = if q > 1 {
-            let c = xi_fixed / l[q];
-            let (a3, a4) = (alpha + 1.0 / order, alpha_hat + xi);
-            (c * (1.0 - a4 + a3) / a3).abs()
-        } else {
-            1.0
-        };
-        sum += past[q - 1];
-        let xi = h / sum;
-        let (a5, a6) = (alpha - 1.0 / (order + 1.0), alpha_hat - xi);
-        let above = ((1.0 - a6 + a5) / a2 / (xi * (order + 2.0) * a5)).abs();
-        Self { l, below, here, above, scale }
-    }
-}
 
 #[derive(Debug)]
 pub(crate) struct Bdf {
@@ -177,67 +122,13 @@ impl Default for Bdf {
 }
 
 impl Bdf {
-    fn rescale(&mut self, h: f64) {
-        let ratio = h / self.h;
-        let mut factor = 1.0;
-        for z in &mut self.z[1..=self.order] {
-            factor *= ratio;
-            z.iter_mut().for_each(|z| *z *= factor);
-        }
-        self.h = h;
-    }
-
-    /// Continues the array to the end of the step: multiplies it with Pascal's triangle.
-    fn predict(&mut self) {
-        for (new, old) in self.z_new.iter_mut().zip(&self.z).take(self.order + 1) {
-            new.copy_from_slice(old);
-        }
-        add_pascal(&mut self.z_new[..=self.order]);
-    }
-
-    /// Takes the decided order. The polynomial loses or gains the term that belongs to a past point more or less.
+    /// Takes the decided order.
     fn change_order(&mut self) {
         let q = self.order;
         if self.next_order < q {
-            // The product of s and the distances to the points that stay, as a polynomial in s.
-            let mut l = [0.0; MAX_ORDER + 1];
-            l[2] = 1.0;
-            let mut sum = 0.0;
-            for j in 1..q - 1 {
-                sum += self.past[j - 1];
-                let xi = sum / self.h;
-                for i in (2..=j + 2).rev() {
-                    l[i] = l[i] * xi + l[i - 1];
-                }
-            }
-            let (low, high) = self.z.split_at_mut(q);
-            for (z, l) in low.iter_mut().zip(l).skip(2) {
-                add_multiple(z, -l, &high[0]);
-            }
+            array::lower(&mut self.z[..=q], self.h, &self.past);
         } else if self.next_order > q {
-            let mut l = [0.0; MAX_ORDER + 1];
-            l[2] = 1.0;
-            let (mut alpha_0, mut alpha_1, mut product, mut xi_old) = (-1.0, 1.0, 1.0, 1.0);
-            let mut sum = self.h;
-            for j in 1..q {
-                sum += self.past[j];
-                let xi = sum / self.h;
-                product *= xi;
-                alpha_0 -= 1.0 / (j as f64 + 1.0);
-                alpha_1 += 1.0 / xi;
-                for i in (2..=j + 2).rev() {
-                    l[i] = l[i] * xi_old + l[i - 1];
-                }
-                xi_old = xi;
-            }
-            let factor = (-alpha_0 - alpha_1) / product;
-            let (low, high) = self.z.split_at_mut(q + 1);
-            for (z, e) in high[0].iter_mut().zip(&self.last_correction) {
-                *z = factor * e;
-            }
-            for (z, l) in low.iter_mut().zip(l).skip(2) {
-                add_multiple(z, l, &high[0]);
-            }
+            array::raise(&mut self.z[..=q + 1], self.h, &self.past, &self.last_correction);
         }
         self.order = self.next_order;
         self.wait = self.order as u32 + 1;
@@ -271,7 +162,8 @@ impl Bdf {
             self.change_order();
         }
         if h != self.h {
-            self.rescale(h);
+            array::rescale(&mut self.z[..=self.order], h / self.h);
+            self.h = h;
         }
         Ok(())
     }
@@ -367,7 +259,10 @@ impl Bdf {
         weights: &Weights,
         stats: &mut Stats,
     ) -> CallResult<bool> {
-        self.predict();
+        for (new, old) in self.z_new.iter_mut().zip(&self.z).take(self.order + 1) {
+            new.copy_from_slice(old);
+        }
+        array::advance(&mut self.z_new[..=self.order]);
         self.coefficients = Coefficients::new(self.order, self.h, &self.past);
         let gamma = self.h / self.coefficients.l[1];
         let mut must_set_up = self.wants_jacobian || self.error_failures > 0;
@@ -443,42 +338,6 @@ impl Bdf {
             }
         }
         if best < WORTH_IT { self.h } else { self.h * best.min(growth) }
-    }
-
-    /// Expands the array at an earlier point of the last step, `theta` of it from its start.
-    fn cut(&mut self, theta: f64) {
-        let s = theta - 1.0;
-        let mut power = 1.0;
-        for z in &mut self.z[..=self.order] {
-            z.iter_mut().for_each(|z| *z *= power);
-            power *= s;
-        }
-        // Now in units of the distance to that point; back to units of the (shorter) step.
-        add_pascal(&mut self.z[..=self.order]);
-        let (unit, mut power) = (theta / s, 1.0);
-        for z in &mut self.z[..=self.order] {
-            z.iter_mut().for_each(|z| *z *= power);
-            power *= unit;
-        }
-        self.h *= theta;
-        self.past[0] = self.h;
-    }
-}
-
-/// `y += factor x`.
-fn add_multiple(y: &mut [f64], factor: f64, x: &[f64]) {
-    for (y, x) in y.iter_mut().zip(x) {
-        *y += factor * x;
-    }
-}
-
-/// Moves the point of expansion by one unit.
-fn add_pascal(z: &mut [Vec<f64>]) {
-    for k in 1..z.len() {
-        for j in (k..z.len()).rev() {
-            let (low, high) = z.split_at_mut(j);
-            add_multiple(&mut low[j - 1], 1.0, &high[0]);
-        }
     }
 }
 
@@ -600,23 +459,11 @@ impl Stepper for Bdf {
     }
 
     fn interpolate(&self, _: Trial<'_>, theta: f64, x: &mut [f64]) {
-        let s = theta - 1.0;
-        x.copy_from_slice(&self.z_new[self.order]);
-        for z in self.z_new[..self.order].iter().rev() {
-            for (x, z) in x.iter_mut().zip(z) {
-                *x = *x * s + z;
-            }
-        }
+        array::value(&self.z_new[..=self.order], theta - 1.0, x);
     }
 
     fn interpolate_slope(&self, _: Trial<'_>, theta: f64, dx: &mut [f64]) {
-        let s = theta - 1.0;
-        dx.fill(0.0);
-        for (j, z) in self.z_new[..=self.order].iter().enumerate().skip(1).rev() {
-            for (dx, z) in dx.iter_mut().zip(z) {
-                *dx = *dx * s + j as f64 * z / self.h;
-            }
-        }
+        array::slope(&self.z_new[..=self.order], theta - 1.0, self.h, dx);
     }
 
     fn accept(&mut self, _: f64, theta: f64) -> f64 {
@@ -632,7 +479,9 @@ impl Stepper for Bdf {
         std::mem::swap(&mut self.z, &mut self.z_new);
         let h = self.h;
         let proposed = if theta < 1.0 {
-            self.cut(theta);
+            array::retreat(&mut self.z[..=self.order], theta);
+            self.h *= theta;
+            self.past[0] = self.h;
             self.wait = self.wait.max(2);
             self.next_order = self.order;
             h
@@ -648,58 +497,5 @@ impl Stepper for Bdf {
         let h = self.h;
         self.f.iter_mut().zip(&self.z[1]).for_each(|(f, z)| *f = z / h);
         proposed
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Equal steps give the classical formulae: `l_1` is the harmonic number; the error is
-    /// `e / ((q + 1) l_1)`.
-    #[test]
-    fn equal_steps_give_the_classical_formulae() {
-        for q in 1..=MAX_ORDER {
-            let c = Coefficients::new(q, 0.1, &[0.1; MAX_ORDER + 1]);
-            let harmonic: f64 = (1..=q).map(|j| 1.0 / j as f64).sum();
-            assert!((c.l[1] - harmonic).abs() < 1e-14, "order {q}: {:?}", c.l);
-            assert!((c.here * (q as f64 + 1.0) * harmonic - 1.0).abs() < 1e-14, "order {q}: {}", c.here);
-            // l(s) vanishes at the past points but the present one: sum l_j (-1)^j = 0.
-            let at_last: f64 = (0..=q).map(|j| c.l[j] * (-1f64).powi(j as i32)).sum();
-            assert!(at_last.abs() < 1e-14, "order {q}: {at_last}");
-        }
-    }
-
-    /// A polynomial of the degree of the order is continued exactly, whatever the step sizes and changes of order.
-    #[test]
-    fn the_array_is_a_polynomial() {
-        let mut bdf = Bdf::default();
-        // 1 + 2 t + 3 t^2 + 4 t^3 at t = 1, h = 0.5
-        let at = |t: f64| 1.0 + t * (2.0 + t * (3.0 + 4.0 * t));
-        let (h, t) = (0.5, 1.0);
-        bdf.order = 3;
-        bdf.next_order = 3;
-        bdf.h = h;
-        bdf.z[0] = vec![at(t)];
-        bdf.z[1] = vec![h * (2.0 + 6.0 * t + 12.0 * t * t)];
-        bdf.z[2] = vec![h * h * (3.0 + 12.0 * t)];
-        bdf.z[3] = vec![h * h * h * 4.0];
-        bdf.z_new.iter_mut().for_each(|z| *z = vec![0.0]);
-        bdf.predict();
-        assert!((bdf.z_new[0][0] - at(1.5)).abs() < 1e-12);
-        bdf.rescale(0.2);
-        bdf.predict();
-        assert!((bdf.z_new[0][0] - at(1.2)).abs() < 1e-12);
-        let mut x = [0.0];
-        let trial = Trial { t: 1.0, end: 1.2, h: 0.2, x: &[0.0] };
-        bdf.interpolate(trial, 0.25, &mut x);
-        assert!((x[0] - at(1.05)).abs() < 1e-12);
-        bdf.interpolate_slope(trial, 0.25, &mut x);
-        assert!((x[0] - (2.0 + 6.0 * 1.05 + 12.0 * 1.05 * 1.05)).abs() < 1e-12);
-        std::mem::swap(&mut bdf.z, &mut bdf.z_new);
-        bdf.cut(0.25);
-        assert!((bdf.z[0][0] - at(1.05)).abs() < 1e-12);
-        assert!((bdf.z[1][0] / bdf.h - (2.0 + 6.0 * 1.05 + 12.0 * 1.05 * 1.05)).abs() < 1e-12);
-        assert!((bdf.z[3][0] / bdf.h.powi(3) - 4.0).abs() < 1e-9);
     }
 }
