@@ -71,6 +71,39 @@ fn a_stiff_component_on_a_slow_path() {
     }
 }
 
+/// 0 = z - sin t beside x' = 0: nothing but the algebraic state says how long steps may be.
+struct Algebraic;
+
+impl HybridSystem for Algebraic {
+    fn n_states(&self) -> usize {
+        2
+    }
+    fn mass_matrix(&self) -> Option<&[f64]> {
+        Some(&[0.0, 0.0, 0.0, 1.0])
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.copy_from_slice(&[0.0, 1.0]);
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx.copy_from_slice(&[x[0] - t.sin(), 0.0]);
+        Ok(())
+    }
+}
+
+#[test]
+fn an_algebraic_state() {
+    for tolerance in [1e-4, 1e-6, 1e-8, 1e-10] {
+        let mut points = Points::default();
+        driver(Method::Radau5, tolerance).run(&mut Algebraic, 0.0, 10.0, &[], &mut points).unwrap();
+        let (ends, inside) = (largest(&points.ends, f64::sin), largest(&points.inside, f64::sin));
+        assert!(
+            ends <= tolerance && inside <= 5.0 * tolerance,
+            "at {tolerance:e}: {ends:e} and {inside:e} inside"
+        );
+    }
+}
+
 #[test]
 fn a_smooth_oscillation() {
     for method in [Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf, Method::Auto] {

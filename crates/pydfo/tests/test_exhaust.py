@@ -82,11 +82,13 @@ def test_every_stiff_method_gives_the_nominal_trajectory(solver, record):
 
     reference, res = run("radau5", 1e-11), run(solver, 1e-8)
     for name in STATES:
+        off = np.abs(res[name] - reference[name])
         within = 1e-2 if name.startswith("p") else 1e-4
-        # In the temperature of the first wall, which is slow, the errors of BDF's steps add up to twice as much.
-        if (solver, name) == ("bdf", "Tw1"):
-            within = 3e-4
-        assert np.abs(res[name] - reference[name]).max() < within, name
+        assert off[[1, 60, 300, 600, 1200, 1800]].max() < within, name
+        # At some of the other times the errors of BDF's many steps add up to twice as much in the first wall.
+        assert off.max() < (2 * within if (solver, name) == ("bdf", "Tw1") else within), name
+        if solver != "bdf":
+            assert (off / np.abs(reference[name])).max() < 2e-8, name
     # "auto" begins with Tsit5, notices, and goes on with Newton's method.
     assert res.stats.jacobians > 0 and res.stats.newton_iterations > 0
     explicit = run("tsit5", 1e-8)
