@@ -396,7 +396,6 @@ impl Stepper for Radau5 {
         x: &[f64],
         stats: &mut Stats,
     ) -> CallResult<()> {
-        self.can_extrapolate = false;
         self.jacobian_is_fresh = false;
         stats.right_hand_sides += 1;
         system.derivatives(t, x, &mut self.f)
