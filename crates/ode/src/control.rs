@@ -2,6 +2,9 @@
 
 use crate::options::AbsoluteTolerance;
 
+/// Below this absolute tolerances mean zero.
+const LEAST_ATOL: f64 = 1e-300;
+
 /// Weights `w_i = atol_i + rtol * max(|x_i|, |x_new_i|)` of the root-mean-square norm.
 #[derive(Debug, Default)]
 pub(crate) struct Weights {
@@ -24,6 +27,8 @@ impl Weights {
             AbsoluteTolerance::Scalar(v) => self.atol.resize(nominals.len(), *v),
             AbsoluteTolerance::PerState(list) => self.atol.extend_from_slice(list),
         }
+        // The inverse of a weight must be a number.
+        self.atol.iter_mut().for_each(|atol| *atol = atol.max(LEAST_ATOL));
         self.scale.clear();
         self.scale.extend(nominals.iter().zip(&self.atol).map(|(nominal, atol)| {
             let n = nominal.abs();
