@@ -139,7 +139,7 @@ pub enum AbsoluteTolerance {
 pub struct Options {
     /// The method; default [`Method::Auto`].
     pub method: Method,
-    /// Relative tolerance of the adaptive methods; default 1e-6.
+    /// Relative tolerance of the adaptive methods; default 1e-6. Not of [unbounded](crate::HybridSystem::is_unbounded) states.
     pub relative_tolerance: f64,
     /// Absolute tolerances; default [`AbsoluteTolerance::FromNominals`].
     pub absolute_tolerance: AbsoluteTolerance,

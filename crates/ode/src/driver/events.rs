@@ -135,8 +135,9 @@ where
     pub(super) fn read_nominals(&mut self) -> Step<()> {
         let space = &mut *self.space;
         self.system.nominals(&mut space.nominals).map_err(no_retreat)?;
-        let options = self.options;
-        space.weights.set(options.relative_tolerance, &options.absolute_tolerance, &space.nominals);
+        let (options, system) = (self.options, &*self.system);
+        let (rtol, atol) = (options.relative_tolerance, &options.absolute_tolerance);
+        space.weights.set(rtol, atol, &space.nominals, |i| system.is_unbounded(i));
         Ok(())
     }
 

@@ -242,7 +242,8 @@ def solve(
         Not zero where the Jacobian may differ from zero: columns that share no row then come from one difference.
     mass : array_like, shape (n, n), optional
         The constant matrix on the left. It may be singular (a differential-algebraic system of index 1; `x0` must be
-        consistent). Only for "radau5" and "auto".
+        consistent: that is not checked, and already the first step ends at algebraic states that are). Only for "radau5"
+        and "auto".
     first_step, max_step : float, optional
         First and largest step. By default the first step is estimated, and the largest is the span.
     step : float, optional
