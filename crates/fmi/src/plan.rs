@@ -50,6 +50,8 @@ pub struct SimulationPlan {
     pub(crate) n_indicators: usize,
     /// Nominals of the states as the description says them.
     pub(crate) nominals: Vec<f64>,
+    /// Which states the description calls unbounded.
+    pub(crate) unbounded: Vec<bool>,
     pub(crate) completed_step_not_needed: bool,
     /// What a reused instance is asked for again.
     pub(crate) read_back: ReadBack,
@@ -135,6 +137,12 @@ impl SimulationPlan {
                 .map(|i| {
                     let state = states.get(i).copied().flatten();
                     state.and_then(|state| description.variables[state].nominal).unwrap_or(1.0)
+                })
+                .collect(),
+            unbounded: (0..structure.states(description))
+                .map(|i| {
+                    let state = states.get(i).copied().flatten();
+                    state.is_some_and(|state| description.variables[state].unbounded)
                 })
                 .collect(),
             jacobian: match kind {

@@ -420,6 +420,10 @@ impl HybridSystem for System {
         Ok(())
     }
 
+    fn is_unbounded(&self, state: usize) -> bool {
+        self.plan.unbounded[state]
+    }
+
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
         let outcome = self.iterate_events(t0)?;
         self.read_states(x)?;

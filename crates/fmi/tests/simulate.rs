@@ -9,7 +9,7 @@ use fmi::{
     ExampleKind, FmiError, Fmu, Inputs, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Trajectory,
 };
 use std::sync::Arc;
-use support::{model, model_as};
+use support::{evil_with, model, model_as};
 
 fn bits(t: &Trajectory) -> Vec<u64> {
     t.columns.iter().flatten().chain(&t.time).map(|v| v.to_bits()).collect()
@@ -29,6 +29,26 @@ fn dahlquist_decays() {
     for (t, x) in result.time.iter().zip(result.get("x").unwrap()) {
         close(*x, (-0.5 * t).exp(), 1e-8);
     }
+}
+
+/// x' = -x: its error is measured against its size, or not where the description calls it unbounded.
+#[test]
+fn unbounded_states_are_held_to_their_absolute_tolerance() {
+    let run = |start: &str| {
+        let folder = evil_with(&[], |xml| {
+            let edited = xml.replacen(r#"<Real start="1"/>"#, start, 1);
+            assert!(edited.contains(start));
+            edited
+        });
+        let options = SimulateOptions::new().relative_tolerance(1e-6);
+        let result = folder.open().simulate(&options).unwrap();
+        let error = (result.final_value("y").unwrap().unwrap() - (-1f64).exp()).abs();
+        (error, result.stats.right_hand_sides)
+    };
+    let (bound, cheap) = run(r#"<Real start="1" unbounded="false"/>"#);
+    let (free, dear) = run(r#"<Real start="1" unbounded="true"/>"#);
+    assert!(free < 0.2 * bound, "{bound:e} and {free:e}");
+    assert!(2 * dear > 3 * cheap, "{dear} and {cheap} right-hand sides");
 }
 
 #[test]

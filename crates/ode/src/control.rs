@@ -2,10 +2,18 @@
 
 use crate::options::AbsoluteTolerance;
 
-/// Weights `w_i = atol_i + rtol * max(|x_i|, |x_new_i|)` of the root-mean-square norm.
+/// Below this absolute tolerances mean zero.
+const LEAST_ATOL: f64 = 1e-300;
+
+/// The relative tolerance of unbounded states: what rounding leaves of a difference of large numbers.
+const ROUNDING: f64 = 1e-14;
+
+/// Weights `w_i = atol_i + rtol_i * max(|x_i|, |x_new_i|)` of the root-mean-square norm; `rtol_i` is the relative tolerance,
+/// or next to nothing for unbounded states.
 #[derive(Debug, Default)]
 pub(crate) struct Weights {
     rtol: f64,
+    relative: Vec<f64>,
     atol: Vec<f64>,
     scale: Vec<f64>,
 }
@@ -13,8 +21,16 @@ pub(crate) struct Weights {
 impl Weights {
     /// Sets tolerances for `nominals.len()` states; corrects nominals that are zero, negative or not finite.
     /// The caller has checked that a list of tolerances has this length.
-    pub(crate) fn set(&mut self, rtol: f64, atol: &AbsoluteTolerance, nominals: &[f64]) {
+    pub(crate) fn set(
+        &mut self,
+        rtol: f64,
+        atol: &AbsoluteTolerance,
+        nominals: &[f64],
+        is_unbounded: impl Fn(usize) -> bool,
+    ) {
         self.rtol = rtol;
+        self.relative.clear();
+        self.relative.extend((0..nominals.len()).map(|i| if is_unbounded(i) { ROUNDING } else { rtol }));
         self.atol.clear();
         match atol {
             AbsoluteTolerance::FromNominals => self.atol.extend(nominals.iter().map(|nominal| {
@@ -24,6 +40,8 @@ impl Weights {
             AbsoluteTolerance::Scalar(v) => self.atol.resize(nominals.len(), *v),
             AbsoluteTolerance::PerState(list) => self.atol.extend_from_slice(list),
         }
+        // The inverse of a weight must be a number.
+        self.atol.iter_mut().for_each(|atol| *atol = atol.max(LEAST_ATOL));
         self.scale.clear();
         self.scale.extend(nominals.iter().zip(&self.atol).map(|(nominal, atol)| {
             let n = nominal.abs();
@@ -50,7 +68,7 @@ impl Weights {
     }
 
     fn weight(&self, i: usize, a: f64, b: f64) -> f64 {
-        self.atol[i] + self.rtol * a.abs().max(b.abs())
+        self.atol[i] + self.relative[i] * a.abs().max(b.abs())
     }
 
     /// Norm of the error of a step from `x` to `x_new`; NaN if anything in it is.
@@ -180,7 +198,7 @@ mod tests {
     #[test]
     fn bad_nominals_are_corrected() {
         let mut w = Weights::default();
-        w.set(1e-6, &AbsoluteTolerance::FromNominals, &[2.0, 0.0, -3.0, f64::NAN, f64::INFINITY]);
+        w.set(1e-6, &AbsoluteTolerance::FromNominals, &[2.0, 0.0, -3.0, f64::NAN, f64::INFINITY], |_| false);
         let expected = [2e-8, 1e-8, 3e-8, 1e-8, 1e-8];
         for (a, e) in w.atol.iter().zip(expected) {
             assert!((a - e).abs() < 1e-20);
@@ -190,7 +208,7 @@ mod tests {
     #[test]
     fn the_norm_is_the_root_mean_square_of_the_weighted_error() {
         let mut w = Weights::default();
-        w.set(0.1, &AbsoluteTolerance::Scalar(1.0), &[1.0, 1.0]);
+        w.set(0.1, &AbsoluteTolerance::Scalar(1.0), &[1.0, 1.0], |_| false);
         // weights 1 + 0.1 * 10 = 2 and 1 + 0.1 * 20 = 3
         let n = w.error_norm(&[10.0, 0.0], &[-5.0, 20.0], &[2.0, 6.0]);
         assert!((n - (5.0_f64 / 2.0).sqrt()).abs() < 1e-15);

@@ -28,6 +28,9 @@ use sliding::Sliding;
 /// Unit round-off of double precision.
 const U: f64 = f64::EPSILON / 2.0;
 
+/// Rounding of times that changes a step by more than this share of it counts.
+const COARSE: f64 = 1e-8;
+
 /// Refused points in a row before a run gives up.
 const MAX_DISCARDS: u32 = 12;
 
@@ -317,12 +320,9 @@ where
             }
         }
 
-        if let Some(step) = self.fixed_step
-            && start < end
-            && step <= 4.0 * self.same
-        {
-            self.h_tried = step;
-            return Err(ErrorKind::StepTooSmall { discarded: false }.into());
+        let given = if self.fixed_step.is_some() { self.fixed_step } else { self.options.max_step };
+        if let Some(step) = given.filter(|step| start < end && *step <= 4.0 * self.same) {
+            return Err(ErrorKind::StepBelowRounding { step, least: 4.0 * self.same }.into());
         }
         let outcome = self.system.start(start, &mut self.space.x).map_err(no_retreat)?;
         if outcome.terminate {
@@ -351,6 +351,9 @@ where
         let h = self.step_towards(target);
         let hits_target = h == target - self.t;
         let end = if hits_target { target } else { self.t + h };
+        // Far from zero times are coarse: the step is what lies between them. Elsewhere it stays the very number proposed.
+        let between = end - self.t;
+        let h = if (between - h).abs() > COARSE * h { between } else { h };
         self.h_tried = h;
         match self.attempt(end, h)? {
             Tried::Good => self.commit(end, h),
@@ -407,6 +410,7 @@ where
             return remaining;
         }
         let h = self.sliding.step().unwrap_or(self.h).min(self.options.max_step.unwrap_or(f64::INFINITY));
+        let h = h.max(self.least_step());
         if remaining < 1.1 * h && (self.options.max_step.is_none_or(|m| remaining <= m)) {
             remaining
         } else if remaining < 2.0 * h {
@@ -414,6 +418,11 @@ where
         } else {
             h
         }
+    }
+
+    /// Below this a step of an adaptive method means nothing: rounding moves its end by more than a part of it.
+    fn least_step(&self) -> f64 {
+        16.0 * U * self.t.abs().max(1e-6 * (self.end - self.start))
     }
 
     /// Tries the step and reads the event indicators at its end.
@@ -456,10 +465,8 @@ where
             self.worst_state = None;
         }
         self.discards += u32::from(discarded);
-        let span = self.end - self.start;
-        let least = 16.0 * U * self.t.abs().max(1e-6 * span);
         let hopeless = self.fixed_step.is_some() || (discarded && self.discards > MAX_DISCARDS);
-        if h < least || hopeless {
+        if h < self.least_step() || hopeless {
             return Err(match why {
                 Shrink::NotSolved => ErrorKind::NoConvergence.into(),
                 _ => ErrorKind::StepTooSmall { discarded }.into(),
@@ -536,12 +543,12 @@ where
     /// make the next one smaller than the one proposed before.
     fn next_step(&mut self, h: f64, theta: f64) -> f64 {
         if self.space.x.is_empty() {
-            return if self.fixed_step.is_some() { h } else { self.h };
+            return if self.fixed_step.is_some() { h } else { self.step_without_states() };
         }
         let proposed = self.stepper.accept(h, theta);
         match self.fixed_step {
             Some(_) => h,
-            None if h < self.h => proposed.max(self.h),
+            None if h < self.h - self.same => proposed.max(self.h),
             None => proposed,
         }
     }

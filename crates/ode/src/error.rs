@@ -56,6 +56,14 @@ pub enum ErrorKind {
         /// The model refused the last point that was tried (discard, NaN or infinity).
         discarded: bool,
     },
+    /// The step asked for (that of a method with a fixed step, or the largest one) is not above what tells two instants of
+    /// this span apart.
+    StepBelowRounding {
+        /// The step.
+        step: f64,
+        /// It must be above this.
+        least: f64,
+    },
     /// The equations of an implicit method could not be solved, down to steps that mean nothing.
     NoConvergence,
     /// The mass matrix has not one row and one column per state, or a number that is not finite.
@@ -67,7 +75,8 @@ pub enum ErrorKind {
     },
     /// The model has a mass matrix, which this method cannot take.
     MassMatrixNeedsRadau5,
-    /// The model refused its own starting point (or the point right after an event).
+    /// The model refused its own starting point (or the point right after an event), or a state or derivative is not
+    /// finite there.
     DiscardedAtRestart,
     /// More steps than allowed.
     TooManySteps(u64),
@@ -109,6 +118,7 @@ impl ErrorKind {
                 "the error test wants steps that are too small".to_owned()
             }
             Self::StepTooSmall { discarded: true } => "the model cannot be evaluated any further".to_owned(),
+            Self::StepBelowRounding { .. } => "the steps asked for are too small".to_owned(),
             Self::NoConvergence => "the equations of the implicit method do not converge".to_owned(),
             Self::MassMatrix { .. } => "the mass matrix cannot be used".to_owned(),
             Self::MassMatrixNeedsRadau5 => "the mass matrix needs solver radau5".to_owned(),
@@ -168,6 +178,12 @@ impl fmt::Display for SimulationError {
             }
             ErrorKind::StepTooSmall { discarded: true } => {
                 write!(f, "the model cannot be evaluated beyond t = {t}, down to steps of {:e}", self.step)?;
+            }
+            ErrorKind::StepBelowRounding { step, least } => {
+                return write!(
+                    f,
+                    "steps of {step:e} were asked for, but in this span only steps above {least:e} tell instants apart"
+                );
             }
             ErrorKind::NoConvergence => {
                 let h = self.step;

@@ -139,15 +139,16 @@ pub enum AbsoluteTolerance {
 pub struct Options {
     /// The method; default [`Method::Auto`].
     pub method: Method,
-    /// Relative tolerance of the adaptive methods; default 1e-6.
+    /// Relative tolerance of the adaptive methods; default 1e-6. Not of [unbounded](crate::HybridSystem::is_unbounded) states.
     pub relative_tolerance: f64,
     /// Absolute tolerances; default [`AbsoluteTolerance::FromNominals`].
     pub absolute_tolerance: AbsoluteTolerance,
     /// Step of the fixed-step methods in units of time; default: a 500th of the span.
     pub step_size: Option<f64>,
-    /// Largest step of the adaptive methods; default: the span.
+    /// Largest step of the adaptive methods; default: the span. One that cannot tell instants of the span apart is an
+    /// [error](crate::ErrorKind::StepBelowRounding) of the run.
     pub max_step: Option<f64>,
-    /// First step of the adaptive methods; default: estimated.
+    /// First step of the adaptive methods; default: estimated. Made larger where it would not advance time.
     pub initial_step: Option<f64>,
     /// Also sample both sides of every event.
     pub record_events: bool,

@@ -109,6 +109,13 @@ pub trait HybridSystem {
         Ok(())
     }
 
+    /// Whether a state may grow far beyond its nominal value without its error growing with it, such as an angle that turns
+    /// on and on (FMI's `unbounded`): then its absolute tolerance alone counts. Read once a run and after changes of nominals.
+    fn is_unbounded(&self, state: usize) -> bool {
+        let _ = state;
+        false
+    }
+
     /// Starts the run: brings the model to `t0`, lets its initial events happen, and fills in the states.
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome>;
 
@@ -192,6 +199,9 @@ macro_rules! hand_on {
         }
         fn nominals(&mut $self, nominals: &mut [f64]) -> CallResult<()> {
             $inner.nominals(nominals)
+        }
+        fn is_unbounded(&$self, state: usize) -> bool {
+            $inner.is_unbounded(state)
         }
         fn start(&mut $self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
             $inner.start(t0, x)

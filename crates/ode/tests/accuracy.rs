@@ -103,3 +103,39 @@ fn fixed_step_methods_have_their_order() {
         assert!((ratio.log2() - order).abs() < 0.1, "{}: {ratio}", method.name());
     }
 }
+
+/// An angle that turns on and on: against its size its error would be allowed to grow, and does.
+#[test]
+fn the_error_of_unbounded_states_does_not_grow_with_them() {
+    struct Rotor {
+        unbounded: bool,
+    }
+    impl HybridSystem for Rotor {
+        fn n_states(&self) -> usize {
+            2
+        }
+        fn is_unbounded(&self, state: usize) -> bool {
+            self.unbounded && state == 0
+        }
+        fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+            x.copy_from_slice(&[0.0, 1.0]);
+            Ok(EventOutcome::default())
+        }
+        /// angle = 1000 t + sin(7 t) / 7
+        fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+            dx.copy_from_slice(&[1000.0 + (7.0 * t).cos(), -x[1]]);
+            Ok(())
+        }
+    }
+    for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
+        let error = |unbounded| {
+            let mut seen = Recorder::default();
+            let mut driver = Driver::new(Options { method, ..Options::default() }).unwrap();
+            driver.run(&mut Rotor { unbounded }, 0.0, 20.0, &[20.0], &mut seen).unwrap();
+            (seen.rows[0].3[0] - 20_000.0 - (140f64).sin() / 7.0).abs()
+        };
+        let (free, bound) = (error(true), error(false));
+        assert!(free < 2e-5, "{}: {free:e} with absolute tolerance alone", method.name());
+        assert!(bound > 1e-4, "{}: {bound:e} measured against the size", method.name());
+    }
+}

@@ -91,7 +91,7 @@ fn fixed_steps_make_progress_at_large_times() {
         .unwrap()
         .run(&mut Scripted::default(), 1.7e9, 1.7e9 + 1.0, &[], &mut Ignore)
         .unwrap_err();
-    assert!(matches!(error.kind, ErrorKind::StepTooSmall { .. }), "{error}");
+    assert!(matches!(error.kind, ErrorKind::StepBelowRounding { .. }), "{error}");
 }
 
 #[test]
@@ -189,4 +189,64 @@ fn a_time_event_that_never_moves_on_is_an_error() {
         Driver::new(Options::default()).unwrap().run(&mut Stuck, 0.0, 1.0, &[], &mut Ignore).unwrap_err();
     assert!(matches!(error.kind, ErrorKind::TimeEventLoop(100)), "{error}");
     assert_eq!(error.time, 0.5);
+}
+
+/// Contrary to its contract, an input announces the same instant over and over.
+#[test]
+fn an_input_stop_that_never_moves_on_is_an_error() {
+    struct Stuck {
+        jump: bool,
+    }
+    impl HybridSystem for Stuck {
+        fn n_states(&self) -> usize {
+            0
+        }
+        fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
+            Ok(EventOutcome::default())
+        }
+        fn derivatives(&mut self, _: f64, _: &[f64], _: &mut [f64]) -> CallResult<()> {
+            Ok(())
+        }
+        fn next_input_stop(&mut self, _: f64) -> Option<InputStop> {
+            Some(InputStop { time: 0.5, jump: self.jump })
+        }
+    }
+    for jump in [false, true] {
+        let mut driver = Driver::new(Options::default()).unwrap();
+        let error = driver.run(&mut Stuck { jump }, 0.0, 1.0, &[], &mut Ignore).unwrap_err();
+        assert!(matches!(error.kind, ErrorKind::TimeEventLoop(100)), "{error}");
+        assert_eq!(error.time, 0.5);
+    }
+}
+
+/// Without states nothing but a refused point makes a step smaller; the next one is as long as ever.
+#[test]
+fn a_refused_point_without_states_costs_one_step() {
+    struct Clock {
+        looks: u64,
+    }
+    impl HybridSystem for Clock {
+        fn n_states(&self) -> usize {
+            0
+        }
+        fn n_event_indicators(&self) -> usize {
+            1
+        }
+        fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
+            Ok(EventOutcome::default())
+        }
+        fn derivatives(&mut self, _: f64, _: &[f64], _: &mut [f64]) -> CallResult<()> {
+            Ok(())
+        }
+        fn event_indicators(&mut self, t: f64, _: &[f64], z: &mut [f64]) -> CallResult<()> {
+            self.looks += 1;
+            z[0] = 1.0 + t;
+            if self.looks.is_multiple_of(20) { Err(CallError::Discard) } else { Ok(()) }
+        }
+    }
+    let limits = Limits { max_steps: Some(2000), ..Limits::default() };
+    let mut driver = Driver::new(Options { limits, ..Options::default() }).unwrap();
+    let report = driver.run(&mut Clock { looks: 0 }, 0.0, 1.0, &[], &mut Ignore).unwrap();
+    assert!(report.stats.accepted_steps < 550, "{report:?}");
+    assert!(report.stats.rejected_steps > 20, "{report:?}");
 }

@@ -6,8 +6,8 @@ use crate::py_system::{Event, JacobianSource, PySystem, matrix};
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{
-    AbsoluteTolerance, Driver, ErrorKind, JacobianPattern, Limits, Method, Observer, Options, Report, Sample,
-    SimulationError, StepView, Termination,
+    AbsoluteTolerance, Driver, ErrorKind, JacobianPattern, Limits, Method, Observer, Options, OptionsError,
+    Report, Sample, SimulationError, StepView, Termination,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -94,7 +94,7 @@ impl Observer for Keeper<'_, '_> {
 
 impl Problem<'_> {
     fn driver(&self, stop: &Stop) -> PyResult<Driver> {
-        let bad = |e: ode::OptionsError| PyValueError::new_err(e.to_string());
+        let bad = |e: OptionsError| PyValueError::new_err(in_words_of_solve(e).to_string());
         let timeout = self.timeout.filter(|t| *t != f64::INFINITY);
         let timeout = timeout.map(Duration::try_from_secs_f64).transpose().map_err(|_| {
             PyValueError::new_err(format!(
@@ -134,7 +134,7 @@ impl<'py> Problem<'py> {
         let jacobian = match &self.jacobian {
             None => JacobianSource::Differences,
             Some(function) if function.is_callable() => JacobianSource::Function(function.clone()),
-            Some(constant) => JacobianSource::Constant(matrix(constant, n, "jac")?),
+            Some(given) => JacobianSource::Constant(constant(given, n, "jac")?),
         };
         let pattern =
             self.sparsity.as_ref().and_then(|places| JacobianPattern::new(n, places.iter().copied()));
@@ -154,7 +154,7 @@ impl<'py> Problem<'py> {
             on_event: self.on_event.clone(),
             jacobian,
             pattern,
-            mass: self.mass.as_ref().map(|m| matrix(m, n, "mass")).transpose()?,
+            mass: self.mass.as_ref().map(|m| constant(m, n, "mass")).transpose()?,
             keeps_steps: self.times.is_none(),
             times: Vec::new(),
             states: Vec::new(),
@@ -193,6 +193,35 @@ pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bou
     error::ended(py, stop, raised, Some(result))
 }
 
+/// The error with the names that the arguments of `pydfo.ode.solve` have.
+fn in_words_of_solve(error: OptionsError) -> OptionsError {
+    match error {
+        OptionsError::OutOfRange { name, value, range } => {
+            let name = match name {
+                "relative_tolerance" => "rtol",
+                "absolute_tolerance" => "atol",
+                "initial_step" => "first_step",
+                "step_size" => "step",
+                other => other,
+            };
+            OptionsError::OutOfRange { name, value, range }
+        }
+        other => other,
+    }
+}
+
+/// A constant matrix that was given as the argument `name`, by columns.
+fn constant(value: &Bound<'_, PyAny>, n: usize, name: &str) -> PyResult<Vec<f64>> {
+    let entries = matrix(value, n, name)?;
+    match entries.iter().position(|v| !v.is_finite()) {
+        None => Ok(entries),
+        Some(p) => {
+            let (i, k) = (p % n, p / n);
+            Err(PyValueError::new_err(format!("{name}[{i}, {k}] = {} must be finite", entries[p])))
+        }
+    }
+}
+
 /// Errors of the caller, not of the integration.
 fn is_misuse(kind: &ErrorKind) -> bool {
     matches!(
@@ -202,6 +231,7 @@ fn is_misuse(kind: &ErrorKind) -> bool {
             | ErrorKind::ToleranceCount { .. }
             | ErrorKind::MassMatrix { .. }
             | ErrorKind::MassMatrixNeedsRadau5
+            | ErrorKind::StepBelowRounding { .. }
     )
 }
 

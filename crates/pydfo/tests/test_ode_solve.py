@@ -203,6 +203,30 @@ def test_nothing_to_integrate():
     assert res.success and res.y.shape == (0, 2)
 
 
+def test_the_dense_output_of_no_step_is_the_start():
+    res = ode.solve(circle, (1.0, 1.0), [0.0, 1.0], dense_output=True)
+    assert res.sol(1.0).tolist() == [0.0, 1.0] and res.sol([1.0, 1.0]).shape == (2, 2)
+    with pytest.raises(ValueError, match="lies outside"):
+        res.sol(1.5)
+    res = ode.solve(lambda t, y: [math.nan], (0, 1), [3.0], dense_output=True)
+    assert not res.success and res.message == "the model cannot be evaluated at its own state at t = 0"
+    assert res.nfev == 1 and res.sol(0.0).tolist() == [3.0]
+
+
+def test_what_scipy_takes_as_terminal():
+    def event(t, y):
+        return y[1]
+
+    for terminal, ends in [(np.True_, 0.5), (2.0, 1.5), (np.int64(2), 1.5), (False, 3), (np.False_, 3), (None, 3)]:
+        event.terminal = terminal
+        res = ode.solve(circle, (0, 3 * math.pi), [0.0, 1.0], events=event, rtol=1e-9)
+        assert abs(res.end_time - ends * math.pi) < 1e-7, terminal
+    for terminal in [-1, 0.5, math.nan]:
+        event.terminal = terminal
+        with pytest.raises(ValueError, match="terminal of event 0 = .* must be a whole number, at least 0"):
+            ode.solve(circle, (0, 1), [0.0, 1.0], events=event)
+
+
 def test_failures_are_results_that_say_why():
     res = ode.solve(lambda t, y: y**2, (0, 2), [1.0])
     assert not res.success and res.status == -1 and abs(res.end_time - 1) < 1e-4 and "steps" in res.message
@@ -302,9 +326,9 @@ def test_exceptions_keep_their_identity(method):
         ({"t_eval": [0.5, 0.2]}, ValueError, "requested time 0.2 at position 1"),
         ({"t_eval": [7.0]}, ValueError, "requested time 7 at position 0"),
         ({"method": "rk23"}, ValueError, "unknown solver 'rk23'; there are"),
-        ({"rtol": 0.0}, ValueError, "relative_tolerance = 0"),
+        ({"rtol": 0.0}, ValueError, "^rtol = 0"),
         ({"atol": [1e-6]}, ValueError, "atol has 1 values for 2 states"),
-        ({"atol": -1.0}, ValueError, "absolute_tolerance = -1"),
+        ({"atol": -1.0}, ValueError, "^atol = -1"),
         ({"events": [3]}, TypeError, "event 0 must be callable, not 3"),
         ({"events": lambda t, y: "a"}, TypeError, "event 0 must return one number"),
         ({"jac": [[1.0]], "method": "bdf"}, ValueError, r"jac must have the shape \(2, 2\), not \(1, 1\)"),
@@ -313,6 +337,14 @@ def test_exceptions_keep_their_identity(method):
         ({"chattering": "stop"}, ValueError, "unknown answer to chattering 'stop'"),
         ({"timeout": -1}, ValueError, "timeout = -1 must be a number of seconds"),
         ({"max_step": 0.0}, ValueError, "max_step = 0"),
+        ({"max_step": 1e-300}, ValueError, "steps of 1e-300 were asked for"),
+        ({"first_step": 0.0}, ValueError, "^first_step = 0"),
+        ({"step": 0.0, "method": "rk4"}, ValueError, "^step = 0"),
+        ({"step": 1e-30, "method": "rk4"}, ValueError, "steps of 1e-30 were asked for"),
+        ({"args": 2}, TypeError, r"args must be a tuple of further arguments, such as \(2.0,\), not 2"),
+        ({"jac": [[0, 1], [math.nan, 0]], "method": "bdf"}, ValueError, r"jac\[1, 0\] = NaN must be finite"),
+        ({"mass": [[1, math.inf], [0, 1]]}, ValueError, r"mass\[0, 1\] = inf must be finite"),
+        ({"interior_samples": 2**32}, ValueError, "interior_samples = 4294967296 must"),
         ({"interior_samples": -1}, ValueError, "interior_samples = -1 must not be negative"),
     ],
 )

@@ -82,6 +82,9 @@ where
         let space = &mut *self.space;
         if !space.x.is_empty() {
             self.stepper.evaluate(self.system, self.t, &space.x, &mut self.stats).map_err(no_retreat)?;
+            if !space.x.iter().chain(self.stepper.derivative()).all(|v| v.is_finite()) {
+                return Err(ErrorKind::DiscardedAtRestart.into());
+            }
         }
         if space.domains.len() > 0 {
             space.domains.forget();
@@ -91,6 +94,11 @@ where
         Ok(())
     }
 
+    /// Without states nothing measures an error; indicators of time alone are looked at this often.
+    pub(super) fn step_without_states(&self) -> f64 {
+        (self.end - self.start) / 500.0
+    }
+
     pub(super) fn estimate_step(&mut self) -> Step<()> {
         let span = self.end - self.start;
         let space = &mut *self.space;
@@ -98,8 +106,7 @@ where
             return Ok(());
         }
         if space.x.is_empty() {
-            // Without states nothing measures an error; indicators of time alone are looked at this often.
-            self.h = span / 500.0;
+            self.h = self.step_without_states();
             return Ok(());
         }
         let room = (self.target() - self.t).max(0.0);
@@ -128,8 +135,9 @@ where
     pub(super) fn read_nominals(&mut self) -> Step<()> {
         let space = &mut *self.space;
         self.system.nominals(&mut space.nominals).map_err(no_retreat)?;
-        let options = self.options;
-        space.weights.set(options.relative_tolerance, &options.absolute_tolerance, &space.nominals);
+        let (options, system) = (self.options, &*self.system);
+        let (rtol, atol) = (options.relative_tolerance, &options.absolute_tolerance);
+        space.weights.set(rtol, atol, &space.nominals, |i| system.is_unbounded(i));
         Ok(())
     }
 
@@ -146,7 +154,8 @@ where
     /// Time events and input stops that fall on the current instant although the step did not end for them: announced
     /// for it by the start or by an event, or too close to it to be hit on their own. Whether there was any event.
     pub(super) fn more_events_here(&mut self) -> Step<bool> {
-        let mut visits = 0;
+        let mut any = false;
+        let mut looks = 0;
         loop {
             let time = self.next_time_event.is_some_and(|next| next <= self.t + self.same);
             let stop = self.input_stop.filter(|stop| stop.time <= self.t + self.same);
@@ -155,16 +164,17 @@ where
                 self.input_stop = self.system.next_input_stop(stop.time);
             }
             let input = stop.is_some_and(|stop| stop.jump);
+            looks += 1;
+            if looks > ChatteringGuard::EVENTS {
+                return Err(ErrorKind::TimeEventLoop(ChatteringGuard::EVENTS as u64).into());
+            }
             if time || input {
-                visits += 1;
-                if visits > ChatteringGuard::EVENTS {
-                    return Err(ErrorKind::TimeEventLoop(ChatteringGuard::EVENTS as u64).into());
-                }
+                any = true;
                 self.space.slope.copy_from_slice(self.stepper.derivative());
                 self.sample_left()?;
                 self.visit_event(EventCause { time, input, ..EventCause::default() })?;
             } else if stop.is_none() {
-                return Ok(visits > 0);
+                return Ok(any);
             }
         }
     }

@@ -94,7 +94,8 @@ class DenseOutput:
             raise ValueError(f"t = {flat[outside][0]} lies outside of [{self.t_min}, {self.t_max}]")
         which = np.clip(np.searchsorted(self._spans[:, 0], flat, side="right") - 1, 0, len(self._spans) - 1)
         start, end = self._spans[which].T
-        s = np.clip((2.0 * flat - start - end) / (end - start), -1.0, 1.0)
+        length = np.where(end > start, end - start, 1.0)
+        s = np.clip((2.0 * flat - start - end) / length, -1.0, 1.0)
         distance = s[:, np.newaxis] - self._nodes
         hit = distance == 0.0
         share = self._weights / np.where(hit, 1.0, distance)
@@ -152,7 +153,12 @@ class OdeResult:
     ) -> None:
         self.t = t
         self.y = states.T
-        self.sol = DenseOutput(spans, values) if spans is not None and values is not None and len(spans) else None
+        self.sol = None
+        if spans is not None and values is not None:
+            if not len(spans) and len(t):
+                # Without a step there is the start: a step of length zero.
+                spans, values = np.full((1, 2), t[0]), np.stack([states[:1], states[:1]], axis=1)
+            self.sol = DenseOutput(spans, values) if len(spans) else None
         self.t_events = t_events if t_events else None
         self.y_events = y_events if t_events else None
         self.stats = SimulationStats(**stats)
@@ -236,7 +242,8 @@ def solve(
         Not zero where the Jacobian may differ from zero: columns that share no row then come from one difference.
     mass : array_like, shape (n, n), optional
         The constant matrix on the left. It may be singular (a differential-algebraic system of index 1; `x0` must be
-        consistent). Only for "radau5" and "auto".
+        consistent: that is not checked, and already the first step ends at algebraic states that are). Only for "radau5"
+        and "auto".
     first_step, max_step : float, optional
         First and largest step. By default the first step is estimated, and the largest is the span.
     step : float, optional
@@ -292,7 +299,10 @@ def solve(
     if not np.isfinite(x).all():
         raise ValueError(f"x0 must be finite, not {x}")
     n = len(x)
-    extra = tuple(args)
+    try:
+        extra = tuple(args)
+    except TypeError:
+        raise TypeError(f"args must be a tuple of further arguments, such as (2.0,), not {args!r}") from None
 
     def bind(function: Callable[..., Any]) -> Callable[..., Any]:
         return (lambda *given: function(*given, *extra)) if extra else function
@@ -351,7 +361,8 @@ def _marks(i: int, function: Callable[..., Any]) -> tuple[float, int]:
     if np.isnan(direction):
         raise ValueError(f"direction of event {i} is NaN")
     terminal = getattr(function, "terminal", None)
-    return float(np.sign(direction)), _count(f"terminal of event {i}", terminal or 0)
+    # Whatever SciPy takes: True, NumPy's True, a count as int or float.
+    return float(np.sign(direction)), _options.limit(f"terminal of event {i}", terminal, 0) or 0
 
 
 def _count(name: str, value: SupportsIndex) -> int:
@@ -359,8 +370,8 @@ def _count(name: str, value: SupportsIndex) -> int:
         count = operator.index(value)
     except TypeError:
         raise TypeError(f"{name} must be a whole number, not {value!r}") from None
-    if count < 0:
-        raise ValueError(f"{name} = {count} must not be negative")
+    if not 0 <= count < 2**32:
+        raise ValueError(f"{name} = {count} must not be negative, and below 2**32")
     return count
 
 
