@@ -64,7 +64,7 @@ pub(crate) struct Radau5 {
     trial: Collocation,
     last: Collocation,
     terms: Terms,
-    /// The last step led to the current point, smoothly: it can be continued.
+    /// The last step led to the current point, and the solution goes on from there as if nothing had happened.
     can_extrapolate: bool,
     /// The next trial is the last good one made shorter.
     is_repetition: bool,
@@ -397,8 +397,12 @@ impl Stepper for Radau5 {
         stats: &mut Stats,
     ) -> CallResult<()> {
         self.jacobian_is_fresh = false;
+        self.f_new.copy_from_slice(&self.f);
         stats.right_hand_sides += 1;
-        system.derivatives(t, x, &mut self.f)
+        system.derivatives(t, x, &mut self.f)?;
+        // A change below the tolerance is one all the same: crossings are looked for inside of steps.
+        self.can_extrapolate &= self.f == self.f_new;
+        Ok(())
     }
 
     fn forget(&mut self) {
@@ -539,12 +543,10 @@ impl Stepper for Radau5 {
         self.jacobian_is_fresh = false;
         let slow = self.newton_count > 2 || self.jacobian.cost() <= CHEAP_JACOBIAN;
         self.wants_jacobian = slow && self.theta > KEEP_JACOBIAN;
-        if theta == 1.0 {
+        self.can_extrapolate = theta == 1.0;
+        if self.can_extrapolate {
             std::mem::swap(&mut self.f, &mut self.f_new);
             std::mem::swap(&mut self.trial, &mut self.last);
-            self.can_extrapolate = true;
-        } else {
-            self.can_extrapolate = false;
         }
         // A little more is not worth a decomposition.
         if !self.wants_jacobian && (1.0..=1.2).contains(&(proposed / h)) { h } else { proposed }

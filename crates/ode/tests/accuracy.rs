@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::*;
+use common::{Driver, *};
 use ode::*;
 
 /// Smallest number of correct digits over the components at the end, and the right-hand sides it took.

@@ -5,7 +5,7 @@
 mod common;
 
 use common::*;
-use ode::*;
+use ode::{Driver, *};
 use std::ops::ControlFlow;
 
 struct Sum(f64);

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::*;
+use common::{Driver, *};
 use ode::*;
 
 const ADAPTIVE: &[Method] = &[Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf];

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::*;
+use common::{Driver, *};
 use ode::*;
 
 /// x' = f(t, x) with time events at given instants and input stops, a reset at events, and an output.

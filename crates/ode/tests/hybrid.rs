@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::*;
+use common::{Driver, *};
 use ode::*;
 
 fn driver(method: Method, options: Options) -> Driver {

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Recorder, Smooth};
+use common::{Driver, Recorder, Smooth};
 use ode::*;
 
 fn driver(method: Method, tolerance: f64) -> Driver {
@@ -67,6 +67,40 @@ fn a_stiff_component_on_a_slow_path() {
                 "{} at {tolerance:e}: {ends:e} at the ends of {steps} steps, {inside:e} inside",
                 method.name()
             );
+        }
+    }
+}
+
+/// The same with a clock that ticks each 0.4 and changes nothing.
+struct Clocked;
+
+impl HybridSystem for Clocked {
+    fn n_states(&self) -> usize {
+        2
+    }
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.copy_from_slice(&[0.0, 1.0]);
+        Ok(EventOutcome { next_time: Some(t0 + 0.4), ..EventOutcome::default() })
+    }
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx.copy_from_slice(&[-1e4 * (x[0] - t.sin()) + t.cos(), -x[1]]);
+        Ok(())
+    }
+    fn handle_event(&mut self, visit: &EventVisit<'_>, _: &mut [f64]) -> CallResult<EventOutcome> {
+        Ok(EventOutcome { next_time: Some(visit.time + 0.4), ..EventOutcome::default() })
+    }
+}
+
+#[test]
+fn beside_a_clock_that_changes_nothing() {
+    for method in [Method::Radau5, Method::Bdf, Method::Auto] {
+        for tolerance in [1e-4, 1e-6, 1e-8] {
+            let mut points = Points::default();
+            let stats =
+                driver(method, tolerance).run(&mut Clocked, 0.0, 10.0, &[], &mut points).unwrap().stats;
+            let inside = largest(&points.inside, f64::sin);
+            assert!(inside <= 5.0 * tolerance, "{} at {tolerance:e}: {inside:e} inside", method.name());
+            assert_eq!((stats.time_events, stats.restarts), (25, 0), "{}", method.name());
         }
     }
 }

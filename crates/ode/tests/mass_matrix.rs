@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::*;
+use common::{Driver, *};
 use ode::*;
 
 /// A mass matrix by columns, and a right-hand side from a function.

@@ -5,7 +5,7 @@
 mod common;
 mod problems;
 
-use common::*;
+use common::{Driver, *};
 use ode::*;
 use problems::hybrid::*;
 

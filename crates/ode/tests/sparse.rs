@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::*;
+use common::{Driver, *};
 use ode::*;
 
 /// Heat on a square of `m * m` inner points with cold borders; starts with the slowest mode, which only decays.
