@@ -413,8 +413,8 @@ impl Calibration {
         }
     }
 
-    /// The cost, the residuals into `out`, and what the simulations took added to `stats` (those that ended in an error
-    /// left out).
+    /// The cost, the residuals into `out`, and what the simulations took added to `stats` (of those that could not even be
+    /// started nothing).
     fn evaluate_into(
         &self,
         x: &[f64],
@@ -432,8 +432,10 @@ impl Calibration {
             let mut accumulator = Accumulator::new(comparison, evaluation, sum, part);
             let pool = self.pool(k, &|| evaluation.cancelled())?;
             let ran = pool.lend().and_then(|mut simulator| simulator.run(x, &mut accumulator));
-            if let Ok(report) = &ran {
-                *stats += report.stats;
+            match &ran {
+                Ok(report) => *stats += report.stats,
+                Err(FmiError::Simulation(error)) => *stats += error.stats,
+                Err(_) => {}
             }
             match accumulator.stop {
                 Some(Stop::AboveCutoff) => return Err(NoCost::Above),

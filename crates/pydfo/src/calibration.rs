@@ -7,6 +7,7 @@ use crate::interrupt::Watch;
 use crate::logs;
 use crate::report::{self, LastSeen, Listener};
 use crate::settings::{Options, Settings};
+use crate::trajectory::Counts;
 use crate::values;
 use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
 use dfo::Progress;
@@ -312,7 +313,11 @@ impl PyCalibration {
         };
         let raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
         let result = match outcome {
-            Ok(fit) => Some(report::to_python(py, &fit.report)?),
+            Ok(fit) => {
+                let result = report::to_python(py, &fit.report)?;
+                result.setattr("stats", Counts::new(&fit.stats))?;
+                Some(result)
+            }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
             Err(_) => None,
         };
