@@ -176,7 +176,16 @@ impl Simulator {
             None => fresh = Some(new_instance(&plan, &library)?),
         }
         let shared = Arc::clone(library.shared());
-        Ok(Self { plan, engine, fresh, buffers: ReadBackBuffers::default(), began: Instant::now(), library, shared, copy })
+        Ok(Self {
+            plan,
+            engine,
+            fresh,
+            buffers: ReadBackBuffers::default(),
+            began: Instant::now(),
+            library,
+            shared,
+            copy,
+        })
     }
 
     /// Whether its library is one of its own.

@@ -32,7 +32,10 @@ fn every_kind_has_times_and_input_functions_are_not_the_model() {
             let (seconds, in_model) = (stats.seconds.get(), stats.seconds_in_model.get());
             assert!(made >= 20 && in_model > 0.0 && in_model <= seconds, "{kind:?}: {stats:?}");
             // Of the trial runs nothing counts: what is left are the evaluations of this run.
-            assert!(seconds - in_model > 0.99 * 20.0 * nap.as_secs_f64(), "{kind:?}: {in_model} of {seconds}");
+            assert!(
+                seconds - in_model > 0.99 * 20.0 * nap.as_secs_f64(),
+                "{kind:?}: {in_model} of {seconds}"
+            );
         }
     }
 }
