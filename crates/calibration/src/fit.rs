@@ -5,8 +5,8 @@ use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
 use dfo::{
-    AnyMethod, ByRef, Checkpoint, Evaluation, Limits, Measure, NelderMead, Objective, Outcome, Progress,
-    Report, Stop, Tolerances, Transform, WorkerPool,
+    AnyMethod, ByRef, Checkpoint, Evaluation, Kind, Limits, Measure, NelderMead, Objective, Outcome,
+    Progress, Report, Stop, Tolerances, Transform, WorkerPool,
 };
 use ode::Stats;
 use std::fmt;
@@ -193,6 +193,7 @@ impl Calibration {
                 Scale::Log => Transform::Log,
             })
             .collect();
+        let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
         let sizes: Vec<f64> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.size_of(p, *x)).collect();
         if let Some(checkpoint) = &options.checkpoint {
@@ -206,6 +207,7 @@ impl Calibration {
             .start(&start)
             .bounds(&bound(Parameter::lower), &bound(Parameter::upper))?
             .transforms(&transforms)
+            .kinds(&kinds)
             .scales(&sizes)
             .tolerances(tolerances)
             .limits(limits)

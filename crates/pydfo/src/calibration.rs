@@ -6,7 +6,7 @@ use crate::fmu_error;
 use crate::interrupt::Watch;
 use crate::logs;
 use crate::report::{self, LastSeen, Listener};
-use crate::settings::{Options, Settings};
+use crate::settings::{self, Options, Settings};
 use crate::trajectory::Counts;
 use crate::values;
 use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
@@ -31,6 +31,7 @@ pub(crate) struct ParameterFields {
     upper: f64,
     scale: String,
     nominal: Option<f64>,
+    kind: String,
     fixed: bool,
 }
 
@@ -43,9 +44,11 @@ impl ParameterFields {
                 return Err(PyValueError::new_err(format!("scale = '{other}' is none of 'linear', 'log'")));
             }
         };
+        let kind = settings::kind("kind", &self.kind)?;
         let mut parameter = Parameter::new(self.name, self.start)
             .bounds(self.lower, self.upper)
             .scale(scale)
+            .kind(kind)
             .fixed(self.fixed);
         if let Some(nominal) = self.nominal {
             parameter = parameter.nominal(nominal);
