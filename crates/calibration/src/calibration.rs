@@ -3,6 +3,7 @@
 use crate::data::Data;
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
+use crate::identity::identity;
 use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
@@ -127,29 +128,6 @@ impl CalibrationBuilder {
         let (method, choice) = (settings.method, Choice::default());
         Ok(Calibration { fmu, parameters, experiments, n_residuals, method, choice, identity })
     }
-}
-
-/// What tells a calibration from another, as far as its costs go.
-fn identity(
-    fmu: &Fmu,
-    experiments: &[Experiment],
-    parameters: &[Parameter],
-    settings: &SimulationSettings,
-) -> Vec<(String, String)> {
-    let names: Vec<&str> = parameters.iter().map(Parameter::name).collect();
-    let mut all = vec![
-        ("model".to_owned(), fmu.content_hash().to_owned()),
-        ("parameter names".to_owned(), names.join(", ")),
-        ("simulation settings".to_owned(), format!("{settings:?}")),
-    ];
-    for (k, Experiment { data, outputs, inputs, start_values, window, start_time }) in
-        experiments.iter().enumerate()
-    {
-        all.push((format!("data of experiment {k}"), data.hash()));
-        let rest = (outputs, inputs, start_values, window, start_time);
-        all.push((format!("experiment {k}"), format!("{rest:?}")));
-    }
-    all
 }
 
 impl Prepared {
@@ -413,8 +391,8 @@ impl Calibration {
         }
     }
 
-    /// The cost, the residuals into `out`, and what the simulations took added to `stats` (those that ended in an error
-    /// left out).
+    /// The cost, the residuals into `out`, and what the simulations took added to `stats` (of those that could not even be
+    /// started nothing).
     fn evaluate_into(
         &self,
         x: &[f64],
@@ -432,8 +410,10 @@ impl Calibration {
             let mut accumulator = Accumulator::new(comparison, evaluation, sum, part);
             let pool = self.pool(k, &|| evaluation.cancelled())?;
             let ran = pool.lend().and_then(|mut simulator| simulator.run(x, &mut accumulator));
-            if let Ok(report) = &ran {
-                *stats += report.stats;
+            match &ran {
+                Ok(report) => *stats += report.stats,
+                Err(FmiError::Simulation(error)) => *stats += error.stats,
+                Err(_) => {}
             }
             match accumulator.stop {
                 Some(Stop::AboveCutoff) => return Err(NoCost::Above),

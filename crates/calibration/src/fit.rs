@@ -5,8 +5,8 @@ use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
 use dfo::{
-    AnyMethod, ByRef, Checkpoint, Evaluation, Limits, Measure, NelderMead, Objective, Outcome, Progress,
-    Report, Stop, Tolerances, Transform, WorkerPool,
+    AnyMethod, ByRef, Checkpoint, Evaluation, Kind, Limits, Measure, NelderMead, Objective, Outcome,
+    Progress, Report, Stop, Tolerances, Transform, WorkerPool,
 };
 use ode::Stats;
 use std::fmt;
@@ -96,8 +96,8 @@ pub struct Fit {
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
-    /// What the simulations of the fit took in all: right-hand sides, steps, events. Without those of a resumed fit from
-    /// before, and without simulations that ended in an error.
+    /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
+    /// Those that failed or were given up count, those of a resumed fit from before do not.
     pub stats: Stats,
     /// The integration method of all simulations, and how it was found.
     pub solver: Solver,
@@ -127,9 +127,11 @@ impl fmt::Display for Fit {
         writeln!(f, "cost {}, RMS {}", Short(self.cost), Short(self.rms))?;
         writeln!(
             f,
-            "{} right-hand sides, solver {}",
+            "{} right-hand sides, solver {}; {:.3} s in simulations, {:.3} s of them inside the model",
             self.stats.right_hand_sides,
-            self.solver.method.name()
+            self.solver.method.name(),
+            self.stats.seconds.get(),
+            self.stats.seconds_in_model.get()
         )?;
         self.report.fmt(f)
     }
@@ -191,6 +193,7 @@ impl Calibration {
                 Scale::Log => Transform::Log,
             })
             .collect();
+        let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
         let sizes: Vec<f64> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.size_of(p, *x)).collect();
         if let Some(checkpoint) = &options.checkpoint {
@@ -204,6 +207,7 @@ impl Calibration {
             .start(&start)
             .bounds(&bound(Parameter::lower), &bound(Parameter::upper))?
             .transforms(&transforms)
+            .kinds(&kinds)
             .scales(&sizes)
             .tolerances(tolerances)
             .limits(limits)

@@ -1,6 +1,7 @@
 //! What is fitted: a parameter of the model with start, bounds and scale.
 
 use crate::error::CalibrationError;
+use dfo::Kind;
 
 /// How a parameter is measured inside the optimiser; outside it is always in the user's units.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -27,6 +28,7 @@ pub struct Parameter {
     upper: f64,
     scale: Scale,
     nominal: Option<f64>,
+    kind: Kind,
     fixed: bool,
 }
 
@@ -40,6 +42,7 @@ impl Parameter {
             upper: f64::INFINITY,
             scale: Scale::Linear,
             nominal: None,
+            kind: Kind::Continuous,
             fixed: false,
         }
     }
@@ -63,6 +66,14 @@ impl Parameter {
     #[must_use]
     pub fn nominal(mut self, nominal: f64) -> Self {
         self.nominal = Some(nominal);
+        self
+    }
+
+    /// What values it takes: any (the default), whole numbers, or whole numbers that stand for choices. Not every method
+    /// searches over the latter two: [`dfo::DifferentialEvolution`] takes integers, [`dfo::Genetic`] both.
+    #[must_use]
+    pub fn kind(mut self, kind: Kind) -> Self {
+        self.kind = kind;
         self
     }
 
@@ -103,6 +114,11 @@ impl Parameter {
         self.nominal
     }
 
+    /// What values it takes.
+    pub fn value_kind(&self) -> Kind {
+        self.kind
+    }
+
     /// Whether it is held.
     pub fn is_fixed(&self) -> bool {
         self.fixed
@@ -126,6 +142,17 @@ impl Parameter {
         }
         if !self.fixed && !(*lower..=*upper).contains(start) {
             return bad(format!("start {start} is outside of the bounds {lower} and {upper}"));
+        }
+        if self.kind != Kind::Continuous && !self.fixed {
+            if lower.ceil() > upper.floor() {
+                let kind = self.kind;
+                return bad(format!(
+                    "is {kind}, but between its bounds {lower} and {upper} there is no whole number"
+                ));
+            }
+            if start.fract() != 0.0 {
+                return bad(format!("is {}, so start {start} must be a whole number", self.kind));
+            }
         }
         if self.scale == Scale::Log && !self.fixed && (*start <= 0.0 || (lower.is_finite() && *lower < 0.0)) {
             return bad(format!("a log scale wants positive values; start {start}, lower bound {lower}"));
@@ -153,6 +180,8 @@ mod tests {
             (p(0.5, f64::NAN, 1.0), "NaN"),
             (p(0.0, 0.0, 1.0).scale(Scale::Log), "positive"),
             (p(0.5, 0.0, 1.0).nominal(0.0), "nominal 0"),
+            (p(0.5, 0.0, 1.0).kind(Kind::Integer), "is integer, so start 0.5 must be a whole number"),
+            (p(0.5, 0.1, 0.9).kind(Kind::Categorical), "is categorical, but between its bounds 0.1 and 0.9"),
         ] {
             let e = parameter.check().unwrap_err().to_string();
             assert!(e.contains("'k'") && e.contains(expected), "{e}");

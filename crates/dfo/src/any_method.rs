@@ -144,7 +144,7 @@ impl MethodOptions for AnyMethod {
         each!(self, o => o.needs_start())
     }
 
-    fn describe(&self) -> String {
+    fn describe(&self) -> Vec<(String, String)> {
         each!(self, o => o.describe())
     }
 

@@ -15,10 +15,14 @@ use crate::nelder_mead::{BatchPlan, NelderMead, NelderMeadState};
 use crate::objective::Outcome;
 use crate::scaling::Space;
 use crate::termination::{Measure, Termination, Tests, Tolerances};
+use crate::words;
 use serde::{Deserialize, Serialize};
 
 /// How near to a bound the search may come, in units of the width of the box (else of the size of the parameter).
 const MARGIN: f64 = 1e-10;
+/// Largest term of `B`, however near to the bound, and largest barrier parameter: their product is a number.
+const MAX_TERM: f64 = 1e100;
+const MAX_MU: f64 = 1e200;
 /// Stages after which there is no barrier left in any number of 53 bits.
 const MAX_STAGES: usize = 40;
 
@@ -34,10 +38,10 @@ const MAX_STAGES: usize = 40;
 /// assert!(report.schedule.windows(2).all(|w| w[1].mu < w[0].mu));
 /// # Ok::<(), dfo::Error>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Barrier {
-    /// The first barrier parameter; default: a tenth of the cost at the start is barrier.
+    /// The first barrier parameter, positive and at most 1e200; default: a tenth of the cost at the start is barrier.
     pub mu: Option<f64>,
     /// What the barrier parameter is multiplied with from stage to stage; default 0.1.
     pub factor: f64,
@@ -96,8 +100,8 @@ impl MethodOptions for Barrier {
     fn begin(&self, setup: &Setup) -> Result<BarrierState, Error> {
         let space = &setup.space;
         space.require_continuous("barrier")?;
-        if let Some(value) = self.mu.filter(|mu| !(*mu > 0.0 && mu.is_finite())) {
-            return Err(Error::Option { name: "mu", value, range: "positive and finite" });
+        if let Some(value) = self.mu.filter(|mu| !(*mu > 0.0 && *mu <= MAX_MU)) {
+            return Err(Error::Option { name: "mu", value, range: "positive, at most 1e200" });
         }
         if !(self.factor > 0.0 && self.factor < 1.0) {
             return Err(Error::Option { name: "factor", value: self.factor, range: "between 0 and 1" });
@@ -138,8 +142,8 @@ impl MethodOptions for Barrier {
         })
     }
 
-    fn describe(&self) -> String {
-        format!("{self:?}")
+    fn describe(&self) -> Vec<(String, String)> {
+        words::fields(self)
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<BarrierState, Error> {
@@ -227,10 +231,10 @@ impl BarrierState {
             let (lower, upper) = space.ends(k);
             let size = space.size(k);
             if lower.is_finite() {
-                sum += size / (u - lower);
+                sum += (size / (u - lower)).min(MAX_TERM);
             }
             if upper.is_finite() {
-                sum += size / (upper - u);
+                sum += (size / (upper - u)).min(MAX_TERM);
             }
         }
         sum
@@ -318,7 +322,9 @@ impl Method for BarrierState {
                 self.asked = asked;
                 // Widened by what rounding may take away: giving up must imply that the sum is not accepted.
                 let slack = 4.0 * f64::EPSILON * (cutoff.abs() + barrier);
-                batch.set_cutoff(k, cutoff - barrier + slack);
+                // A cost below the best so far is wanted, even where its barrier makes it of no use to the search.
+                let best = self.best.as_ref().map_or(f64::NEG_INFINITY, |(_, best)| *best);
+                batch.set_cutoff(k, (cutoff - barrier + slack).max(best));
             }
             self.cutoffs.push(batch.cutoff(k));
         }
@@ -338,7 +344,8 @@ impl Method for BarrierState {
         self.translated.clear();
         for (k, outcome) in outcomes.iter().enumerate() {
             let translated = match outcome.value() {
-                Some(v) => Outcome::Value(v + mu * self.barrier(points.point(k))),
+                // The cost of the point is a number, so that with its barrier is one.
+                Some(v) => Outcome::Value((v + mu * self.barrier(points.point(k))).min(f64::MAX)),
                 None => outcome.clone(),
             };
             self.translated.push(translated);

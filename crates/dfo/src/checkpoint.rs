@@ -12,13 +12,14 @@ use crate::error::Error;
 use crate::evaluate::{Desk, Replay};
 use crate::ledger::Ledger;
 use crate::method::{Method, Setup};
+use crate::words;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// First bytes of a checkpoint; the last one is the version of the format.
-const MARK: &[u8; 16] = b"dfo checkpoint\0\x01";
+const MARK: &[u8; 16] = b"dfo checkpoint\0\x02";
 
 /// What to do with a checkpoint that is there already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
@@ -120,30 +121,27 @@ struct Lent<'a> {
 
 /// What identifies a run, in words.
 pub(crate) fn fingerprint(
-    (options, budget): (String, bool),
+    (method, options, budget): (&str, Vec<(String, String)>, bool),
     setup: &Setup,
     (cache, trace_limit): (usize, Option<usize>),
     tags: &[(String, String)],
 ) -> Vec<(String, String)> {
     let Setup { space, tolerances, prior, .. } = setup;
-    let mut all = vec![
-        ("method and options".to_owned(), options),
-        ("start".to_owned(), format!("{:?}", setup.start_given.then(|| space.x0()))),
-        ("bounds".to_owned(), format!("{:?} {:?}", space.bounds().lower(), space.bounds().upper())),
-        ("parameters".to_owned(), space.describe()),
-        ("tolerances".to_owned(), format!("{tolerances:?}")),
-        ("cache".to_owned(), cache.to_string()),
-        ("trace limit".to_owned(), format!("{trace_limit:?}")),
-    ];
+    let named = |name: &str, value: String| (name.to_owned(), value);
+    let start = if setup.start_given { words::numbers(space.x0()) } else { "not given".to_owned() };
+    let mut all = vec![named("method", method.to_owned())];
+    all.extend(options.into_iter().map(|(name, value)| (format!("option {name}"), value)));
+    all.push(named("start", start));
+    all.extend(space.describe());
+    all.extend(words::fields(tolerances));
+    all.push(named("cache", cache.to_string()));
+    all.push(named("trace limit", words::limit(trace_limit)));
     if budget {
-        all.push(("max_evaluations".to_owned(), format!("{:?}", setup.max_evaluations)));
+        all.push(named("max_evaluations", words::limit(setup.max_evaluations)));
     }
     if !prior.is_empty() {
         let bytes = postcard::to_allocvec(prior).unwrap_or_default();
-        all.push((
-            "warm start".to_owned(),
-            format!("{} points, {:08x}", prior.len(), crc32fast::hash(&bytes)),
-        ));
+        all.push(named("warm start", format!("{} points ({:08x})", prior.len(), crc32fast::hash(&bytes))));
     }
     all.extend(tags.iter().map(|(name, value)| (name.clone(), value.clone())));
     all

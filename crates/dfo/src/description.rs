@@ -123,8 +123,7 @@ impl<M: MethodOptions> Description<M> {
             before: 0.0,
         };
         let Some(options) = self.checkpoint else { return Ok(begun) };
-        let name = format!("{}: {}", begun.method.name(), self.method.describe());
-        let words = (name, self.method.plans_with_budget());
+        let words = (begun.method.name(), self.method.describe(), self.method.plans_with_budget());
         let fingerprint = checkpoint::fingerprint(words, &setup, (capacity, self.trace_limit), &options.tags);
         if let Some(stored) = checkpoint::read(&options, &fingerprint, setup.seed, n)? {
             begun.method = self.method.restore(&setup, &stored.method)?;

@@ -90,6 +90,18 @@ pub enum Error {
         /// What it must be.
         range: &'static str,
     },
+    /// A discrete parameter has no value to take.
+    #[error(
+        "parameter {index} is discrete, but between its bounds {lower} and {upper} there is no whole number"
+    )]
+    NoWholeNumber {
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Lower bound.
+        lower: f64,
+        /// Upper bound.
+        upper: f64,
+    },
     /// A number outside its range.
     #[error("{name} = {value} must be {range}")]
     Option {
@@ -141,7 +153,7 @@ pub enum Error {
         method: &'static str,
     },
     /// A method cannot search over a discrete parameter.
-    #[error("{method} cannot search over parameter {index}, which is discrete: {kind:?}")]
+    #[error("{method} cannot search over parameter {index}, which is {kind}")]
     NotContinuous {
         /// The method.
         method: &'static str,
@@ -201,7 +213,7 @@ pub enum Error {
         message: String,
     },
     /// A checkpoint belongs to another run.
-    #[error("checkpoint {path} belongs to another run: its {what} is {stored}, not {given}")]
+    #[error("checkpoint {path} belongs to another run: {what}: {stored} in the file, {given} here")]
     CheckpointMismatch {
         /// The file, which is left as it is.
         path: String,

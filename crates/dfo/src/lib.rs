@@ -65,6 +65,7 @@ mod sampling;
 mod scaling;
 mod termination;
 mod trace;
+mod words;
 
 pub use any_method::{AnyMethod, BoxedMethod};
 pub use barrier::{Barrier, BarrierStage, BarrierState};

@@ -224,9 +224,10 @@ pub trait MethodOptions {
         true
     }
 
-    /// The options in words, so that a checkpoint of other options is recognised.
-    fn describe(&self) -> String {
-        String::new()
+    /// The options and their values in words, so that a checkpoint of other options is recognised, and the one that
+    /// differs can be named.
+    fn describe(&self) -> Vec<(String, String)> {
+        Vec::new()
     }
 
     /// Whether the path depends on the limit of evaluations.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// How starting points are spread over a box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Sampling {
     /// Independent and uniform.

@@ -7,10 +7,13 @@
 
 use crate::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
+use crate::words;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// The scale on which a parameter is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Transform {
     /// As it is.
     #[default]
@@ -21,6 +24,7 @@ pub enum Transform {
 
 /// What values a parameter takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Kind {
     /// Any in its bounds.
     #[default]
@@ -31,8 +35,19 @@ pub enum Kind {
     Categorical,
 }
 
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Continuous => "continuous",
+            Self::Integer => "integer",
+            Self::Categorical => "categorical",
+        })
+    }
+}
+
 /// How points outside of the box are brought back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum BoundsHandling {
     /// Mirrored at the bound, repeatedly if need be.
@@ -86,7 +101,7 @@ impl Space {
         for (what, got, optional) in [
             ("bounds", bounds.len(), false),
             ("transforms", transforms.len(), true),
-            ("scales", sizes.len(), true),
+            ("nominal sizes", sizes.len(), true),
         ] {
             if got != n && !(optional && got == 0) {
                 return Err(Error::Length { what, expected: n, got });
@@ -111,7 +126,7 @@ impl Space {
             let size = sizes.get(index).copied();
             if let Some(value) = size.filter(|s| !(*s > 0.0 && s.is_finite())) {
                 let range = "positive and finite";
-                return Err(Error::ParameterOption { name: "scale", index, value, range });
+                return Err(Error::ParameterOption { name: "nominal size", index, value, range });
             }
             space.add(index, transform, size)?;
         }
@@ -153,7 +168,7 @@ impl Space {
         self.kinds.push(Kind::Continuous);
         self.lower.push(lo);
         self.upper.push(hi);
-        self.sizes.push(size.unwrap_or(if width.is_finite() { width } else { default }));
+        self.sizes.push(size.unwrap_or(if width.is_finite() && width > 0.0 { width } else { default }));
         self.size_given.push(size.is_some());
         self.boxed.push(width.is_finite());
         Ok(())
@@ -164,8 +179,8 @@ impl Space {
     /// number has the same share of it.
     ///
     /// # Errors
-    /// Another number of kinds than parameters; a discrete parameter whose start value is not whole, or whose bounds lie
-    /// beyond the numbers that are told apart from their neighbours (2^53).
+    /// Another number of kinds than parameters; a discrete parameter whose start value is not whole, between whose bounds
+    /// there is no whole number, or whose bounds lie beyond the numbers that are told apart from their neighbours (2^53).
     pub fn with_kinds(mut self, kinds: &[Kind]) -> Result<Self, Error> {
         if kinds.len() != self.n() {
             return Err(Error::Length { what: "kinds", expected: self.n(), got: kinds.len() });
@@ -177,6 +192,9 @@ impl Space {
                 continue;
             }
             let ends = [self.bounds.lower()[index], self.bounds.upper()[index]];
+            if ends[0].ceil() > ends[1].floor() {
+                return Err(Error::NoWholeNumber { index, lower: ends[0], upper: ends[1] });
+            }
             if let Some(value) = ends.into_iter().find(|b| b.is_finite() && b.abs() > LARGEST_WHOLE) {
                 let range = "at most 2^53 in size, for the parameter is discrete";
                 return Err(Error::ParameterOption { name: "bound", index, value, range });
@@ -227,10 +245,21 @@ impl Space {
         }
     }
 
-    /// Scales, kinds and sizes in words, for a fingerprint.
-    pub(crate) fn describe(&self) -> String {
-        let Self { free, transforms, kinds, sizes, size_given, .. } = self;
-        format!("{free:?} {transforms:?} {kinds:?} {sizes:?} {size_given:?}")
+    /// Bounds, scales, kinds and sizes in words, for a fingerprint.
+    pub(crate) fn describe(&self) -> Vec<(String, String)> {
+        let Self { bounds, free, transforms, kinds, sizes, size_given, .. } = self;
+        let given = free.iter().zip(size_given).filter(|(_, given)| **given).map(|(index, _)| index);
+        [
+            ("lower bounds", words::numbers(bounds.lower())),
+            ("upper bounds", words::numbers(bounds.upper())),
+            ("free parameters", words::word(free)),
+            ("scales", words::word(transforms)),
+            ("kinds", words::word(kinds)),
+            ("sizes", words::numbers(sizes)),
+            ("sizes given for parameters", words::word(&given.collect::<Vec<_>>())),
+        ]
+        .map(|(name, value)| (name.to_owned(), value))
+        .into()
     }
 
     /// The same space with another start point inside of the box.
@@ -328,7 +357,9 @@ impl Space {
         for (k, u) in u.iter_mut().enumerate() {
             let (lower, upper) = self.ends(k);
             let margin = INSIDE * self.width(k).unwrap_or(self.sizes[k]);
-            let inside = u.max(lower + margin).min(upper - margin);
+            // A step inside may lead beyond the other bound, or beyond all numbers.
+            let ends = (self.lower[k].max(f64::MIN), self.upper[k].min(f64::MAX));
+            let inside = u.max(lower + margin).min(upper - margin).clamp(ends.0, ends.1);
             let i = self.free[k];
             if inside != *u {
                 (*u, space.x0[i]) = (
@@ -340,7 +371,9 @@ impl Space {
                 );
             }
             space.sizes[k] = match (self.width(k), lower.is_finite() || upper.is_finite()) {
-                (Some(width), _) => 2.0 * self.sizes[k] / width,
+                (Some(width), _) if width > 0.0 => 2.0 * self.sizes[k] / width,
+                // No room on a logarithmic scale.
+                (Some(_), _) => 1.0,
                 (None, true) => 1.0,
                 (None, false) => self.sizes[k],
             };
@@ -367,20 +400,33 @@ impl Space {
     fn fold_sine(&self, k: usize, v: f64) -> f64 {
         let (lower, upper) = self.ends(k);
         let u = match (lower.is_finite(), upper.is_finite()) {
-            (true, true) => lower + 0.5 * (upper - lower) * (1.0 + v.sin()),
+            (true, true) if self.boxed[k] => lower + 0.5 * (upper - lower) * (1.0 + v.sin()),
+            // The width is no number.
+            (true, true) => (0.5 * lower + 0.5 * upper) + (0.5 * upper - 0.5 * lower) * v.sin(),
             (true, false) => lower + self.hyperbola[k] * (v.hypot(1.0) - 1.0),
             (false, true) => upper - self.hyperbola[k] * (v.hypot(1.0) - 1.0),
             (false, false) => v,
         };
-        u.clamp(self.lower[k], self.upper[k])
+        // Far out on a hyperbola there are no numbers left.
+        u.clamp(self.lower[k].max(f64::MIN), self.upper[k].min(f64::MAX))
     }
 
     /// The angle of a coordinate.
     fn unfold(&self, k: usize, u: f64) -> f64 {
         let (lower, upper) = self.ends(k);
-        let arc = |distance: f64| ((distance / self.hyperbola[k] + 1.0).powi(2) - 1.0).max(0.0).sqrt();
+        // The root of (d + 1)^2 - 1, which has no square that could overflow.
+        let arc = |distance: f64| {
+            let d = (distance / self.hyperbola[k]).clamp(0.0, f64::MAX);
+            (d.sqrt() * (d + 2.0).sqrt()).min(f64::MAX)
+        };
         match (lower.is_finite(), upper.is_finite()) {
-            (true, true) => (2.0 * (u - lower) / (upper - lower) - 1.0).clamp(-1.0, 1.0).asin(),
+            (true, true) if upper == lower => 0.0,
+            (true, true) if self.boxed[k] => {
+                (2.0 * (u - lower) / (upper - lower) - 1.0).clamp(-1.0, 1.0).asin()
+            }
+            (true, true) => {
+                ((u - (0.5 * lower + 0.5 * upper)) / (0.5 * upper - 0.5 * lower)).clamp(-1.0, 1.0).asin()
+            }
             (true, false) => arc(u - lower),
             (false, true) => arc(upper - u),
             (false, false) => u,

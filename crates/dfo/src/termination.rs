@@ -106,6 +106,7 @@ impl Limits {
 
 /// How tolerances are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Measure {
     /// `x_tol` in units of the parameter's size, `f_tol` as a fraction of |f_best|.
     #[default]
@@ -116,6 +117,7 @@ pub enum Measure {
 
 /// How many of the two tests must pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Stop {
     /// Either one ends the run.
     Any,

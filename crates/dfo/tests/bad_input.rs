@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
-    BatchView, Coefficients, DifferentialEvolution, Error, Genetic, Kind, Minimize, NelderMead, Outcome,
-    Report, Termination, Transform, WorkerPool, fallible, minimize, minimize_batches,
+    Barrier, BatchView, Coefficients, DifferentialEvolution, Error, Genetic, Kind, Minimize, NelderMead,
+    Outcome, Report, Termination, Transform, WorkerPool, fallible, minimize, minimize_batches,
 };
 
 const INF: f64 = f64::INFINITY;
@@ -58,9 +58,12 @@ fn numbers_out_of_range() {
     assert!(matches!(two().max_evaluations(0).run(), Err(Error::Option { name: "max_evaluations", .. })));
     for value in [0.0, -1.0, f64::NAN, INF] {
         let (e, _) = error(two().scales(&[1.0, value]).run());
-        assert!(matches!(e, Error::ParameterOption { name: "scale", index: 1, .. }));
+        assert!(matches!(e, Error::ParameterOption { name: "nominal size", index: 1, .. }));
     }
-    assert!(matches!(two().scales(&[1.0]).run(), Err(Error::Length { what: "scales", expected: 2, got: 1 })));
+    assert!(matches!(
+        two().scales(&[1.0]).run(),
+        Err(Error::Length { what: "nominal sizes", expected: 2, got: 1 })
+    ));
     assert!(matches!(
         two().transforms(&[Transform::Log; 3]).run(),
         Err(Error::Length { what: "transforms", .. })
@@ -183,4 +186,40 @@ fn a_box_that_reaches_zero_has_no_logarithm_there() {
         minimize(sum).start(&[1.0]).bounds(&[0.0], &[1e-12 + 1.0]).unwrap().transforms(&[Transform::Log]);
     let (e, text) = error(run.method(DifferentialEvolution::default()).run());
     assert!(matches!(e, Error::LogScale { index: 0, what: "lower bound", .. }), "{text}");
+}
+
+#[test]
+fn discrete_parameters_without_a_value_blame_their_bounds() {
+    for (lower, upper) in [(0.2, 0.8), (-0.9, -0.1)] {
+        let run = minimize(sum).start(&[1.0, 0.5 * (lower + upper)]).bounds(&[0.0, lower], &[5.0, upper]);
+        let run = run.unwrap().kinds(&[Kind::Continuous, Kind::Integer]);
+        let (e, text) = error(run.method(Genetic::default()).run());
+        assert!(matches!(e, Error::NoWholeNumber { index: 1, .. }), "{text}");
+        assert!(text.contains("parameter 1") && text.contains(&format!("{lower} and {upper}")), "{text}");
+        // Nor is a start asked for that cannot be given.
+        let run = dfo::by_hand().bounds(&[lower], &[upper]).unwrap().kinds(&[Kind::Categorical]);
+        let e = run.method(Genetic::default()).optimizer().unwrap_err();
+        assert!(matches!(e, Error::NoWholeNumber { index: 0, .. }), "{e}");
+    }
+}
+
+#[test]
+fn options_beyond_their_range_are_named_with_it() {
+    let run = || minimize(sum).start(&[1.0, 2.0]).bounds(&[0.0; 2], &[5.0; 2]).unwrap();
+    for mu in [1e308, f64::INFINITY, f64::NAN, 0.0, -1.0] {
+        let (e, text) = error(run().method(Barrier::default().mu(mu)).run());
+        assert!(matches!(e, Error::Option { name: "mu", .. }) && text.contains("at most 1e200"), "{text}");
+    }
+    // A barrier that outweighs every cost keeps the search in the middle, and is a number all the same.
+    let report = run().method(Barrier::default().mu(1e200)).max_evaluations(300).run().unwrap();
+    assert!(report.fun.is_finite() && report.n_failed == 0 && report.schedule[0].value.is_finite());
+    let (e, text) = error(run().method(DifferentialEvolution::default().budget(0)).run());
+    assert!(
+        matches!(e, Error::Option { name: "budget", .. }) && text == "budget = 0 must be at least 1",
+        "{e}"
+    );
+    let (_, text) = error(run().scales(&[1.0, 0.0]).run());
+    assert!(text.contains("nominal size of parameter 1 = 0 must be positive and finite"), "{text}");
+    let (_, text) = error(run().kinds(&[Kind::Continuous, Kind::Categorical]).run());
+    assert_eq!(text, "nelder-mead cannot search over parameter 1, which is categorical");
 }

@@ -195,9 +195,9 @@ fn files_of_other_runs_are_refused_and_left_alone() {
     let bytes = std::fs::read(&path).unwrap();
     for (what, refused) in [
         ("seed", run(2, 2.0, 1e-6, "ga", tagged())),
-        ("bounds", run(1, 2.5, 1e-6, "ga", tagged())),
-        ("tolerances", run(1, 2.0, 1e-5, "ga", tagged())),
-        ("method and options", run(1, 2.0, 1e-6, "nelder-mead", tagged())),
+        ("upper bounds", run(1, 2.5, 1e-6, "ga", tagged())),
+        ("x_tol", run(1, 2.0, 1e-5, "ga", tagged())),
+        ("method", run(1, 2.0, 1e-6, "nelder-mead", tagged())),
         ("model", run(1, 2.0, 1e-6, "ga", at(&path).tag("model", "abd"))),
         ("model", run(1, 2.0, 1e-6, "ga", at(&path))),
     ] {
@@ -207,6 +207,11 @@ fn files_of_other_runs_are_refused_and_left_alone() {
         }
         assert_eq!(std::fs::read(&path).unwrap(), bytes);
     }
+    // In words, not as in a program.
+    let other = run(1, 2.0, 1e-6, "de", tagged()).unwrap_err().to_string();
+    assert!(other.ends_with("belongs to another run: method: ga in the file, de here"), "{other}");
+    let other = run(1, 2.5, 1e-6, "ga", tagged()).unwrap_err().to_string();
+    assert!(other.ends_with("upper bounds: [2.0, 2.0] in the file, [2.0, 2.5] here"), "{other}");
     // Damaged in any byte, or cut anywhere: an error, never a panic, never another result.
     for k in (0..bytes.len()).step_by(11) {
         let mut damaged = bytes.clone();

@@ -56,7 +56,10 @@ fn a_panic_of_the_poll_function_ends_the_batch() {
     let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
         let poll = || {
             polls += 1;
-            assert!(polls < 2, "out of patience");
+            if polls == 2 {
+                // A panic without its message, which may take long to write while the workers go on.
+                std::panic::resume_unwind(Box::new("out of patience"));
+            }
             false
         };
         minimize(objective).start(&[1.0; 12]).workers(2).poll(poll).run()

@@ -15,8 +15,8 @@ use crate::plan::SimulationPlan;
 use crate::points::Communication;
 use crate::sys::{Fault, RawInstance};
 use ode::{
-    ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Report, Sample, Side,
-    SimulationError, Stats, Termination,
+    ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Report, Sample, Seconds, Side,
+    SimulationError, Stats, Stopwatch, Termination,
 };
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -64,6 +64,7 @@ pub(crate) struct Stepping {
     initial: EventOutcome,
     /// Running digest of all samples; only while reset is checked.
     digest: Option<Digest>,
+    stopwatch: Stopwatch<{ Call::KINDS }>,
 }
 
 impl Stepping {
@@ -84,6 +85,7 @@ impl Stepping {
             signed: Vec::new(),
             initial: EventOutcome::default(),
             digest: None,
+            stopwatch: Stopwatch::new(),
             plan,
         }
     }
@@ -91,6 +93,11 @@ impl Stepping {
     /// The outputs as they were read last.
     pub(crate) fn buffers(&self) -> &OutputBuffers {
         &self.buffers
+    }
+
+    /// Seconds since the start in input functions of the user.
+    pub(crate) fn seconds_elsewhere(&self) -> f64 {
+        self.inputs.seconds_in_functions()
     }
 
     /// The ticks of all clocks in the last run.
@@ -196,6 +203,7 @@ impl Stepping {
     pub(crate) fn run(&mut self, limits: &Limits, observer: &mut dyn Observer) -> Result<Report, FmiError> {
         let plan = Arc::clone(&self.plan);
         let Some(communication) = &plan.communication else { return Err(no_instance()) };
+        self.stopwatch.reset();
         let mut run = Run {
             stepping: self,
             plan: &plan,
@@ -221,6 +229,9 @@ impl Stepping {
             },
             Err(exit) => exit,
         };
+        let seconds = run.began.elapsed().as_secs_f64();
+        run.stats.seconds = Seconds::new(seconds);
+        run.stats.seconds_in_model = Seconds::new(run.stepping.stopwatch.seconds().min(seconds));
         let (time, step, stats) = (run.t.min(plan.end), run.tried, run.stats);
         match exit {
             Exit::Normal(termination) => Ok(Report { termination, time, stats }),
@@ -273,6 +284,23 @@ struct Run<'a> {
     began: Instant,
 }
 
+/// The calls into the model, by kinds for the stopwatch.
+#[derive(Clone, Copy)]
+enum Call {
+    /// A communication step.
+    Step,
+    /// Outputs and their derivatives.
+    Outputs,
+    /// Inputs, and what they are computed from.
+    Inputs,
+    /// A visit of event mode: timed each.
+    Events,
+}
+
+impl Call {
+    const KINDS: usize = Self::Events as usize + 1;
+}
+
 /// The next communication point.
 #[derive(Debug, Clone, Copy)]
 struct Target {
@@ -283,6 +311,19 @@ struct Target {
 }
 
 impl Run<'_> {
+    /// Makes a call into the model, and times it.
+    fn timed<T>(&mut self, call: Call, make: impl FnOnce(&mut Self) -> T) -> T {
+        let timing = match call {
+            Call::Events => self.stepping.stopwatch.start_timed(call as usize),
+            _ => self.stepping.stopwatch.start(call as usize),
+        };
+        let elsewhere = self.stepping.seconds_elsewhere();
+        let answer = make(self);
+        let elsewhere = self.stepping.seconds_elsewhere() - elsewhere;
+        self.stepping.stopwatch.stop(timing, elsewhere);
+        answer
+    }
+
     fn start(&mut self) -> Step<()> {
         let initial = self.stepping.initial;
         self.next_event = initial.next_time;
@@ -304,17 +345,21 @@ impl Run<'_> {
         if row_inside {
             self.read(Place::Before)?;
         }
-        self.set_input_derivatives(&target)?;
+        if self.communication.input_derivatives && !self.plan.inputs.continuous.references.is_empty() {
+            self.timed(Call::Inputs, |run| run.set_input_derivatives(&target))?;
+        }
         let (limits, began, cancel) = (*self.limits, self.began, &self.plan.options.cancel);
         let goes_on = || {
             limits.timeout.is_none_or(|limit| began.elapsed() < limit)
                 && !cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed))
         };
-        let Stepping { inputs, mode, intermediate, .. } = &mut *self.stepping;
-        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
-        let mut between = Between { plan: &self.plan.inputs, inputs, values: intermediate, goes_on };
-        let step = instance.core().do_step((self.t, target.step), &mut between, &mut { goes_on })?;
-        let Some(outcome) = step else {
+        let step = self.timed(Call::Step, |run| {
+            let Stepping { inputs, mode, intermediate, .. } = &mut *run.stepping;
+            let Mode::Stepping(instance) = mode else { return Err(no_instance()) };
+            let mut between = Between { plan: &run.plan.inputs, inputs, values: intermediate, goes_on };
+            instance.core().do_step((run.t, target.step), &mut between, &mut { goes_on })
+        });
+        let Some(outcome) = step? else {
             self.stepping.broken = true;
             self.check_limits()?;
             return Err(Exit::Error(ErrorKind::Cancelled));
@@ -380,7 +425,7 @@ impl Run<'_> {
         self.stats.accepted_steps += 1;
         if row_inside {
             self.read(Place::After)?;
-            self.read_slopes()?;
+            self.timed(Call::Outputs, Self::read_slopes)?;
             self.sample_inside(time)?;
         }
         self.passed += u64::from(regular);
@@ -392,11 +437,10 @@ impl Run<'_> {
     fn arrive_at(&mut self, time: f64, event: bool) -> Step<()> {
         self.t = time;
         self.sample_left()?;
-        let ended = if self.communication.event_mode {
-            self.set_inputs_at_events(event)?
-        } else {
-            self.set_inputs()?
-        };
+        let ended = self.communication.event_mode && self.set_inputs_at_events(event)?;
+        if !self.communication.event_mode && !self.plan.inputs.driven.is_empty() {
+            self.timed(Call::Inputs, Self::set_inputs)?;
+        }
         if self.stepping.digest.is_some() {
             // Steps between requested times count too.
             self.read(Place::After)?;
@@ -490,9 +534,6 @@ impl Run<'_> {
 
     fn set_input_derivatives(&mut self, target: &Target) -> Step<()> {
         let inputs = &self.plan.inputs;
-        if !self.communication.input_derivatives || inputs.continuous.references.is_empty() {
-            return Ok(());
-        }
         let Stepping { inputs: state, slopes, .. } = &mut *self.stepping;
         slopes.copy_from_slice(&state.continuous);
         if !state.continuous_at(inputs, target.time) {
@@ -516,32 +557,19 @@ impl Run<'_> {
     /// Inputs from this point on, where the model has an event mode: what jumps, does so there. Returns whether the
     /// model ends the simulation.
     fn set_inputs_at_events(&mut self, event: bool) -> Step<bool> {
-        let (plan, same) = (&self.plan.inputs, self.plan.same);
-        let Stepping { inputs, mode, clocks, buffers, .. } = &mut *self.stepping;
-        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
-        let core = instance.core();
-        let jumped = inputs.pass(plan, self.t);
-        if !inputs.continuous_at(plan, self.t) {
-            return Err(inputs.bad_function_value(self.t).into());
-        }
+        let jumped = self.timed(Call::Inputs, Self::compute_inputs)?;
         let cause = EventCause {
             input: jumped,
             step: event,
-            time: self.next_event.is_some_and(|next| next <= self.t + same),
+            time: self.next_event.is_some_and(|next| next <= self.t + self.plan.same),
             state: false,
         };
         if cause == EventCause::default() {
-            core.set_reals(&plan.continuous.references, &inputs.continuous)?;
+            self.timed(Call::Inputs, Self::set_continuous_inputs)?;
             return Ok(false);
         }
-        core.call(RawInstance::enter_event_mode)?;
-        inputs.set_held(core, plan)?;
-        core.set_reals(&plan.continuous.references, &inputs.continuous)?;
-        let outcome = core.settle(self.t, |core, time| {
-            let recorded = &self.plan.outputs().clocks;
-            clocks.settle(&self.plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
-        })?;
-        self.next_event = outcome.next_time.filter(|next| *next > self.t + same);
+        let outcome = self.timed(Call::Events, Self::visit_event_mode)?;
+        self.next_event = outcome.next_time.filter(|next| *next > self.t + self.plan.same);
         self.stats.events += 1;
         self.stats.input_events += u64::from(cause.input);
         self.stats.step_events += u64::from(cause.step);
@@ -550,25 +578,52 @@ impl Run<'_> {
         Ok(outcome.terminate)
     }
 
-    /// Inputs from this point on. The model never ends a simulation here.
-    fn set_inputs(&mut self) -> Step<bool> {
-        let plan = &self.plan.inputs;
-        if plan.driven.is_empty() {
-            return Ok(false);
-        }
+    fn visit_event_mode(&mut self) -> Step<EventOutcome> {
+        let Stepping { inputs, mode, clocks, buffers, .. } = &mut *self.stepping;
+        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
+        let core = instance.core();
+        core.call(RawInstance::enter_event_mode)?;
+        inputs.set_held(core, &self.plan.inputs)?;
+        core.set_reals(&self.plan.inputs.continuous.references, &inputs.continuous)?;
+        Ok(core.settle(self.t, |core, time| {
+            let recorded = &self.plan.outputs().clocks;
+            clocks.settle(&self.plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
+        })?)
+    }
+
+    /// Inputs from this point on, where the model has none.
+    fn set_inputs(&mut self) -> Step<()> {
+        self.compute_inputs()?;
         let Stepping { inputs, mode, .. } = &mut *self.stepping;
         let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
-        inputs.pass(plan, self.t);
-        if !inputs.continuous_at(plan, self.t) {
-            return Err(inputs.bad_function_value(self.t).into());
+        inputs.set_held(instance.core(), &self.plan.inputs)?;
+        self.set_continuous_inputs()
+    }
+
+    /// Goes on to the inputs at this point; whether any of them jumped.
+    fn compute_inputs(&mut self) -> Step<bool> {
+        let inputs = &mut self.stepping.inputs;
+        let jumped = inputs.pass(&self.plan.inputs, self.t);
+        if inputs.continuous_at(&self.plan.inputs, self.t) {
+            Ok(jumped)
+        } else {
+            Err(inputs.bad_function_value(self.t).into())
         }
-        inputs.set_held(instance.core(), plan)?;
-        instance.core().set_reals(&plan.continuous.references, &inputs.continuous)?;
-        Ok(false)
+    }
+
+    fn set_continuous_inputs(&mut self) -> Step<()> {
+        let Stepping { inputs, mode, .. } = &mut *self.stepping;
+        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
+        let references = &self.plan.inputs.continuous.references;
+        Ok(instance.core().set_reals(references, &inputs.continuous)?)
     }
 
     /// Reads the outputs where the model stands.
     fn read(&mut self, place: Place) -> Step<()> {
+        self.timed(Call::Outputs, |run| run.read_into(place))
+    }
+
+    fn read_into(&mut self, place: Place) -> Step<()> {
         let time = self.t;
         let Stepping { mode, buffers, before, after, .. } = &mut *self.stepping;
         let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };

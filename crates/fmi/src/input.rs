@@ -11,6 +11,7 @@ use crate::text_inputs::TextInput;
 use ode::InputStop;
 use std::fmt;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// A function of time.
 pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
@@ -462,6 +463,8 @@ pub(crate) struct InputState {
     pub(crate) held_packed: Vec<Vec<i64>>,
     /// The number of the value that each text has.
     texts: Vec<usize>,
+    /// Time in functions of the user since the start.
+    in_functions: Duration,
 }
 
 impl InputState {
@@ -474,11 +477,18 @@ impl InputState {
             held_reals: plan.held_reals.start.clone(),
             held_packed: plan.held_packed.iter().map(|(_, slots)| slots.start.clone()).collect(),
             texts: vec![0; plan.texts.len()],
+            in_functions: Duration::ZERO,
         }
+    }
+
+    /// Seconds that the functions of the user took since the start.
+    pub(crate) fn seconds_in_functions(&self) -> f64 {
+        self.in_functions.as_secs_f64()
     }
 
     /// Goes to the start of a run: jumps up to `t` have happened.
     pub(crate) fn begin(&mut self, plan: &InputPlan, t: f64) {
+        self.in_functions = Duration::ZERO;
         self.passed = 0;
         self.cursors.fill(0);
         self.pass(plan, t);
@@ -516,7 +526,12 @@ impl InputState {
         for ((source, place), cursor) in plan.sources.iter().zip(&mut self.cursors) {
             self.continuous[*place] = match source {
                 Continuous::Linear(column) => column.linear(at, left, cursor),
-                Continuous::Function(function) => function(t),
+                Continuous::Function(function) => {
+                    let began = Instant::now();
+                    let value = function(t);
+                    self.in_functions += began.elapsed();
+                    value
+                }
             };
         }
         self.continuous.iter().all(|value| value.is_finite())

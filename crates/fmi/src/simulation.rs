@@ -14,8 +14,9 @@ use crate::renewal::{new_instance, new_with_origin, renew_or_replace};
 use crate::sys::{FloatEnvironment, InterfaceKind, Library, RawInstance, Shared};
 use crate::system::System;
 use crate::trajectory::{Recorder, Trajectory};
-use ode::{Driver, ErrorKind, Ignore, Observer, Report};
+use ode::{Driver, ErrorKind, HybridSystem, Ignore, Observer, Report, Seconds};
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Steps after which a check of reset is sure enough: what reset forgets shows in the first right-hand sides.
 pub(crate) const PROBE_STEPS: u64 = 50;
@@ -42,6 +43,8 @@ pub struct Simulator {
     /// A new or reset instance that has not been used yet.
     fresh: Option<RawInstance>,
     buffers: ReadBackBuffers,
+    /// When the start of the present run began: what was made to test the model before does not count.
+    began: Instant,
     library: Arc<Library>,
     shared: Arc<Shared>,
     /// Where instances of one library disturb each other: the library is one of its own. Given back after the instances.
@@ -90,6 +93,11 @@ impl Engine {
 
     fn initialize(&mut self, raw: RawInstance, parameters: &[f64]) -> Result<(), FmiError> {
         each!(self, run => run.initialize(raw, parameters))
+    }
+
+    /// Seconds since the start in what is no part of the model.
+    fn seconds_elsewhere(&self) -> f64 {
+        each!(self, run => run.seconds_elsewhere())
     }
 
     /// The run itself; `steps`: at most so many.
@@ -168,7 +176,16 @@ impl Simulator {
             None => fresh = Some(new_instance(&plan, &library)?),
         }
         let shared = Arc::clone(library.shared());
-        Ok(Self { plan, engine, fresh, buffers: ReadBackBuffers::default(), library, shared, copy })
+        Ok(Self {
+            plan,
+            engine,
+            fresh,
+            buffers: ReadBackBuffers::default(),
+            began: Instant::now(),
+            library,
+            shared,
+            copy,
+        })
     }
 
     /// Whether its library is one of its own.
@@ -201,6 +218,10 @@ impl Simulator {
 
     /// Simulates once, with these values for the plan's parameters, and hands the samples to `observer`.
     ///
+    /// The seconds of the report count from bringing the model back to its beginning; loading and the trial runs before a
+    /// first use do not count. Those inside the model are in calls of the FMU (of calls that take less than 1 us only
+    /// some are timed) and do not include input functions ([`Inputs::function`](crate::Inputs::function)).
+    ///
     /// # Errors
     /// A value is not finite, or there are not as many as parameters; the FMU or the integration fails. The simulator can
     /// be used again after an error: a broken instance is replaced.
@@ -211,9 +232,19 @@ impl Simulator {
         let _turn = shared.turn();
         let guard = FloatEnvironment::standard();
         self.start(parameters)?;
+        let (starting, elsewhere) = (self.began.elapsed().as_secs_f64(), self.engine.seconds_elsewhere());
         // Instantiating or initializing may have changed the floating-point mode.
         guard.assert();
-        self.engine.run(&self.plan, None, observer)
+        let mut outcome = self.engine.run(&self.plan, None, observer);
+        let stats = match &mut outcome {
+            Ok(report) => &mut report.stats,
+            Err(FmiError::Simulation(error)) => &mut error.stats,
+            Err(_) => return outcome,
+        };
+        stats.seconds += Seconds::new(starting);
+        // All of the start is the model's doing but what its inputs took.
+        stats.seconds_in_model += Seconds::new((starting - elsewhere).max(0.0));
+        outcome
     }
 
     /// Simulates once and records all samples.
@@ -271,6 +302,7 @@ impl Simulator {
 
     /// Initializes a new instance, or one that was brought back to its beginning and has the values it was given.
     fn start(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        self.began = Instant::now();
         let (instance, is_used) = self.fresh_instance(parameters)?;
         self.engine.initialize(instance, parameters)?;
         if !is_used || self.has_values(parameters).is_ok_and(|agrees| agrees) {
@@ -355,6 +387,7 @@ impl Simulator {
         // One at a time: the FMU may not allow two.
         drop(self.engine.retire());
         let from_new = self.probe_first(reuse, parameters, steps)?;
+        self.began = Instant::now();
         match (after, from_new) {
             (Some(Probe::TimedOut), _) | (_, Probe::TimedOut) => {}
             (None | Some(Probe::Nothing), Probe::Nothing) => {}

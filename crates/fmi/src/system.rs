@@ -566,4 +566,8 @@ impl HybridSystem for System {
     fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
         self.plan.inputs.next_stop(t)
     }
+
+    fn seconds_elsewhere(&self) -> f64 {
+        self.inputs.seconds_in_functions()
+    }
 }

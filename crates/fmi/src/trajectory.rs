@@ -29,7 +29,7 @@ pub struct Trajectory {
     pub events: Vec<EventRecord>,
     /// The ticks of clocks, in the order of their times.
     pub ticks: Vec<Tick>,
-    /// What it cost.
+    /// What it cost; of the seconds see [`Simulator::run`](crate::Simulator::run).
     pub stats: Stats,
     /// How it ended.
     pub termination: Termination,

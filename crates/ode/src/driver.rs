@@ -15,7 +15,7 @@ use crate::stats::Stats;
 use crate::stepper::{Attempt, Stepper, Trial};
 use crate::system::{CallError, EventCause, HybridSystem, InputStop};
 use crate::tableau::{EULER, RK4, TSIT5};
-use crate::watched::{Watch, Watched, kind_of};
+use crate::watched::{CallWatch, Watch, Watched, kind_of};
 
 mod events;
 mod inside;
@@ -72,6 +72,7 @@ pub struct Driver {
     options: Options,
     method: MethodState,
     space: Space,
+    stopwatch: CallWatch,
 }
 
 /// The stepper behind [`Method`].
@@ -115,7 +116,7 @@ impl Driver {
             Method::Rk4 => MethodState::Rk4(ExplicitRk::new(&RK4)),
             Method::Euler => MethodState::Euler(ExplicitRk::new(&EULER)),
         };
-        Ok(Self { options, method, space: Space::default() })
+        Ok(Self { options, method, space: Space::default(), stopwatch: CallWatch::new() })
     }
 
     /// The options it was made with.
@@ -143,15 +144,15 @@ impl Driver {
         S: HybridSystem + ?Sized,
         O: Observer + ?Sized,
     {
-        let Self { options, method, space } = self;
+        let Self { options, method, space, stopwatch } = self;
         let watch = Watch::new(options);
-        let system = &mut Watched { system, watch };
+        let system = &mut Watched::new(system, watch, stopwatch);
         macro_rules! run {
             ($stepper:expr) => {
                 Run::new(options, $stepper, space, system, (start, end), times, (observer, watch)).run()
             };
         }
-        match method {
+        let mut ended = match method {
             MethodState::Auto(s) => run!(&mut **s),
             MethodState::Tsit5(s) => run!(s),
             MethodState::Dop853(s) => run!(&mut **s),
@@ -159,7 +160,10 @@ impl Driver {
             MethodState::Bdf(s) => run!(&mut **s),
             MethodState::Rk4(s) => run!(s),
             MethodState::Euler(s) => run!(s),
-        }
+        };
+        let stats = ended.as_mut().map_or_else(|error| &mut error.stats, |report| &mut report.stats);
+        system.enter_times(stats);
+        ended
     }
 }
 

@@ -20,6 +20,7 @@ mod sampling;
 mod sparse_lu;
 mod stats;
 mod stepper;
+mod stopwatch;
 mod system;
 mod tableau;
 mod watched;
@@ -30,7 +31,8 @@ pub use jacobian::JacobianPattern;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
 pub use race::{Entry, Heat, Lap, Race, Verdict, race};
-pub use stats::Stats;
+pub use stats::{Seconds, Stats};
+pub use stopwatch::{Stopwatch, Timing};
 pub use system::{
     CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction,
 };

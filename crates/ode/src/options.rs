@@ -106,6 +106,15 @@ impl ChatteringPolicy {
 
     /// All policies by the names that [`FromStr`] understands.
     pub const NAMES: [&'static str; 3] = ["error", "warn", "slide"];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Error => "error",
+            Self::Warn => "warn",
+            Self::Slide => "slide",
+        }
+    }
 }
 
 impl FromStr for ChatteringPolicy {

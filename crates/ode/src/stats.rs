@@ -1,5 +1,6 @@
 //! What a run cost.
 
+use std::fmt;
 use std::ops::AddAssign;
 
 /// Operations of linear algebra that take as long as a right-hand side: a call into a compiled model of few states takes
@@ -7,7 +8,49 @@ use std::ops::AddAssign;
 const OPERATIONS: f64 = 300.0;
 const OPERATIONS_PER_STATE: f64 = 30.0;
 
-/// Counts of one run. They add up over runs.
+/// Seconds by the clock. All are equal: results are compared by what was computed, and a clock never shows the same twice.
+///
+/// ```
+/// use ode::Seconds;
+/// assert_eq!(Seconds::new(1.0), Seconds::new(2.0));
+/// assert_eq!(Seconds::new(1.5).get(), 1.5);
+/// ```
+#[derive(Clone, Copy, Default)]
+pub struct Seconds(f64);
+
+impl Seconds {
+    /// So many seconds.
+    pub fn new(seconds: f64) -> Self {
+        Self(seconds)
+    }
+
+    /// The number.
+    pub fn get(self) -> f64 {
+        self.0
+    }
+}
+
+impl PartialEq for Seconds {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for Seconds {}
+
+impl AddAssign for Seconds {
+    fn add_assign(&mut self, other: Self) {
+        self.0 += other.0;
+    }
+}
+
+impl fmt::Debug for Seconds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Counts of one run, and how long it took. They add up over runs. Runs are compared by the counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Stats {
     /// Accepted steps.
@@ -45,6 +88,11 @@ pub struct Stats {
     /// How often state events were found to follow each other while time hardly advanced, where the
     /// [policy](crate::ChatteringPolicy) is to go on.
     pub chattering: u64,
+    /// Wall-clock time of the run.
+    pub seconds: Seconds,
+    /// The part of it that was spent inside of the model: in the calls of the [`HybridSystem`](crate::HybridSystem). An
+    /// estimate: of calls that take less than 1 us only some are timed, see [`Stopwatch`](crate::Stopwatch).
+    pub seconds_in_model: Seconds,
 }
 
 impl Stats {
@@ -76,5 +124,7 @@ impl AddAssign for Stats {
         self.events += other.events;
         self.restarts += other.restarts;
         self.chattering += other.chattering;
+        self.seconds += other.seconds;
+        self.seconds_in_model += other.seconds_in_model;
     }
 }

@@ -183,11 +183,18 @@ pub trait HybridSystem {
         let _ = t;
         None
     }
+
+    /// Seconds, counted from any instant, that its calls have spent in what is no part of the model: functions of the
+    /// user for its inputs, for example. They are not [time in the model](crate::Stats::seconds_in_model).
+    fn seconds_elsewhere(&self) -> f64 {
+        0.0
+    }
 }
 
-/// The calls that a wrapper of a system hands on as they are: all but those that [`evaluations`] has.
+/// What a wrapper of a system hands on: all calls of the trait. `$around!(self, Call, answer)` makes those that run the
+/// model.
 macro_rules! hand_on {
-    ($self:ident, $inner:expr) => {
+    ($self:ident, $inner:expr, $around:ident) => {
         fn n_states(&$self) -> usize {
             $inner.n_states()
         }
@@ -197,14 +204,8 @@ macro_rules! hand_on {
         fn n_outputs(&$self) -> usize {
             $inner.n_outputs()
         }
-        fn nominals(&mut $self, nominals: &mut [f64]) -> CallResult<()> {
-            $inner.nominals(nominals)
-        }
         fn is_unbounded(&$self, state: usize) -> bool {
             $inner.is_unbounded(state)
-        }
-        fn start(&mut $self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
-            $inner.start(t0, x)
         }
         fn jacobian_pattern(&$self) -> Option<&JacobianPattern> {
             $inner.jacobian_pattern()
@@ -212,31 +213,23 @@ macro_rules! hand_on {
         fn mass_matrix(&$self) -> Option<&[f64]> {
             $inner.mass_matrix()
         }
-        fn outputs(&mut $self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
-            $inner.outputs(t, x, y)
-        }
-        fn step_completed(&mut $self, t: f64, x: &[f64]) -> CallResult<StepAction> {
-            $inner.step_completed(t, x)
-        }
-        fn handle_event(&mut $self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
-            $inner.handle_event(visit, x)
-        }
         fn next_input_stop(&mut $self, t: f64) -> Option<InputStop> {
             $inner.next_input_stop(t)
         }
-    };
-}
-
-/// The calls that a step makes many of, handed on after `$first`, if given, has gone well.
-macro_rules! evaluations {
-    ($self:ident, $inner:expr $(, $first:expr)?) => {
+        fn seconds_elsewhere(&$self) -> f64 {
+            $inner.seconds_elsewhere()
+        }
+        fn nominals(&mut $self, nominals: &mut [f64]) -> CallResult<()> {
+            $around!($self, Nominals, $inner.nominals(nominals))
+        }
+        fn start(&mut $self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+            $around!($self, Start, $inner.start(t0, x))
+        }
         fn derivatives(&mut $self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
-            $($first;)?
-            $inner.derivatives(t, x, dx)
+            $around!($self, Derivatives, $inner.derivatives(t, x, dx))
         }
         fn jacobian(&mut $self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
-            $($first;)?
-            $inner.jacobian(t, x, j)
+            $around!($self, Jacobian, $inner.jacobian(t, x, j))
         }
         fn directional_derivative(
             &mut $self,
@@ -245,19 +238,31 @@ macro_rules! evaluations {
             seed: &[f64],
             derivative: &mut [f64],
         ) -> CallResult<bool> {
-            $($first;)?
-            $inner.directional_derivative(t, x, seed, derivative)
+            $around!($self, DirectionalDerivative, $inner.directional_derivative(t, x, seed, derivative))
         }
         fn event_indicators(&mut $self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
-            $($first;)?
-            $inner.event_indicators(t, x, z)
+            $around!($self, EventIndicators, $inner.event_indicators(t, x, z))
+        }
+        fn outputs(&mut $self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
+            $around!($self, Outputs, $inner.outputs(t, x, y))
+        }
+        fn step_completed(&mut $self, t: f64, x: &[f64]) -> CallResult<StepAction> {
+            $around!($self, StepCompleted, $inner.step_completed(t, x))
+        }
+        fn handle_event(&mut $self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+            $around!($self, HandleEvent, $inner.handle_event(visit, x))
         }
     };
 }
 
-pub(crate) use {evaluations, hand_on};
+pub(crate) use hand_on;
+
+macro_rules! nothing_around {
+    ($self:ident, $call:ident, $answer:expr) => {
+        $answer
+    };
+}
 
 impl<S: HybridSystem + ?Sized> HybridSystem for &mut S {
-    hand_on!(self, (**self));
-    evaluations!(self, (**self));
+    hand_on!(self, (**self), nothing_around);
 }

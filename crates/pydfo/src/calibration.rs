@@ -6,7 +6,8 @@ use crate::fmu_error;
 use crate::interrupt::Watch;
 use crate::logs;
 use crate::report::{self, LastSeen, Listener};
-use crate::settings::{Options, Settings};
+use crate::settings::{self, Options, Settings};
+use crate::trajectory::Counts;
 use crate::values;
 use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
 use dfo::Progress;
@@ -30,6 +31,7 @@ pub(crate) struct ParameterFields {
     upper: f64,
     scale: String,
     nominal: Option<f64>,
+    kind: String,
     fixed: bool,
 }
 
@@ -42,9 +44,11 @@ impl ParameterFields {
                 return Err(PyValueError::new_err(format!("scale = '{other}' is none of 'linear', 'log'")));
             }
         };
+        let kind = settings::kind("kind", &self.kind)?;
         let mut parameter = Parameter::new(self.name, self.start)
             .bounds(self.lower, self.upper)
             .scale(scale)
+            .kind(kind)
             .fixed(self.fixed);
         if let Some(nominal) = self.nominal {
             parameter = parameter.nominal(nominal);
@@ -312,7 +316,11 @@ impl PyCalibration {
         };
         let raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
         let result = match outcome {
-            Ok(fit) => Some(report::to_python(py, &fit.report)?),
+            Ok(fit) => {
+                let result = report::to_python(py, &fit.report)?;
+                result.setattr("stats", Counts::new(&fit.stats))?;
+                Some(result)
+            }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
             Err(_) => None,
         };

@@ -53,9 +53,10 @@ impl Problem {
 }
 
 /// Minimises a Python function. With one worker it is called on the calling thread, with more on threads of a pool;
-/// with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`].
+/// with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`]; with `cutoffs` it is
+/// told the cutoff of each point.
 #[pyfunction]
-#[pyo3(signature = (func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false))]
+#[pyo3(signature = (func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a private function")]
 pub(crate) fn minimize<'py>(
     py: Python<'py>,
@@ -68,13 +69,14 @@ pub(crate) fn minimize<'py>(
     observer: Option<Py<PyAny>>,
     detail: bool,
     batches: bool,
+    cutoffs: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let settings = options.check(py)?;
     let alone = settings.workers.is_none_or(|workers| workers == 1);
     let problem = Problem::new(x0, lower, upper, settings);
     let watch = Watch::new(py)?;
     let stop = Arc::clone(watch.stop());
-    let objective = Arc::new(PyObjective::new(func, tolerant, Arc::clone(&stop)));
+    let objective = Arc::new(PyObjective::new(func, (tolerant, cutoffs), Arc::clone(&stop)));
     let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
     let outcome = if alone || batches {
         let mut hear = |progress: &Progress<'_>| match &listener {

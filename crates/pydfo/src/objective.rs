@@ -5,22 +5,24 @@ use dfo::{BatchView, Evaluation, Objective, Outcome};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyCFunction, PyFloat};
+use pyo3::types::{PyCFunction, PyDict, PyFloat};
 use std::sync::{Arc, Mutex};
 
-/// A Python function `f(x) -> float`.
+/// A Python function `f(x) -> float`, or `f(x, *, cutoff) -> float | Above`.
 pub(crate) struct PyObjective {
     function: Py<PyAny>,
     /// Whether an exception counts as a failed evaluation instead of ending the run.
     tolerant: bool,
+    /// Whether it is told the cutoff, and may return `Above`.
+    takes_cutoff: bool,
     stop: Arc<Stop>,
     /// The exception that ends the run. Of several that are raised at once, the one of the point asked for first.
     raised: Mutex<Option<(u64, PyErr)>>,
 }
 
 impl PyObjective {
-    pub(crate) fn new(function: Py<PyAny>, tolerant: bool, stop: Arc<Stop>) -> Self {
-        Self { function, tolerant, stop, raised: Mutex::new(None) }
+    pub(crate) fn new(function: Py<PyAny>, (tolerant, takes_cutoff): (bool, bool), stop: Arc<Stop>) -> Self {
+        Self { function, tolerant, takes_cutoff, stop, raised: Mutex::new(None) }
     }
 
     /// The exception that ended the run.
@@ -40,6 +42,12 @@ impl PyObjective {
     /// What a call of the user's function means.
     fn outcome(&self, py: Python<'_>, id: u64, returned: PyResult<Bound<'_, PyAny>>) -> Outcome {
         match returned {
+            Ok(value) if self.takes_cutoff && is_above(&value) => {
+                match value.getattr("cutoff").and_then(|cutoff| number(&cutoff, "the cutoff of Above")) {
+                    Ok(cutoff) => Outcome::Above(cutoff),
+                    Err(e) => self.abort(id, e),
+                }
+            }
             Ok(value) => match number(&value, "the objective") {
                 Ok(cost) => Outcome::Value(cost),
                 // Always an error in the program, never one of the model.
@@ -51,9 +59,9 @@ impl PyObjective {
         }
     }
 
-    /// Outcomes of a batch from a function that takes all its points, shape (points, parameters), and a function that
-    /// says whether to stop; it returns for each point a cost, the exception that was raised, or Ellipsis for a point
-    /// that was left out. Called on the calling thread.
+    /// Outcomes of a batch from a function that takes all its points, shape (points, parameters), their cutoffs, and a
+    /// function that says whether to stop; it returns for each point a cost, the exception that was raised, or Ellipsis for
+    /// a point that was left out. Called on the calling thread.
     pub(crate) fn evaluate_batch(&self, py: Python<'_>, batch: &BatchView<'_>) -> Vec<Outcome> {
         let _inside = Inside::new(&self.stop);
         let mut outcomes = vec![Outcome::Skipped; batch.len()];
@@ -77,9 +85,11 @@ impl PyObjective {
 
     fn answers<'py>(&self, py: Python<'py>, batch: &BatchView<'_>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let points = PyArray1::from_slice(py, batch.as_flat()).reshape([batch.len(), batch.n()])?;
+        let cutoffs = PyArray1::from_iter(py, (0..batch.len()).map(|k| batch.evaluation(k).cutoff));
         let stop = Arc::clone(&self.stop);
         let asked = PyCFunction::new_closure(py, None, None, move |args, _| stop.poll(args.py()))?;
-        let answers: Vec<Bound<'py, PyAny>> = self.function.bind(py).call1((points, asked))?.extract()?;
+        let answers: Vec<Bound<'py, PyAny>> =
+            self.function.bind(py).call1((points, cutoffs, asked))?.extract()?;
         if answers.len() == batch.len() {
             return Ok(answers);
         }
@@ -92,10 +102,24 @@ impl Objective for PyObjective {
     fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
         let _inside = Inside::new(&self.stop);
         Python::attach(|py| {
-            let returned = self.function.bind(py).call1((PyArray1::from_slice(py, x),));
+            let point = (PyArray1::from_slice(py, x),);
+            let returned = if self.takes_cutoff {
+                let cutoff = PyDict::new(py);
+                cutoff
+                    .set_item("cutoff", evaluation.cutoff)
+                    .and_then(|()| self.function.bind(py).call(point, Some(&cutoff)))
+            } else {
+                self.function.bind(py).call1(point)
+            };
             self.outcome(py, evaluation.id, returned)
         })
     }
+}
+
+/// Whether a function returned `pydfo.Above`.
+fn is_above(value: &Bound<'_, PyAny>) -> bool {
+    let class = || value.py().import("pydfo._optimizer")?.getattr("Above");
+    !value.is_instance_of::<PyFloat>() && class().and_then(|class| value.is_instance(&class)).unwrap_or(false)
 }
 
 /// The number that a Python function returned: a float or an int, a NumPy scalar, an array of one element.

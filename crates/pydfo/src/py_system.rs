@@ -8,7 +8,6 @@ use ode::{CallError, CallResult, EventOutcome, EventVisit, HybridSystem, Jacobia
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 /// One event function and what was seen of it.
 pub(crate) struct Event<'py> {
@@ -48,18 +47,14 @@ pub(crate) struct PySystem<'py> {
     pub(crate) states: Vec<f64>,
     /// The exception that ended the run.
     pub(crate) raised: Option<PyErr>,
-    /// Time spent in Python functions.
-    pub(crate) spent: Duration,
 }
 
 impl<'py> PySystem<'py> {
     /// Calls into Python and keeps the exception if there is one.
     fn ask<T>(&mut self, call: impl FnOnce(&Self) -> PyResult<T>) -> CallResult<T> {
-        let began = Instant::now();
         let inside = Inside::new(&self.stop);
         let answer = call(self);
         drop(inside);
-        self.spent += began.elapsed();
         answer.map_err(|e| {
             let message = e.to_string();
             self.raised.get_or_insert(e);

@@ -56,11 +56,6 @@ impl Options {
         let measures = [("absolute", Measure::Absolute), ("relative", Measure::Relative)];
         let resumes = [("auto", Resume::Auto), ("never", Resume::Never), ("require", Resume::Require)];
         let scales = [("linear", Transform::Linear), ("log", Transform::Log)];
-        let kinds = [
-            ("continuous", Kind::Continuous),
-            ("integer", Kind::Integer),
-            ("categorical", Kind::Categorical),
-        ];
         let stops = [("any", Stop::Any), ("all", Stop::All)];
         let tolerances = Tolerances {
             x_tol: self.x_tol,
@@ -96,7 +91,7 @@ impl Options {
             known: self.known,
             transforms: words("scale", &self.scale, &scales)?,
             sizes: self.nominal,
-            kinds: words("kinds", &self.kinds, &kinds)?,
+            kinds: words("kinds", &self.kinds, &KINDS)?,
         })
     }
 }
@@ -127,6 +122,15 @@ impl Settings {
             None => run,
         }
     }
+}
+
+/// What values a parameter takes.
+const KINDS: [(&str, Kind); 3] =
+    [("continuous", Kind::Continuous), ("integer", Kind::Integer), ("categorical", Kind::Categorical)];
+
+/// The kind of a name.
+pub(crate) fn kind(name: &str, given: &str) -> PyResult<Kind> {
+    word(name, given, &KINDS)
 }
 
 fn time(name: &str, seconds: f64) -> PyResult<Duration> {

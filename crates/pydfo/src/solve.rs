@@ -14,7 +14,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Nodes per step of the dense output: enough for a polynomial of degree 8.
 const NODES: usize = 9;
@@ -159,7 +159,6 @@ impl<'py> Problem<'py> {
             times: Vec::new(),
             states: Vec::new(),
             raised: None,
-            spent: Duration::ZERO,
         })
     }
 }
@@ -180,16 +179,14 @@ pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bou
         n: problem.x0.len(),
     };
     let times = problem.times.as_deref().unwrap_or_default();
-    let began = Instant::now();
     let outcome = driver.run(&mut system, problem.start, problem.end, times, &mut keeper);
-    let seconds = began.elapsed();
     if let Err(e) = &outcome
         && is_misuse(&e.kind)
     {
         return Err(PyValueError::new_err(e.to_string()));
     }
     let raised = system.raised.take();
-    let result = result(py, system, keeper, &outcome, seconds)?;
+    let result = result(py, system, keeper, &outcome)?;
     error::ended(py, stop, raised, Some(result))
 }
 
@@ -241,7 +238,6 @@ fn result<'py>(
     system: PySystem<'py>,
     keeper: Keeper<'_, 'py>,
     outcome: &Result<Report, Box<SimulationError>>,
-    seconds: Duration,
 ) -> PyResult<Bound<'py, PyAny>> {
     let n = system.x0.len();
     let rows = |states: Vec<f64>, m: usize| PyArray1::from_vec(py, states).reshape([m, n]);
@@ -272,8 +268,6 @@ fn result<'py>(
     fields.set_item("message", message)?;
     fields.set_item("end_time", end_time)?;
     fields.set_item("stats", Counts::new(stats))?;
-    fields.set_item("seconds", seconds.as_secs_f64())?;
-    fields.set_item("seconds_in_model", system.spent.as_secs_f64())?;
     if let Some(dense) = keeper.dense {
         let steps = dense.spans.len() / 2;
         fields.set_item("spans", PyArray1::from_vec(py, dense.spans).reshape([steps, 2])?)?;

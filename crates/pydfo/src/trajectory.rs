@@ -48,6 +48,8 @@ pub(crate) struct Counts {
     input_events: u64,
     restarts: u64,
     chattering: u64,
+    seconds: f64,
+    seconds_in_model: f64,
 }
 
 impl<'py> Record<'py> {
@@ -137,6 +139,8 @@ impl Counts {
             input_events: stats.input_events,
             restarts: stats.restarts,
             chattering: stats.chattering,
+            seconds: stats.seconds.get(),
+            seconds_in_model: stats.seconds_in_model.get(),
         }
     }
 }

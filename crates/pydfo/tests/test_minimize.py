@@ -250,7 +250,7 @@ def test_integer_and_categorical_parameters():
     assert res.method == "ga" and list(res.x[1:]) == [4.0, 2.0] and res.fun < 1e-3
     whole = minimize(lambda x: (x[0] - 0.3) ** 2 + (x[1] - 4.0) ** 2, None, box[:2], rng=1, options={"kinds": kinds[:2]})
     assert whole.method == "de" and whole.x[1] == 4.0 and whole.fun < 1e-9 and whole.success
-    with pytest.raises(ValueError, match="parameter 2, which is discrete"):
+    with pytest.raises(ValueError, match="parameter 2, which is categorical"):
         minimize(cost, None, box, "de", options={"kinds": kinds})
     with pytest.raises(ValueError, match="nelder-mead cannot search over parameter 1"):
         minimize(cost, [0, 0, 0], box, "nelder-mead", options={"kinds": kinds})

@@ -5,6 +5,9 @@ use crate::population::Population;
 use crate::rng::Stream;
 use serde::{Deserialize, Serialize};
 
+/// Numbers in the archive for which there is room from the beginning.
+const MOST_RESERVED: usize = 1 << 20;
+
 /// Memories, archive and the factors of the present generation.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Adaptation {
@@ -32,6 +35,8 @@ struct Success {
 impl Adaptation {
     pub(super) fn new(options: Adaptive, first_population: usize, budget: usize, n: usize) -> Self {
         let capacity = (options.archive * first_population as f64) as usize + first_population + 1;
+        // A wish for a huge archive costs its memory when it fills, not before.
+        let capacity = capacity.saturating_mul(n).min(MOST_RESERVED);
         Self {
             options,
             first_population,
@@ -39,7 +44,7 @@ impl Adaptation {
             memory_f: vec![0.5; options.memory],
             memory_cr: vec![Some(0.5); options.memory],
             next: 0,
-            archive: Vec::with_capacity(capacity * n),
+            archive: Vec::with_capacity(capacity),
             n,
             successes: Vec::with_capacity(first_population),
         }

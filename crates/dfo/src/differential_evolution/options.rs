@@ -8,10 +8,12 @@ use crate::population::MAX_MEMBERS;
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
 use crate::scaling::Kind;
+use crate::words;
 use serde::{Deserialize, Serialize};
 
 /// How donor vectors are made. `r1`, `r2`, ... are different members, drawn for each target `i`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Strategy {
     /// `x_r1 + F (x_r2 - x_r3)`.
@@ -38,6 +40,7 @@ impl Strategy {
 
 /// How the trial vector is mixed from target and donor. At least one coordinate always comes from the donor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Crossover {
     /// Each coordinate from the donor with the crossover probability.
@@ -49,6 +52,7 @@ pub enum Crossover {
 
 /// The differential weight `F`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Weight {
     /// The same always.
@@ -59,6 +63,7 @@ pub enum Weight {
 
 /// How coordinates outside of the box are brought back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Repair {
     /// Into the middle between the target and the bound that was crossed.
@@ -94,6 +99,7 @@ impl Default for Adaptive {
 
 /// How trial vectors are made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Scheme {
     /// With constants.
@@ -238,6 +244,9 @@ impl DifferentialEvolution {
         let within = |name, value: f64, low: f64, high: f64, range| {
             if value >= low && value <= high { Ok(()) } else { Err(Error::Option { name, value, range }) }
         };
+        if self.budget == Some(0) {
+            return Err(Error::Option { name: "budget", value: 0.0, range: "at least 1" });
+        }
         match self.scheme {
             Scheme::Classic { weight, probability, .. } => {
                 within("crossover probability", probability, 0.0, 1.0, "from 0 to 1")?;
@@ -297,8 +306,8 @@ impl MethodOptions for DifferentialEvolution {
         false
     }
 
-    fn describe(&self) -> String {
-        format!("{self:?}")
+    fn describe(&self) -> Vec<(String, String)> {
+        words::fields(self)
     }
 
     fn plans_with_budget(&self) -> bool {

@@ -137,7 +137,11 @@ impl Breeder for Differences {
     fn is_sound(&self, pool: &Pool) -> bool {
         let (n, members) = (pool.setup.space.n_free(), pool.population.len());
         let adaptive = matches!(self.options.scheme, Scheme::Adaptive(_));
-        members >= if n == 0 { 1 } else { 4 }
+        let least = match self.options.scheme {
+            Scheme::Classic { strategy, .. } => strategy.n_drawn() + 1,
+            Scheme::Adaptive(_) => 4,
+        };
+        members >= if n == 0 { 1 } else { least }
             && (pool.candidates.len(), self.factors.len()) == (members, members)
             && self.trial.len() == n
             && adaptive == self.adaptation.is_some()

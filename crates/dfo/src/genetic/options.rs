@@ -8,10 +8,12 @@ use crate::method::{MethodOptions, Setup};
 use crate::population::MAX_MEMBERS;
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
+use crate::words;
 use serde::{Deserialize, Serialize};
 
 /// How parents are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Selection {
     /// With probabilities proportional to fitness.
@@ -205,8 +207,8 @@ impl MethodOptions for Genetic {
         false
     }
 
-    fn describe(&self) -> String {
-        format!("{self:?}")
+    fn describe(&self) -> Vec<(String, String)> {
+        words::fields(self)
     }
 
     fn default_limits(&self, n: usize) -> (usize, usize) {

@@ -117,20 +117,20 @@ fn from_steps(space: &Space, steps: &[f64]) -> SimplexData {
     simplex
 }
 
-/// `u + step` if that is in the bounds, else `u - step`, else the bound that is farther away.
-fn stepped(u: f64, step: f64, (lower, upper): (f64, f64)) -> f64 {
-    for candidate in [u + step, u - step] {
-        if lower <= candidate && candidate <= upper && candidate.is_finite() && candidate != u {
-            return candidate;
-        }
+/// `u + step` if that is in the bounds, else `u - step`, else the bound that is farther away; without two bounds the next
+/// that can be seen beside `u`.
+pub(super) fn stepped(u: f64, step: f64, (lower, upper): (f64, f64)) -> f64 {
+    let good = |v: &f64| lower <= *v && *v <= upper && v.is_finite() && *v != u;
+    if let Some(found) = [u + step, u - step].into_iter().find(good) {
+        return found;
     }
     // The step is wider than the room, or too small to be seen next to u.
-    match (lower.is_finite(), upper.is_finite()) {
-        (true, true) if u - lower > upper - u => lower,
-        (true, true) => upper,
-        (false, true) if u >= upper => u.next_down() - (1e-8 * u).abs(),
-        _ => u.next_up() + (1e-8 * u).abs(),
+    if lower.is_finite() && upper.is_finite() {
+        return if u - lower > upper - u { lower } else { upper };
     }
+    let seen = 1e-8 * u.abs();
+    let beside = [u.next_up() + seen, u.next_down() - seen, u.next_up(), u.next_down()];
+    beside.into_iter().find(good).unwrap_or(u)
 }
 
 fn from_vertices(space: &Space, vertices: &[Vec<f64>]) -> Result<SimplexData, Error> {

@@ -5,10 +5,12 @@ use super::state::NelderMeadState;
 use crate::error::Error;
 use crate::method::{MethodOptions, Setup, restored};
 use crate::scaling::{BoundsHandling, Space};
+use crate::words;
 use serde::{Deserialize, Serialize};
 
 /// Which points an iteration asks for at once. All plans give the same simplices but [`LeeWiswall`](Self::LeeWiswall).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum BatchPlan {
     /// By the number of workers: twenty or more: [`TwoAhead`](Self::TwoAhead); four or more: [`Four`](Self::Four); two
@@ -56,7 +58,8 @@ impl BatchPlan {
 }
 
 /// The coefficients of the simplex operations.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Coefficients {
     /// [`Standard`](Self::Standard) below five free parameters, [`Adaptive`](Self::Adaptive) from there on.
@@ -132,7 +135,8 @@ impl Coefficients {
 }
 
 /// The starting simplex. Its first vertex is always the start point, unless all vertices are given.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum InitialSimplex {
     /// Without any bound, size or logarithm: a regular simplex with edges of `0.3 * max(1, |x0|)` (Euclidean norm). Else
@@ -156,7 +160,7 @@ pub enum InitialSimplex {
 /// let method = NelderMead::default().batch(BatchPlan::Four).initial_steps(&[0.1, 0.02]);
 /// # assert_eq!(method.batch, BatchPlan::Four);
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct NelderMead {
     /// Which points are asked for ahead of need; default by the number of workers.
@@ -164,8 +168,10 @@ pub struct NelderMead {
     /// Coefficients; default standard below five parameters, adaptive from there on.
     pub coefficients: Coefficients,
     /// How points outside of the box are brought back; default mirrored.
+    #[serde(rename = "bounds_handling")]
     pub bounds: BoundsHandling,
     /// The starting simplex.
+    #[serde(rename = "initial_simplex")]
     pub initial: InitialSimplex,
     /// How often a simplex that is flat when the tests pass may be built anew (one that is flat because it lies on a
     /// bound is not: that is normal); default 2.
@@ -259,8 +265,8 @@ impl MethodOptions for NelderMead {
         Ok(NelderMeadState::new(setup, plan, numbers, self.bounds, simplex, self.restarts))
     }
 
-    fn describe(&self) -> String {
-        format!("{self:?}")
+    fn describe(&self) -> Vec<(String, String)> {
+        words::fields(self)
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<NelderMeadState, Error> {

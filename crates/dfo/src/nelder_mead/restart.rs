@@ -1,5 +1,6 @@
 //! When a simplex has become flat, and the one that takes its place.
 
+use super::initial::stepped;
 use super::simplex::SimplexData;
 use crate::scaling::Space;
 
@@ -87,14 +88,9 @@ pub(super) fn orient(simplex: &mut SimplexData, space: &Space, extent: f64) {
     let slots: Vec<usize> = simplex.order()[1..].to_vec();
     let mut x = vec![0.0; space.n()];
     for (k, slot) in slots.into_iter().enumerate() {
-        let (lower, upper) = space.working_bounds(k);
         let step = extent.max(SIDE) * space.size(k) * if slopes[k] > 0.0 { -1.0 } else { 1.0 };
         let mut u = centre.clone();
-        let inside = |v: f64| lower <= v && v <= upper && v != centre[k];
-        u[k] = [centre[k] + step, centre[k] - step].into_iter().find(|v| inside(*v)).unwrap_or_else(|| {
-            // The step is wider than the room: to the bound that is farther away.
-            if centre[k] - lower > upper - centre[k] { lower } else { upper }
-        });
+        u[k] = stepped(centre[k], step, space.working_bounds(k));
         space.to_user(&u, &mut x);
         simplex.set(slot, &u, &x);
     }

@@ -171,7 +171,10 @@ impl SimplexData {
                 let b = self.u[best * self.n + k];
                 let (lower, upper) = space.working_bounds(k);
                 let u = &mut self.u[slot * self.n + k];
-                *u = (b + factor * (*u - b)).clamp(lower, upper);
+                let drawn = b + factor * (*u - b);
+                // The distance may be beyond all numbers.
+                let drawn = if drawn.is_finite() { drawn } else { (1.0 - factor) * b + factor * *u };
+                *u = drawn.clamp(lower, upper);
             }
             let (u, x) =
                 (&self.u[slot * self.n..][..self.n], &mut self.x[slot * self.n_user..][..self.n_user]);

@@ -351,8 +351,9 @@ class Calibration:
         Parameters
         ----------
         method : str
-            The optimiser, as in `minimize`: "nelder-mead" (what "auto" is), "barrier", "de", "de-classic", "ga". The last
-            three need two finite bounds for every parameter.
+            The optimiser, as in `minimize`: "nelder-mead", "barrier", "de", "de-classic", "ga". The last three need two
+            finite bounds for every parameter. "auto" is "nelder-mead", with integer parameters "de", with categorical ones
+            "ga".
         workers : int, optional
             Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.
         x_tol : float
@@ -415,7 +416,7 @@ class Calibration:
         if _options.choice("batch", batch) != "auto":
             own["batch"] = batch
         built = _options.build(
-            method,
+            _options.method_name(method, [p.kind for p in self._parameters if not p.fixed]),
             own,
             len(self._parameters),
             _options.Limits.check(

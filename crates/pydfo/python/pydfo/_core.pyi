@@ -46,6 +46,7 @@ def minimize(
     observer: Callable[[Progress], Any] | None = None,
     detail: bool = False,
     batches: bool = False,
+    cutoffs: bool = False,
 ) -> OptimizeResult: ...
 @final
 class Optimizer:

@@ -1,12 +1,14 @@
 """Who calls the objective: somebody's executor or map, or the objective itself with all points at once.
 
-Each function here takes the points of a batch, shape (S, n), and a function that says whether the run is to end; it
-returns for each point a cost, the exception that was raised, or Ellipsis for a point that was left out.
+Each function here takes the points of a batch, shape (S, n), their cutoffs, shape (S,), and a function that says whether
+the run is to end; it returns for each point a cost, `Above`, the exception that was raised, or Ellipsis for a point that
+was left out.
 """
 
 from __future__ import annotations
 
 import concurrent.futures
+import inspect
 import os
 import pickle
 from collections.abc import Callable, Iterable
@@ -16,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-Batches = Callable[[FloatArray, Callable[[], bool]], list[Any]]
+Batches = Callable[[FloatArray, FloatArray, Callable[[], bool]], list[Any]]
 
 #: Seconds between two looks for Ctrl-C while an executor computes.
 PATIENCE = 0.02
@@ -29,8 +31,36 @@ class WithArguments:
         self.fun = fun
         self.args = args
 
-    def __call__(self, x: FloatArray) -> Any:
-        return self.fun(x, *self.args)
+    def __call__(self, x: FloatArray, **cutoff: float) -> Any:
+        return self.fun(x, *self.args, **cutoff)
+
+
+def takes_cutoff(fun: Callable[..., Any]) -> bool:
+    """Whether a function wants to know above which cost its value makes no difference: it has a keyword-only parameter
+    named cutoff."""
+    try:
+        parameter = inspect.signature(fun).parameters.get("cutoff")
+    except (TypeError, ValueError):
+        # Compiled functions may not say what they take.
+        return False
+    return parameter is not None and parameter.kind is inspect.Parameter.KEYWORD_ONLY
+
+
+class WithCutoff:
+    """An objective that takes a cutoff, for those who hand on one thing per point. Can be pickled if it can."""
+
+    def __init__(self, fun: Callable[..., Any]) -> None:
+        self.fun = fun
+
+    def __call__(self, point: tuple[FloatArray, float]) -> Any:
+        return self.fun(point[0], cutoff=point[1])
+
+
+def _in_pieces(fun: Callable[..., Any], cutoffs: bool) -> tuple[Returning, Callable[[FloatArray, FloatArray], list[Any]]]:
+    """What is called for each piece of a batch, and how a batch falls into pieces."""
+    if cutoffs:
+        return Returning(WithCutoff(fun)), lambda points, limits: list(zip(points, limits.tolist()))
+    return Returning(fun), lambda points, _: list(points)
 
 
 class Returning:
@@ -38,11 +68,11 @@ class Returning:
     of its batch. Can be pickled if the objective can. An exception that cannot come back from another process (a pool
     would wait for it for ever) is replaced by one with the same text."""
 
-    def __init__(self, fun: Callable[[FloatArray], Any]) -> None:
+    def __init__(self, fun: Callable[[Any], Any]) -> None:
         self.fun = fun
         self.home = os.getpid()
 
-    def __call__(self, x: FloatArray) -> Any:
+    def __call__(self, x: Any) -> Any:
         try:
             return self.fun(x)
         except Exception as e:
@@ -58,7 +88,7 @@ class Returning:
 def vectorized(fun: Callable[[FloatArray], Any]) -> Batches:
     """The objective takes points in columns, shape (n, S), and returns costs of shape (S,)."""
 
-    def evaluate(points: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
+    def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
         try:
             costs = np.asarray(fun(np.ascontiguousarray(points.T)))
         except Exception as e:
@@ -74,22 +104,22 @@ def vectorized(fun: Callable[[FloatArray], Any]) -> Batches:
     return evaluate
 
 
-def mapped(fun: Callable[[FloatArray], Any], apply: Callable[..., Iterable[Any]]) -> Batches:
+def mapped(fun: Callable[..., Any], apply: Callable[..., Iterable[Any]], takes_cutoff: bool = False) -> Batches:
     """``apply(function, points)`` evaluates a batch, like the built-in ``map``."""
-    returning = Returning(fun)
+    returning, pieces = _in_pieces(fun, takes_cutoff)
 
-    def evaluate(points: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
-        return list(apply(returning, list(points)))
+    def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
+        return list(apply(returning, pieces(points, cutoffs)))
 
     return evaluate
 
 
-def executed(fun: Callable[[FloatArray], Any], executor: concurrent.futures.Executor) -> Batches:
+def executed(fun: Callable[..., Any], executor: concurrent.futures.Executor, takes_cutoff: bool = False) -> Batches:
     """An executor evaluates the points of a batch; when the run is to end, those that have not begun are left out."""
-    returning = Returning(fun)
+    returning, pieces = _in_pieces(fun, takes_cutoff)
 
-    def evaluate(points: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
-        futures = [executor.submit(returning, point) for point in points]
+    def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
+        futures = [executor.submit(returning, piece) for piece in pieces(points, cutoffs)]
         waiting = set(futures)
         try:
             while waiting:
@@ -105,12 +135,12 @@ def executed(fun: Callable[[FloatArray], Any], executor: concurrent.futures.Exec
     return evaluate
 
 
-def foreign(fun: Callable[[FloatArray], Any], workers: Any) -> Batches | None:
+def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -> Batches | None:
     """How `workers` evaluates a batch; None if it is a number or nothing that could."""
     if callable(getattr(workers, "submit", None)):
-        return executed(fun, workers)
+        return executed(fun, workers, takes_cutoff)
     if callable(workers):
-        return mapped(fun, workers)
+        return mapped(fun, workers, takes_cutoff)
     if callable(getattr(workers, "map", None)):
-        return mapped(fun, workers.map)
+        return mapped(fun, workers.map, takes_cutoff)
     return None

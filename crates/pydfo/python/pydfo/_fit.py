@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ._result import OptimizeResult
+from ._trajectory import SimulationStats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,10 +39,15 @@ class Fit(OptimizeResult):
         The methods that were compared, if there was a race.
     start_cost, start_rms : float or None
         The same as `cost` and `rms` at the start; None if the simulation failed there.
+    stats : SimulationStats or None
+        What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
+        from before not. (None: interrupted twice, and the simulations under way were left behind.)
     """
 
     def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
         vars(self).update(vars(result))
+        counts = vars(self).pop("stats", None)
+        self.stats = None if counts is None else SimulationStats(**counts)
         self._calibration = calibration
         self.start = start
         self.solver = solver
@@ -127,6 +133,10 @@ class Fit(OptimizeResult):
             name, _, text = line.partition(": ")
             if name.strip() not in ("fun", "x"):
                 lines.append(f"{name.strip():>{width}}: {text}")
+        if self.stats is not None:
+            seconds, in_model = self.stats.seconds, self.stats.seconds_in_model
+            work = f"{self.stats.right_hand_sides} right-hand sides, {seconds:.3g} s, {in_model:.3g} s of them inside the model"
+            lines.append(f"{'simulated':>{width}}: {work}")
         return "\n".join(lines)
 
     @staticmethod

@@ -48,7 +48,9 @@ def minimize(
     ----------
     fun : callable
         ``fun(x, *args) -> float`` with `x` an array of shape (n,), which the function may keep. NaN and infinities mean
-        that there is no cost at this point.
+        that there is no cost at this point. A function with a keyword-only parameter `cutoff` is told above which cost
+        its value makes no difference (infinite: there is no such cost), and may return ``pydfo.Above(cutoff)`` as soon as
+        it knows that it is strictly above: the search decides the same, with less work.
     x0 : array_like, shape (n,), optional
         Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
@@ -139,7 +141,10 @@ def minimize(
     check_callback(callback)
     extra = args if isinstance(args, tuple) else (args,)
     called = _evaluate.WithArguments(fun, extra) if extra else fun
-    batches = None if workers is None else _evaluate.foreign(called, workers)
+    cutoffs = _evaluate.takes_cutoff(fun)
+    batches = None if workers is None else _evaluate.foreign(called, workers, cutoffs)
+    if vectorized and cutoffs:
+        raise ValueError("fun has a parameter cutoff, but vectorized=True evaluates many points at once")
     if vectorized:
         if batches is not None:
             raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
@@ -161,6 +166,7 @@ def minimize(
         tolerant=on_error == "fail",
         observer=None if callback is None else listen(callback),
         batches=batches is not None,
+        cutoffs=cutoffs,
     )
     _log.info("minimize: %s; f = %r after %d evaluations", result.message, result.fun, result.nfev)
     return result

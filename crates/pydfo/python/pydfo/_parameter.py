@@ -29,6 +29,9 @@ class Parameter:
     nominal : float, optional
         A typical size, from which steps and tolerances are taken. Default: the nominal value in the model, else the width
         of the bounds, else the start value.
+    kind : {"continuous", "integer", "categorical"}
+        Whether it takes any value, whole numbers, or whole numbers that stand for choices. The search is then by "de"
+        (integers) or "ga" (both).
     fixed : bool
         Hold the parameter at `start`.
 
@@ -36,7 +39,7 @@ class Parameter:
     ------
     ValueError
         Numbers that do not fit together: bounds that cross, a start outside of them, a log scale with values that are
-        not positive.
+        not positive, discrete values that are not whole.
 
     Examples
     --------
@@ -50,6 +53,7 @@ class Parameter:
     upper: float
     scale: str
     nominal: float | None
+    kind: str
     fixed: bool
 
     def __init__(
@@ -61,6 +65,7 @@ class Parameter:
         *,
         scale: Literal["linear", "log"] = "linear",
         nominal: float | None = None,
+        kind: Literal["continuous", "integer", "categorical"] = "continuous",
         fixed: bool = False,
     ) -> None:
         put = object.__setattr__
@@ -70,6 +75,7 @@ class Parameter:
         put(self, "upper", np.inf if upper is None else number("upper", upper))
         put(self, "scale", choice("scale", scale))
         put(self, "nominal", optional_number("nominal", nominal))
+        put(self, "kind", choice("kind", kind))
         put(self, "fixed", bool(fixed))
         _core.check_parameter(self)
 
@@ -81,6 +87,8 @@ class Parameter:
             said.append(f"scale={self.scale!r}")
         if self.nominal is not None:
             said.append(f"nominal={self.nominal!r}")
+        if self.kind != "continuous":
+            said.append(f"kind={self.kind!r}")
         if self.fixed:
             said.append("fixed=True")
         return f"Parameter({', '.join(said)})"

@@ -132,7 +132,8 @@ class OdeResult:
     stats : SimulationStats
         What it cost, in more detail.
     seconds, seconds_in_model : float
-        Wall-clock time of the integration, and the part of it that was spent in the functions given, in s.
+        Wall-clock time of the integration, and the part of it that was spent in the functions given (an estimate, see
+        `SimulationStats`), in s.
     """
 
     def __init__(
@@ -145,9 +146,7 @@ class OdeResult:
         status: int,
         message: str,
         end_time: float,
-        stats: dict[str, int],
-        seconds: float,
-        seconds_in_model: float,
+        stats: dict[str, Any],
         spans: FloatArray | None = None,
         values: FloatArray | None = None,
     ) -> None:
@@ -169,8 +168,8 @@ class OdeResult:
         self.message = message
         self.success = status >= 0
         self.end_time = end_time
-        self.seconds = seconds
-        self.seconds_in_model = seconds_in_model
+        self.seconds = self.stats.seconds
+        self.seconds_in_model = self.stats.seconds_in_model
 
     def __repr__(self) -> str:
         n, m = self.y.shape

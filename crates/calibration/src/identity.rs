@@ -1,0 +1,71 @@
+//! What a fit is made from, by name and in words: what a checkpoint belongs to, and what a refusal of one can name.
+
+use crate::experiment::{Experiment, Measured, SimulationSettings};
+use crate::parameter::Parameter;
+use fmi::{Fmu, Kind};
+
+/// What tells a calibration from another, as far as its costs go.
+pub(crate) fn identity(
+    fmu: &Fmu,
+    experiments: &[Experiment],
+    parameters: &[Parameter],
+    settings: &SimulationSettings,
+) -> Vec<(String, String)> {
+    let names: Vec<&str> = parameters.iter().map(Parameter::name).collect();
+    let mut all = vec![
+        ("model".to_owned(), fmu.content_hash().to_owned()),
+        ("parameter names".to_owned(), names.join(", ")),
+    ];
+    let SimulationSettings { kind, method, relative_tolerance, step_size, max_step, chattering, timeout } =
+        settings;
+    let number = |value: Option<f64>| value.map_or_else(|| "by default".to_owned(), |v| format!("{v:?}"));
+    all.extend(
+        [
+            ("kind of simulation", kind_name(*kind).to_owned()),
+            ("solver of the settings", method.name().to_owned()),
+            ("relative tolerance", number(*relative_tolerance)),
+            ("step size", number(*step_size)),
+            ("largest step", number(*max_step)),
+            ("chattering", chattering.name().to_owned()),
+            ("time limit of a simulation", number(timeout.map(|t| t.as_secs_f64()))),
+        ]
+        .map(|(name, value)| (name.to_owned(), value)),
+    );
+    for (k, Experiment { data, outputs, inputs, start_values, window, start_time }) in
+        experiments.iter().enumerate()
+    {
+        let output = |m: &Measured| format!("{} measured by {}, weight {:?}", m.variable, m.column, m.weight);
+        let input = |(variable, column): &(String, String)| format!("{variable} from {column}");
+        let value = |(name, value): &(String, fmi::Value)| format!("{name} = {}", whole(value));
+        let window = window.map_or_else(|| "all".to_owned(), |(from, to)| format!("from {from:?} to {to:?}"));
+        all.extend(
+            [
+                ("data", data.hash()),
+                ("outputs", outputs.iter().map(output).collect::<Vec<_>>().join("; ")),
+                ("inputs", inputs.iter().map(input).collect::<Vec<_>>().join("; ")),
+                ("start values", start_values.iter().map(value).collect::<Vec<_>>().join("; ")),
+                ("window", window),
+                ("start time", number(*start_time)),
+            ]
+            .map(|(name, value)| (format!("{name} of experiment {k}"), value)),
+        );
+    }
+    all
+}
+
+/// A value with all of its elements and bytes.
+fn whole(value: &fmi::Value) -> String {
+    match value {
+        fmi::Value::Array(values) => format!("[{}]", values.iter().map(whole).collect::<Vec<_>>().join(", ")),
+        fmi::Value::Binary(bytes) => bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
+        other => other.to_string(),
+    }
+}
+
+fn kind_name(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Auto => "auto",
+        Kind::ModelExchange => "me",
+        Kind::CoSimulation => "cs",
+    }
+}

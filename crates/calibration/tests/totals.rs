@@ -1,0 +1,55 @@
+//! What a fit took is what its simulations took, whoever made them and however they ended.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
+use dfo::Limits;
+use fmi::{Fmu, example_fmu};
+use ode::{Method, Stats};
+
+/// A ball that bounces, measured at four instants; with less and less restitution it stops bouncing earlier.
+fn calibration() -> Calibration {
+    let time = vec![0.0, 0.5, 1.0, 1.5];
+    let data = Data::from_columns(time, [("h".to_owned(), vec![1.0, 0.3, 0.2, 0.1])]).unwrap();
+    Calibration::builder(Fmu::open(example_fmu("bouncing_ball").unwrap()).unwrap())
+        .experiment(Experiment::new(data).output("h", "h"))
+        .parameter(Parameter::new("e", 0.7).bounds(0.1, 0.95))
+        .settings(SimulationSettings { method: Method::Tsit5, ..SimulationSettings::default() })
+        .build()
+        .unwrap()
+}
+
+fn options(evaluations: usize, workers: usize, cutoffs: bool) -> FitOptions<'static> {
+    FitOptions {
+        limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
+        workers: Some(workers),
+        cutoffs,
+        ..FitOptions::default()
+    }
+}
+
+#[test]
+fn the_totals_are_the_sum_over_all_evaluations() {
+    let calibration = calibration();
+    for workers in [1, 3] {
+        let fit = calibration.fit(options(12, workers, false)).unwrap();
+        assert_eq!(fit.report.trace.len(), 12);
+        let mut total = Stats::default();
+        for entry in fit.report.trace.iter() {
+            total += calibration.simulate(entry.x, None).unwrap()[0].stats;
+        }
+        assert_eq!(fit.stats, total);
+        assert!(fit.stats.state_events > 12 && fit.stats.event_indicators > fit.stats.state_events);
+        let (seconds, in_model) = (fit.stats.seconds.get(), fit.stats.seconds_in_model.get());
+        assert!(in_model > 0.0 && in_model <= seconds, "{in_model} of {seconds}");
+        assert!(fit.to_string().contains("inside the model"), "{fit}");
+    }
+}
+
+#[test]
+fn simulations_that_are_given_up_count_as_far_as_they_came() {
+    let calibration = calibration();
+    let all = calibration.fit(options(30, 1, false)).unwrap().stats;
+    let some = calibration.fit(options(30, 1, true)).unwrap().stats;
+    assert!(some.right_hand_sides < all.right_hand_sides && some.right_hand_sides > 0);
+}

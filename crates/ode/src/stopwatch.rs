@@ -1,0 +1,203 @@
+//! How long calls take, at next to no cost: slow calls are timed each, of fast ones some.
+
+use std::time::{Duration, Instant};
+
+/// A call that takes less is fast.
+const FAST: f64 = 1e-6;
+
+/// So many fast ones in a row, and only some of the next are timed.
+const TRUST: u32 = 32;
+
+/// One of so many then. A prime, so that it is not always the same stage of a step.
+const STRIDE: u32 = 61;
+
+/// A call that takes longer than this among fast ones stands for itself alone: the scheduler's doing.
+const LONGEST: f64 = 1e-4;
+
+/// One kind of calls.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tally {
+    seconds: f64,
+    /// What the last fast one took.
+    usual: f64,
+    /// How many in a row were fast.
+    fast: u32,
+    /// Those since the last one that was timed.
+    untimed: u32,
+}
+
+/// Estimates the time that is spent in calls of `KINDS` kinds.
+///
+/// Reading the clock takes as long as a short call (20 to 30 ns). So after 32 calls of a kind in a row that took less than
+/// 1 us, only one of 61 is timed and stands for those before it, until one takes longer; otherwise each is timed. What the
+/// readings themselves take is measured once and subtracted. A call of more than 0.1 ms among fast ones (the scheduler's
+/// doing, for example) stands for itself alone.
+///
+/// ```
+/// let mut watch = ode::Stopwatch::<1>::new();
+/// for _ in 0..3 {
+///     let timing = watch.start(0);
+///     std::thread::sleep(std::time::Duration::from_millis(2));
+///     watch.stop(timing, 0.0);
+/// }
+/// assert!(watch.seconds() >= 0.0059);
+/// ```
+#[derive(Debug, Clone)]
+pub struct Stopwatch<const KINDS: usize> {
+    tallies: [Tally; KINDS],
+    /// Seconds that two readings of the clock are apart at least.
+    reading: f64,
+}
+
+/// A call under way.
+#[derive(Debug)]
+#[must_use = "stop() takes it"]
+pub struct Timing {
+    kind: usize,
+    began: Option<Instant>,
+}
+
+impl Timing {
+    /// Whether this call is timed.
+    pub fn is_on(&self) -> bool {
+        self.began.is_some()
+    }
+}
+
+impl<const KINDS: usize> Default for Stopwatch<KINDS> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const KINDS: usize> Stopwatch<KINDS> {
+    /// Measures how long it takes to read the clock.
+    pub fn new() -> Self {
+        let readings = [(); 4].map(|()| Instant::now());
+        let apart = readings.windows(2).map(|pair| pair[1].duration_since(pair[0]));
+        let reading = apart.min().unwrap_or(Duration::ZERO).as_secs_f64();
+        Self { tallies: [Tally::default(); KINDS], reading }
+    }
+
+    /// Begins anew. Which kinds are fast is not forgotten.
+    pub fn reset(&mut self) {
+        for tally in &mut self.tallies {
+            (tally.seconds, tally.untimed) = (0.0, 0);
+        }
+    }
+
+    /// A call of this kind begins.
+    #[inline]
+    pub fn start(&mut self, kind: usize) -> Timing {
+        let tally = &mut self.tallies[kind];
+        if tally.fast >= TRUST && tally.untimed + 1 < STRIDE {
+            tally.untimed += 1;
+            return Timing { kind, began: None };
+        }
+        Timing { kind, began: Some(Instant::now()) }
+    }
+
+    /// A call of this kind begins that is to be timed in any case, because one may take much longer than another.
+    pub fn start_timed(&mut self, kind: usize) -> Timing {
+        Timing { kind, began: Some(Instant::now()) }
+    }
+
+    /// It has ended. `elsewhere`: seconds of it that do not count.
+    #[inline]
+    pub fn stop(&mut self, timing: Timing, elsewhere: f64) {
+        if let Some(began) = timing.began {
+            self.take(timing.kind, began, elsewhere);
+        }
+    }
+
+    /// Not part of what is compiled into every call: most are not timed.
+    #[inline(never)]
+    fn take(&mut self, kind: usize, began: Instant, elsewhere: f64) {
+        self.enter(kind, began.elapsed().as_secs_f64() - self.reading - elsewhere);
+    }
+
+    fn enter(&mut self, kind: usize, seconds: f64) {
+        let tally = &mut self.tallies[kind];
+        let seconds = seconds.max(0.0);
+        if seconds < FAST {
+            tally.fast = tally.fast.saturating_add(1);
+            tally.usual = seconds;
+        } else {
+            tally.fast = 0;
+        }
+        let each = if seconds < LONGEST { seconds } else { tally.usual };
+        tally.seconds += seconds + f64::from(tally.untimed) * each;
+        tally.untimed = 0;
+    }
+
+    /// The estimate for all calls so far, in seconds.
+    pub fn seconds(&self) -> f64 {
+        self.tallies.iter().map(|tally| tally.seconds + f64::from(tally.untimed) * tally.usual).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Makes calls that would take these numbers of nanoseconds; returns how many were timed, and the estimate in ns.
+    fn estimate(calls: impl IntoIterator<Item = f64>) -> (usize, f64) {
+        let mut watch = Stopwatch::<2>::new();
+        let mut timed = 0;
+        for nanoseconds in calls {
+            let timing = watch.start(1);
+            if timing.is_on() {
+                timed += 1;
+                watch.enter(1, 1e-9 * nanoseconds);
+            }
+        }
+        (timed, (1e9 * watch.seconds()).round())
+    }
+
+    #[test]
+    fn of_fast_calls_one_stands_for_many() {
+        // The first 32, then each 61st.
+        assert_eq!(estimate([20.0; 32 + 610]), (32 + 10, 642.0 * 20.0));
+        // The last ones were not timed, but they count.
+        assert_eq!(estimate([20.0; 32 + 660]), (32 + 10, 692.0 * 20.0));
+    }
+
+    #[test]
+    fn slow_calls_are_timed_each() {
+        assert_eq!(estimate([2000.0; 50]), (50, 100_000.0));
+        // The first slow one that is timed stands for those before it, from then on each is timed.
+        let calls = [20.0; 32].into_iter().chain([5000.0; 161]);
+        assert_eq!(estimate(calls), (32 + 101, 32.0 * 20.0 + 161.0 * 5000.0));
+        // Slow ones now and then: each is timed.
+        let calls: Vec<f64> = (0..300).map(|k| if k % 20 == 7 { 3e6 } else { 20.0 }).collect();
+        assert_eq!(estimate(calls.iter().copied()), (300, calls.iter().sum()));
+    }
+
+    #[test]
+    fn a_long_call_among_fast_ones_counts_once() {
+        // The 93rd call is timed and takes 4 ms.
+        let calls = (0..900).map(|k| if k == 92 { 4e6 } else { 20.0 });
+        let (timed, estimate) = estimate(calls);
+        assert_eq!(estimate, 4e6 + 899.0 * 20.0);
+        assert_eq!(timed, 32 + 1 + 32 + (900 - 32 - 61 - 32) / 61);
+    }
+
+    #[test]
+    fn kinds_are_apart_and_what_is_fast_stays_known() {
+        let mut watch = Stopwatch::<2>::new();
+        for _ in 0..TRUST {
+            watch.enter(0, 1e-7);
+            // A clock that goes back, or more elsewhere than in all.
+            watch.enter(1, -1.0);
+        }
+        watch.enter(1, 1.0);
+        assert!((watch.seconds() - 32e-7 - 1.0).abs() < 1e-15);
+        assert!(!watch.start(0).is_on() && watch.start(1).is_on() && watch.start_timed(0).is_on());
+        watch.reset();
+        assert_eq!(watch.seconds(), 0.0);
+        assert!(!watch.start(0).is_on() && watch.start(1).is_on());
+        let timing = watch.start_timed(1);
+        watch.stop(timing, 10.0);
+        assert!(watch.seconds() <= 1.1e-7);
+    }
+}

@@ -1,0 +1,111 @@
+"""What simulations cost: counts that can be compared, and times that cannot."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+import pydfo
+from pydfo import Calibration, FMUModel, Parameter, example_fmu, ode
+
+TIMES = np.linspace(0.0, 1.5, 16)
+
+
+def bouncing(**changes):
+    """A bouncing ball, compared with heights that it cannot have."""
+    data = {"time": TIMES, "h": np.full(16, 0.2)}
+    parameters = [Parameter("e", 0.7, 0.1, 0.95)]
+    return Calibration(example_fmu("bouncing_ball"), data, outputs=["h"], parameters=parameters, **changes)
+
+
+@pytest.mark.parametrize("kind", ["me", "cs"])
+def test_a_simulation_says_how_long_it_took(kind):
+    model = FMUModel(example_fmu("van_der_pol", kind=kind.upper()), kind=kind)
+    first, second = model.simulate(0, 20), model.simulate(0, 20)
+    assert first.stats == second.stats
+    for stats in (first.stats, second.stats):
+        assert 0 < stats.seconds_in_model <= stats.seconds
+    assert "seconds_in_model" in repr(first.stats)
+
+
+def test_input_functions_are_not_the_model():
+    calls = 0
+
+    def ramp(t):
+        nonlocal calls
+        calls += 1
+        time.sleep(1e-3)
+        return 0.3 * t
+
+    model = FMUModel(example_fmu("switched_input"))
+    stats = model.simulate(0, 1, input=("u", ramp), ncp=5).stats
+    assert calls > 20 and stats.seconds - stats.seconds_in_model > 0.9e-3 * 20
+
+
+def test_the_time_in_python_functions():
+    def slow(t, y):
+        time.sleep(1e-3)
+        return -y
+
+    res = ode.solve(slow, (0, 1), [1.0])
+    assert res.stats.seconds == res.seconds >= res.seconds_in_model == res.stats.seconds_in_model
+    assert res.seconds_in_model > 0.9e-3 * res.nfev
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_fit_adds_up_what_its_simulations_took(workers):
+    fit = bouncing().fit(max_evaluations=15, workers=workers, batch="four")
+    model = FMUModel(example_fmu("bouncing_ball"))
+    counts = np.zeros(3, dtype=int)
+    for x, above in zip(fit.trace.x[:, 0], fit.trace.above):
+        model.set("e", x)
+        stats = model.simulate(final_time=1.5, times=TIMES, solver=fit.solver, output=["h"]).stats
+        if np.isnan(above):
+            counts += (stats.right_hand_sides, stats.accepted_steps, stats.state_events)
+    total = np.array([fit.stats.right_hand_sides, fit.stats.accepted_steps, fit.stats.state_events])
+    # Those that were given up count as far as they came.
+    assert (total >= counts).all() and (counts > 0).all()
+    assert np.isnan(fit.trace.above).all() or (total > counts).any()
+    assert 0 < fit.stats.seconds_in_model <= fit.stats.seconds
+    assert f"{fit.stats.right_hand_sides} right-hand sides" in repr(fit) and "inside the model" in repr(fit)
+    assert fit["stats"] is fit.stats
+    again = bouncing().fit(max_evaluations=15, workers=1, batch="four")
+    assert again.stats == fit.stats
+
+
+def test_integers_and_choices_are_fitted_by_methods_that_can():
+    data = {"time": TIMES, "x": np.exp(-3.0 * TIMES)}
+    k = Parameter("k", 1, 1, 8, kind="integer")
+    assert repr(k) == "Parameter('k', 1.0, 1.0, 8.0, kind='integer')"
+    fit = Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[k]).fit(rng=1, max_evaluations=200)
+    assert fit.method == "de" and fit.x.tolist() == [3.0] and (fit.trace.x == np.round(fit.trace.x)).all()
+    choice = Parameter("k", 2, 1, 5, kind="categorical")
+    calibration = Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[choice])
+    fit = calibration.fit(rng=1, max_evaluations=200)
+    assert fit.method == "ga" and fit.x.tolist() == [3.0]
+    with pytest.raises(ValueError, match="nelder-mead cannot search over parameter 0, which is categorical"):
+        calibration.fit(method="nelder-mead")
+    held = Parameter("k", 2, 1, 5, kind="integer", fixed=True)
+    assert Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[held]).fit().method == "nelder-mead"
+    for arguments, said in [
+        ({"start": 1.5, "lower": 1, "upper": 8, "kind": "integer"}, "'k': is integer, so start 1.5 must be a whole number"),
+        ({"start": 1.5, "lower": 1.2, "upper": 1.8, "kind": "categorical"}, "between its bounds 1.2 and 1.8"),
+        ({"start": 1, "kind": "odd"}, "kind = 'odd' is none of 'continuous', 'integer', 'categorical'"),
+    ]:
+        with pytest.raises(ValueError, match=said):
+            Parameter("k", **arguments)
+
+
+def test_a_checkpoint_of_another_fit_is_refused_in_words(tmp_path):
+    path = tmp_path / "run"
+    bouncing().fit(max_evaluations=5, checkpoint=path)
+    for other, said in [
+        (bouncing(max_step=0.5), "largest step: by default in the file, 0.5 here"),
+        (bouncing(window=(0.0, 1.0)), "window of experiment 0: all in the file, from 0.0 to 1.0 here"),
+    ]:
+        with pytest.raises(pydfo.CheckpointError, match=said):
+            other.fit(max_evaluations=5, checkpoint=path)
+    with pytest.raises(pydfo.CheckpointError, match="option restarts: 2 in the file, 1 here"):
+        bouncing().fit(max_evaluations=5, checkpoint=path, options={"restarts": 1})
