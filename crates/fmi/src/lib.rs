@@ -3,6 +3,7 @@
 
 pub mod archive;
 mod assign;
+mod beginning;
 mod binary;
 mod clocks;
 mod co_simulation;
