@@ -357,7 +357,10 @@ fn fmus_that_cannot_be_run_say_why() {
     assert!(matches!(error, FmiError::NoBinary { .. }) && error.to_string().contains("plan9"), "{error}");
 
     let folder = evil(&[]);
-    let library = fmi::platform::find_binary(folder.path(), "evil", 2).unwrap().path;
+    let library =
+        fmi::platform::find_binary(folder.path(), "evil", fmi::platform::FolderNames::SystemAndBits)
+            .unwrap()
+            .path;
     let mut bytes = std::fs::read(&library).unwrap();
     bytes.truncate(200);
     std::fs::write(&library, bytes).unwrap();

@@ -346,7 +346,7 @@ impl Fmu {
         let path = match platform::find_binary(
             self.root(),
             &interface.model_identifier,
-            description.fmi_version.major,
+            description.fmi_version.folder_names(),
         ) {
             Ok(found) => {
                 if let Some(note) = &found.note {
