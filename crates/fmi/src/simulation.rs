@@ -1,6 +1,6 @@
 //! One worker's simulator: a plan, a live instance, a driver and buffers, run as often as one likes.
 
-use crate::assign::Assignments;
+use crate::beginning::StartValues;
 use crate::communication::Stepping;
 use crate::copies::PrivateCopy;
 use crate::description::Value;
@@ -374,7 +374,7 @@ impl Simulator {
     }
 
     /// Brings an instance that is new or was reset to the start of a trial run; whether that went well.
-    fn begin_probe(&mut self, raw: RawInstance, start_values: &Assignments, parameters: &[f64]) -> bool {
+    fn begin_probe(&mut self, raw: RawInstance, start_values: &StartValues, parameters: &[f64]) -> bool {
         let _guard = FloatEnvironment::standard();
         each!(&mut self.engine, run => run.initialize_with(raw, start_values, parameters)).is_ok()
     }
@@ -408,7 +408,7 @@ impl Simulator {
     /// There is no new instance to be had.
     pub(crate) fn begin_new(
         &mut self,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
     ) -> Result<bool, FmiError> {
         let raw = match self.fresh.take() {
@@ -427,7 +427,7 @@ impl Simulator {
     /// It was cancelled; there is no new instance to be had.
     pub(crate) fn probe_new(
         &mut self,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
         steps: Option<u64>,
         observer: &mut dyn Observer,
@@ -479,7 +479,7 @@ impl Simulator {
     pub(crate) fn probe_again(
         &mut self,
         reuse: Reuse,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
         steps: Option<u64>,
         observer: &mut dyn Observer,

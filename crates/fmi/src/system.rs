@@ -1,7 +1,6 @@
 //! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
 
-use crate::assign::Assignments;
-use crate::beginning::Start;
+use crate::beginning::{Start, StartValues};
 use crate::clocks::{ClockState, Tick};
 use crate::description::Variable;
 use crate::digest::Digest;
@@ -141,7 +140,7 @@ impl System {
     pub(crate) fn initialize_with(
         &mut self,
         raw: RawInstance,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
     ) -> Result<(), FmiError> {
         let plan = Arc::clone(&self.plan);

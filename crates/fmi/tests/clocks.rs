@@ -7,7 +7,7 @@ mod support;
 use fmi::description::{ClockKind, Interval};
 use fmi::{FmiError, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Trajectory};
 use std::sync::Arc;
-use support::fixture;
+use support::{fixture, fixture_with};
 
 const KINDS: [Kind; 2] = [Kind::ModelExchange, Kind::CoSimulation];
 
@@ -175,6 +175,13 @@ fn what_cannot_be_done_is_said() {
         matches!(error, FmiError::BadSetting { .. }) && error.to_string().contains("event mode"),
         "{error}"
     );
+}
+
+#[test]
+fn clocks_need_an_event_mode_that_is_there() {
+    let folder = fixture_with("clocks", &["NO_EVENT_MODE"], |xml| xml);
+    let error = folder.open().simulate(&SimulateOptions::new().kind(Kind::CoSimulation)).unwrap_err();
+    assert!(error.to_string().contains("the model has clocks, which tick in event mode"), "{error}");
 }
 
 #[test]

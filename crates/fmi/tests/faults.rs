@@ -288,6 +288,29 @@ fn inputs_are_set_once_at_an_instant() {
 }
 
 #[test]
+fn inputs_that_do_not_vary_are_set_in_initialization_mode() {
+    let folder = evil_with(&["ONE_SET", "LATE_INPUTS"], |xml| {
+        let input = r#"<ScalarVariable name="u" valueReference="7" causality="input" variability="continuous">
+            <Real start="0"/></ScalarVariable></ModelVariables>"#;
+        xml.replace("</ModelVariables>", input)
+    });
+    let fmu = folder.open();
+    let by_hand = fmu.instantiate().unwrap().set("u", 2.0).unwrap_err();
+    assert!(by_hand.to_string().contains("inputs are set in initialization mode"), "{by_hand}");
+    // x' = u, as a start value and as a parameter of the runs, on a new instance and on one that was reset.
+    let options = SimulateOptions::new().start_value("x", 0.0).ncp(1);
+    let result = fmu.simulate(&options.clone().start_value("u", 2.0)).unwrap();
+    assert!((result.get("y").unwrap()[1] - 2.0).abs() < 1e-12);
+    let plan = SimulationPlan::new(&fmu, &options.parameters(["x", "u"])).unwrap();
+    let mut simulator = Simulator::new(Arc::new(plan)).unwrap();
+    for (x, u) in [(0.0, 3.0), (1.0, -2.0), (0.5, 0.0)] {
+        let result = simulator.trajectory(&[x, u]).unwrap();
+        assert!((result.get("y").unwrap()[1] - (x + u)).abs() < 1e-12, "{x} and {u}");
+    }
+    assert_eq!(fmu.reuse(), Some(Reuse::Reset));
+}
+
+#[test]
 fn outputs_that_are_nan_are_passed_on() {
     let folder = evil(&["NAN_OUTPUT"]);
     let result = folder.open().simulate(&SimulateOptions::new().ncp(2)).unwrap();

@@ -114,12 +114,11 @@ impl Fmu {
             .collect()
     }
 
-    /// Kind, message and line (None: the file as a whole) of each departure from the standard.
-    fn quirks(&self) -> Vec<(String, &str, Option<u32>)> {
-        let quirks = self.description().quirks.iter();
-        quirks
-            .map(|q| (q.kind.to_string(), q.message.as_str(), Some(q.line).filter(|line| *line > 0)))
-            .collect()
+    /// Kind, message and line (None: the file as a whole) of each departure from the standard: those of the description,
+    /// and those that have shown when the FMU was run.
+    fn quirks(&self) -> Vec<(String, String, Option<u32>)> {
+        let quirks = self.description().quirks.iter().cloned().chain(self.fmu.quirks_seen());
+        quirks.map(|q| (q.kind.to_string(), q.message, Some(q.line).filter(|line| *line > 0))).collect()
     }
 }
 

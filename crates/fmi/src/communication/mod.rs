@@ -4,8 +4,7 @@
 mod run;
 mod samples;
 
-use crate::assign::Assignments;
-use crate::beginning::Start;
+use crate::beginning::{Start, StartValues};
 use crate::clocks::{ClockState, Tick};
 use crate::description::Variable;
 use crate::digest::Digest;
@@ -129,7 +128,7 @@ impl Stepping {
     pub(crate) fn initialize_with(
         &mut self,
         raw: RawInstance,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
     ) -> Result<(), FmiError> {
         let plan = Arc::clone(&self.plan);

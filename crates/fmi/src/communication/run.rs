@@ -173,7 +173,7 @@ impl Run<'_> {
     fn arrive_at(&mut self, time: f64, event: bool) -> Step<()> {
         self.t = time;
         self.sample_left()?;
-        let ended = if self.communication.event_mode {
+        let ended = if self.stepping.core()?.raw.has_event_mode() {
             self.set_inputs_at_events(event)?
         } else {
             self.set_inputs()?

@@ -328,6 +328,8 @@ pub enum QuirkKind {
     Range,
     /// The model structure is not consistent.
     Structure,
+    /// The model does not do what the description promises.
+    Promise,
     /// Something this version of the importer does not represent was left out.
     Unsupported,
 }
@@ -345,6 +347,7 @@ impl fmt::Display for QuirkKind {
             QuirkKind::Start => "start",
             QuirkKind::Range => "range",
             QuirkKind::Structure => "structure",
+            QuirkKind::Promise => "promise",
             QuirkKind::Unsupported => "unsupported",
         })
     }

@@ -22,6 +22,9 @@ use std::ffi::CString;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
+const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated \
+                             with it: it is run without";
+
 /// An opened FMU. Clones share everything and are cheap.
 ///
 /// Opening and inspecting run no code of the FMU; the first instance loads its library, which does.
@@ -232,12 +235,12 @@ impl Fmu {
             true => description.variables.iter().filter(is_intermediate).map(|v| v.value_reference).collect(),
             false => Vec::new(),
         };
-        let request = Request {
+        let mut request = Request {
             name: &name,
             guid: &guid,
             resources: &resources,
             kind,
-            event_mode: interface.capabilities.uses_event_mode(),
+            event_mode: interface.capabilities.uses_event_mode() && !library.shared().is_event_mode_refused(),
             early_return: interface.capabilities.may_return_early(),
             intermediate: &intermediate,
             visible: options.visible,
@@ -252,7 +255,24 @@ impl Fmu {
         }
         // The FMU may change the floating-point mode of this thread and shall not.
         let _guard = FloatEnvironment::standard();
-        RawInstance::new(library, &request, sizes, only_one)
+        let refusal = match RawInstance::new(library, &request, sizes, only_one) {
+            Err(FmiError::Call(refusal)) if request.event_mode => FmiError::Call(refusal),
+            outcome => return outcome,
+        };
+        // Some models promise an event mode that they do not have.
+        request.event_mode = false;
+        let raw = RawInstance::new(library, &request, sizes, only_one).map_err(|_| refusal)?;
+        library.shared().refuse_event_mode();
+        log::warn!("{}: {NO_EVENT_MODE}", description.model_name);
+        Ok(raw)
+    }
+
+    /// Departures from the standard that showed when the FMU was run; those of its description are in
+    /// [`ModelDescription::quirks`].
+    pub fn quirks_seen(&self) -> Vec<Quirk> {
+        let refused = self.shared(InterfaceKind::CoSimulation).is_some_and(|s| s.is_event_mode_refused());
+        let quirk = || Quirk { kind: QuirkKind::Promise, message: NO_EVENT_MODE.to_owned(), line: 0 };
+        refused.then(quirk).into_iter().collect()
     }
 
     /// Whether the FMU can be simulated, one way or the other; the interface that would be used.

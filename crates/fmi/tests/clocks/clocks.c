@@ -63,6 +63,9 @@ FMI3_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String
                                                      fmi3IntermediateUpdateCallback update) {
     (void)name, (void)resources, (void)visible, (void)logging, (void)environment, (void)log, (void)r, (void)n;
     (void)update, (void)early;
+#ifdef NO_EVENT_MODE
+    event_mode = !event_mode;
+#endif
     return event_mode ? make(token, 1) : NULL;
 }
 FMI3_EXPORT void fmi3FreeInstance(fmi3Instance i) { free(i); }

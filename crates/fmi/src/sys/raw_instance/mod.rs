@@ -80,6 +80,8 @@ pub(crate) struct RawInstance {
     /// The library's count of instances made and freed, when this one was made.
     epoch: u64,
     sizes: Sizes,
+    /// Co-simulation: made to have its events handled between steps.
+    event_mode: bool,
     /// For messages: the time last set.
     time: Option<f64>,
     saved: SavedStates,
@@ -144,6 +146,7 @@ impl RawInstance {
             dead: false,
             epoch: shared.epoch.fetch_add(1, Ordering::Relaxed) + 1,
             sizes,
+            event_mode: request.event_mode,
             time: None,
             saved: SavedStates::default(),
             buffers: ValueBuffers::default(),
@@ -170,6 +173,11 @@ impl RawInstance {
     /// The file of its library.
     pub(crate) fn library_path(&self) -> PathBuf {
         self.library.path().to_owned()
+    }
+
+    /// Co-simulation: whether it was made to have its events handled between steps.
+    pub(crate) fn has_event_mode(&self) -> bool {
+        self.event_mode
     }
 
     /// The time last set.
