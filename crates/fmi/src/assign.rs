@@ -45,7 +45,8 @@ pub(crate) fn convert(
     }
 }
 
-fn convert_one(variable: &Variable, value: &Value) -> Result<Value, FmiError> {
+/// [`convert`] for a single value.
+pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value, FmiError> {
     if let Value::Real(x) = value
         && !x.is_finite()
     {

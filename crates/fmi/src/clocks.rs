@@ -4,14 +4,13 @@
 //! other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never sums; fractions are
 //! multiplied out before they are divided. The rules are those of FMI 3.0.x, sections 2.2.8.3 and 2.3.5.
 
-use crate::assign::{Assignments, resolve};
-use crate::column::Column;
+use crate::assign::resolve;
+use crate::column::{Column, HeldColumn};
 use crate::description::{
-    Causality, ClockKind, ClockTiming, Interval, ModelDescription, Value, Variable, VariableKind,
+    Causality, ClockKind, ClockTiming, Interval, ModelDescription, Variable, VariableKind,
 };
 use crate::error::FmiError;
 use crate::instance::{Core, Instance, Readable};
-use crate::lanes;
 use crate::model_exchange::MAX_EVENT_ITERATIONS;
 use crate::outputs::OutputBuffers;
 use crate::sys::{IntervalAnswer, Qualifier, RawInstance};
@@ -49,8 +48,27 @@ struct Triggered {
 /// An input that may be set only when one of its clocks ticks.
 #[derive(Debug, Clone)]
 pub(crate) struct Clocked {
-    pub(crate) variable: usize,
-    pub(crate) column: Column,
+    variable: usize,
+    kind: VariableKind,
+    reference: u32,
+    column: HeldColumn,
+}
+
+impl Clocked {
+    pub(crate) fn new(position: usize, variable: &Variable, column: HeldColumn) -> Self {
+        let (kind, reference) = (variable.kind, variable.value_reference);
+        let column = if variable.negated { column.negated(kind) } else { column };
+        Self { variable: position, kind, reference, column }
+    }
+
+    /// Sets the value that is held from `t` on.
+    fn set(&self, core: &mut Core, t: f64) -> Result<(), FmiError> {
+        let references = [self.reference];
+        match self.kind {
+            VariableKind::Real => core.set_reals(&references, &[self.column.column.held(t)]),
+            kind => core.call(|raw| raw.set_packed(kind, &references, &[self.column.lane(kind, t)])),
+        }
+    }
 }
 
 /// What the inputs say about clocks.
@@ -202,7 +220,7 @@ impl ClockState {
             self.schedules.push(schedule);
         }
         for (clocked, _) in &plan.clocked {
-            set_clocked(core, clocked, start)?;
+            clocked.set(core, start)?;
         }
         Ok(())
     }
@@ -305,7 +323,7 @@ impl ClockState {
         core.call(|raw| raw.set_packed(VariableKind::Clock, active, lanes))?;
         for (clocked, clocks) in &plan.clocked {
             if clocks.iter().any(|clock| active.contains(clock)) {
-                set_clocked(core, clocked, t + plan.same)?;
+                clocked.set(core, t + plan.same)?;
             }
         }
         Ok(())
@@ -452,19 +470,6 @@ impl<P: Readable, K> Instance<P, K> {
         let answer = core.call(|raw| raw.get_interval(reference, fraction))?;
         Ok((answer.qualifier != Qualifier::NotYetKnown).then_some(answer.interval))
     }
-}
-
-fn set_clocked(core: &mut Core, clocked: &Clocked, t: f64) -> Result<(), FmiError> {
-    let fmu = core.fmu().clone();
-    let variable = &fmu.description().variables[clocked.variable];
-    let number = clocked.column.held(t);
-    let value = match variable.kind {
-        VariableKind::Real => Value::Real(number),
-        kind => lanes::value(kind, lanes::lane_of_number(kind, number).unwrap_or_default()),
-    };
-    let mut values = Assignments::default();
-    values.push(variable, &value, None)?;
-    core.apply(&values)
 }
 
 #[cfg(test)]

@@ -202,8 +202,10 @@ impl Core {
     pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<(), FmiError> {
         if !values.is_empty() {
             self.call(RawInstance::enter_configuration)?;
-            self.apply(values)?;
-            self.call(RawInstance::exit_configuration)?;
+            let applied = self.apply(values);
+            let left = self.call(RawInstance::exit_configuration);
+            // What was wrong with the values matters more; the instance has the structure it had.
+            applied.and(left)?;
         }
         self.restructure(structure);
         Ok(())

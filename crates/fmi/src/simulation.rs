@@ -248,12 +248,9 @@ impl Simulator {
     /// # Errors
     /// As [`value`](Self::value); the variable is a text.
     pub fn get(&mut self, name: &str) -> Result<f64, FmiError> {
-        match self.value(name)? {
-            Value::Real(x) => Ok(x),
-            Value::Integer(i) => Ok(i as f64),
-            Value::Boolean(b) => Ok(f64::from(u8::from(b))),
-            _ => Err(FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" }),
-        }
+        self.value(name)?
+            .as_number()
+            .ok_or_else(|| FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" })
     }
 
     /// Brings the FMU to its start without simulating: afterwards [`value`](Self::value) gives initial values.

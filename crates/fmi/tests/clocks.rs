@@ -56,6 +56,44 @@ fn the_description_tells_when_clocks_tick() {
 }
 
 #[test]
+fn clocks_inherit_from_their_types() {
+    let folder = fixture("clocks", |xml| xml);
+    let xml = std::fs::read_to_string(folder.path().join("modelDescription.xml")).unwrap();
+    let plain = fmi::ModelDescription::parse(xml.as_bytes()).unwrap();
+    let (mut edited, mut types) = (xml, String::new());
+    for (name, attributes) in [
+        (
+            "third",
+            "intervalVariability=\"constant\" supportsFraction=\"true\" resolution=\"3\" intervalCounter=\"1\" \
+             shiftCounter=\"1\" intervalDecimal=\"0.3333333333\" shiftDecimal=\"0.3333333333\"",
+        ),
+        (
+            "optional",
+            "intervalVariability=\"fixed\" intervalDecimal=\"0.5\" shiftDecimal=\"0.25\" canBeDeactivated=\"true\"",
+        ),
+        ("retuned", "intervalVariability=\"tunable\""),
+    ] {
+        assert!(edited.contains(attributes), "{name}");
+        edited = edited.replace(attributes, &format!("declaredType=\"{name} type\""));
+        types += &format!("<ClockType name=\"{name} type\" {attributes}/>");
+    }
+    let definitions = format!("<TypeDefinitions>{types}</TypeDefinitions><ModelVariables>");
+    let edited = edited.replace("<ModelVariables>", &definitions);
+    let inherited = fmi::ModelDescription::parse(edited.as_bytes()).unwrap();
+    assert!(inherited.quirks.is_empty(), "{:?}", inherited.quirks);
+    for name in ["third", "optional", "retuned", "sample"] {
+        assert_eq!(inherited.variable(name).unwrap().clock, plain.variable(name).unwrap().clock, "{name}");
+    }
+
+    // An interval of the variable's own counts, though the type's is a fraction.
+    let own =
+        edited.replace("declaredType=\"third type\"", "declaredType=\"third type\" intervalDecimal=\"0.25\"");
+    let own = fmi::ModelDescription::parse(own.as_bytes()).unwrap();
+    let timing = own.variable("third").unwrap().clock.as_ref().unwrap();
+    assert_eq!((timing.interval, timing.shift), (Some(Interval::Decimal(0.25)), Interval::Fraction(1, 3)));
+}
+
+#[test]
 fn every_kind_of_clock_ticks_when_it_should_and_the_controller_is_exact() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();

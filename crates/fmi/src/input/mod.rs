@@ -4,8 +4,9 @@ mod state;
 
 pub(crate) use state::InputState;
 
+use crate::assign::convert_one;
 use crate::clocks::{ClockInputs, Clocked};
-use crate::column::Column;
+use crate::column::{Column, HeldColumn};
 use crate::description::{Causality, ClockKind, Value, Variability, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::lanes;
@@ -20,8 +21,8 @@ pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
 
 /// What drives the inputs of a model.
 ///
-/// Continuous real inputs are linear between the rows of their table, all other inputs ([texts](Self::texts), too) keep the value of a row until the
-/// next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
+/// Continuous real inputs are linear between the rows of their table, all other inputs (texts, too: [`values`](Self::values)) keep
+/// the value of a row until the next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
 /// is the limit from the left. Jumps and changes of held values are events; changes of slope are hit by steps.
 ///
 /// ```
@@ -39,13 +40,13 @@ pub struct Inputs {
 enum Source {
     Column { name: String, times: Arc<[f64]>, values: Arc<[f64]> },
     Function { name: String, function: InputFunction },
-    Texts { name: String, times: Arc<[f64]>, values: Arc<[Value]> },
+    Values { name: String, times: Arc<[f64]>, values: Arc<[Value]> },
 }
 
 impl fmt::Debug for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Source::Column { name, times, .. } | Source::Texts { name, times, .. } => {
+            Source::Column { name, times, .. } | Source::Values { name, times, .. } => {
                 write!(f, "{name}: {} rows", times.len())
             }
             Source::Function { name, .. } => write!(f, "{name}: function"),
@@ -90,16 +91,16 @@ impl Inputs {
         self
     }
 
-    /// Adds a variable that is text or binary, with times of its own; it keeps the value of a row until the next.
+    /// Adds a variable of any type with times of its own, for what a double cannot hold: texts, bytes, integers of 64 bits.
     #[must_use]
-    pub fn texts(
+    pub fn values(
         mut self,
         name: impl Into<String>,
         times: impl Into<Arc<[f64]>>,
         values: impl IntoIterator<Item = impl Into<Value>>,
     ) -> Self {
         let values = values.into_iter().map(Into::into).collect();
-        self.sources.push(Source::Texts { name: name.into(), times: times.into(), values });
+        self.sources.push(Source::Values { name: name.into(), times: times.into(), values });
         self
     }
 
@@ -118,7 +119,7 @@ impl Inputs {
     /// The names, in the order given.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.sources.iter().map(|source| match source {
-            Source::Column { name, .. } | Source::Function { name, .. } | Source::Texts { name, .. } => {
+            Source::Column { name, .. } | Source::Function { name, .. } | Source::Values { name, .. } => {
                 name.as_str()
             }
         })
@@ -135,7 +136,7 @@ enum Continuous {
 /// A held column and where its value goes.
 #[derive(Debug, Clone)]
 struct Held {
-    column: Column,
+    column: HeldColumn,
     target: Target,
 }
 
@@ -190,7 +191,7 @@ impl InputPlan {
         let mut plan = Self { same, ..Self::default() };
         let mut stops = Vec::new();
         for source in &inputs.sources {
-            let (Source::Column { name, .. } | Source::Function { name, .. } | Source::Texts { name, .. }) =
+            let (Source::Column { name, .. } | Source::Function { name, .. } | Source::Values { name, .. }) =
                 source;
             let place = Place::of_name(description, starts.structure, name)?;
             let variable = &description.variables[place.variable];
@@ -208,11 +209,8 @@ impl InputPlan {
                 let problem = format!("it is an array; drive its elements, {name}[...], counted from 1");
                 return Err(bad(variable, problem));
             }
-            let is_linear =
-                variable.kind == VariableKind::Real && variable.variability == Variability::Continuous;
-            let sign = if variable.negated { -1.0 } else { 1.0 };
             match source {
-                Source::Function { function, .. } if is_linear => {
+                Source::Function { function, .. } if is_linear(variable) => {
                     let function = Arc::clone(function);
                     let function = if variable.negated { Arc::new(move |t| -function(t)) } else { function };
                     let at = plan.place_continuous(starts, place)?;
@@ -222,46 +220,87 @@ impl InputPlan {
                     let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
                     return Err(bad(variable, problem.to_owned()));
                 }
-                Source::Texts { .. } if place.element.is_some() || !variable.clocks.is_empty() => {
-                    let problem = "texts drive single variables that belong to no clock";
-                    return Err(bad(variable, problem.to_owned()));
-                }
-                Source::Texts { times, values, .. } => {
+                Source::Values { times, values, .. } if !variable.kind.is_number() => {
+                    if place.element.is_some() || !variable.clocks.is_empty() {
+                        let problem = "texts drive single variables that belong to no clock";
+                        return Err(bad(variable, problem.to_owned()));
+                    }
                     let (text, numbers) = TextInput::new(variable, values)?;
                     check_rows(variable, times, &numbers)?;
                     let column = Column { times: Arc::clone(times), values: numbers.into() };
                     column.held_stops(&mut stops);
-                    plan.held.push(Held { column, target: Target::Text(plan.texts.len()) });
+                    plan.held.push(Held { column: column.into(), target: Target::Text(plan.texts.len()) });
                     plan.texts.push(text);
                 }
-                Source::Column { times, values, .. } => {
-                    check_rows(variable, times, values)?;
-                    let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
-                    if is_linear {
-                        let column = column.times(sign);
-                        column.linear_stops(same, &mut stops);
-                        let at = plan.place_continuous(starts, place)?;
-                        plan.sources.push((Continuous::Linear(column), at));
-                    } else if place.element.is_some()
-                        && (variable.kind == VariableKind::Clock || !variable.clocks.is_empty())
-                    {
-                        let problem = "elements of arrays cannot be clocks, nor be driven by clocks";
-                        return Err(bad(variable, problem.to_owned()));
-                    } else if variable.kind == VariableKind::Clock {
-                        plan.clock(variable, place.variable, column, &mut stops)?;
-                    } else if !variable.clocks.is_empty() {
-                        let column = check_held(variable, column)?;
-                        plan.clocks.clocked.push(Clocked { variable: place.variable, column });
+                Source::Values { times, values, .. } => {
+                    let converted: Vec<Value> =
+                        values.iter().map(|value| convert_one(variable, value)).collect::<Result<_, _>>()?;
+                    if matches!(variable.kind, VariableKind::Int64 | VariableKind::UInt64) {
+                        let lanes: Vec<i64> =
+                            converted.iter().filter_map(|value| lanes::lane(variable.kind, value)).collect();
+                        let column = HeldColumn::of_lanes(times, &lanes);
+                        check_rows(variable, times, &column.column.values)?;
+                        plan.add_held(starts, place, column, &mut stops)?;
                     } else {
-                        column.held_stops(&mut stops);
-                        plan.hold(starts, place, column)?;
+                        let numbers: Vec<f64> = converted.iter().filter_map(Value::as_number).collect();
+                        plan.add_numbers(starts, place, (times, &numbers.into()), &mut stops)?;
                     }
+                }
+                Source::Column { times, values, .. } => {
+                    plan.add_numbers(starts, place, (times, values), &mut stops)?;
                 }
             }
         }
         plan.take_intermediate(starts);
         plan.take_stops(stops);
         Ok(plan)
+    }
+
+    /// A column of numbers for a variable or an element of one.
+    fn add_numbers(
+        &mut self,
+        starts: &Starts<'_>,
+        place: Place,
+        (times, values): (&Arc<[f64]>, &Arc<[f64]>),
+        stops: &mut Vec<InputStop>,
+    ) -> Result<(), FmiError> {
+        let variable = &starts.description.variables[place.variable];
+        check_rows(variable, times, values)?;
+        let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
+        if is_linear(variable) {
+            let column = column.times(if variable.negated { -1.0 } else { 1.0 });
+            column.linear_stops(self.same, stops);
+            let at = self.place_continuous(starts, place)?;
+            self.sources.push((Continuous::Linear(column), at));
+            return Ok(());
+        }
+        let column = check_held(variable, column)?;
+        if variable.kind == VariableKind::Clock && place.element.is_none() {
+            return self.clock(variable, place.variable, column, stops);
+        }
+        self.add_held(starts, place, column.into(), stops)
+    }
+
+    /// A held column for a variable that is no clock, or an element of one.
+    fn add_held(
+        &mut self,
+        starts: &Starts<'_>,
+        place: Place,
+        column: HeldColumn,
+        stops: &mut Vec<InputStop>,
+    ) -> Result<(), FmiError> {
+        let variable = &starts.description.variables[place.variable];
+        let is_clocked = !variable.clocks.is_empty();
+        if place.element.is_some() && (variable.kind == VariableKind::Clock || is_clocked) {
+            let problem = "elements of arrays cannot be clocks, nor be driven by clocks";
+            return Err(bad(variable, problem.to_owned()));
+        }
+        if is_clocked {
+            self.clocks.clocked.push(Clocked::new(place.variable, variable, column));
+            return Ok(());
+        }
+        column.column.held_stops(stops);
+        self.hold(starts, place, column)
     }
 
     fn place_continuous(&mut self, starts: &Starts<'_>, place: Place) -> Result<usize, FmiError> {
@@ -286,10 +325,9 @@ impl InputPlan {
         }
     }
 
-    fn hold(&mut self, starts: &Starts<'_>, place: Place, column: Column) -> Result<(), FmiError> {
+    fn hold(&mut self, starts: &Starts<'_>, place: Place, column: HeldColumn) -> Result<(), FmiError> {
         let variable = &starts.description.variables[place.variable];
         let (kind, reference) = (variable.kind, variable.value_reference);
-        let column = check_held(variable, column)?;
         let target = if kind == VariableKind::Real {
             Target::Real(self.held_reals.place(reference, place.element, || starts.reals(place))?)
         } else {
@@ -303,11 +341,7 @@ impl InputPlan {
             let slots = &mut self.held_packed[group].1;
             Target::Packed(group, slots.place(reference, place.element, || starts.lanes(place))?)
         };
-        let column = match (variable.negated, kind) {
-            (false, _) => column,
-            (true, VariableKind::Boolean) => column.flipped(),
-            (true, _) => column.times(-1.0),
-        };
+        let column = if variable.negated { column.negated(kind) } else { column };
         self.held.push(Held { column, target });
         Ok(())
     }
@@ -321,7 +355,6 @@ impl InputPlan {
         column: Column,
         stops: &mut Vec<InputStop>,
     ) -> Result<(), FmiError> {
-        let column = check_held(variable, column)?;
         match variable.clock.as_deref() {
             Some(timing) if timing.kind != ClockKind::Triggered && timing.can_be_deactivated => {
                 self.clocks.enabled.push((index, column));
@@ -365,7 +398,7 @@ impl InputPlan {
             Continuous::Linear(column) => Some(column),
             Continuous::Function(_) => None,
         });
-        for column in linear.chain(self.held.iter_mut().map(|held| &mut held.column)) {
+        for column in linear.chain(self.held.iter_mut().map(|held| &mut held.column.column)) {
             column.snap(&self.jumps, self.same);
         }
     }
@@ -406,6 +439,11 @@ impl Starts<'_> {
         let values = self.elements(place.variable)?;
         Ok(values.iter().map(|value| lanes::lane(kind, value).unwrap_or_default()).collect())
     }
+}
+
+/// Whether an input goes from row to row along a line.
+fn is_linear(variable: &Variable) -> bool {
+    variable.kind == VariableKind::Real && variable.variability == Variability::Continuous
 }
 
 fn bad(variable: &Variable, problem: String) -> FmiError {

@@ -3,7 +3,6 @@
 use super::{Continuous, InputPlan, Target};
 use crate::error::FmiError;
 use crate::instance::Core;
-use crate::lanes;
 
 /// Where a run stands in its inputs, and the values for the next calls.
 #[derive(Debug, Default)]
@@ -49,14 +48,12 @@ impl InputState {
             None => t,
         };
         for held in &plan.held {
-            let value = held.column.held(now);
             match held.target {
-                Target::Real(i) => self.held_reals[i] = value,
+                Target::Real(i) => self.held_reals[i] = held.column.column.held(now),
                 Target::Packed(group, i) => {
-                    let kind = plan.held_packed[group].0;
-                    self.held_packed[group][i] = lanes::lane_of_number(kind, value).unwrap_or_default();
+                    self.held_packed[group][i] = held.column.lane(plan.held_packed[group].0, now);
                 }
-                Target::Text(i) => self.texts[i] = value as usize,
+                Target::Text(i) => self.texts[i] = held.column.column.held(now) as usize,
             }
         }
         self.passed > before
@@ -120,7 +117,7 @@ mod tests {
         plan.held = held
             .into_iter()
             .enumerate()
-            .map(|(i, column)| Held { column, target: Target::Real(i) })
+            .map(|(i, column)| Held { column: column.into(), target: Target::Real(i) })
             .collect();
         plan.take_stops(stops);
         plan

@@ -18,8 +18,8 @@ class Table:
 
     times: FloatArray
     columns: list[tuple[str, FloatArray]]
-    #: Inputs that are texts or bytes.
-    texts: list[tuple[str, list[Any]]]
+    #: Texts, bytes, and integers that doubles cannot hold.
+    values: list[tuple[str, list[Any]]]
 
 
 @dataclass(frozen=True)
@@ -87,15 +87,23 @@ def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Tab
 
 
 def _columns(times: FloatArray, given: Mapping[str, Any]) -> Table:
-    texts = [(name, list(values)) for name, values in given.items() if _is_text(values)]
-    are_text = {name for name, _ in texts}
-    return Table(times, [(name, _column(name, values)) for name, values in given.items() if name not in are_text], texts)
+    exact = {name: _exact(values) for name, values in given.items()}
+    numbers = [(name, _column(name, values)) for name, values in given.items() if exact[name] is None]
+    return Table(times, numbers, [(name, values) for name, values in exact.items() if values is not None])
 
 
-def _is_text(values: Any) -> bool:
-    if isinstance(values, np.ndarray) and values.dtype.kind not in "USO":
-        return False
-    return np.ndim(values) == 1 and len(values) > 0 and all(isinstance(value, (str, bytes)) for value in values)
+def _exact(values: Any) -> list[Any] | None:
+    """The values one by one, where they are texts, bytes or integers too large for a double; else None."""
+    if isinstance(values, np.ndarray) and values.dtype.kind not in "USOiu":
+        return None
+    if np.ndim(values) != 1 or len(values) == 0:
+        return None
+    items: list[Any] = list(values)
+    if all(isinstance(item, (str, bytes)) for item in items):
+        return items
+    if all(isinstance(item, (int, np.integer)) for item in items) and any(abs(int(item)) > 2**53 for item in items):
+        return [int(item) for item in items]
+    return None
 
 
 def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:

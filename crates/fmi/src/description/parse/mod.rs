@@ -3,6 +3,7 @@
 
 mod attributes;
 mod build_description;
+mod clocks;
 mod encoding;
 mod fmi1;
 mod fmi2;

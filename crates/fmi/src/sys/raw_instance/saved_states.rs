@@ -147,3 +147,25 @@ impl RawInstance {
         Ok(bytes)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::{InstanceOptions, sys::InterfaceKind};
+
+    #[test]
+    fn places_of_states_that_nobody_holds_are_used_again() {
+        let fmu = crate::Fmu::open(crate::example_fmu("dahlquist").unwrap()).unwrap();
+        let mut raw = fmu.instantiate_raw(InterfaceKind::ModelExchange, &InstanceOptions::default()).unwrap();
+        let saved = raw.save_state().unwrap();
+        let bytes = raw.serialize(&saved).unwrap();
+        for _ in 0..100 {
+            let read = raw.deserialize(&bytes).unwrap();
+            assert!(raw.owns(&read));
+            assert_eq!(raw.serialize(&read).unwrap(), bytes);
+        }
+        drop(saved);
+        let again = raw.deserialize(&bytes).unwrap();
+        raw.restore_state(&again).unwrap();
+        assert_eq!(raw.saved.slots.len(), 2);
+    }
+}
