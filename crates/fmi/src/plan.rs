@@ -106,11 +106,11 @@ impl SimulationPlan {
         let no_inputs = Inputs::default();
         let inputs = InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
         let has_events = kind == InterfaceKind::ModelExchange || interface.capabilities.uses_event_mode();
-        if !has_events && !inputs.clocks.ticks.is_empty() {
-            let problem =
-                "the inputs trigger clocks, which takes an event mode, and this co-simulation has none";
-            return Err(FmiError::BadSetting { problem: problem.to_owned() });
-        }
+        let clocks = if has_events {
+            ClockPlan::new(description, &inputs.clocks, &options.clock_intervals, grid.same)?
+        } else {
+            ClockPlan::without_event_mode(description, &inputs.clocks, &options.clock_intervals)?
+        };
         let states = states(description, &structure);
         let mut plan = Self {
             fmu: fmu.clone(),
@@ -126,11 +126,7 @@ impl SimulationPlan {
             input_slots: Slots::default(),
             parameter_names: Vec::new(),
             parameter_starts: Vec::new(),
-            clocks: match has_events {
-                true => ClockPlan::new(description, &inputs.clocks, grid.same),
-                // Clocks tick in event mode.
-                false => ClockPlan::default(),
-            },
+            clocks,
             inputs,
             outputs: Selection::default(),
             settings: Arc::default(),
@@ -176,6 +172,10 @@ impl SimulationPlan {
         }
         plan.read_back.finish();
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
+        if !has_events && !plan.outputs.plan.clocks.is_empty() {
+            let problem = "clocks are recorded, which tick in event mode, and this co-simulation has none";
+            return Err(FmiError::BadSetting { problem: problem.to_owned() });
+        }
         plan.settings = plan.all_settings();
         Ok(plan)
     }

@@ -205,14 +205,75 @@ fn what_cannot_be_done_is_said() {
     let error = fixed.open().simulate(&options).unwrap_err().to_string();
     assert!(error.contains("the clock growing ticks at 0.0625, within the step from 0 to 0.25"), "{error}");
 
-    // Without an event mode nobody can trigger clocks.
-    let plain = fixture("clocks", |xml| xml.replace("hasEventMode=\"true\"", ""));
-    let options = SimulateOptions::new().kind(Kind::CoSimulation).inputs(one("button", 1.0));
-    let error = SimulationPlan::new(&plain.open(), &options).unwrap_err();
-    assert!(
-        matches!(error, FmiError::BadSetting { .. }) && error.to_string().contains("event mode"),
-        "{error}"
-    );
+    // Without an event mode nobody can trigger clocks, and those that tick by themselves would stand still.
+    let by_themselves = "intervalVariability=\"triggered\"";
+    let plain = |silence: bool| {
+        fixture("clocks", |xml| {
+            let xml = xml.replace("hasEventMode=\"true\"", "");
+            let all = ["constant", "fixed", "changing", "countdown", "tunable"];
+            let clock = |kind| format!("intervalVariability=\"{kind}\"");
+            all.iter().filter(|_| silence).fold(xml, |xml, kind| xml.replace(&clock(kind), by_themselves))
+        })
+    };
+    let refused = |folder: support::Folder, options: SimulateOptions| {
+        let error = SimulationPlan::new(&folder.open(), &options.kind(Kind::CoSimulation)).unwrap_err();
+        assert!(matches!(error, FmiError::BadSetting { .. }), "{error}");
+        error.to_string()
+    };
+    let message = refused(plain(false), SimulateOptions::new());
+    assert!(message.contains("the clock sample ticks in event mode"), "{message}");
+    let message = refused(plain(true), SimulateOptions::new().inputs(one("button", 1.0)));
+    assert!(message.contains("the inputs trigger clocks"), "{message}");
+    let message = refused(plain(true), SimulateOptions::new().outputs(["alarm"]));
+    assert!(message.contains("clocks are recorded"), "{message}");
+    let message =
+        refused(plain(true), SimulateOptions::new().clock_interval("counted", Interval::Decimal(1.0)));
+    assert!(message.contains("the clock counted is given an interval"), "{message}");
+    let quiet = SimulateOptions::new().kind(Kind::CoSimulation).outputs(["x"]);
+    SimulationPlan::new(&plain(true).open(), &quiet).unwrap();
+}
+
+#[test]
+fn intervals_can_be_given() {
+    let folder = fixture("clocks", |xml| xml);
+    let fmu = folder.open();
+    for kind in KINDS {
+        let options = SimulateOptions::new().kind(kind).ncp(4);
+        let given = options
+            .clone()
+            .clock_interval("counted", Interval::Fraction(1, 4))
+            .clock_interval("optional", Interval::Decimal(1.0))
+            .clock_interval("retuned", Interval::Decimal(0.75));
+        let result = fmu.simulate(&given).unwrap();
+        // The shift of "counted" is half of its interval; the model tunes "retuned" to 0.25 after its second tick.
+        let counted: Vec<f64> = (0..8).map(|k| (125.0 + 250.0 * f64::from(k)) / 1000.0).collect();
+        assert_eq!(ticks(&result, "counted").len(), counted.len(), "{kind:?}");
+        for (found, expected) in ticks(&result, "counted").iter().zip(counted) {
+            assert!((found - expected).abs() < 1e-15, "{kind:?}: {found} is not {expected}");
+        }
+        assert_eq!(ticks(&result, "optional"), [0.25, 1.25], "{kind:?}");
+        assert_eq!(ticks(&result, "retuned"), [0.25, 1.0, 1.25, 1.5, 1.75, 2.0], "{kind:?}");
+        // What one simulation was given is none of the next one's business.
+        assert_eq!(ticks(&fmu.simulate(&options).unwrap(), "counted"), expected()[2].1, "{kind:?}");
+        let error = fmu.simulate(&options.clone().clock_interval("counted", Interval::Decimal(101.0)));
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains("fmi3SetInterval"), "{error}");
+    }
+    for (name, interval, text) in [
+        ("sample", Interval::Decimal(0.5), "constant intervals"),
+        ("optional", Interval::Fraction(1, 2), "no fractions"),
+        ("counted", Interval::Decimal(0.0), "not positive"),
+        ("counted", Interval::Fraction(1, 0), "not positive"),
+        ("alarm", Interval::Decimal(1.0), "no clock that the importer activates"),
+        ("x", Interval::Decimal(1.0), "no clock that the importer activates"),
+        ("y", Interval::Decimal(1.0), "no variable"),
+    ] {
+        let error = SimulationPlan::new(&fmu, &SimulateOptions::new().clock_interval(name, interval));
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains(text), "{error}");
+    }
+    let error = SimulationPlan::new(&fmu, &SimulateOptions::new().start_value("sample", true)).unwrap_err();
+    assert!(error.to_string().contains("it is a clock"), "{error}");
 }
 
 #[test]
@@ -230,10 +291,15 @@ fn clocks_can_be_set_by_hand() {
     let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
     assert_eq!(instance.clock_interval("counted").unwrap(), Some(Interval::Fraction(300, 1000)));
     assert_eq!(instance.clock_interval("later").unwrap(), None);
+    instance.set_clock_interval("counted", Interval::Fraction(1, 8)).unwrap();
+    assert_eq!(instance.clock_interval("counted").unwrap(), Some(Interval::Fraction(125, 1000)));
+    assert!(instance.set_clock_interval("later", Interval::Decimal(1.0)).is_err());
     assert!(instance.clock_interval("x").unwrap_err().to_string().contains("x is no clock"));
     let mut instance = instance.exit_initialization().unwrap();
     instance.set("button", true).unwrap();
     instance.set("sample", true).unwrap();
+    instance.evaluate_discrete_states().unwrap();
+    assert_eq!((instance.get("u").unwrap(), instance.get("visits").unwrap()), ((-2.0).into(), 0.into()));
     instance.update_discrete_states(10).unwrap();
     assert_eq!(instance.clock_interval("later").unwrap(), Some(Interval::Decimal(0.125)));
     assert_eq!(instance.get("u").unwrap(), (-2.0).into());

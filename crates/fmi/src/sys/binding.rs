@@ -55,6 +55,8 @@ pub(super) enum Call {
     SetInputDerivatives,
     GetInterval,
     GetShift,
+    SetInterval,
+    EvaluateDiscreteStates,
     GetOutputDerivatives,
 }
 
@@ -69,7 +71,8 @@ impl Call {
             Call::EnterEventMode | Call::EnterContinuousTimeMode | Call::EnterStepMode => "(modes)",
             Call::EnterConfiguration | Call::ExitConfiguration => "(configuration mode)",
             Call::CountStates | Call::CountIndicators => "(number of states)",
-            Call::GetInterval | Call::GetShift => "(clocks)",
+            Call::GetInterval | Call::GetShift | Call::SetInterval => "(clocks)",
+            Call::EvaluateDiscreteStates => "(evaluation of discrete states)",
             Call::StepStatus | Call::StepRealStatus | Call::StepBooleanStatus | Call::CancelStep => {
                 "(pending steps)"
             }
@@ -421,6 +424,16 @@ pub(super) trait Binding: Send + Sync {
         answer: &mut IntervalAnswer,
     ) -> Status {
         let _ = (component, clock, fraction, answer);
+        Status::Missing
+    }
+    /// Gives a clock an interval.
+    unsafe fn set_interval(&self, component: Component, clock: u32, interval: Interval) -> Status {
+        let _ = (component, clock, interval);
+        Status::Missing
+    }
+    /// Computes the discrete states without updating them.
+    unsafe fn evaluate_discrete_states(&self, component: Component) -> Status {
+        let _ = component;
         Status::Missing
     }
     /// From the start to the first tick of a clock.

@@ -52,6 +52,7 @@ table! {
             exit_configuration_mode: Plain = Call::ExitConfiguration;
             enter_event_mode: Plain = Call::EnterEventMode;
             update_discrete_states: UpdateDiscreteStates = Call::NewDiscreteStates;
+            evaluate_discrete_states: Plain = Call::EvaluateDiscreteStates;
             directional_derivative: DirectionalDerivative = Call::DirectionalDerivative;
         }
     }
@@ -163,6 +164,8 @@ fn name(kind: InterfaceKind, call: Call) -> &'static str {
         Call::DoStep => "fmi3DoStep",
         Call::GetInterval => "fmi3GetInterval",
         Call::GetShift => "fmi3GetShift",
+        Call::SetInterval => "fmi3SetInterval",
+        Call::EvaluateDiscreteStates => "fmi3EvaluateDiscreteStates",
         Call::GetOutputDerivatives => "fmi3GetOutputDerivatives",
         Call::FreeInstance => "fmi3FreeInstance",
         Call::FreeState => "fmi3FreeFMUState",
@@ -413,6 +416,15 @@ impl Binding for Fmi3 {
     ) -> Status {
         // SAFETY: the caller's promises are those of the trait.
         unsafe { self.clocks.interval(component, clock, fraction, answer) }
+    }
+
+    unsafe fn set_interval(&self, component: Component, clock: u32, interval: Interval) -> Status {
+        // SAFETY: the same.
+        unsafe { self.clocks.set_interval(component, clock, interval) }
+    }
+
+    unsafe fn evaluate_discrete_states(&self, component: Component) -> Status {
+        optional!(self.common.evaluate_discrete_states, component)
     }
 
     unsafe fn get_shift(

@@ -195,6 +195,32 @@ FMI3_EXPORT fmi3Status fmi3GetShiftDecimal(fmi3Instance i, const fmi3ValueRefere
     return fmi3OK;
 }
 
+FMI3_EXPORT fmi3Status fmi3SetIntervalDecimal(fmi3Instance i, const fmi3ValueReference r[], size_t n, const double v[]) {
+    Model *m = i;
+    if (m->phase != INITIALIZATION || n != 1 || v[0] > 100) return fmi3Error;
+    if (r[0] == COUNTED) {
+        m->period = v[0];
+    } else if (r[0] == RETUNED) {
+        m->tunable = v[0];
+        m->told_tunable = 1;
+    } else if (r[0] != OPTIONAL) {
+        return fmi3Error;
+    }
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3SetIntervalFraction(fmi3Instance i, const fmi3ValueReference r[], size_t n, const uint64_t c[], const uint64_t d[]) {
+    Model *m = i;
+    if (m->phase != INITIALIZATION || n != 1 || r[0] != COUNTED) return fmi3Error;
+    m->period = (double)c[0] / (double)d[0];
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance i) {
+    Model *m = i;
+    if (m->phase != EVENT) return fmi3Error;
+    if (m->active[SAMPLE]) m->u = m->K * (m->setpoint - m->x);
+    return fmi3OK;
+}
+
 FMI3_EXPORT fmi3Status fmi3EnterEventMode(fmi3Instance i) {
     Model *m = i;
     if (m->phase != CONTINUOUS && m->phase != STEP) return fmi3Error;

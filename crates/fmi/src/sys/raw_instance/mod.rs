@@ -432,6 +432,16 @@ impl RawInstance {
         Ok(answer)
     }
 
+    /// Gives a clock an interval.
+    pub(crate) fn set_interval(&mut self, clock: u32, interval: Interval) -> Outcome {
+        run!(self, Call::SetInterval, |b, c| b.set_interval(c, clock, interval))
+    }
+
+    /// Computes the discrete states without updating them.
+    pub(crate) fn evaluate_discrete_states(&mut self) -> Outcome {
+        run!(self, Call::EvaluateDiscreteStates, |b, c| b.evaluate_discrete_states(c))
+    }
+
     /// From the start to the first tick of a clock.
     pub(crate) fn get_shift(&mut self, clock: u32, fraction: bool, shift: &mut Interval) -> Outcome {
         run!(self, Call::GetShift, |b, c| b.get_shift(c, clock, fraction, shift))
