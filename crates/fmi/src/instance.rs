@@ -283,12 +283,16 @@ impl Core {
                 let read = self.raw.get_real(&references, &mut values);
                 read.map(|()| values.into_iter().map(Value::Real).collect())
             }
-            VariableKind::String => self
-                .raw
-                .get_string(&references, n)
-                .map(|texts| texts.into_iter().map(Value::String).collect()),
+            VariableKind::String => {
+                let mut values = Vec::with_capacity(n);
+                let read = self.raw.get_string(&references, n, |text| values.push(text.into()));
+                read.map(|()| values)
+            }
             VariableKind::Binary => {
-                self.raw.get_binary(&references, n).map(|all| all.into_iter().map(Value::Binary).collect())
+                let mut values = Vec::with_capacity(n);
+                let read =
+                    self.raw.get_binary(&references, n, |bytes| values.push(Value::Binary(bytes.to_vec())));
+                read.map(|()| values)
             }
             kind => {
                 let mut values = vec![0; n];

@@ -85,7 +85,7 @@ pub(crate) struct RawInstance {
     /// For messages: the time last set.
     time: Option<f64>,
     saved: SavedStates,
-    buffers: ValueBuffers,
+    buffers: Box<ValueBuffers>,
     orders: Vec<i32>,
     // What the component may reach; dropped by hand, after it, and not at all when it is dead.
     keep: ManuallyDrop<Arc<dyn Any + Send + Sync>>,
@@ -95,7 +95,7 @@ pub(crate) struct RawInstance {
 }
 
 // SAFETY: the component and its saved states are owned by this value alone and all calls take `&mut self`, so calls never
-// overlap; FMI lets the calls of an instance come from different threads one after the other (FMI 2.0.x, section 2.1.1).
+// overlap, and the pointers of its buffers are followed during a call only; FMI lets the calls of an instance come from different threads one after the other (FMI 2.0.x, section 2.1.1).
 // All other fields are `Send` by themselves. `Sync` stays absent.
 unsafe impl Send for RawInstance {}
 
@@ -149,7 +149,7 @@ impl RawInstance {
             event_mode: request.event_mode,
             time: None,
             saved: SavedStates::default(),
-            buffers: ValueBuffers::default(),
+            buffers: Box::default(),
             orders: Vec::new(),
             keep: ManuallyDrop::new(created.keep),
             environment: ManuallyDrop::new(environment),
