@@ -368,16 +368,17 @@ impl<P, K> Instance<P, K> {
 
     /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
     pub(crate) fn pass_log_on(&self) {
-        if !log::log_enabled!(log::Level::Debug) {
+        let level = self.fmu().log_level();
+        if !log::log_enabled!(level) {
             return;
         }
         let (lines, dropped) = self.log();
         let model = &self.fmu().description().model_name;
         if dropped > 0 {
-            log::debug!("{model}: {dropped} other lines were not kept");
+            log::log!(level, "{model}: {dropped} other lines were not kept");
         }
         for line in lines {
-            log::debug!("{model}: {line}");
+            log::log!(level, "{model}: {line}");
         }
     }
 

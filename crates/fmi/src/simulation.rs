@@ -213,7 +213,9 @@ impl Simulator {
         self.start(parameters)?;
         // Instantiating or initializing may have changed the floating-point mode.
         guard.assert();
-        self.engine.run(&self.plan, None, observer)
+        let outcome = self.engine.run(&self.plan, None, observer);
+        each!(&self.engine, run => run.pass_log_on());
+        outcome
     }
 
     /// Simulates once and records all samples.

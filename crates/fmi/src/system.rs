@@ -112,13 +112,17 @@ impl System {
         self.mode = Mode::Spare(raw);
     }
 
-    /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
-    pub(crate) fn retire(&mut self) -> Option<RawInstance> {
+    /// Hands what the FMU has logged in a run to the program's logger.
+    pub(crate) fn pass_log_on(&self) {
         match &self.mode {
             Mode::Event(instance) => instance.pass_log_on(),
             Mode::Continuous(instance) => instance.pass_log_on(),
             Mode::Gone | Mode::Spare(_) => {}
         }
+    }
+
+    /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
+    pub(crate) fn retire(&mut self) -> Option<RawInstance> {
         let instance = match std::mem::replace(&mut self.mode, Mode::Gone) {
             Mode::Gone => return None,
             Mode::Spare(raw) => return Some(raw),

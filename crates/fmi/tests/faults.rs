@@ -6,8 +6,8 @@ mod support;
 
 use fmi::ode::{ErrorKind, Ignore, Termination};
 use fmi::{
-    FmiError, Inputs, InstanceOptions, Kind, LogFilter, Pool, Reuse, Sharing, SimulateOptions,
-    SimulationPlan, Simulator, Status, Value,
+    FmiError, Fmu, Inputs, InstanceOptions, Kind, LogFilter, LogOptions, OpenOptions, Pool, Reuse, Sharing,
+    SimulateOptions, SimulationPlan, Simulator, Status, Value,
 };
 use std::sync::Arc;
 use support::{Folder, evil, evil_with, evil_with_sibling};
@@ -163,7 +163,16 @@ fn the_reason_of_an_error_comes_through_a_flood() {
 
 #[test]
 fn lines_below_the_level_asked_for_are_not_kept() {
-    let folder = evil(&["LOG_FLOOD"]);
+    let folder = evil(&["LOG_FLOOD", "ERROR_LATE"]);
+    // In simulations, as the FMU was opened.
+    for (filter, kept) in [(LogFilter::All, 8), (LogFilter::Errors, 1), (LogFilter::Nothing, 0)] {
+        let options =
+            OpenOptions { logging: LogOptions { filter, ..LogOptions::default() }, ..OpenOptions::default() };
+        let fmu = Fmu::open_with(folder.path(), &options).unwrap();
+        let error = fmu.simulate(&SimulateOptions::new()).unwrap_err();
+        let failure = error.call_failure().unwrap();
+        assert_eq!(failure.log.len(), kept, "{filter:?}: {error}");
+    }
     let options = InstanceOptions { log_filter: LogFilter::Errors, ..InstanceOptions::default() };
     let instance = folder.open().instantiate_with(&options).unwrap();
     let instance = instance.enter_initialization(0.0, None, None).unwrap();

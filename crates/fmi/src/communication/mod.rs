@@ -104,6 +104,13 @@ impl Stepping {
         self.mode = Mode::Spare(raw);
     }
 
+    /// Hands what the FMU has logged in a run to the program's logger.
+    pub(crate) fn pass_log_on(&self) {
+        if let Mode::Stepping(instance) = &self.mode {
+            instance.pass_log_on();
+        }
+    }
+
     /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
     pub(crate) fn retire(&mut self) -> Option<RawInstance> {
         let instance = match std::mem::replace(&mut self.mode, Mode::Gone) {
@@ -111,7 +118,6 @@ impl Stepping {
             Mode::Spare(raw) => return Some(raw),
             Mode::Stepping(instance) => instance,
         };
-        instance.pass_log_on();
         if self.broken {
             return None;
         }

@@ -9,7 +9,7 @@ use crate::copies::{CopyStore, PrivateCopy};
 use crate::description::{Causality, Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Instance, Instantiated};
-use crate::open_options::OpenOptions;
+use crate::open_options::{LogOptions, OpenOptions};
 use crate::options::{Kind, SimulateOptions};
 use crate::plan::{Setting, SimulationPlan};
 use crate::platform;
@@ -210,6 +210,22 @@ impl Fmu {
     ) -> Result<RawInstance, FmiError> {
         self.check_interface(kind)?;
         self.instantiate_in(&self.library(kind)?, kind, options)
+    }
+
+    /// Makes an instance for simulations.
+    pub(crate) fn instantiate_for_runs(
+        &self,
+        library: &Arc<Library>,
+        kind: InterfaceKind,
+    ) -> Result<RawInstance, FmiError> {
+        let LogOptions { asked, filter, .. } = self.inner.options.logging;
+        let options = InstanceOptions { logging: asked, log_filter: filter, ..InstanceOptions::default() };
+        self.instantiate_in(library, kind, &options)
+    }
+
+    /// The level at which lines of its log go to the program's logger.
+    pub(crate) fn log_level(&self) -> log::Level {
+        if self.inner.options.logging.shown { log::Level::Info } else { log::Level::Debug }
     }
 
     /// Makes an instance of either kind with this library, which is that of the FMU or a copy of it.

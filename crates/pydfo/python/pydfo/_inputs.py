@@ -92,16 +92,23 @@ def _columns(times: FloatArray, given: Mapping[str, Any]) -> Table:
     return Table(times, numbers, [(name, values) for name, values in exact.items() if values is not None])
 
 
+#: Up to here a double holds every integer.
+_EXACT_INTEGERS = 2**53
+
+
 def _exact(values: Any) -> list[Any] | None:
-    """The values one by one, where they are texts, bytes or integers too large for a double; else None."""
-    if isinstance(values, np.ndarray) and values.dtype.kind not in "USOiu":
-        return None
+    """The values one by one, where they are texts, bytes, or integers of which a double cannot hold all; else None."""
     if np.ndim(values) != 1 or len(values) == 0:
         return None
-    items: list[Any] = list(values)
+    if isinstance(values, np.ndarray) and values.dtype.kind in "iu":
+        is_large = max(int(values.max()), -int(values.min())) > _EXACT_INTEGERS
+        return [int(value) for value in values] if is_large else None
+    if isinstance(values, np.ndarray) and values.dtype.kind not in "USO":
+        return None
+    items = list(values)
     if all(isinstance(item, (str, bytes)) for item in items):
         return items
-    if all(isinstance(item, (int, np.integer)) for item in items) and any(abs(int(item)) > 2**53 for item in items):
+    if all(isinstance(item, (int, np.integer)) for item in items) and max(map(abs, map(int, items))) > _EXACT_INTEGERS:
         return [int(item) for item in items]
     return None
 
