@@ -34,6 +34,7 @@ class Request:
     output_interval: float | None
     ncp: int | None
     start_values: list[tuple[str, Any]]
+    clock_intervals: list[tuple[str, float | tuple[int, int]]]
     outputs: list[str] | None
     tables: list[_inputs.Table]
     functions: list[_inputs.Function]
@@ -306,6 +307,7 @@ class FMUModel:
         output_interval: SupportsFloat | None = None,
         ncp: SupportsFloat | None = None,
         start_values: Mapping[str, object] | None = None,
+        clock_intervals: Mapping[str, SupportsFloat | tuple[int, int]] | None = None,
         relative_tolerance: SupportsFloat | None = None,
         solver: str = "auto",
         step_size: SupportsFloat | None = None,
@@ -352,6 +354,9 @@ class FMUModel:
             given.
         start_values : dict of str to value, optional
             Values for this simulation only, on top of those set.
+        clock_intervals : dict of str to float or tuple of int, optional
+            Intervals in s between the ticks of input clocks whose intervals are fixed or tunable (FMI 3.0); a tuple is a
+            fraction, counter and resolution.
         relative_tolerance : float, optional
             Default: that of the default experiment, else 1e-6.
         solver : {"auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"}
@@ -406,6 +411,7 @@ class FMUModel:
             output_interval=_number("output_interval", output_interval),
             ncp=_options.limit("ncp", _number("ncp", ncp), 1),
             start_values=_pairs(start_values),
+            clock_intervals=_intervals(clock_intervals),
             outputs=self._outputs(output),
             tables=tables,
             functions=functions,
@@ -468,3 +474,22 @@ def _pairs(values: Mapping[str, object] | None) -> list[tuple[str, object]]:
         raise TypeError(f"start_values must be a dict of names and values, not {values!r}")
     _names("start_values", list(values))
     return list(values.items())
+
+
+def _intervals(
+    intervals: Mapping[str, SupportsFloat | tuple[int, int]] | None,
+) -> list[tuple[str, float | tuple[int, int]]]:
+    if intervals is None:
+        return []
+    if not isinstance(intervals, Mapping):
+        raise TypeError(f"clock_intervals must be a dict of names and intervals, not {intervals!r}")
+    _names("clock_intervals", list(intervals))
+    return [(name, _interval(name, interval)) for name, interval in intervals.items()]
+
+
+def _interval(name: str, interval: SupportsFloat | tuple[int, int]) -> float | tuple[int, int]:
+    if not isinstance(interval, tuple):
+        return _options.number(f"the interval of {name}", interval)
+    if len(interval) != 2 or not all(isinstance(part, int) and 0 <= part < 2**64 for part in interval):
+        raise TypeError(f"the interval of {name} must be a number or (counter, resolution), not {interval!r}")
+    return interval
