@@ -45,7 +45,8 @@ pub(crate) fn convert(
     }
 }
 
-fn convert_one(variable: &Variable, value: &Value) -> Result<Value, FmiError> {
+/// [`convert`] for a single value.
+pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value, FmiError> {
     if let Value::Real(x) = value
         && !x.is_finite()
     {
@@ -95,6 +96,8 @@ pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<(), FmiErro
         "it is the independent variable (time)"
     } else if variable.variability == Variability::Constant {
         "it is a constant"
+    } else if variable.kind == VariableKind::Clock {
+        "it is a clock, and clocks are activated in event mode"
     } else if variable.causality == Causality::Input
         || matches!(variable.initial, Some(Initial::Exact | Initial::Approx))
     {

@@ -54,12 +54,6 @@ impl Core {
 }
 
 impl Core {
-    /// Whether events are handled between steps.
-    pub(crate) fn has_event_mode(&self) -> bool {
-        let interface = self.fmu().description().co_simulation.as_ref();
-        interface.is_some_and(|interface| interface.capabilities.uses_event_mode())
-    }
-
     /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model ends the
     /// simulation.
     pub(crate) fn settle(
@@ -99,7 +93,7 @@ impl Instance<Initialization, CoSimulation> {
         let core = instance.core();
         let time = core.raw.time().unwrap_or(0.0);
         let outcome =
-            if core.has_event_mode() { core.settle(time, events)? } else { EventOutcome::default() };
+            if core.raw.has_event_mode() { core.settle(time, events)? } else { EventOutcome::default() };
         Ok((instance, outcome))
     }
 }

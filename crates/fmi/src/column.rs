@@ -1,6 +1,9 @@
 //! One input as a table: linear between its rows or held from one to the next, and the instants where it is not smooth.
 
+use crate::description::VariableKind;
+use crate::lanes;
 use ode::InputStop;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// A column with its rows.
@@ -102,6 +105,58 @@ impl Column {
     pub(crate) fn held(&self, t: f64) -> f64 {
         let rows = self.times.partition_point(|row| *row <= t);
         self.values[rows.max(1) - 1]
+    }
+}
+
+/// A column that is held from row to row, as what inputs of any type take.
+#[derive(Debug, Clone)]
+pub(crate) struct HeldColumn {
+    /// The values, or where these may be more than a double can hold, numbers that stand for them.
+    pub(crate) column: Column,
+    lanes: Option<Arc<[i64]>>,
+}
+
+impl From<Column> for HeldColumn {
+    fn from(column: Column) -> Self {
+        Self { column, lanes: None }
+    }
+}
+
+impl HeldColumn {
+    /// The column of lanes, one for each time.
+    pub(crate) fn of_lanes(times: &Arc<[f64]>, lanes: &[i64]) -> Self {
+        let mut numbers: HashMap<i64, f64> = HashMap::new();
+        let mut known: Vec<i64> = Vec::new();
+        let values = lanes.iter().map(|lane| {
+            *numbers.entry(*lane).or_insert_with(|| {
+                known.push(*lane);
+                (known.len() - 1) as f64
+            })
+        });
+        let column = Column { values: values.collect(), times: Arc::clone(times) };
+        Self { column, lanes: Some(known.into()) }
+    }
+
+    /// The column of a variable of this kind that has the opposite values.
+    pub(crate) fn negated(self, kind: VariableKind) -> Self {
+        let Self { column, lanes } = self;
+        match (lanes, kind) {
+            (Some(lanes), _) => {
+                Self { column, lanes: Some(lanes.iter().map(|lane| lane.wrapping_neg()).collect()) }
+            }
+            (None, VariableKind::Boolean) => column.flipped().into(),
+            (None, _) => column.times(-1.0).into(),
+        }
+    }
+
+    /// The lane from `t` on, of a variable of this kind.
+    pub(crate) fn lane(&self, kind: VariableKind, t: f64) -> i64 {
+        let value = self.column.held(t);
+        let lane = match &self.lanes {
+            Some(lanes) => lanes.get(value as usize).copied(),
+            None => lanes::lane_of_number(kind, value),
+        };
+        lane.unwrap_or_default()
     }
 }
 

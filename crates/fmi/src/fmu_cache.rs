@@ -2,11 +2,13 @@
 
 use crate::error::FmiError;
 use crate::fmu::Fmu;
+use crate::open_options::OpenOptions;
 use crate::platform;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Opens each file once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`].
+/// Opens each file once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`] for the same
+/// options.
 ///
 /// A file counts as unchanged while its path, identity on the disk, size and time of modification are the same; it is
 /// not read for that. Of a folder, `modelDescription.xml` and the folder itself are looked at.
@@ -14,7 +16,15 @@ use std::sync::{Mutex, PoisonError};
 pub struct FmuCache {
     capacity: usize,
     /// The most recently used last.
-    entries: Mutex<Vec<(Key, Fmu)>>,
+    entries: Mutex<Vec<Entry>>,
+}
+
+/// An open FMU and what it was opened by.
+#[derive(Debug)]
+struct Entry {
+    key: Key,
+    options: OpenOptions,
+    fmu: Fmu,
 }
 
 /// What tells one file from another, and from its earlier self.
@@ -31,25 +41,34 @@ impl FmuCache {
     /// # Errors
     /// As [`Fmu::open`].
     pub fn open(&self, path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
+        self.open_with(path, &OpenOptions::default())
+    }
+
+    /// The FMU at `path` with these options, opened now or before.
+    ///
+    /// # Errors
+    /// As [`Fmu::open_with`].
+    pub fn open_with(&self, path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let path = path.as_ref();
         let key = key_of(path)?;
-        if let Some(fmu) = self.find(&key) {
+        if let Some(fmu) = self.find(&key, options) {
             return Ok(fmu);
         }
         // Not under the lock: opening one file does not keep others waiting. Two threads may both open a new file;
         // the first to finish is kept.
-        let fmu = Fmu::open(path)?;
-        if let Some(first) = self.find(&key) {
+        let fmu = Fmu::open_with(path, options)?;
+        if let Some(first) = self.find(&key, options) {
             return Ok(first);
         }
-        let dropped: Vec<(Key, Fmu)> = {
+        let dropped: Vec<Entry> = {
             let mut entries = self.entries();
             // An older version of the same file will not be asked for again.
-            let mut dropped: Vec<_> = entries.extract_if(.., |(old, _)| old.0 == key.0).collect();
+            let is_older = |old: &mut Entry| old.key.0 == key.0 && old.key != key;
+            let mut dropped: Vec<_> = entries.extract_if(.., is_older).collect();
             if entries.len() >= self.capacity {
                 dropped.push(entries.remove(0));
             }
-            entries.push((key, fmu.clone()));
+            entries.push(Entry { key, options: options.clone(), fmu: fmu.clone() });
             dropped
         };
         drop(dropped);
@@ -62,16 +81,16 @@ impl FmuCache {
         drop(entries);
     }
 
-    fn find(&self, key: &Key) -> Option<Fmu> {
+    fn find(&self, key: &Key, options: &OpenOptions) -> Option<Fmu> {
         let mut entries = self.entries();
-        let position = entries.iter().position(|(known, _)| known == key)?;
+        let position = entries.iter().position(|known| known.key == *key && known.options == *options)?;
         let entry = entries.remove(position);
-        let fmu = entry.1.clone();
+        let fmu = entry.fmu.clone();
         entries.push(entry);
         Some(fmu)
     }
 
-    fn entries(&self) -> std::sync::MutexGuard<'_, Vec<(Key, Fmu)>> {
+    fn entries(&self) -> std::sync::MutexGuard<'_, Vec<Entry>> {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

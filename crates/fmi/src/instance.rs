@@ -202,8 +202,10 @@ impl Core {
     pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<(), FmiError> {
         if !values.is_empty() {
             self.call(RawInstance::enter_configuration)?;
-            self.apply(values)?;
-            self.call(RawInstance::exit_configuration)?;
+            let applied = self.apply(values);
+            let left = self.call(RawInstance::exit_configuration);
+            // What was wrong with the values matters more; the instance has the structure it had.
+            applied.and(left)?;
         }
         self.restructure(structure);
         Ok(())
@@ -281,12 +283,16 @@ impl Core {
                 let read = self.raw.get_real(&references, &mut values);
                 read.map(|()| values.into_iter().map(Value::Real).collect())
             }
-            VariableKind::String => self
-                .raw
-                .get_string(&references, n)
-                .map(|texts| texts.into_iter().map(Value::String).collect()),
+            VariableKind::String => {
+                let mut values = Vec::with_capacity(n);
+                let read = self.raw.get_string(&references, n, |text| values.push(text.into()));
+                read.map(|()| values)
+            }
             VariableKind::Binary => {
-                self.raw.get_binary(&references, n).map(|all| all.into_iter().map(Value::Binary).collect())
+                let mut values = Vec::with_capacity(n);
+                let read =
+                    self.raw.get_binary(&references, n, |bytes| values.push(Value::Binary(bytes.to_vec())));
+                read.map(|()| values)
             }
             kind => {
                 let mut values = vec![0; n];
@@ -362,16 +368,17 @@ impl<P, K> Instance<P, K> {
 
     /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
     pub(crate) fn pass_log_on(&self) {
-        if !log::log_enabled!(log::Level::Debug) {
+        let level = self.fmu().log_level();
+        if !log::log_enabled!(level) {
             return;
         }
         let (lines, dropped) = self.log();
         let model = &self.fmu().description().model_name;
         if dropped > 0 {
-            log::debug!("{model}: {dropped} other lines were not kept");
+            log::log!(level, "{model}: {dropped} other lines were not kept");
         }
         for line in lines {
-            log::debug!("{model}: {line}");
+            log::log!(level, "{model}: {line}");
         }
     }
 

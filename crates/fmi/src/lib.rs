@@ -3,6 +3,7 @@
 
 pub mod archive;
 mod assign;
+mod beginning;
 mod binary;
 mod clocks;
 mod co_simulation;
@@ -60,7 +61,7 @@ pub use instance::{
 };
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use ode;
-pub use open_options::{LoaderOptions, OpenOptions};
+pub use open_options::{LoaderOptions, LogOptions, OpenOptions};
 pub use options::{DEFAULT_INTERVALS, DEFAULT_TOLERANCE, Kind, SimulateOptions};
 pub use outputs::Recorded;
 pub use plan::SimulationPlan;

@@ -1,6 +1,7 @@
 //! What opening an FMU may be told.
 
 use crate::archive::ArchiveLimits;
+use crate::sys::LogFilter;
 
 /// Options of [`Fmu::open_with`](crate::Fmu::open_with); the default is what [`Fmu::open`](crate::Fmu::open) does.
 ///
@@ -17,6 +18,20 @@ pub struct OpenOptions {
     /// Run the FMU although it says that it needs the tool that made it (`needsExecutionTool`): the tool is there, or the
     /// FMU exaggerates.
     pub tool_is_present: bool,
+    /// What is done with the logs of the instances that simulations use.
+    pub logging: LogOptions,
+}
+
+/// What is done with the log of an FMU. Its lines are kept per instance, not for ever, and the last of them are part of
+/// every error.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct LogOptions {
+    /// The FMU is asked to log. FMUs log what they think important without being asked, too.
+    pub asked: bool,
+    /// Which lines are kept.
+    pub filter: LogFilter,
+    /// Lines go to the program's logger at the level `info`, after the run that they are of; else at `debug`.
+    pub shown: bool,
 }
 
 /// How the dynamic loader is asked for a library. By default all its symbols are looked up when it is loaded, so that a

@@ -1,6 +1,6 @@
 //! What a simulation may be told, and the times at which it is sampled.
 
-use crate::description::{DefaultExperiment, Value};
+use crate::description::{DefaultExperiment, Interval, Value};
 use crate::error::FmiError;
 use crate::input::Inputs;
 use ode::{ChatteringPolicy, Method};
@@ -68,6 +68,8 @@ pub struct SimulateOptions {
     /// Values for parameters and variables with a start value, set before the initialization. Of several for one
     /// variable the last counts.
     pub start_values: Vec<(String, Value)>,
+    /// Intervals between the ticks of clocks (FMI 3.0): for input clocks whose intervals are fixed or tunable.
+    pub clock_intervals: Vec<(String, Interval)>,
     /// Real variables whose values are given anew at each run.
     pub parameters: Vec<String>,
     /// Variables to record: names; elements of arrays (`name[2,1]`, counted from 1); patterns, in which `*` stands for any
@@ -137,6 +139,13 @@ impl SimulateOptions {
     #[must_use]
     pub fn ncp(mut self, intervals: usize) -> Self {
         self.ncp = Some(intervals);
+        self
+    }
+
+    /// Adds to [`clock_intervals`](Self::clock_intervals).
+    #[must_use]
+    pub fn clock_interval(mut self, name: impl Into<String>, interval: Interval) -> Self {
+        self.clock_intervals.push((name.into(), interval));
         self
     }
 

@@ -319,15 +319,18 @@ impl OutputBuffers {
             rest = others;
         }
         if !self.texts.is_empty() {
-            let texts = raw.get_string(&plan.texts.0, self.texts.len())?;
-            self.texts.iter_mut().zip(texts).for_each(|(place, text)| *place = self.table.text(text));
+            let mut places = self.texts.iter_mut();
+            let table = &mut self.table;
+            raw.get_string(&plan.texts.0, places.len(), |text| {
+                places.next().into_iter().for_each(|place| *place = table.text(text));
+            })?;
         }
         if !self.binaries.is_empty() {
-            let binaries = raw.get_binary(&plan.binaries.0, self.binaries.len())?;
-            self.binaries
-                .iter_mut()
-                .zip(binaries)
-                .for_each(|(place, bytes)| *place = self.table.bytes(bytes));
+            let mut places = self.binaries.iter_mut();
+            let table = &mut self.table;
+            raw.get_binary(&plan.binaries.0, places.len(), |bytes| {
+                places.next().into_iter().for_each(|place| *place = table.bytes(bytes));
+            })?;
         }
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! A simulation resolved against its model, once: names have become value references, everything has been checked.
 
 use crate::assign::{self, Assignments, check_settable_at_start};
+use crate::beginning::StartValues;
 use crate::clocks::ClockPlan;
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
@@ -31,13 +32,15 @@ pub struct SimulationPlan {
     pub(crate) end: f64,
     pub(crate) same: f64,
     pub(crate) times: Vec<f64>,
-    pub(crate) start_values: Assignments,
+    pub(crate) start_values: StartValues,
     /// Structural parameters, and the sizes that follow from them.
     structural_values: Assignments,
     structure: Structure,
     parameters: Vec<RunParameter>,
     /// The variables that the parameters are, or are elements of.
     parameter_slots: Slots<f64>,
+    /// The same of the parameters that are inputs.
+    input_slots: Slots<f64>,
     parameter_names: Vec<String>,
     /// What the parameters are where nobody gives a value.
     pub(crate) parameter_starts: Vec<f64>,
@@ -74,6 +77,7 @@ struct RunParameter {
     slot: usize,
     /// -1 for negated aliases.
     sign: f64,
+    is_input: bool,
 }
 
 impl SimulationPlan {
@@ -104,11 +108,11 @@ impl SimulationPlan {
         let no_inputs = Inputs::default();
         let inputs = InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
         let has_events = kind == InterfaceKind::ModelExchange || interface.capabilities.uses_event_mode();
-        if !has_events && !inputs.clocks.ticks.is_empty() {
-            let problem =
-                "the inputs trigger clocks, which takes an event mode, and this co-simulation has none";
-            return Err(FmiError::BadSetting { problem: problem.to_owned() });
-        }
+        let clocks = if has_events {
+            ClockPlan::new(description, &inputs.clocks, &options.clock_intervals, grid.same)?
+        } else {
+            ClockPlan::without_event_mode(description, &inputs.clocks, &options.clock_intervals)?
+        };
         let states = states(description, &structure);
         let mut plan = Self {
             fmu: fmu.clone(),
@@ -117,17 +121,14 @@ impl SimulationPlan {
             end: grid.end,
             same: grid.same,
             times: grid.times,
-            start_values: Assignments::default(),
+            start_values: StartValues::default(),
             structural_values: Assignments::default(),
             parameters: Vec::new(),
             parameter_slots: Slots::default(),
+            input_slots: Slots::default(),
             parameter_names: Vec::new(),
             parameter_starts: Vec::new(),
-            clocks: match has_events {
-                true => ClockPlan::new(description, &inputs.clocks, grid.same),
-                // Clocks tick in event mode.
-                false => ClockPlan::default(),
-            },
+            clocks,
             inputs,
             outputs: Selection::default(),
             settings: Arc::default(),
@@ -163,12 +164,13 @@ impl SimulationPlan {
             let variable = &description.variables[*index];
             let list = match variable.causality {
                 Causality::StructuralParameter => &mut plan.structural_values,
-                _ => &mut plan.start_values,
+                Causality::Input => &mut plan.start_values.inputs,
+                _ => &mut plan.start_values.early,
             };
             let is_array = !variable.dimensions.is_empty();
             list.push(variable, value, is_array.then(|| plan.structure.elements(description, variable)))?;
-            if variable.causality != Causality::StructuralParameter {
-                plan.read_back.add_start(variable, &plan.start_values);
+            if !matches!(variable.causality, Causality::StructuralParameter | Causality::Input) {
+                plan.read_back.add_start(variable, &plan.start_values.early);
             }
         }
         for (i, name) in plan.parameter_names.iter().enumerate() {
@@ -178,16 +180,22 @@ impl SimulationPlan {
         }
         plan.read_back.finish();
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
+        if !has_events && !plan.outputs.plan.clocks.is_empty() {
+            let problem = "clocks are recorded, which tick in event mode, and this co-simulation has none";
+            return Err(FmiError::BadSetting { problem: problem.to_owned() });
+        }
         plan.settings = plan.all_settings();
         Ok(plan)
     }
 
     fn all_settings(&self) -> Arc<[Setting]> {
         let mut settings: Vec<Setting> = Vec::new();
-        for values in [&self.structural_values, &self.start_values] {
+        for values in [&self.structural_values, &self.start_values.early, &self.start_values.inputs] {
             settings.extend(values.references().map(|(kind, reference)| (true, kind, reference)));
         }
-        settings.extend(self.parameter_slots.references.iter().map(|r| (true, VariableKind::Real, *r)));
+        for slots in [&self.parameter_slots, &self.input_slots] {
+            settings.extend(slots.references.iter().map(|r| (true, VariableKind::Real, *r)));
+        }
         settings.extend(self.inputs.references().map(|(kind, reference)| (false, kind, reference)));
         settings.sort_unstable();
         settings.dedup();
@@ -196,28 +204,35 @@ impl SimulationPlan {
 
     /// Start values and parameters a little off, within their bounds: for trial runs whose traces must not be found
     /// again in the next run. Integers and the like stay as they are: they may choose another model altogether.
-    pub(crate) fn other_values(&self, parameters: &[f64]) -> (Assignments, Vec<f64>) {
+    pub(crate) fn other_values(&self, parameters: &[f64]) -> (StartValues, Vec<f64>) {
         let description = self.fmu.description();
         let mut others = self.start_values.clone();
-        if !others.reals.0.is_empty() {
-            let variables: HashMap<u32, &Variable> = description
-                .variables
-                .iter()
-                .filter(|v| v.kind == VariableKind::Real && check_settable_at_start(v).is_ok())
-                .map(|v| (v.value_reference, v))
-                .collect();
-            let mut rest = &mut others.reals.1[..];
-            for reference in &others.reals.0 {
-                let Some(variable) = variables.get(reference) else { break };
-                let (values, others) = rest.split_at_mut(self.structure.elements(description, variable));
-                values.iter_mut().for_each(|value| *value = nudge(variable, *value));
-                rest = others;
-            }
-        }
+        self.nudge_all(&mut others.early);
+        self.nudge_all(&mut others.inputs);
         let variable = |parameter: &RunParameter| &description.variables[parameter.place.variable];
         let parameters = self.parameters.iter().zip(parameters);
         let parameters = parameters.map(|(parameter, value)| nudge(variable(parameter), *value)).collect();
         (others, parameters)
+    }
+
+    fn nudge_all(&self, values: &mut Assignments) {
+        if values.reals.0.is_empty() {
+            return;
+        }
+        let description = self.fmu.description();
+        let variables: HashMap<u32, &Variable> = description
+            .variables
+            .iter()
+            .filter(|v| v.kind == VariableKind::Real && check_settable_at_start(v).is_ok())
+            .map(|v| (v.value_reference, v))
+            .collect();
+        let mut rest = &mut values.reals.1[..];
+        for reference in &values.reals.0 {
+            let Some(variable) = variables.get(reference) else { break };
+            let (values, others) = rest.split_at_mut(self.structure.elements(description, variable));
+            values.iter_mut().for_each(|value| *value = nudge(variable, *value));
+            rest = others;
+        }
     }
 
     fn take_parameters(&mut self, starts: &Starts<'_>, names: &[String]) -> Result<(), FmiError> {
@@ -243,17 +258,17 @@ impl SimulationPlan {
             if self.inputs.driven.iter().any(|driven| driven.overlaps(place)) {
                 return Err(assign::not_settable(variable, "it is driven by the inputs"));
             }
-            let slot = self
-                .parameter_slots
-                .place(variable.value_reference, place.element, || starts.reals(place))?;
+            let is_input = variable.causality == Causality::Input;
+            let slots = if is_input { &mut self.input_slots } else { &mut self.parameter_slots };
+            let slot = slots.place(variable.value_reference, place.element, || starts.reals(place))?;
             let start = match (place.element, starts.of(place.variable)) {
-                (Some(_), _) => self.parameter_slots.start[slot],
+                (Some(_), _) => slots.start[slot],
                 (None, Some(Value::Real(x))) if x.is_finite() => *x,
                 (None, Some(Value::Integer(i))) => *i as f64,
                 _ => 0.0,
             };
             let sign = if variable.negated { -1.0 } else { 1.0 };
-            self.parameters.push(RunParameter { place, slot, sign });
+            self.parameters.push(RunParameter { place, slot, sign, is_input });
             self.parameter_starts.push(start);
             self.parameter_names.push(name.clone());
         }
@@ -298,20 +313,46 @@ impl SimulationPlan {
     pub(crate) fn set_up(
         &self,
         core: &mut Core,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
         buffer: &mut Vec<f64>,
     ) -> Result<(), FmiError> {
         if !self.structure.is_default() {
             core.configure(&self.structural_values, &self.structure)?;
         }
-        core.apply(start_values)?;
+        core.apply(&start_values.early)?;
+        self.set_parameters(core, &self.parameter_slots, false, parameters, buffer)
+    }
+
+    /// Gives the inputs that do not vary their values, in initialization mode; `buffer` is used on the way.
+    pub(crate) fn set_up_inputs(
+        &self,
+        core: &mut Core,
+        start_values: &StartValues,
+        parameters: &[f64],
+        buffer: &mut Vec<f64>,
+    ) -> Result<(), FmiError> {
+        core.apply(&start_values.inputs)?;
+        self.set_parameters(core, &self.input_slots, true, parameters, buffer)
+    }
+
+    /// Sets the parameters of a run that are inputs, or the others.
+    fn set_parameters(
+        &self,
+        core: &mut Core,
+        slots: &Slots<f64>,
+        inputs: bool,
+        values: &[f64],
+        buffer: &mut Vec<f64>,
+    ) -> Result<(), FmiError> {
         buffer.clear();
-        buffer.extend_from_slice(&self.parameter_slots.start);
-        for (parameter, value) in self.parameters.iter().zip(parameters) {
-            buffer[parameter.slot] = value * parameter.sign;
+        buffer.extend_from_slice(&slots.start);
+        for (parameter, value) in self.parameters.iter().zip(values) {
+            if parameter.is_input == inputs {
+                buffer[parameter.slot] = value * parameter.sign;
+            }
         }
-        core.set_reals(&self.parameter_slots.references, buffer)
+        core.set_reals(&slots.references, buffer)
     }
 
     /// Whether an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one of the FMU's.
@@ -321,7 +362,12 @@ impl SimulationPlan {
         parameters: &[f64],
         buffers: &mut ReadBackBuffers,
     ) -> Result<bool, FmiError> {
-        self.read_back.agrees(core, &self.start_values, |i| parameters[i] * self.parameters[i].sign, buffers)
+        self.read_back.agrees(
+            core,
+            &self.start_values.early,
+            |i| parameters[i] * self.parameters[i].sign,
+            buffers,
+        )
     }
 
     /// The model.

@@ -11,15 +11,25 @@ use std::path::{Path, PathBuf};
 /// Extension of shared libraries on this platform, without the dot: `so`, `dll`, `dylib`.
 pub const LIBRARY_EXTENSION: &str = env::consts::DLL_EXTENSION;
 
+/// How the folders of `binaries/` are named.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FolderNames {
+    /// `linux64` (FMI 1.0 and 2.0).
+    SystemAndBits,
+    /// `x86_64-linux` (FMI 3.0).
+    ProcessorAndSystem,
+}
+
 /// Folders of `binaries/` that may hold a library for this platform, the best first.
 ///
 /// FMI 1.0 and 2.0 name them `linux64`, `win64`, `darwin64` and know no processor but x86; FMUs for ARM use
 /// FMI 3.0's names, or put an ARM library into the x86 folder, so both are looked at and
 /// [`BinaryHeader::runs_here`] decides.
-pub fn binary_folders(fmi_major: u32) -> Vec<String> {
+pub fn binary_folders(names: FolderNames) -> Vec<String> {
     let modern = format!("{}-{}", modern_processor(), modern_system());
     let classic = format!("{}{}", classic_system(), usize::BITS);
-    let classic_first = fmi_major < 3 && matches!(Machine::host(), Machine::X86 | Machine::X86_64);
+    let is_x86 = matches!(Machine::host(), Machine::X86 | Machine::X86_64);
+    let classic_first = names == FolderNames::SystemAndBits && is_x86;
     if classic_first { vec![classic, modern] } else { vec![modern, classic] }
 }
 
@@ -55,8 +65,8 @@ pub struct FoundBinary {
 ///
 /// A library of another name is taken if it is the only one in its folder (and noted).
 /// Fails with [`FmiError::NoBinary`], which lists what is there with its machine types.
-pub fn find_binary(root: &Path, model_identifier: &str, fmi_major: u32) -> Result<FoundBinary, FmiError> {
-    let folders = binary_folders(fmi_major);
+pub fn find_binary(root: &Path, model_identifier: &str, names: FolderNames) -> Result<FoundBinary, FmiError> {
+    let folders = binary_folders(names);
     for folder in &folders {
         let folder = root.join("binaries").join(folder);
         let exact = folder.join(format!("{model_identifier}.{LIBRARY_EXTENSION}"));
@@ -364,8 +374,8 @@ mod tests {
 
     #[test]
     fn the_classic_folder_comes_first_on_x86_only() {
-        let two = binary_folders(2);
-        let three = binary_folders(3);
+        let two = binary_folders(FolderNames::SystemAndBits);
+        let three = binary_folders(FolderNames::ProcessorAndSystem);
         assert_eq!(two.len(), 2);
         if Machine::host() == Machine::X86_64 && cfg!(target_os = "linux") {
             assert_eq!(two, ["linux64", "x86_64-linux"]);
@@ -376,38 +386,44 @@ mod tests {
     #[test]
     fn a_foreign_library_is_not_taken_and_is_listed() {
         let root = tempfile::tempdir().unwrap();
-        let mine = root.path().join("binaries").join(&binary_folders(2)[0]);
+        let mine = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
         let other = root.path().join("binaries/plan9");
         fs::create_dir_all(&mine).unwrap();
         fs::create_dir_all(&other).unwrap();
         fs::write(mine.join(format!("m.{LIBRARY_EXTENSION}")), foreign_library()).unwrap();
-        let message = find_binary(root.path(), "m", 2).unwrap_err().to_string();
+        let message = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap_err().to_string();
         assert!(message.contains("ELF machine 21") && message.contains("plan9 (empty)"), "{message}");
-        assert!(message.contains(&binary_folders(2)[0]), "{message}");
+        assert!(message.contains(&binary_folders(FolderNames::SystemAndBits)[0]), "{message}");
     }
 
     #[test]
     fn a_single_library_of_another_name_is_taken_and_noted() {
         let root = tempfile::tempdir().unwrap();
-        let mine = root.path().join("binaries").join(&binary_folders(2)[0]);
+        let mine = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
         fs::create_dir_all(&mine).unwrap();
         let program = env::current_exe().unwrap();
         let library = mine.join(format!("other.{LIBRARY_EXTENSION}"));
         fs::copy(&program, &library).unwrap();
-        let found = find_binary(root.path(), "m", 2).unwrap();
+        let found = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap();
         assert_eq!(found.path, library);
         assert!(found.note.unwrap().contains("\"m\""));
         fs::copy(&program, mine.join(format!("third.{LIBRARY_EXTENSION}"))).unwrap();
-        assert!(matches!(find_binary(root.path(), "m", 2), Err(FmiError::NoBinary { .. })));
+        assert!(matches!(
+            find_binary(root.path(), "m", FolderNames::SystemAndBits),
+            Err(FmiError::NoBinary { .. })
+        ));
         let exact = mine.join(format!("m.{LIBRARY_EXTENSION}"));
         fs::copy(&program, &exact).unwrap();
-        assert_eq!(find_binary(root.path(), "m", 2).unwrap(), FoundBinary { path: exact, note: None });
+        assert_eq!(
+            find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap(),
+            FoundBinary { path: exact, note: None }
+        );
     }
 
     #[test]
     fn an_fmu_without_binaries_says_so() {
         let root = tempfile::tempdir().unwrap();
-        let message = find_binary(root.path(), "m", 2).unwrap_err().to_string();
+        let message = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap_err().to_string();
         assert!(message.contains("no binaries at all"), "{message}");
     }
 

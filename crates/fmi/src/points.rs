@@ -25,8 +25,6 @@ pub(crate) struct Communication {
     pub(crate) input_derivatives: bool,
     /// The FMU tells the derivatives of outputs at the end of a step.
     pub(crate) output_derivatives: bool,
-    /// Events are handled between steps.
-    pub(crate) event_mode: bool,
 }
 
 impl Communication {
@@ -73,7 +71,6 @@ impl Communication {
             ends_exactly: variable,
             input_derivatives: capabilities.can_interpolate_inputs,
             output_derivatives: capabilities.max_output_derivative_order > 0,
-            event_mode: capabilities.uses_event_mode(),
         })
     }
 }

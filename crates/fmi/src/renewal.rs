@@ -1,7 +1,7 @@
 //! New instances for runs, and old ones brought back to their beginning.
 
 use crate::error::FmiError;
-use crate::fmu::{InstanceOptions, Reuse};
+use crate::fmu::Reuse;
 use crate::instance;
 use crate::plan::SimulationPlan;
 use crate::sys::{FloatEnvironment, Library, RawInstance};
@@ -12,7 +12,7 @@ pub(crate) fn new_instance(plan: &SimulationPlan, library: &Arc<Library>) -> Res
     if plan.reuse() == Some(Reuse::Restore) {
         return new_with_origin(plan, library);
     }
-    plan.fmu().instantiate_in(library, plan.kind, &InstanceOptions::default())
+    plan.fmu().instantiate_for_runs(library, plan.kind)
 }
 
 /// A new instance with its state saved, unless the FMU refuses that: then it is not asked again.
@@ -20,7 +20,7 @@ pub(crate) fn new_with_origin(
     plan: &SimulationPlan,
     library: &Arc<Library>,
 ) -> Result<RawInstance, FmiError> {
-    let new = || plan.fmu().instantiate_in(library, plan.kind, &InstanceOptions::default());
+    let new = || plan.fmu().instantiate_for_runs(library, plan.kind);
     let mut raw = new()?;
     let saved = {
         let _guard = FloatEnvironment::standard();

@@ -1,6 +1,6 @@
 //! One worker's simulator: a plan, a live instance, a driver and buffers, run as often as one likes.
 
-use crate::assign::Assignments;
+use crate::beginning::StartValues;
 use crate::communication::Stepping;
 use crate::copies::PrivateCopy;
 use crate::description::Value;
@@ -236,6 +236,7 @@ impl Simulator {
         // Instantiating or initializing may have changed the floating-point mode.
         guard.assert();
         let mut outcome = self.engine.run(&self.plan, None, observer);
+        each!(&self.engine, run => run.pass_log_on());
         let stats = match &mut outcome {
             Ok(report) => &mut report.stats,
             Err(FmiError::Simulation(error)) => &mut error.stats,
@@ -279,12 +280,9 @@ impl Simulator {
     /// # Errors
     /// As [`value`](Self::value); the variable is a text.
     pub fn get(&mut self, name: &str) -> Result<f64, FmiError> {
-        match self.value(name)? {
-            Value::Real(x) => Ok(x),
-            Value::Integer(i) => Ok(i as f64),
-            Value::Boolean(b) => Ok(f64::from(u8::from(b))),
-            _ => Err(FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" }),
-        }
+        self.value(name)?
+            .as_number()
+            .ok_or_else(|| FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" })
     }
 
     /// Brings the FMU to its start without simulating: afterwards [`value`](Self::value) gives initial values.
@@ -407,7 +405,7 @@ impl Simulator {
     }
 
     /// Brings an instance that is new or was reset to the start of a trial run; whether that went well.
-    fn begin_probe(&mut self, raw: RawInstance, start_values: &Assignments, parameters: &[f64]) -> bool {
+    fn begin_probe(&mut self, raw: RawInstance, start_values: &StartValues, parameters: &[f64]) -> bool {
         let _guard = FloatEnvironment::standard();
         each!(&mut self.engine, run => run.initialize_with(raw, start_values, parameters)).is_ok()
     }
@@ -441,7 +439,7 @@ impl Simulator {
     /// There is no new instance to be had.
     pub(crate) fn begin_new(
         &mut self,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
     ) -> Result<bool, FmiError> {
         let raw = match self.fresh.take() {
@@ -460,7 +458,7 @@ impl Simulator {
     /// It was cancelled; there is no new instance to be had.
     pub(crate) fn probe_new(
         &mut self,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
         steps: Option<u64>,
         observer: &mut dyn Observer,
@@ -512,7 +510,7 @@ impl Simulator {
     pub(crate) fn probe_again(
         &mut self,
         reuse: Reuse,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
         steps: Option<u64>,
         observer: &mut dyn Observer,

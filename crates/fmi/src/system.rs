@@ -1,12 +1,12 @@
 //! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
 
-use crate::assign::Assignments;
+use crate::beginning::{Start, StartValues};
 use crate::clocks::{ClockState, Tick};
 use crate::description::Variable;
 use crate::digest::Digest;
 use crate::error::FmiError;
 use crate::input::{InputPlan, InputState};
-use crate::instance::{ContinuousTime, Core, EventMode, Instance, Instantiated};
+use crate::instance::{ContinuousTime, Core, EventMode, Initialization, Instance};
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
 use crate::sys::{Fault, RawInstance};
@@ -112,13 +112,17 @@ impl System {
         self.mode = Mode::Spare(raw);
     }
 
-    /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
-    pub(crate) fn retire(&mut self) -> Option<RawInstance> {
+    /// Hands what the FMU has logged in a run to the program's logger.
+    pub(crate) fn pass_log_on(&self) {
         match &self.mode {
             Mode::Event(instance) => instance.pass_log_on(),
             Mode::Continuous(instance) => instance.pass_log_on(),
             Mode::Gone | Mode::Spare(_) => {}
         }
+    }
+
+    /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
+    pub(crate) fn retire(&mut self) -> Option<RawInstance> {
         let instance = match std::mem::replace(&mut self.mode, Mode::Gone) {
             Mode::Gone => return None,
             Mode::Spare(raw) => return Some(raw),
@@ -140,28 +144,17 @@ impl System {
     pub(crate) fn initialize_with(
         &mut self,
         raw: RawInstance,
-        start_values: &Assignments,
+        start_values: &StartValues,
         parameters: &[f64],
     ) -> Result<(), FmiError> {
         let plan = Arc::clone(&self.plan);
-        let mut instance: Instance<Instantiated> = Instance::from_raw(raw, plan.fmu().clone());
         self.mode = Mode::Gone;
         self.broken = false;
         self.buffers.begin();
-        plan.set_up(instance.core(), start_values, parameters, &mut self.signed)?;
-        let mut instance = instance.enter_initialization(
-            plan.start,
-            Some(plan.end),
-            Some(plan.options.relative_tolerance),
-        )?;
-        self.inputs.begin(&plan.inputs, plan.start);
-        if !self.inputs.continuous_at(&plan.inputs, plan.start) {
-            return Err(self.inputs.bad_function_value(plan.start));
-        }
-        self.inputs.set_held(instance.core(), &plan.inputs)?;
-        self.sent.clear();
-        send(&plan.inputs, &self.inputs, &mut self.sent, instance.core())?;
-        self.clocks.begin(&plan.clocks, instance.core(), plan.start)?;
+        let Self { inputs, clocks, signed, .. } = self;
+        let start = Start { plan: &plan, start_values, parameters, stop: Some(plan.end) };
+        let instance: Instance<Initialization> = start.begin(raw, signed, inputs, clocks)?;
+        self.sent.clone_from(&self.inputs.continuous);
         self.mode = Mode::Event(instance.exit_initialization()?);
         self.set_time = None;
         self.set_states = None;

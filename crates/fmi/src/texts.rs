@@ -8,48 +8,42 @@ use crate::description::{Value, VariableKind};
 use crate::lanes;
 use std::collections::HashMap;
 
-/// A value that is not a number.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
-enum Entry {
-    Text(String),
-    Bytes(Vec<u8>),
-}
-
 /// All texts and binary values of a run, each once.
 #[derive(Debug, Default)]
 pub(crate) struct ValueTable {
-    places: HashMap<Entry, usize>,
+    texts: HashMap<String, usize>,
+    binaries: HashMap<Vec<u8>, usize>,
     values: Vec<Value>,
 }
 
 impl ValueTable {
     /// Forgets everything.
     pub(crate) fn clear(&mut self) {
-        self.places.clear();
+        self.texts.clear();
+        self.binaries.clear();
         self.values.clear();
     }
 
-    /// The number that stands for a text.
-    pub(crate) fn text(&mut self, text: String) -> f64 {
-        self.place(Entry::Text(text))
-    }
-
-    /// The number that stands for bytes.
-    pub(crate) fn bytes(&mut self, bytes: Vec<u8>) -> f64 {
-        self.place(Entry::Bytes(bytes))
-    }
-
-    fn place(&mut self, entry: Entry) -> f64 {
+    /// The number that stands for a text; nothing is allocated for one that was there before.
+    pub(crate) fn text(&mut self, text: &str) -> f64 {
         // Fewer values than 2^53 fit into any memory.
-        if let Some(place) = self.places.get(&entry) {
+        if let Some(place) = self.texts.get(text) {
             return *place as f64;
         }
         let place = self.values.len();
-        self.values.push(match &entry {
-            Entry::Text(text) => Value::String(text.clone()),
-            Entry::Bytes(bytes) => Value::Binary(bytes.clone()),
-        });
-        self.places.insert(entry, place);
+        self.values.push(Value::String(text.to_owned()));
+        self.texts.insert(text.to_owned(), place);
+        place as f64
+    }
+
+    /// The number that stands for bytes; as for texts.
+    pub(crate) fn bytes(&mut self, bytes: &[u8]) -> f64 {
+        if let Some(place) = self.binaries.get(bytes) {
+            return *place as f64;
+        }
+        let place = self.values.len();
+        self.values.push(Value::Binary(bytes.to_vec()));
+        self.binaries.insert(bytes.to_vec(), place);
         place as f64
     }
 
@@ -104,16 +98,11 @@ mod tests {
     #[test]
     fn a_value_has_one_place() {
         let mut table = ValueTable::default();
-        let numbers = [
-            table.text("a".into()),
-            table.bytes(b"a".to_vec()),
-            table.text(String::new()),
-            table.text("a".into()),
-        ];
+        let numbers = [table.text("a"), table.bytes(b"a"), table.text(""), table.text("a")];
         assert_eq!(numbers, [0.0, 1.0, 2.0, 0.0]);
         let values = table.decode(VariableKind::String, &[numbers.to_vec()]);
         assert_eq!(values, ["a".into(), Value::Binary(b"a".to_vec()), "".into(), "a".into()]);
         table.clear();
-        assert_eq!(table.text("b".into()), 0.0);
+        assert_eq!(table.text("b"), 0.0);
     }
 }

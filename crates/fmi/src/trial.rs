@@ -1,6 +1,6 @@
 //! The trial runs that show how instances of a library can be reused, and whether several can be used at once.
 
-use crate::assign::Assignments;
+use crate::beginning::StartValues;
 use crate::description::Variable;
 use crate::error::FmiError;
 use crate::fmu::Reuse;
@@ -33,7 +33,7 @@ pub(crate) struct Trial<'a> {
     plan: &'a Arc<SimulationPlan>,
     base: &'a [f64],
     /// Start values and parameters a little off.
-    others: (Assignments, Vec<f64>),
+    others: (StartValues, Vec<f64>),
     /// `None`: from start to end.
     steps: Option<u64>,
     truth: Probe,

@@ -5,10 +5,10 @@
 mod support;
 
 use fmi::ode::{Ignore, Observer, Sample};
-use fmi::{Fmu, Inputs, SimulateOptions, SimulationPlan, Simulator};
+use fmi::{ExampleKind, Fmu, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Value};
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use support::model;
+use support::{arrays, fixture, model, model_as};
 
 struct Sum(f64);
 
@@ -63,4 +63,66 @@ fn inputs_that_jump() {
     let (long, many) = count(&folder.open(), &options, 99.0, &[]);
     assert!(many > few + 100, "{few} and {many} steps");
     assert_eq!(short, long);
+}
+
+/// The same number of allocations whether it is short or long.
+fn allocates_nothing_per_step(fmu: &Fmu, options: &SimulateOptions, ends: [f64; 2]) {
+    let counts = ends.map(|end| count(fmu, options, end, &[]));
+    let [(short, few), (long, many)] = counts;
+    assert!(many > few + 50, "{few} and {many} steps");
+    assert_eq!(short, long, "{few} and {many} steps");
+}
+
+#[test]
+fn co_simulation() {
+    let options = SimulateOptions::new().kind(Kind::CoSimulation).step_size(0.01);
+    for kind in [ExampleKind::Fmi1CoSimulation, ExampleKind::Fmi2CoSimulation, ExampleKind::Fmi3] {
+        let folder = model_as("van_der_pol", kind, &[], |xml| xml);
+        allocates_nothing_per_step(&folder.open(), &options, [1.0, 20.0]);
+    }
+    let times: Vec<f64> = (0..40).map(f64::from).collect();
+    let inputs =
+        Inputs::new().table(times.clone(), [("u", times.iter().map(|t| t.sin()).collect::<Vec<f64>>())]);
+    let folder = fixture("intermediate", |xml| xml);
+    allocates_nothing_per_step(&folder.open(), &options.inputs(inputs), [1.0, 20.0]);
+}
+
+#[test]
+fn clocks_of_all_kinds() {
+    let folder = fixture("clocks", |xml| xml);
+    let fmu = folder.open();
+    let times: Vec<f64> = (0..200).map(|k| 0.1 * f64::from(k)).collect();
+    let levels =
+        |of: i32| times.iter().enumerate().map(|(k, _)| f64::from(k as i32 % of)).collect::<Vec<f64>>();
+    let inputs = Inputs::new()
+        .table(times.clone(), [("setpoint", levels(7)), ("button", levels(2)), ("optional", levels(2))]);
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = SimulateOptions::new()
+            .kind(kind)
+            .inputs(inputs.clone())
+            .outputs(["x", "u", "sample", "alarm", "n_button"]);
+        allocates_nothing_per_step(&fmu, &options, [2.0, 20.0]);
+    }
+}
+
+#[test]
+fn texts_and_bytes() {
+    let folder = arrays();
+    let fmu = folder.open();
+    let times: Vec<f64> = (0..400).map(|k| 0.05 * f64::from(k)).collect();
+    let word = |k: usize| Value::from(["left", "right"][k % 2]);
+    let packet = |k: usize| Value::Binary(vec![(k % 3) as u8; k % 3]);
+    let inputs = Inputs::new().values("word", times.clone(), (0..400).map(word)).values(
+        "packet",
+        times.clone(),
+        (0..400).map(packet),
+    );
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = SimulateOptions::new()
+            .kind(kind)
+            .inputs(inputs.clone())
+            .outputs(["label", "blob", "text", "word", "packet", "count"])
+            .output_interval(0.05);
+        allocates_nothing_per_step(&fmu, &options, [4.0, 20.0]);
+    }
 }

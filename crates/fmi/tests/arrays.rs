@@ -406,7 +406,7 @@ fn texts_and_bytes_are_inputs() {
     let folder = arrays();
     let fmu = folder.open();
     let inputs = || {
-        Inputs::new().texts("word", [0.0, 0.25, 0.5], ["first", "second", "first"]).texts(
+        Inputs::new().values("word", [0.0, 0.25, 0.5], ["first", "second", "first"]).values(
             "packet",
             [0.25, 0.5],
             [vec![], vec![0, 255]].map(Value::Binary),
@@ -430,13 +430,80 @@ fn texts_and_bytes_are_inputs() {
         SimulationPlan::new(&fmu, &SimulateOptions::new().inputs(inputs)).unwrap_err().to_string()
     };
     for (inputs, text) in [
-        (Inputs::new().texts("word", [0.0], [Value::Binary(vec![1])]), "word is of type String"),
-        (Inputs::new().texts("word", [0.0], ["a\0b"]), "NUL"),
-        (Inputs::new().texts("word", [0.0, 1.0], ["a"]), "1 values for 2 times"),
-        (Inputs::new().texts("u[1]", [0.0], ["a"]), "texts drive single variables"),
+        (Inputs::new().values("word", [0.0], [Value::Binary(vec![1])]), "word is of type String"),
+        (Inputs::new().values("word", [0.0], ["a\0b"]), "NUL"),
+        (Inputs::new().values("word", [0.0, 1.0], ["a"]), "1 values for 2 times"),
+        (Inputs::new().values("u[1]", [0.0], ["a"]), "is of type Real"),
         (Inputs::new().table([0.0], [("word", vec![1.0])]), "text and binary"),
     ] {
         let problem = problem(inputs);
         assert!(problem.contains(text), "{problem}");
     }
+}
+
+#[test]
+fn integers_of_64_bits_are_inputs_without_loss() {
+    let folder = fixture("arrays", |xml| {
+        let input = |xml: String, name: &str| {
+            let from = format!("name=\"{name}\"");
+            let at = xml.find(&from).unwrap();
+            let (head, tail) = xml.split_at(at);
+            let role = "causality=\"parameter\" variability=\"fixed\"";
+            head.to_owned() + &tail.replacen(role, "causality=\"input\" variability=\"discrete\"", 1)
+        };
+        input(input(input(xml, "i64"), "u64"), "i16")
+    });
+    let fmu = folder.open();
+    let big = (1i64 << 53) + 1;
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let inputs = Inputs::new()
+            .values("i64", [0.0, 0.25, 0.5, 0.75], [big, -big, i64::MAX, i64::MAX])
+            .values(
+                "u64",
+                [0.0, 0.5],
+                [Value::Integer(u64::MAX.into()), Value::Integer(u64::MAX as i128 - 1)],
+            )
+            .values("i16", [0.0, 0.5], [-300, 300]);
+        let options = SimulateOptions::new().kind(kind).inputs(inputs).outputs(["i64", "u64", "i16"]);
+        let result = fmu.simulate(&options.times([0.0, 0.3, 0.6, 0.9])).unwrap();
+        assert_eq!(
+            result.values_of("i64").unwrap(),
+            [big, -big, i64::MAX, i64::MAX].map(Value::from),
+            "{kind:?}"
+        );
+        let (most, less) = (Value::Integer(u64::MAX.into()), Value::Integer(u64::MAX as i128 - 1));
+        assert_eq!(result.values_of("u64").unwrap(), [most.clone(), most, less.clone(), less], "{kind:?}");
+        assert_eq!(result.get("i16").unwrap(), [-300.0, -300.0, 300.0, 300.0]);
+        // Changes of held values are events; a row that changes nothing is none.
+        assert_eq!(result.stats.input_events, if kind == Kind::ModelExchange { 2 } else { 0 });
+    }
+    let refused = |inputs: Inputs| {
+        SimulationPlan::new(&fmu, &SimulateOptions::new().inputs(inputs)).unwrap_err().to_string()
+    };
+    let message = refused(Inputs::new().values("u64", [0.0], [-1]));
+    assert!(message.contains("u64") && message.contains("-1"), "{message}");
+    let message = refused(Inputs::new().values("i64", [0.0], ["many"]));
+    assert!(message.contains("i64"), "{message}");
+    let message = refused(Inputs::new().values("i64", [0.0, 1.0], [1]));
+    assert!(message.contains("1 values for 2 times"), "{message}");
+}
+
+#[test]
+fn a_structure_that_is_refused_leaves_the_instance_as_it_was() {
+    let folder = arrays();
+    let fmu = folder.open();
+    let mut instance = fmu.instantiate().unwrap();
+    let error = instance.set("n", 99).unwrap_err();
+    assert!(error.to_string().contains("fmi3SetUInt64"), "{error}");
+    // Out of configuration mode again: what is set there only is refused elsewhere by the model itself.
+    instance.set("k", vec![1.0, 2.0, 3.0]).unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
+    assert_eq!(instance.get("k").unwrap(), vec![1.0, 2.0, 3.0].into());
+    let mut instance = instance.reset().unwrap();
+    instance.set("n", 2).unwrap();
+    let instance = instance.enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    let mut states = [0.0; 2];
+    instance.get_continuous_states(&mut states).unwrap();
+    assert_eq!(states, [1.0, 2.0]);
 }

@@ -7,7 +7,7 @@ mod support;
 use fmi::description::{ClockKind, Interval};
 use fmi::{FmiError, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Trajectory};
 use std::sync::Arc;
-use support::fixture;
+use support::{fixture, fixture_with};
 
 const KINDS: [Kind; 2] = [Kind::ModelExchange, Kind::CoSimulation];
 
@@ -53,6 +53,44 @@ fn the_description_tells_when_clocks_tick() {
     assert_eq!((timing("later").kind, timing("later").interval), (ClockKind::Countdown, None));
     assert!(timing("optional").can_be_deactivated && timing("counted").supports_fraction);
     assert!(fmu.description().variable("u").unwrap().clock.is_none());
+}
+
+#[test]
+fn clocks_inherit_from_their_types() {
+    let folder = fixture("clocks", |xml| xml);
+    let xml = std::fs::read_to_string(folder.path().join("modelDescription.xml")).unwrap();
+    let plain = fmi::ModelDescription::parse(xml.as_bytes()).unwrap();
+    let (mut edited, mut types) = (xml, String::new());
+    for (name, attributes) in [
+        (
+            "third",
+            "intervalVariability=\"constant\" supportsFraction=\"true\" resolution=\"3\" intervalCounter=\"1\" \
+             shiftCounter=\"1\" intervalDecimal=\"0.3333333333\" shiftDecimal=\"0.3333333333\"",
+        ),
+        (
+            "optional",
+            "intervalVariability=\"fixed\" intervalDecimal=\"0.5\" shiftDecimal=\"0.25\" canBeDeactivated=\"true\"",
+        ),
+        ("retuned", "intervalVariability=\"tunable\""),
+    ] {
+        assert!(edited.contains(attributes), "{name}");
+        edited = edited.replace(attributes, &format!("declaredType=\"{name} type\""));
+        types += &format!("<ClockType name=\"{name} type\" {attributes}/>");
+    }
+    let definitions = format!("<TypeDefinitions>{types}</TypeDefinitions><ModelVariables>");
+    let edited = edited.replace("<ModelVariables>", &definitions);
+    let inherited = fmi::ModelDescription::parse(edited.as_bytes()).unwrap();
+    assert!(inherited.quirks.is_empty(), "{:?}", inherited.quirks);
+    for name in ["third", "optional", "retuned", "sample"] {
+        assert_eq!(inherited.variable(name).unwrap().clock, plain.variable(name).unwrap().clock, "{name}");
+    }
+
+    // An interval of the variable's own counts, though the type's is a fraction.
+    let own =
+        edited.replace("declaredType=\"third type\"", "declaredType=\"third type\" intervalDecimal=\"0.25\"");
+    let own = fmi::ModelDescription::parse(own.as_bytes()).unwrap();
+    let timing = own.variable("third").unwrap().clock.as_ref().unwrap();
+    assert_eq!((timing.interval, timing.shift), (Some(Interval::Decimal(0.25)), Interval::Fraction(1, 3)));
 }
 
 #[test]
@@ -167,14 +205,82 @@ fn what_cannot_be_done_is_said() {
     let error = fixed.open().simulate(&options).unwrap_err().to_string();
     assert!(error.contains("the clock growing ticks at 0.0625, within the step from 0 to 0.25"), "{error}");
 
-    // Without an event mode nobody can trigger clocks.
-    let plain = fixture("clocks", |xml| xml.replace("hasEventMode=\"true\"", ""));
-    let options = SimulateOptions::new().kind(Kind::CoSimulation).inputs(one("button", 1.0));
-    let error = SimulationPlan::new(&plain.open(), &options).unwrap_err();
-    assert!(
-        matches!(error, FmiError::BadSetting { .. }) && error.to_string().contains("event mode"),
-        "{error}"
-    );
+    // Without an event mode nobody can trigger clocks, and those that tick by themselves would stand still.
+    let by_themselves = "intervalVariability=\"triggered\"";
+    let plain = |silence: bool| {
+        fixture("clocks", |xml| {
+            let xml = xml.replace("hasEventMode=\"true\"", "");
+            let all = ["constant", "fixed", "changing", "countdown", "tunable"];
+            let clock = |kind| format!("intervalVariability=\"{kind}\"");
+            all.iter().filter(|_| silence).fold(xml, |xml, kind| xml.replace(&clock(kind), by_themselves))
+        })
+    };
+    let refused = |folder: support::Folder, options: SimulateOptions| {
+        let error = SimulationPlan::new(&folder.open(), &options.kind(Kind::CoSimulation)).unwrap_err();
+        assert!(matches!(error, FmiError::BadSetting { .. }), "{error}");
+        error.to_string()
+    };
+    let message = refused(plain(false), SimulateOptions::new());
+    assert!(message.contains("the clock sample ticks in event mode"), "{message}");
+    let message = refused(plain(true), SimulateOptions::new().inputs(one("button", 1.0)));
+    assert!(message.contains("the inputs trigger clocks"), "{message}");
+    let message = refused(plain(true), SimulateOptions::new().outputs(["alarm"]));
+    assert!(message.contains("clocks are recorded"), "{message}");
+    let message =
+        refused(plain(true), SimulateOptions::new().clock_interval("counted", Interval::Decimal(1.0)));
+    assert!(message.contains("the clock counted is given an interval"), "{message}");
+    let quiet = SimulateOptions::new().kind(Kind::CoSimulation).outputs(["x"]);
+    SimulationPlan::new(&plain(true).open(), &quiet).unwrap();
+}
+
+#[test]
+fn intervals_can_be_given() {
+    let folder = fixture("clocks", |xml| xml);
+    let fmu = folder.open();
+    for kind in KINDS {
+        let options = SimulateOptions::new().kind(kind).ncp(4);
+        let given = options
+            .clone()
+            .clock_interval("counted", Interval::Fraction(1, 4))
+            .clock_interval("optional", Interval::Decimal(1.0))
+            .clock_interval("retuned", Interval::Decimal(0.75));
+        let result = fmu.simulate(&given).unwrap();
+        // The shift of "counted" is half of its interval; the model tunes "retuned" to 0.25 after its second tick.
+        let counted: Vec<f64> = (0..8).map(|k| (125.0 + 250.0 * f64::from(k)) / 1000.0).collect();
+        assert_eq!(ticks(&result, "counted").len(), counted.len(), "{kind:?}");
+        for (found, expected) in ticks(&result, "counted").iter().zip(counted) {
+            assert!((found - expected).abs() < 1e-15, "{kind:?}: {found} is not {expected}");
+        }
+        assert_eq!(ticks(&result, "optional"), [0.25, 1.25], "{kind:?}");
+        assert_eq!(ticks(&result, "retuned"), [0.25, 1.0, 1.25, 1.5, 1.75, 2.0], "{kind:?}");
+        // What one simulation was given is none of the next one's business.
+        assert_eq!(ticks(&fmu.simulate(&options).unwrap(), "counted"), expected()[2].1, "{kind:?}");
+        let error = fmu.simulate(&options.clone().clock_interval("counted", Interval::Decimal(101.0)));
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains("fmi3SetInterval"), "{error}");
+    }
+    for (name, interval, text) in [
+        ("sample", Interval::Decimal(0.5), "constant intervals"),
+        ("optional", Interval::Fraction(1, 2), "no fractions"),
+        ("counted", Interval::Decimal(0.0), "not positive"),
+        ("counted", Interval::Fraction(1, 0), "not positive"),
+        ("alarm", Interval::Decimal(1.0), "no clock that the importer activates"),
+        ("x", Interval::Decimal(1.0), "no clock that the importer activates"),
+        ("y", Interval::Decimal(1.0), "no variable"),
+    ] {
+        let error = SimulationPlan::new(&fmu, &SimulateOptions::new().clock_interval(name, interval));
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains(text), "{error}");
+    }
+    let error = SimulationPlan::new(&fmu, &SimulateOptions::new().start_value("sample", true)).unwrap_err();
+    assert!(error.to_string().contains("it is a clock"), "{error}");
+}
+
+#[test]
+fn clocks_need_an_event_mode_that_is_there() {
+    let folder = fixture_with("clocks", &["NO_EVENT_MODE"], |xml| xml);
+    let error = folder.open().simulate(&SimulateOptions::new().kind(Kind::CoSimulation)).unwrap_err();
+    assert!(error.to_string().contains("the model has clocks, which tick in event mode"), "{error}");
 }
 
 #[test]
@@ -185,10 +291,15 @@ fn clocks_can_be_set_by_hand() {
     let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
     assert_eq!(instance.clock_interval("counted").unwrap(), Some(Interval::Fraction(300, 1000)));
     assert_eq!(instance.clock_interval("later").unwrap(), None);
+    instance.set_clock_interval("counted", Interval::Fraction(1, 8)).unwrap();
+    assert_eq!(instance.clock_interval("counted").unwrap(), Some(Interval::Fraction(125, 1000)));
+    assert!(instance.set_clock_interval("later", Interval::Decimal(1.0)).is_err());
     assert!(instance.clock_interval("x").unwrap_err().to_string().contains("x is no clock"));
     let mut instance = instance.exit_initialization().unwrap();
     instance.set("button", true).unwrap();
     instance.set("sample", true).unwrap();
+    instance.evaluate_discrete_states().unwrap();
+    assert_eq!((instance.get("u").unwrap(), instance.get("visits").unwrap()), ((-2.0).into(), 0.into()));
     instance.update_discrete_states(10).unwrap();
     assert_eq!(instance.clock_interval("later").unwrap(), Some(Interval::Decimal(0.125)));
     assert_eq!(instance.get("u").unwrap(), (-2.0).into());

@@ -6,8 +6,8 @@ mod support;
 
 use fmi::ode::{ErrorKind, Ignore, Termination};
 use fmi::{
-    FmiError, Inputs, InstanceOptions, Kind, LogFilter, Pool, Reuse, Sharing, SimulateOptions,
-    SimulationPlan, Simulator, Status, Value,
+    FmiError, Fmu, Inputs, InstanceOptions, Kind, LogFilter, LogOptions, OpenOptions, Pool, Reuse, Sharing,
+    SimulateOptions, SimulationPlan, Simulator, Status, Value,
 };
 use std::sync::Arc;
 use support::{Folder, evil, evil_with, evil_with_sibling};
@@ -163,7 +163,16 @@ fn the_reason_of_an_error_comes_through_a_flood() {
 
 #[test]
 fn lines_below_the_level_asked_for_are_not_kept() {
-    let folder = evil(&["LOG_FLOOD"]);
+    let folder = evil(&["LOG_FLOOD", "ERROR_LATE"]);
+    // In simulations, as the FMU was opened.
+    for (filter, kept) in [(LogFilter::All, 8), (LogFilter::Errors, 1), (LogFilter::Nothing, 0)] {
+        let options =
+            OpenOptions { logging: LogOptions { filter, ..LogOptions::default() }, ..OpenOptions::default() };
+        let fmu = Fmu::open_with(folder.path(), &options).unwrap();
+        let error = fmu.simulate(&SimulateOptions::new()).unwrap_err();
+        let failure = error.call_failure().unwrap();
+        assert_eq!(failure.log.len(), kept, "{filter:?}: {error}");
+    }
     let options = InstanceOptions { log_filter: LogFilter::Errors, ..InstanceOptions::default() };
     let instance = folder.open().instantiate_with(&options).unwrap();
     let instance = instance.enter_initialization(0.0, None, None).unwrap();
@@ -288,6 +297,29 @@ fn inputs_are_set_once_at_an_instant() {
 }
 
 #[test]
+fn inputs_that_do_not_vary_are_set_in_initialization_mode() {
+    let folder = evil_with(&["ONE_SET", "LATE_INPUTS"], |xml| {
+        let input = r#"<ScalarVariable name="u" valueReference="7" causality="input" variability="continuous">
+            <Real start="0"/></ScalarVariable></ModelVariables>"#;
+        xml.replace("</ModelVariables>", input)
+    });
+    let fmu = folder.open();
+    let by_hand = fmu.instantiate().unwrap().set("u", 2.0).unwrap_err();
+    assert!(by_hand.to_string().contains("inputs are set in initialization mode"), "{by_hand}");
+    // x' = u, as a start value and as a parameter of the runs, on a new instance and on one that was reset.
+    let options = SimulateOptions::new().start_value("x", 0.0).ncp(1);
+    let result = fmu.simulate(&options.clone().start_value("u", 2.0)).unwrap();
+    assert!((result.get("y").unwrap()[1] - 2.0).abs() < 1e-12);
+    let plan = SimulationPlan::new(&fmu, &options.parameters(["x", "u"])).unwrap();
+    let mut simulator = Simulator::new(Arc::new(plan)).unwrap();
+    for (x, u) in [(0.0, 3.0), (1.0, -2.0), (0.5, 0.0)] {
+        let result = simulator.trajectory(&[x, u]).unwrap();
+        assert!((result.get("y").unwrap()[1] - (x + u)).abs() < 1e-12, "{x} and {u}");
+    }
+    assert_eq!(fmu.reuse(), Some(Reuse::Reset));
+}
+
+#[test]
 fn outputs_that_are_nan_are_passed_on() {
     let folder = evil(&["NAN_OUTPUT"]);
     let result = folder.open().simulate(&SimulateOptions::new().ncp(2)).unwrap();
@@ -357,7 +389,10 @@ fn fmus_that_cannot_be_run_say_why() {
     assert!(matches!(error, FmiError::NoBinary { .. }) && error.to_string().contains("plan9"), "{error}");
 
     let folder = evil(&[]);
-    let library = fmi::platform::find_binary(folder.path(), "evil", 2).unwrap().path;
+    let library =
+        fmi::platform::find_binary(folder.path(), "evil", fmi::platform::FolderNames::SystemAndBits)
+            .unwrap()
+            .path;
     let mut bytes = std::fs::read(&library).unwrap();
     bytes.truncate(200);
     std::fs::write(&library, bytes).unwrap();

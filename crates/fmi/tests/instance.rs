@@ -4,7 +4,7 @@
 
 mod support;
 
-use fmi::{FmiError, Fmu, FmuCache, MAX_EVENT_ITERATIONS, Session, SimulateOptions, Value};
+use fmi::{FmiError, Fmu, FmuCache, MAX_EVENT_ITERATIONS, OpenOptions, Session, SimulateOptions, Value};
 use support::{evil, model};
 
 /// Send, but not Sync: the latter would let two threads call into one instance.
@@ -240,6 +240,13 @@ fn an_unchanged_file_is_opened_once() {
     // The old one stays usable.
     before.simulate(&SimulateOptions::new().final_time(1.0)).unwrap();
     assert!(matches!(cache.open(folder.path().join("none.fmu")), Err(FmiError::Io { .. })));
+    // Other options are another FMU, and both are kept.
+    let options = OpenOptions { tool_is_present: true, ..OpenOptions::default() };
+    let plain = cache.open(&path).unwrap();
+    let other = cache.open_with(&path, &options).unwrap();
+    assert_ne!(other.root(), plain.root());
+    assert_eq!(cache.open_with(&path, &options).unwrap().root(), other.root());
+    assert_eq!(cache.open(&path).unwrap().root(), plain.root());
     cache.clear();
     assert_ne!(cache.open(&path).unwrap().root(), first.root());
 }

@@ -4,6 +4,7 @@
 
 mod support;
 
+use fmi::description::QuirkKind;
 use fmi::ode::ErrorKind;
 use fmi::{FmiError, Inputs, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
@@ -62,6 +63,35 @@ fn what_the_model_does_not_offer_is_not_used() {
     assert_eq!((result.events.len(), result.stats.accepted_steps), (0, 6));
     assert_eq!(result.final_value("misuse").unwrap(), Some(0.0));
     assert!((result.final_value("x").unwrap().unwrap() - 4.5).abs() < 1e-13);
+}
+
+#[test]
+fn an_event_mode_that_is_promised_and_refused_is_done_without() {
+    let folder = fixture_with("intermediate", &["NO_EVENT_MODE"], |xml| {
+        xml.replace("mightReturnEarlyFromDoStep=\"true\"", "")
+            .replace("canReturnEarlyAfterIntermediateUpdate=\"true\"", "")
+    });
+    let fmu = folder.open();
+    assert!(fmu.quirks_seen().is_empty());
+    let plan = Arc::new(SimulationPlan::new(&fmu, &ramp()).unwrap());
+    let mut simulator = Simulator::new(plan).unwrap();
+    let first = simulator.trajectory(&[]).unwrap();
+    assert_eq!((first.events.len(), first.stats.accepted_steps), (0, 6));
+    assert!((first.final_value("x").unwrap().unwrap() - 4.5).abs() < 1e-13);
+    assert_eq!(simulator.trajectory(&[]).unwrap(), first);
+    let seen = fmu.quirks_seen();
+    assert!(seen.len() == 1 && seen[0].kind == QuirkKind::Promise, "{seen:?}");
+
+    // A model that cannot be made at all says so for the first attempt, and nothing is learnt of it.
+    let folder =
+        fixture_with("intermediate", &["NO_EVENT_MODE"], |xml| xml.replace("{intermediate}", "{other}"));
+    let fmu = folder.open();
+    let error = fmu.simulate(&ramp()).unwrap_err().to_string();
+    assert!(
+        error.contains("fmi3InstantiateCoSimulation") && error.contains("there is no event mode"),
+        "{error}"
+    );
+    assert!(fmu.quirks_seen().is_empty());
 }
 
 #[test]

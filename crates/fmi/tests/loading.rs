@@ -26,7 +26,10 @@ fn a_library_beside_that_of_the_model_is_found() {
 #[test]
 fn what_the_loader_says_is_passed_on_word_by_word() {
     let folder = evil_with_sibling(&[], "absent");
-    let beside = folder.path().join("binaries").join(&fmi::platform::binary_folders(2)[0]);
+    let beside = folder
+        .path()
+        .join("binaries")
+        .join(&fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits)[0]);
     std::fs::remove_file(beside.join(format!("libabsent.{}", fmi::platform::LIBRARY_EXTENSION))).unwrap();
     let error = end(&folder.open(), 1.0).unwrap_err();
     let FmiError::LoadFailed { message, .. } = &error else { panic!("{error}") };

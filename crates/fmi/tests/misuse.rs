@@ -308,5 +308,8 @@ fn paths_that_are_not_there_are_named() {
         let path = folder.path().to_string_lossy().into_owned();
         assert!(error.to_string().contains(&path), "{error}");
     }
-    assert!(matches!(fmi::platform::find_binary(folder.path(), "m", 2), Err(FmiError::NoBinary { .. })));
+    assert!(matches!(
+        fmi::platform::find_binary(folder.path(), "m", fmi::platform::FolderNames::SystemAndBits),
+        Err(FmiError::NoBinary { .. })
+    ));
 }

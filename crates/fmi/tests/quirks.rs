@@ -184,7 +184,8 @@ fn binaries(folder: &Folder) -> std::path::PathBuf {
 #[test]
 fn a_binary_of_another_name_is_taken_if_it_is_alone() {
     let folder = evil(&[]);
-    let place = binaries(&folder).join(&fmi::platform::binary_folders(2)[0]);
+    let place =
+        binaries(&folder).join(&fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits)[0]);
     let [own, other] =
         ["evil", "model_2"].map(|name| place.join(format!("{name}.{}", fmi::platform::LIBRARY_EXTENSION)));
     std::fs::rename(&own, &other).unwrap();
@@ -198,7 +199,7 @@ fn a_binary_of_another_name_is_taken_if_it_is_alone() {
 #[test]
 fn a_library_in_the_folder_of_the_other_standard_is_found() {
     let folder = evil(&[]);
-    let folders = fmi::platform::binary_folders(2);
+    let folders = fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits);
     std::fs::rename(binaries(&folder).join(&folders[0]), binaries(&folder).join(&folders[1])).unwrap();
     // An empty folder of the right name changes nothing.
     std::fs::create_dir(binaries(&folder).join(&folders[0])).unwrap();
@@ -208,7 +209,9 @@ fn a_library_in_the_folder_of_the_other_standard_is_found() {
 #[test]
 fn a_library_for_another_processor_is_named_with_its_machine() {
     let folder = evil(&[]);
-    let place = fmi::platform::find_binary(folder.path(), "evil", 2).unwrap().path;
+    let place = fmi::platform::find_binary(folder.path(), "evil", fmi::platform::FolderNames::SystemAndBits)
+        .unwrap()
+        .path;
     let mut bytes = std::fs::read(&place).unwrap();
     if bytes.starts_with(b"\x7fELF") {
         // The machine's number (ELF header, e_machine): 21 is 64-bit PowerPC.
@@ -235,7 +238,9 @@ fn resources_are_found_in_odd_places() {
     let folder = evil(&[]);
     let odd = tempfile::Builder::new().prefix("a b {c} \u{e4} 100%").tempdir().unwrap();
     let copy = odd.path().join("model");
-    let place = fmi::platform::find_binary(folder.path(), "evil", 2).unwrap().path;
+    let place = fmi::platform::find_binary(folder.path(), "evil", fmi::platform::FolderNames::SystemAndBits)
+        .unwrap()
+        .path;
     let target = copy.join(place.strip_prefix(folder.path()).unwrap());
     std::fs::create_dir_all(target.parent().unwrap()).unwrap();
     std::fs::copy(&place, &target).unwrap();

@@ -183,7 +183,10 @@ fn a_thread_may_outlive_the_library_it_has_called() {
 fn a_library_written_over_while_it_is_loaded_is_refused() {
     let folder = evil(&[]);
     folder.open().simulate(&SimulateOptions::new()).unwrap();
-    let library = fmi::platform::find_binary(folder.path(), "evil", 2).unwrap().path;
+    let library =
+        fmi::platform::find_binary(folder.path(), "evil", fmi::platform::FolderNames::SystemAndBits)
+            .unwrap()
+            .path;
     let file = std::fs::File::options().append(true).open(&library).unwrap();
     std::io::Write::write_all(&mut &file, b"more").unwrap();
     let error = folder.open().simulate(&SimulateOptions::new()).unwrap_err();

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use fmi::platform::{BinaryHeader, LIBRARY_EXTENSION, binary_folders, find_binary};
+use fmi::platform::{BinaryHeader, FolderNames, LIBRARY_EXTENSION, binary_folders, find_binary};
 use fmi::{Archive, FmiError, ModelDescription, build_library, clear_caches, pack};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -265,8 +265,12 @@ fn packs_reproducibly() {
     let archive = Archive::open(&one).unwrap();
     assert_eq!(fs::read_to_string(archive.root().join("sources/model.c")).unwrap(), MODEL);
     assert_eq!(fs::read_to_string(archive.root().join("resources/table.txt")).unwrap(), "1 2 3\n");
-    let found = find_binary(archive.root(), "tiny", 2).unwrap();
-    assert!(found.path.starts_with(archive.root().join("binaries").join(&binary_folders(2)[0])));
+    let found = find_binary(archive.root(), "tiny", FolderNames::SystemAndBits).unwrap();
+    assert!(
+        found.path.starts_with(
+            archive.root().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0])
+        )
+    );
     assert_eq!(found.note, None);
 
     // Packing into the folder itself does not pack the result of the last time.

@@ -1,5 +1,6 @@
 //! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter lock.
 
+use crate::description::Fmu;
 use crate::error;
 use crate::files;
 use crate::fmu_error;
@@ -12,6 +13,7 @@ use crate::values;
 use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
 use dfo::Progress;
 use fmi::FmiError;
+use fmi::OpenOptions;
 use numpy::PyArray1;
 use ode::{Entry, Verdict};
 use pyo3::exceptions::PyValueError;
@@ -169,16 +171,28 @@ impl PyCalibration {
     }
 }
 
+/// The model: as it was opened, or where it is.
+#[derive(FromPyObject)]
+enum Source<'py> {
+    #[pyo3(transparent)]
+    Open(Bound<'py, Fmu>),
+    #[pyo3(transparent)]
+    Path(PathBuf),
+}
+
 #[pymethods]
 impl PyCalibration {
     #[new]
     fn new(
         py: Python<'_>,
-        model: PathBuf,
+        model: Source<'_>,
         experiment: ExperimentFields,
         parameters: Vec<ParameterFields>,
     ) -> PyResult<Self> {
-        let fmu = files::open(py, model)?;
+        let fmu = match model {
+            Source::Open(fmu) => fmu.get().fmu.clone(),
+            Source::Path(path) => files::open(py, path, &OpenOptions::default())?,
+        };
         let settings = experiment.settings(py)?;
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
         let start_values = experiment.start_values(py, &fmu)?;

@@ -5,12 +5,48 @@ use crate::{files, fmu_error, values};
 use fmi::description::{
     BaseUnit, Capabilities, Dimension, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
 };
-use fmi::{InterfaceKind, ModelDescription, Variable};
+use fmi::{
+    InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions, Reuse, Sharing,
+    Variable,
+};
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// `pydfo._model.OpenOptions`, field by field.
+#[derive(FromPyObject)]
+struct OpenFields {
+    log_level: u8,
+    logging: bool,
+    show_log: bool,
+    deepbind: bool,
+    lazy: bool,
+    tool_is_present: bool,
+}
+
+impl From<OpenFields> for OpenOptions {
+    fn from(fields: OpenFields) -> Self {
+        // PyFMI's levels: nothing, fatal, error, warning, and four that let everything pass.
+        let filter = match fields.log_level {
+            0 => LogFilter::Nothing,
+            1 | 2 => LogFilter::Errors,
+            3 => LogFilter::Warnings,
+            _ => LogFilter::All,
+        };
+        OpenOptions {
+            loader: LoaderOptions { deepbind: fields.deepbind, lazy: fields.lazy },
+            tool_is_present: fields.tool_is_present,
+            logging: LogOptions { asked: fields.logging, filter, shown: fields.show_log },
+            ..OpenOptions::default()
+        }
+    }
+}
+
+fn interface(kind: &str) -> InterfaceKind {
+    if kind == "CS" { InterfaceKind::CoSimulation } else { InterfaceKind::ModelExchange }
+}
 
 /// An opened FMU.
 #[pyclass(frozen, module = "pydfo._core")]
@@ -27,8 +63,30 @@ impl Fmu {
 #[pymethods]
 impl Fmu {
     #[new]
-    fn new(py: Python<'_>, path: std::path::PathBuf) -> PyResult<Self> {
-        Ok(Self { fmu: files::open(py, path)? })
+    #[pyo3(signature = (path, options=None))]
+    fn new(py: Python<'_>, path: PathBuf, options: Option<OpenFields>) -> PyResult<Self> {
+        let options = options.map(OpenOptions::from).unwrap_or_default();
+        Ok(Self { fmu: files::open(py, path, &options)? })
+    }
+
+    /// How instances are brought back to their beginning between simulations; None before it was tried.
+    fn reuse(&self, kind: &str) -> Option<&'static str> {
+        Some(match self.fmu.reuse_of(interface(kind))? {
+            Reuse::Restore => "restore",
+            Reuse::Reset => "reset",
+            Reuse::Reinstantiate => "reinstantiate",
+            _ => "other",
+        })
+    }
+
+    /// How several simulations share the process; None before it was tried.
+    fn sharing(&self, kind: &str) -> Option<&'static str> {
+        Some(match self.fmu.sharing_of(interface(kind))? {
+            Sharing::Together => "together",
+            Sharing::PrivateCopies => "private copies",
+            Sharing::OneAtATime => "one at a time",
+            _ => "other",
+        })
     }
 
     /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME" or "CS".
@@ -114,12 +172,11 @@ impl Fmu {
             .collect()
     }
 
-    /// Kind, message and line (None: the file as a whole) of each departure from the standard.
-    fn quirks(&self) -> Vec<(String, &str, Option<u32>)> {
-        let quirks = self.description().quirks.iter();
-        quirks
-            .map(|q| (q.kind.to_string(), q.message.as_str(), Some(q.line).filter(|line| *line > 0)))
-            .collect()
+    /// Kind, message and line (None: the file as a whole) of each departure from the standard: those of the description,
+    /// and those that have shown when the FMU was run.
+    fn quirks(&self) -> Vec<(String, String, Option<u32>)> {
+        let quirks = self.description().quirks.iter().cloned().chain(self.fmu.quirks_seen());
+        quirks.map(|q| (q.kind.to_string(), q.message, Some(q.line).filter(|line| *line > 0))).collect()
     }
 }
 

@@ -1,7 +1,7 @@
 //! Opening FMUs, each file once as long as it does not change; packing folders; the bundled examples.
 
 use crate::{fmu_error, logs};
-use fmi::{ExampleKind, FmuCache};
+use fmi::{ExampleKind, FmuCache, OpenOptions};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -12,9 +12,9 @@ const KEPT_OPEN: usize = 32;
 
 static OPEN: LazyLock<FmuCache> = LazyLock::new(|| FmuCache::new(KEPT_OPEN));
 
-/// The FMU at `path`, opened now or before.
-pub(crate) fn open(py: Python<'_>, path: PathBuf) -> PyResult<fmi::Fmu> {
-    let opened = py.detach(|| OPEN.open(path));
+/// The FMU at `path`, opened now or before with the same options.
+pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyResult<fmi::Fmu> {
+    let opened = py.detach(|| OPEN.open_with(path, options));
     logs::pass_on(py)?;
     opened.map_err(|e| fmu_error::raise(py, &e))
 }

@@ -13,23 +13,26 @@ use std::sync::{Arc, Mutex};
 pub(crate) struct Table<'py> {
     times: PyReadonlyArray1<'py, f64>,
     columns: Vec<(String, PyReadonlyArray1<'py, f64>)>,
-    texts: Vec<(String, Vec<Text>)>,
+    values: Vec<(String, Vec<Exact>)>,
 }
 
-/// A value of an input that is text or binary.
+/// A value of an input that no double may hold.
 #[derive(FromPyObject)]
-enum Text {
+enum Exact {
     #[pyo3(transparent, annotation = "str")]
     Text(String),
     #[pyo3(transparent, annotation = "bytes")]
     Bytes(Vec<u8>),
+    #[pyo3(transparent, annotation = "int")]
+    Integer(i128),
 }
 
-impl From<Text> for Value {
-    fn from(text: Text) -> Self {
-        match text {
-            Text::Text(text) => Value::String(text),
-            Text::Bytes(bytes) => Value::Binary(bytes),
+impl From<Exact> for Value {
+    fn from(exact: Exact) -> Self {
+        match exact {
+            Exact::Text(text) => Value::String(text),
+            Exact::Bytes(bytes) => Value::Binary(bytes),
+            Exact::Integer(integer) => Value::Integer(integer),
         }
     }
 }
@@ -69,12 +72,12 @@ pub(crate) fn inputs(
     stop: &Arc<AtomicBool>,
 ) -> PyResult<(Inputs, Callbacks)> {
     let mut inputs = Inputs::new();
-    for Table { times, columns, texts } in tables {
+    for Table { times, columns, values } in tables {
         let columns: PyResult<Vec<(String, Vec<f64>)>> =
             columns.into_iter().map(|(name, values)| Ok((name, values.as_slice()?.to_vec()))).collect();
         inputs = inputs.table(times.as_slice()?, columns?);
-        for (name, values) in texts {
-            inputs = inputs.texts(name, times.as_slice()?, values);
+        for (name, values) in values {
+            inputs = inputs.values(name, times.as_slice()?, values);
         }
     }
     let mut callbacks = Callbacks::default();

@@ -46,6 +46,8 @@ mod core_module {
     use super::quad_err::quad_err;
     #[pymodule_export]
     use super::solve::solve;
+    #[pymodule_export]
+    use super::values::dtypes;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

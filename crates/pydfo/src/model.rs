@@ -5,6 +5,7 @@ use crate::inputs::{self, Callbacks, Function, Table};
 use crate::interrupt::{Stop, Watch, lock};
 use crate::trajectory::Record;
 use crate::{fmu_error, logs, values};
+use fmi::description::Interval;
 use fmi::{Session, SimulateOptions};
 use numpy::PyReadonlyArray1;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -44,6 +45,24 @@ impl Drop for Loan {
     }
 }
 
+/// The interval between the ticks of a clock: a number, or counter and resolution.
+#[derive(FromPyObject)]
+enum ClockInterval {
+    #[pyo3(transparent, annotation = "tuple[int, int]")]
+    Fraction((u64, u64)),
+    #[pyo3(transparent, annotation = "float")]
+    Decimal(f64),
+}
+
+impl From<ClockInterval> for Interval {
+    fn from(interval: ClockInterval) -> Self {
+        match interval {
+            ClockInterval::Fraction((counter, resolution)) => Interval::Fraction(counter, resolution),
+            ClockInterval::Decimal(value) => Interval::Decimal(value),
+        }
+    }
+}
+
 /// `pydfo._model.Request`, field by field.
 #[derive(FromPyObject)]
 pub(crate) struct Request<'py> {
@@ -53,6 +72,7 @@ pub(crate) struct Request<'py> {
     output_interval: Option<f64>,
     ncp: Option<usize>,
     start_values: Vec<(String, Bound<'py, PyAny>)>,
+    clock_intervals: Vec<(String, ClockInterval)>,
     /// None: those that the model shows by default.
     outputs: Option<Vec<String>>,
     tables: Vec<Table<'py>>,
@@ -181,6 +201,8 @@ impl Model {
         options.ncp = request.ncp;
         options.start_values =
             values::all_from_python(py, self.fmu.description(), request.start_values.into_iter())?;
+        options.clock_intervals =
+            request.clock_intervals.into_iter().map(|(name, interval)| (name, interval.into())).collect();
         options.outputs = request.outputs;
         options.relative_tolerance = request.relative_tolerance;
         options.method =

@@ -5,6 +5,7 @@ use fmi::description::{Dimension, EnumerationItem, ModelDescription, VariableKin
 use fmi::{Value, Variable};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
+use std::collections::HashMap;
 
 /// A value of a model in Python; an array becomes one of NumPy's with these extents.
 pub(crate) fn to_python<'py>(
@@ -71,22 +72,33 @@ pub(crate) fn find<'a>(
     })
 }
 
-/// NumPy's type for values of a kind.
-pub(crate) fn dtype_of(kind: VariableKind) -> &'static str {
-    match kind {
-        VariableKind::Float32 => "float32",
-        VariableKind::Int8 => "int8",
-        VariableKind::UInt8 => "uint8",
-        VariableKind::Int16 => "int16",
-        VariableKind::UInt16 => "uint16",
-        VariableKind::Integer => "int32",
-        VariableKind::UInt32 => "uint32",
-        VariableKind::Int64 | VariableKind::Enumeration => "int64",
-        VariableKind::UInt64 => "uint64",
-        VariableKind::Boolean | VariableKind::Clock => "bool",
-        VariableKind::String | VariableKind::Binary => "object",
-        _ => "float64",
-    }
+/// NumPy's type for the values of each kind of variable.
+const DTYPES: [(VariableKind, &str); 15] = [
+    (VariableKind::Real, "float64"),
+    (VariableKind::Float32, "float32"),
+    (VariableKind::Int8, "int8"),
+    (VariableKind::UInt8, "uint8"),
+    (VariableKind::Int16, "int16"),
+    (VariableKind::UInt16, "uint16"),
+    (VariableKind::Integer, "int32"),
+    (VariableKind::UInt32, "uint32"),
+    (VariableKind::Int64, "int64"),
+    (VariableKind::UInt64, "uint64"),
+    (VariableKind::Enumeration, "int64"),
+    (VariableKind::Boolean, "bool"),
+    (VariableKind::Clock, "bool"),
+    (VariableKind::String, "object"),
+    (VariableKind::Binary, "object"),
+];
+
+fn dtype_of(kind: VariableKind) -> &'static str {
+    DTYPES.iter().find(|(known, _)| *known == kind).map_or("object", |(_, dtype)| dtype)
+}
+
+/// The same by the names of the kinds.
+#[pyfunction]
+pub(crate) fn dtypes() -> HashMap<&'static str, &'static str> {
+    DTYPES.iter().map(|(kind, dtype)| (kind.name(), *dtype)).collect()
 }
 
 /// The value given for a variable, or an element of one: a Python or NumPy scalar, or one such in an array, list or tuple;

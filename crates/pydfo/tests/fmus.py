@@ -78,8 +78,9 @@ def bounces(n, height=1.0, g=9.81, e=0.7):
     return np.sqrt(2 * height / g) * (1 + 2 * e * (1 - e**k) / (1 - e))
 
 
-def compiled(name, path, *defines):
-    """One of the FMI 3.0 models in C that the tests of the importer have, as an .fmu with a library for this platform."""
+def compiled(name, path, *defines, replacements=()):
+    """One of the FMI 3.0 models in C that the tests of the importer have, as an .fmu with a library for this platform;
+    `replacements` are pairs of (old, new) in its description."""
     source = Path(__file__).resolve().parents[2] / "fmi" / "tests" / name
     frontend = source.parents[1] / "models" / "frontend"
     compiler = shutil.which("cc")
@@ -90,4 +91,8 @@ def compiled(name, path, *defines):
     sources = [source / f"{name}.c", source.parent / "support" / "rest.c"]
     subprocess.run([compiler, *options, "-I", frontend, "-o", library, *sources, "-lm"], check=True)
     files = {f"binaries/{platform.machine()}-linux/{name}.so": library.read_bytes()}
-    return write(path, (source / "modelDescription.xml").read_text(encoding="utf-8"), files)
+    description = (source / "modelDescription.xml").read_text(encoding="utf-8")
+    for old, new in replacements:
+        assert old in description
+        description = description.replace(old, new)
+    return write(path, description, files)

@@ -42,3 +42,20 @@ def test_fmpy_finds_the_model_valid(path):
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(path)) == []
+
+
+@pytest.mark.parametrize("kind", ["ME", "CS"])
+def test_intervals_can_be_given(path, kind):
+    model = FMUModel(path, kind=kind)
+    given = {"counted": (1, 4), "optional": 1.0, "retuned": np.float64(0.75)}
+    ticks = model.simulate(ncp=4, clock_intervals=given).ticks
+    np.testing.assert_allclose(ticks["counted"], [0.125 + 0.25 * k for k in range(8)], rtol=0, atol=1e-15)
+    assert ticks["optional"].tolist() == [0.25, 1.25]
+    assert ticks["retuned"].tolist() == [0.25, 1.0, 1.25, 1.5, 1.75, 2.0]
+    with pytest.raises(ValueError, match="sample cannot be given an interval: it has constant intervals"):
+        model.simulate(clock_intervals={"sample": 1.0})
+    with pytest.raises(ValueError, match="not positive"):
+        model.simulate(clock_intervals={"counted": -1.0})
+    for bad in ({"counted": (1, -4)}, {"counted": "1"}, {"counted": (1, 2, 3)}, [("counted", 1.0)]):
+        with pytest.raises(TypeError, match="interval"):
+            model.simulate(clock_intervals=bad)

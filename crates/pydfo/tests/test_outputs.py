@@ -162,3 +162,27 @@ def test_texts_and_bytes_are_inputs(path, kind):
     assert list(res["word"]) == ["always", "always"]
     with pytest.raises((TypeError, ValueError), match="word"):
         model.simulate(0, 1, input={"time": [0.0, 1.0], "word": ["a", 1]})
+
+
+def test_integers_of_64_bits_are_inputs_without_loss(tmp_path):
+    roles = [
+        (f'name="{name}" valueReference="{reference}" causality="parameter" variability="fixed"',
+         f'name="{name}" valueReference="{reference}" causality="input" variability="discrete"')
+        for name, reference in (("i64", 17), ("u64", 18))
+    ]
+    model = FMUModel(fmus.compiled("arrays", tmp_path / "i.fmu", replacements=roles))
+    times = [0.0, 0.3, 0.6, 0.9]
+    big = 2**53 + 1
+    tables = [
+        {"time": times, "i64": np.array([big, -big, 3, 2**63 - 1]), "u64": np.array([2**64 - 1, 1, big, 2**64 - 1], dtype=np.uint64)},
+        {"time": times, "i64": [big, -big, 3, 2**63 - 1], "u64": [2**64 - 1, 1, big, 2**64 - 1]},
+        {"time": times, "i64": np.array([big, -big, 3, 2**63 - 1], dtype=object), "u64": [np.uint64(2**64 - 1), 1, big, 2**64 - 1]},
+    ]
+    for table in tables:
+        res = model.simulate(input=table, times=times, output=["i64", "u64"])
+        assert res["i64"].dtype == np.int64 and res["i64"].tolist() == [big, -big, 3, 2**63 - 1]
+        assert res["u64"].dtype == np.uint64 and res["u64"].tolist() == [2**64 - 1, 1, big, 2**64 - 1]
+    res = model.simulate(input={"i64": -big}, times=times, output="i64")
+    assert set(res["i64"].tolist()) == {-big}
+    with pytest.raises((ValueError, TypeError), match="u64"):
+        model.simulate(input={"u64": -big}, times=times)

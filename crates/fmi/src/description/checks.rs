@@ -27,7 +27,7 @@ pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription, FmiError> {
     check_structure(&model, &mut quirks);
     for variable in &model.variables {
         check_range(variable, &mut quirks);
-        if model.fmi_version.major == 2 {
+        if model.fmi_version.has_table_of_combinations() {
             check_roles(variable, &mut quirks);
             check_start(variable, &mut quirks);
         }
@@ -245,9 +245,9 @@ fn resolve_dependencies(unknown: &mut Unknown, n_variables: usize, quirks: &mut 
 }
 
 fn check_header(model: &ModelDescription, quirks: &mut Quirks) {
-    // FMI 3.0 has a third interface, which has its own quirk.
     let has_interface = model.model_exchange.is_some() || model.co_simulation.is_some();
-    if !has_interface && model.fmi_version.major < 3 {
+    // The third interface has its own quirk.
+    if !has_interface && !model.offers_scheduled_execution {
         quirks
             .add(QuirkKind::Missing, 0, || "neither model exchange nor co-simulation is offered".to_owned());
     }
@@ -310,7 +310,7 @@ fn check_structure(model: &ModelDescription, quirks: &mut Quirks) {
             Some(_) => {}
         }
     }
-    if model.fmi_version.major < 2 {
+    if !model.fmi_version.lists_outputs() {
         return;
     }
     let outputs: HashSet<usize> = model.structure.outputs.iter().map(|unknown| unknown.index).collect();

@@ -9,10 +9,11 @@ mod quirks;
 mod structure;
 mod unit;
 mod variable;
+mod version;
 
 pub use clock::{ClockKind, ClockTiming, Interval};
 pub use model::{
-    Capabilities, DefaultExperiment, DependencyKind, FmiVersion, Interface, LogCategory, ModelDescription,
+    Capabilities, DefaultExperiment, DependencyKind, Interface, LogCategory, ModelDescription,
     ModelStructure, Quirk, QuirkKind, Unknown,
 };
 pub use unit::{BaseUnit, DisplayUnit, Unit};
@@ -20,6 +21,8 @@ pub use variable::{
     Alias, Causality, Dimension, EnumerationItem, Initial, TypeDefinition, Value, Variability, Variable,
     VariableKind,
 };
+
+pub use version::FmiVersion;
 
 pub(crate) use structure::Structure;
 

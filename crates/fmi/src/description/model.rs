@@ -4,6 +4,7 @@ use super::names::NameIndex;
 use super::structure::Structure;
 use super::unit::Unit;
 use super::variable::{TypeDefinition, Variable};
+use super::version::FmiVersion;
 use super::{checks, names, parse};
 use crate::archive::MODEL_DESCRIPTION;
 use crate::error::FmiError;
@@ -162,23 +163,6 @@ impl ModelDescription {
     pub fn rebuild_index(&mut self) {
         self.names = NameIndex::build(&self.variables, |_, _| {});
         self.aliases = names::aliases(&self.variables);
-    }
-}
-
-/// Version of the FMI standard a file follows.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct FmiVersion {
-    /// 1, 2 or 3.
-    pub major: u32,
-    /// 0 so far.
-    pub minor: u32,
-    /// As written in the file: "2.0", "3.0.1".
-    pub text: String,
-}
-
-impl fmt::Display for FmiVersion {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
     }
 }
 
@@ -344,6 +328,8 @@ pub enum QuirkKind {
     Range,
     /// The model structure is not consistent.
     Structure,
+    /// The model does not do what the description promises.
+    Promise,
     /// Something this version of the importer does not represent was left out.
     Unsupported,
 }
@@ -361,6 +347,7 @@ impl fmt::Display for QuirkKind {
             QuirkKind::Start => "start",
             QuirkKind::Range => "range",
             QuirkKind::Structure => "structure",
+            QuirkKind::Promise => "promise",
             QuirkKind::Unsupported => "unsupported",
         })
     }

@@ -237,6 +237,16 @@ pub enum Value {
 }
 
 impl Value {
+    /// The (nearest) number: also of integers, and 0 or 1 for Booleans; `None` for texts, bytes and arrays.
+    pub fn as_number(&self) -> Option<f64> {
+        match self {
+            Value::Real(x) => Some(*x),
+            Value::Integer(i) => Some(*i as f64),
+            Value::Boolean(b) => Some(f64::from(u8::from(*b))),
+            Value::String(_) | Value::Binary(_) | Value::Array(_) => None,
+        }
+    }
+
     /// The word for its type.
     pub fn kind_name(&self) -> &'static str {
         match self {

@@ -88,7 +88,7 @@ impl Recipe {
         let mut arguments: Vec<String> =
             platform::shared_library_options().iter().map(|&s| s.into()).collect();
         // Newer headers of the standard do not put the model identifier before all names when told so.
-        arguments.push(format!("-DFMI{}_OVERRIDE_FUNCTION_PREFIX", description.fmi_version.major));
+        arguments.push(format!("-D{}", description.fmi_version.plain_names_macro()));
         arguments.push("-I.".to_owned());
         for include in &set.include_folders {
             arguments.push(format!("-I{}", sources.checked(include, Path::is_dir)?));

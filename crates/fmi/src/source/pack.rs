@@ -60,7 +60,7 @@ fn distinct_interfaces(description: &ModelDescription) -> Vec<&Interface> {
 }
 
 fn library_name(description: &ModelDescription, interface: &Interface) -> String {
-    let folders = platform::binary_folders(description.fmi_version.major);
+    let folders = platform::binary_folders(description.fmi_version.folder_names());
     let folder = folders.first().map_or("unknown", String::as_str);
     format!("binaries/{folder}/{}.{}", interface.model_identifier, platform::LIBRARY_EXTENSION)
 }

@@ -3,27 +3,20 @@
 //! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks; a component here is therefore a
 //! box around the FMU's, with what has to be remembered between calls. Names carry the model identifier as prefix.
 
+use super::binding::{Binding, Call, Created, Values};
 use super::callbacks::{Current, Environment, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
+use super::functions::{LifeFunctions, PointFunctions, StepFunctions, ValueFunctions, call, optional, table};
 use super::library::Symbols;
-use super::packed;
-use super::{
-    Binding, Call, Component, Created, EventInfo, Experiment, InterfaceKind, Request, Status, StepInfo,
-    file_uri, status,
-};
+use super::{Component, EventInfo, Experiment, InterfaceKind, Request, Status, StepInfo, file_uri, status};
 use crate::description::VariableKind;
 use crate::error::FmiError;
-use std::ffi::{c_char, c_int, c_uint, c_void};
+use std::ffi::{c_char, c_int, c_void};
 use std::sync::Arc;
 
 /// `fmiBoolean`.
 type Boolean = c_char;
 /// `fmiComponent`.
 type Slave = *mut c_void;
-/// `fmiLastSuccessfulTime` of `fmiStatusKind`.
-const LAST_SUCCESSFUL_TIME: c_int = 2;
-/// `fmiDoStepStatus` of `fmiStatusKind`.
-const DO_STEP_STATUS: c_int = 0;
-
 type Logger = unsafe extern "C" fn(*mut c_void, *const c_char, c_int, *const c_char, *const c_char, ...);
 type StepFinished = unsafe extern "C" fn(*mut c_void, c_int);
 
@@ -85,68 +78,50 @@ type InstantiateSlave = unsafe extern "C" fn(
     SlaveCallbacks,
     Boolean,
 ) -> Slave;
-type Plain = unsafe extern "C" fn(Slave) -> c_int;
-type Free = unsafe extern "C" fn(Slave);
 type SetDebugLogging = unsafe extern "C" fn(Slave, Boolean) -> c_int;
-type Get<T> = unsafe extern "C" fn(Slave, *const c_uint, usize, *mut T) -> c_int;
-type Set<T> = unsafe extern "C" fn(Slave, *const c_uint, usize, *const T) -> c_int;
-type SetTime = unsafe extern "C" fn(Slave, f64) -> c_int;
-type GetVector = unsafe extern "C" fn(Slave, *mut f64, usize) -> c_int;
-type SetVector = unsafe extern "C" fn(Slave, *const f64, usize) -> c_int;
 type CompletedStep = unsafe extern "C" fn(Slave, *mut Boolean) -> c_int;
 type Initialize = unsafe extern "C" fn(Slave, Boolean, f64, *mut RawEventInfo) -> c_int;
 type EventUpdate = unsafe extern "C" fn(Slave, Boolean, *mut RawEventInfo) -> c_int;
 type InitializeSlave = unsafe extern "C" fn(Slave, f64, Boolean, f64) -> c_int;
 type DoStep = unsafe extern "C" fn(Slave, f64, f64, Boolean) -> c_int;
-type StepStatus<T> = unsafe extern "C" fn(Slave, c_int, *mut T) -> c_int;
-type SetInputDerivatives =
-    unsafe extern "C" fn(Slave, *const c_uint, usize, *const c_int, *const f64) -> c_int;
 
-/// The function table.
+/// The functions of one library.
 pub(super) struct Fmi1 {
-    get_real: Get<f64>,
-    get_integer: Option<Get<c_int>>,
-    get_boolean: Option<Get<Boolean>>,
-    get_string: Option<Get<*const c_char>>,
-    set_real: Set<f64>,
-    set_integer: Option<Set<c_int>>,
-    set_boolean: Option<Set<Boolean>>,
-    set_string: Option<Set<*const c_char>>,
+    kind: InterfaceKind,
+    life: LifeFunctions,
+    values: ValueFunctions<Boolean>,
     set_debug_logging: Option<SetDebugLogging>,
     interface: Interface,
 }
 
 enum Interface {
-    ModelExchange(ModelExchange),
-    CoSimulation(CoSimulation),
+    ModelExchange(ModelExchange, PointFunctions),
+    CoSimulation(CoSimulation, StepFunctions),
 }
 
-struct ModelExchange {
-    instantiate: InstantiateModel,
-    free: Free,
-    set_time: SetTime,
-    initialize: Initialize,
-    terminate: Plain,
-    set_continuous_states: SetVector,
-    completed_integrator_step: CompletedStep,
-    get_derivatives: GetVector,
-    get_event_indicators: GetVector,
-    event_update: EventUpdate,
-    get_continuous_states: GetVector,
-    get_nominals: GetVector,
+table! {
+    /// Model exchange.
+    struct ModelExchange {
+        required {
+            instantiate: InstantiateModel = Call::Instantiate;
+            initialize: Initialize = Call::ExitInitialization;
+            completed_integrator_step: CompletedStep = Call::CompletedIntegratorStep;
+            event_update: EventUpdate = Call::NewDiscreteStates;
+        }
+        optional {}
+    }
 }
 
-struct CoSimulation {
-    instantiate: InstantiateSlave,
-    free: Free,
-    initialize: InitializeSlave,
-    terminate: Plain,
-    do_step: DoStep,
-    reset: Option<Plain>,
-    cancel_step: Option<Plain>,
-    get_status: Option<StepStatus<c_int>>,
-    get_real_status: Option<StepStatus<f64>>,
-    set_input_derivatives: Option<SetInputDerivatives>,
+table! {
+    /// Co-simulation.
+    struct CoSimulation {
+        required {
+            instantiate: InstantiateSlave = Call::Instantiate;
+            initialize: InitializeSlave = Call::ExitInitialization;
+            do_step: DoStep = Call::DoStep;
+        }
+        optional {}
+    }
 }
 
 /// What a component is here.
@@ -160,29 +135,6 @@ struct Boxed {
     made_progress: bool,
 }
 
-/// Looks functions up by the prefixed name, or by the plain one, which some tools export.
-struct Prefixed<'a> {
-    symbols: &'a Symbols<'a>,
-    prefix: &'a str,
-}
-
-impl Prefixed<'_> {
-    /// # Safety
-    /// As for [`Symbols::optional`].
-    unsafe fn optional<T: Copy>(&self, name: &'static str) -> Option<T> {
-        let full = format!("{}_{name}", self.prefix);
-        // SAFETY: handed on to the caller.
-        unsafe { self.symbols.optional(&full).or_else(|| self.symbols.optional(name)) }
-    }
-
-    /// # Safety
-    /// As for [`Symbols::required`].
-    unsafe fn required<T: Copy>(&self, name: &'static str) -> Result<T, FmiError> {
-        // SAFETY: handed on to the caller.
-        unsafe { self.optional(name) }.ok_or_else(|| self.symbols.missing(name))
-    }
-}
-
 impl Fmi1 {
     /// Looks the functions of one interface up.
     ///
@@ -193,50 +145,26 @@ impl Fmi1 {
         kind: InterfaceKind,
         model_identifier: &str,
     ) -> Result<Self, FmiError> {
-        let symbols = Prefixed { symbols, prefix: model_identifier };
-        // SAFETY: each name is paired with the signature of the standard's fmiModelFunctions.h and fmiFunctions.h; the
-        // caller vouches that the library does the same. The pointers stay valid while the `Library` that owns this
-        // table is open.
+        let symbols = &symbols.with_prefix(model_identifier);
+        let name = |call| name(kind, call);
+        // SAFETY: the caller vouches for the library, and the names are those of FMI 1.0.
         unsafe {
             let interface = match kind {
-                InterfaceKind::ModelExchange => Interface::ModelExchange(ModelExchange {
-                    instantiate: symbols.required("fmiInstantiateModel")?,
-                    free: symbols.required("fmiFreeModelInstance")?,
-                    set_time: symbols.required("fmiSetTime")?,
-                    initialize: symbols.required("fmiInitialize")?,
-                    terminate: symbols.required("fmiTerminate")?,
-                    set_continuous_states: symbols.required("fmiSetContinuousStates")?,
-                    completed_integrator_step: symbols.required("fmiCompletedIntegratorStep")?,
-                    get_derivatives: symbols.required("fmiGetDerivatives")?,
-                    get_event_indicators: symbols.required("fmiGetEventIndicators")?,
-                    event_update: symbols.required("fmiEventUpdate")?,
-                    get_continuous_states: symbols.required("fmiGetContinuousStates")?,
-                    get_nominals: symbols.required("fmiGetNominalContinuousStates")?,
-                }),
-                InterfaceKind::CoSimulation => Interface::CoSimulation(CoSimulation {
-                    instantiate: symbols.required("fmiInstantiateSlave")?,
-                    free: symbols.required("fmiFreeSlaveInstance")?,
-                    initialize: symbols.required("fmiInitializeSlave")?,
-                    terminate: symbols.required("fmiTerminateSlave")?,
-                    do_step: symbols.required("fmiDoStep")?,
-                    reset: symbols.optional("fmiResetSlave"),
-                    cancel_step: symbols.optional("fmiCancelStep"),
-                    get_status: symbols.optional("fmiGetStatus"),
-                    get_real_status: symbols.optional("fmiGetRealStatus"),
-                    set_input_derivatives: symbols.optional("fmiSetRealInputDerivatives"),
-                }),
+                InterfaceKind::ModelExchange => Interface::ModelExchange(
+                    ModelExchange::load(symbols, name)?,
+                    PointFunctions::load(symbols, name)?,
+                ),
+                InterfaceKind::CoSimulation => Interface::CoSimulation(
+                    CoSimulation::load(symbols, name)?,
+                    StepFunctions::load(symbols, name)?,
+                ),
             };
             Ok(Self {
+                kind,
+                life: LifeFunctions::load(symbols, name)?,
+                values: ValueFunctions::load(symbols, name)?,
+                set_debug_logging: symbols.optional(name(Call::SetDebugLogging)),
                 interface,
-                get_real: symbols.required("fmiGetReal")?,
-                get_integer: symbols.optional("fmiGetInteger"),
-                get_boolean: symbols.optional("fmiGetBoolean"),
-                get_string: symbols.optional("fmiGetString"),
-                set_real: symbols.required("fmiSetReal")?,
-                set_integer: symbols.optional("fmiSetInteger"),
-                set_boolean: symbols.optional("fmiSetBoolean"),
-                set_string: symbols.optional("fmiSetString"),
-                set_debug_logging: symbols.optional("fmiSetDebugLogging"),
             })
         }
     }
@@ -260,93 +188,81 @@ impl Boxed {
     }
 }
 
-/// Calls a function of the FMU with the component first.
-macro_rules! call {
-    ($component:expr, $function:expr $(, $argument:expr)*) => {{
+/// Enters the component and does something with the FMU's own.
+macro_rules! within {
+    ($component:expr, |$slave:ident| $body:expr) => {{
         // SAFETY: the caller's promises are those of the trait.
-        let (slave, _current) = unsafe { Boxed::of($component) }.enter();
-        // SAFETY: the same.
-        status(unsafe { ($function)(slave $(, $argument)*) })
+        let ($slave, _current) = unsafe { Boxed::of($component) }.enter();
+        $body
     }};
 }
 
-/// Calls an optional function, or says that it is missing.
-macro_rules! optional {
-    ($component:expr, $function:expr $(, $argument:expr)*) => {
-        match $function {
-            Some(function) => call!($component, function $(, $argument)*),
-            None => Status::Missing,
-        }
-    };
-}
-
-/// Calls a function of model exchange.
-macro_rules! model {
-    ($self:ident, $component:expr, $function:ident $(, $argument:expr)*) => {
-        match &$self.interface {
-            Interface::ModelExchange(functions) => call!($component, functions.$function $(, $argument)*),
-            Interface::CoSimulation(_) => Status::Missing,
-        }
-    };
-}
-
-impl CoSimulation {
-    /// Asks what became of a step that was not completed.
-    ///
-    /// # Safety
-    /// As for the methods of [`Binding`].
-    unsafe fn explain(&self, component: Component, status: Status, info: &mut StepInfo) {
-        info.pending = status == Status::Pending;
-        if status == Status::Discard {
-            let mut reached = f64::NAN;
-            let known = optional!(component, self.get_real_status, LAST_SUCCESSFUL_TIME, &raw mut reached);
-            info.reached = (known == Status::Ok && reached.is_finite()).then_some(reached);
-            info.may_have_ended = info.reached.is_some();
-        }
+/// The standard's names.
+fn name(kind: InterfaceKind, call: Call) -> &'static str {
+    let of = |me, cs| if kind == InterfaceKind::ModelExchange { me } else { cs };
+    match call {
+        Call::Instantiate => of("fmiInstantiateModel", "fmiInstantiateSlave"),
+        Call::SetDebugLogging => "fmiSetDebugLogging",
+        Call::EnterInitialization => of("fmiSetTime", "fmiInitializeSlave"),
+        Call::ExitInitialization => of("fmiInitialize", "fmiInitializeSlave"),
+        Call::Terminate => of("fmiTerminate", "fmiTerminateSlave"),
+        Call::Reset => of("fmiReset", "fmiResetSlave"),
+        Call::Get(VariableKind::Real) => "fmiGetReal",
+        Call::Get(VariableKind::Boolean) => "fmiGetBoolean",
+        Call::Get(VariableKind::String) => "fmiGetString",
+        Call::Get(_) => "fmiGetInteger",
+        Call::Set(VariableKind::Real) => "fmiSetReal",
+        Call::Set(VariableKind::Boolean) => "fmiSetBoolean",
+        Call::Set(VariableKind::String) => "fmiSetString",
+        Call::Set(_) => "fmiSetInteger",
+        Call::NewDiscreteStates => "fmiEventUpdate",
+        Call::CompletedIntegratorStep => "fmiCompletedIntegratorStep",
+        Call::SetTime => "fmiSetTime",
+        Call::SetContinuousStates => "fmiSetContinuousStates",
+        Call::GetContinuousStates => "fmiGetContinuousStates",
+        Call::GetDerivatives => "fmiGetDerivatives",
+        Call::GetEventIndicators => "fmiGetEventIndicators",
+        Call::GetNominals => "fmiGetNominalContinuousStates",
+        Call::DoStep => "fmiDoStep",
+        Call::StepStatus => "fmiGetStatus",
+        Call::CancelStep => "fmiCancelStep",
+        Call::SetInputDerivatives => "fmiSetRealInputDerivatives",
+        Call::FreeInstance => of("fmiFreeModelInstance", "fmiFreeSlaveInstance"),
+        Call::StepRealStatus => "fmiGetRealStatus",
+        other => other.in_brackets(),
     }
 }
 
 impl Binding for Fmi1 {
     fn name(&self, call: Call) -> &'static str {
-        let is_me = matches!(self.interface, Interface::ModelExchange(_));
-        let of = |me, cs| if is_me { me } else { cs };
-        match call {
-            Call::Instantiate => of("fmiInstantiateModel", "fmiInstantiateSlave"),
-            Call::SetDebugLogging => "fmiSetDebugLogging",
-            Call::EnterInitialization => of("fmiSetTime", "fmiInitializeSlave"),
-            Call::ExitInitialization => of("fmiInitialize", "fmiInitializeSlave"),
-            Call::Terminate => of("fmiTerminate", "fmiTerminateSlave"),
-            Call::Reset => of("fmiReset", "fmiResetSlave"),
-            Call::Get(VariableKind::Real) => "fmiGetReal",
-            Call::Get(VariableKind::Boolean) => "fmiGetBoolean",
-            Call::Get(VariableKind::String) => "fmiGetString",
-            Call::Get(_) => "fmiGetInteger",
-            Call::Set(VariableKind::Real) => "fmiSetReal",
-            Call::Set(VariableKind::Boolean) => "fmiSetBoolean",
-            Call::Set(VariableKind::String) => "fmiSetString",
-            Call::Set(_) => "fmiSetInteger",
-            Call::NewDiscreteStates => "fmiEventUpdate",
-            Call::CompletedIntegratorStep => "fmiCompletedIntegratorStep",
-            Call::SetTime => "fmiSetTime",
-            Call::SetContinuousStates => "fmiSetContinuousStates",
-            Call::GetContinuousStates => "fmiGetContinuousStates",
-            Call::GetDerivatives => "fmiGetDerivatives",
-            Call::GetEventIndicators => "fmiGetEventIndicators",
-            Call::GetNominals => "fmiGetNominalContinuousStates",
-            Call::DoStep => "fmiDoStep",
-            Call::StepStatus => "fmiGetStatus",
-            Call::CancelStep => "fmiCancelStep",
-            Call::SetInputDerivatives => "fmiSetRealInputDerivatives",
-            // What later versions have: never called, or answered with "missing".
-            Call::SetupExperiment => "(experiment)",
-            Call::SaveState | Call::RestoreState => "(saved states)",
-            Call::SerializedSize | Call::Serialize | Call::Deserialize => "(serialized states)",
-            Call::DirectionalDerivative => "(directional derivatives)",
-            Call::EnterEventMode | Call::EnterContinuousTimeMode | Call::EnterStepMode => "(modes)",
-            Call::EnterConfiguration | Call::ExitConfiguration => "(configuration mode)",
-            Call::CountStates | Call::CountIndicators => "(number of states)",
-            Call::GetInterval | Call::GetShift => "(clocks)",
-            Call::GetOutputDerivatives => "fmiGetRealOutputDerivatives",
+        name(self.kind, call)
+    }
+
+    unsafe fn enter(&self, component: Component) -> (Component, Option<Current>) {
+        // SAFETY: the caller's promises are those of the trait.
+        let (slave, current) = unsafe { Boxed::of(component) }.enter();
+        (slave, Some(current))
+    }
+
+    fn life(&self) -> &LifeFunctions {
+        &self.life
+    }
+
+    fn values(&self) -> &dyn Values {
+        &self.values
+    }
+
+    fn point(&self) -> Option<&PointFunctions> {
+        match &self.interface {
+            Interface::ModelExchange(_, point) => Some(point),
+            Interface::CoSimulation(..) => None,
+        }
+    }
+
+    fn steps(&self) -> Option<&StepFunctions> {
+        match &self.interface {
+            Interface::ModelExchange(..) => None,
+            Interface::CoSimulation(_, steps) => Some(steps),
         }
     }
 
@@ -355,7 +271,7 @@ impl Binding for Fmi1 {
         let current = unsafe { Current::set(environment) };
         let slave = match &self.interface {
             // SAFETY: the strings end in NUL; the callbacks are passed by value.
-            Interface::ModelExchange(functions) => unsafe {
+            Interface::ModelExchange(functions, _) => unsafe {
                 (functions.instantiate)(
                     request.name.as_ptr(),
                     request.guid.as_ptr(),
@@ -363,7 +279,7 @@ impl Binding for Fmi1 {
                     request.logging.into(),
                 )
             },
-            Interface::CoSimulation(functions) => {
+            Interface::CoSimulation(functions, _) => {
                 // The location is that of the unpacked FMU, above its resources.
                 let root = request.resources.parent().unwrap_or(request.resources);
                 let location = file_uri(root);
@@ -401,24 +317,22 @@ impl Binding for Fmi1 {
         // SAFETY: the box was made by `instantiate` and is given up here, once.
         let boxed = unsafe { Box::from_raw(component.cast::<Boxed>()) };
         let (slave, _current) = boxed.enter();
-        let free = match &self.interface {
-            Interface::ModelExchange(functions) => functions.free,
-            Interface::CoSimulation(functions) => functions.free,
-        };
         // SAFETY: the FMU's component is alive, and gone after this.
-        unsafe { free(slave) }
+        unsafe { (self.life.free)(slave) }
     }
 
     unsafe fn set_debug_logging(&self, component: Component, on: bool) -> Status {
-        optional!(component, self.set_debug_logging, on.into())
+        within!(component, |slave| optional!(self.set_debug_logging, slave, on.into()))
     }
 
     unsafe fn enter_initialization(&self, component: Component, experiment: &Experiment) -> Status {
         // SAFETY: the caller's promises are those of the trait.
         unsafe { Boxed::of(component) }.experiment = *experiment;
         match &self.interface {
-            Interface::ModelExchange(functions) => call!(component, functions.set_time, experiment.start),
-            Interface::CoSimulation(_) => Status::Ok,
+            Interface::ModelExchange(_, point) => {
+                within!(component, |slave| call!(point.set_time, slave, experiment.start))
+            }
+            Interface::CoSimulation(..) => Status::Ok,
         }
     }
 
@@ -426,116 +340,28 @@ impl Binding for Fmi1 {
         // SAFETY: the caller's promises are those of the trait.
         let Experiment { tolerance, start, stop } = unsafe { Boxed::of(component) }.experiment;
         match &self.interface {
-            Interface::ModelExchange(functions) => {
+            Interface::ModelExchange(functions, _) => {
                 let mut info = RawEventInfo::default();
-                let status = call!(
-                    component,
-                    functions.initialize,
-                    tolerance.is_some().into(),
-                    tolerance.unwrap_or(0.0),
-                    &raw mut info
-                );
+                let is_controlled = tolerance.is_some().into();
+                let tolerance = tolerance.unwrap_or(0.0);
+                let status = within!(component, |slave| {
+                    call!(functions.initialize, slave, is_controlled, tolerance, &raw mut info)
+                });
                 // SAFETY: as above.
                 unsafe { Boxed::of(component) }.announced = Some(info.in_house_words());
                 status
             }
-            Interface::CoSimulation(functions) => {
-                call!(component, functions.initialize, start, stop.is_some().into(), stop.unwrap_or(0.0))
+            Interface::CoSimulation(functions, _) => {
+                let (is_defined, stop) = (stop.is_some().into(), stop.unwrap_or(0.0));
+                within!(component, |slave| call!(functions.initialize, slave, start, is_defined, stop))
             }
-        }
-    }
-
-    unsafe fn terminate(&self, component: Component) -> Status {
-        match &self.interface {
-            Interface::ModelExchange(functions) => call!(component, functions.terminate),
-            Interface::CoSimulation(functions) => call!(component, functions.terminate),
         }
     }
 
     unsafe fn reset(&self, component: Component) -> Status {
-        match &self.interface {
-            Interface::ModelExchange(_) => Status::Missing,
-            Interface::CoSimulation(functions) => {
-                // SAFETY: the caller's promises are those of the trait.
-                unsafe { Boxed::of(component) }.made_progress = true;
-                optional!(component, functions.reset)
-            }
-        }
-    }
-
-    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Status {
-        call!(component, self.get_real, references.as_ptr(), values.len(), values.as_mut_ptr())
-    }
-
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status {
-        call!(component, self.set_real, references.as_ptr(), values.len(), values.as_ptr())
-    }
-
-    unsafe fn get_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status {
-        let (list, n) = (references.as_ptr(), references.len());
         // SAFETY: the caller's promises are those of the trait.
-        let (slave, _current) = unsafe { Boxed::of(component) }.enter();
-        match (kind, self.get_integer, self.get_boolean) {
-            (VariableKind::Integer | VariableKind::Enumeration, Some(function), _) => {
-                // SAFETY: the same; there are as many lanes as references.
-                status(packed::get::<c_int>(lanes, |values| unsafe { function(slave, list, n, values) }))
-            }
-            (VariableKind::Boolean, _, Some(function)) => {
-                // SAFETY: the same.
-                let code =
-                    packed::get::<Boolean>(lanes, |values| unsafe { function(slave, list, n, values) });
-                packed::normalize(lanes);
-                status(code)
-            }
-            _ => Status::Missing,
-        }
-    }
-
-    unsafe fn set_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status {
-        let (list, n) = (references.as_ptr(), references.len());
-        // SAFETY: the caller's promises are those of the trait.
-        let (slave, _current) = unsafe { Boxed::of(component) }.enter();
-        match (kind, self.set_integer, self.set_boolean) {
-            (VariableKind::Integer | VariableKind::Enumeration, Some(function), _) => {
-                // SAFETY: the same; there are as many lanes as references.
-                status(packed::set::<c_int>(lanes, |values| unsafe { function(slave, list, n, values) }))
-            }
-            (VariableKind::Boolean, _, Some(function)) => {
-                // SAFETY: the same.
-                status(packed::set::<Boolean>(lanes, |values| unsafe { function(slave, list, n, values) }))
-            }
-            _ => Status::Missing,
-        }
-    }
-
-    unsafe fn get_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &mut [*const c_char],
-    ) -> Status {
-        optional!(component, self.get_string, references.as_ptr(), values.len(), values.as_mut_ptr())
-    }
-
-    unsafe fn set_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &[*const c_char],
-    ) -> Status {
-        optional!(component, self.set_string, references.as_ptr(), values.len(), values.as_ptr())
+        unsafe { Boxed::of(component) }.made_progress = true;
+        within!(component, |slave| optional!(self.life.reset, slave))
     }
 
     /// There is no event mode: events happen in `fmiEventUpdate`.
@@ -552,7 +378,8 @@ impl Binding for Fmi1 {
         let mut raw = RawEventInfo::default();
         // fmiFalse: the FMU iterates by itself and returns when it is done. That is what every other importer asks for;
         // one that returns before is asked again.
-        let status = model!(self, component, event_update, 0, &raw mut raw);
+        let Interface::ModelExchange(functions, _) = &self.interface else { return Status::Missing };
+        let status = within!(component, |slave| call!(functions.event_update, slave, 0, &raw mut raw));
         *info = raw.in_house_words();
         status
     }
@@ -569,80 +396,28 @@ impl Binding for Fmi1 {
         terminate: &mut bool,
     ) -> Status {
         let mut raw: Boolean = 0;
-        let status = model!(self, component, completed_integrator_step, &raw mut raw);
+        let Interface::ModelExchange(functions, _) = &self.interface else { return Status::Missing };
+        let status =
+            within!(component, |slave| call!(functions.completed_integrator_step, slave, &raw mut raw));
         *event = raw != 0;
         *terminate = false;
         status
     }
 
-    unsafe fn set_time(&self, component: Component, time: f64) -> Status {
-        model!(self, component, set_time, time)
-    }
-
-    unsafe fn set_continuous_states(&self, component: Component, states: &[f64]) -> Status {
-        model!(self, component, set_continuous_states, states.as_ptr(), states.len())
-    }
-
-    unsafe fn get_continuous_states(&self, component: Component, states: &mut [f64]) -> Status {
-        model!(self, component, get_continuous_states, states.as_mut_ptr(), states.len())
-    }
-
-    unsafe fn get_derivatives(&self, component: Component, derivatives: &mut [f64]) -> Status {
-        model!(self, component, get_derivatives, derivatives.as_mut_ptr(), derivatives.len())
-    }
-
-    unsafe fn get_event_indicators(&self, component: Component, indicators: &mut [f64]) -> Status {
-        model!(self, component, get_event_indicators, indicators.as_mut_ptr(), indicators.len())
-    }
-
-    unsafe fn get_nominals(&self, component: Component, nominals: &mut [f64]) -> Status {
-        model!(self, component, get_nominals, nominals.as_mut_ptr(), nominals.len())
-    }
-
     unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status {
-        let Interface::CoSimulation(functions) = &self.interface else { return Status::Missing };
+        let Interface::CoSimulation(functions, steps) = &self.interface else { return Status::Missing };
         // SAFETY: the caller's promises are those of the trait.
         let new_step = unsafe { Boxed::of(component) }.made_progress;
-        let status = call!(component, functions.do_step, time, step, new_step.into());
-        // SAFETY: the same.
-        unsafe { functions.explain(component, status, info) };
+        let status = within!(component, |slave| {
+            let status = call!(functions.do_step, slave, time, step, new_step.into());
+            // SAFETY: the same.
+            unsafe { steps.explain(slave, status, info) };
+            status
+        });
         // A step of which nothing was computed will be tried again.
         let stuck = status == Status::Discard && !info.reached.is_some_and(|reached| reached > time);
         // SAFETY: the same.
         unsafe { Boxed::of(component) }.made_progress = !stuck;
         status
-    }
-
-    unsafe fn step_status(&self, component: Component, info: &mut StepInfo) -> Status {
-        let Interface::CoSimulation(functions) = &self.interface else { return Status::Missing };
-        let mut code = 0;
-        let asked = optional!(component, functions.get_status, DO_STEP_STATUS, &raw mut code);
-        let status = if asked == Status::Ok { status(code) } else { asked };
-        // SAFETY: the caller's promises are those of the trait.
-        unsafe { functions.explain(component, status, info) };
-        status
-    }
-
-    unsafe fn cancel_step(&self, component: Component) -> Status {
-        let Interface::CoSimulation(functions) = &self.interface else { return Status::Missing };
-        optional!(component, functions.cancel_step)
-    }
-
-    unsafe fn set_input_derivatives(
-        &self,
-        component: Component,
-        references: &[u32],
-        orders: &[c_int],
-        values: &[f64],
-    ) -> Status {
-        let Interface::CoSimulation(functions) = &self.interface else { return Status::Missing };
-        optional!(
-            component,
-            functions.set_input_derivatives,
-            references.as_ptr(),
-            references.len(),
-            orders.as_ptr(),
-            values.as_ptr()
-        )
     }
 }

@@ -8,12 +8,17 @@ use std::ffi::c_int;
 type IntervalDecimal = unsafe extern "C" fn(Component, *const u32, usize, *mut f64, *mut c_int) -> c_int;
 type IntervalFraction =
     unsafe extern "C" fn(Component, *const u32, usize, *mut u64, *mut u64, *mut c_int) -> c_int;
+type SetIntervalDecimal = unsafe extern "C" fn(Component, *const u32, usize, *const f64) -> c_int;
+type SetIntervalFraction =
+    unsafe extern "C" fn(Component, *const u32, usize, *const u64, *const u64) -> c_int;
 type ShiftDecimal = unsafe extern "C" fn(Component, *const u32, usize, *mut f64) -> c_int;
 type ShiftFraction = unsafe extern "C" fn(Component, *const u32, usize, *mut u64, *mut u64) -> c_int;
 
 pub(super) struct ClockFunctions {
     interval_decimal: Option<IntervalDecimal>,
     interval_fraction: Option<IntervalFraction>,
+    set_interval_decimal: Option<SetIntervalDecimal>,
+    set_interval_fraction: Option<SetIntervalFraction>,
     shift_decimal: Option<ShiftDecimal>,
     shift_fraction: Option<ShiftFraction>,
 }
@@ -27,6 +32,8 @@ impl ClockFunctions {
             Self {
                 interval_decimal: symbols.optional("fmi3GetIntervalDecimal"),
                 interval_fraction: symbols.optional("fmi3GetIntervalFraction"),
+                set_interval_decimal: symbols.optional("fmi3SetIntervalDecimal"),
+                set_interval_fraction: symbols.optional("fmi3SetIntervalFraction"),
                 shift_decimal: symbols.optional("fmi3GetShiftDecimal"),
                 shift_fraction: symbols.optional("fmi3GetShiftFraction"),
             }
@@ -74,6 +81,29 @@ impl ClockFunctions {
             _ => Qualifier::NotYetKnown,
         };
         status(result)
+    }
+
+    /// # Safety
+    /// As for the methods of `Binding`.
+    pub(super) unsafe fn set_interval(
+        &self,
+        component: Component,
+        reference: u32,
+        interval: Interval,
+    ) -> Status {
+        let clock = &raw const reference;
+        match interval {
+            Interval::Decimal(value) => {
+                let Some(function) = self.set_interval_decimal else { return Status::Missing };
+                // SAFETY: the caller's promises; one reference and one value are given.
+                status(unsafe { function(component, clock, 1, &raw const value) })
+            }
+            Interval::Fraction(counter, resolution) => {
+                let Some(function) = self.set_interval_fraction else { return Status::Missing };
+                // SAFETY: as above.
+                status(unsafe { function(component, clock, 1, &raw const counter, &raw const resolution) })
+            }
+        }
     }
 
     /// # Safety

@@ -1,7 +1,7 @@
 //! Signatures of the functions of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4), as far as they are bound.
 
+use super::Component;
 use super::fmi3_intermediate::IntermediateUpdate;
-use super::{Component, StatePointer};
 use std::ffi::{c_char, c_int, c_void};
 
 /// A C `bool` as an FMU may write it: any bits are tolerated.
@@ -31,7 +31,6 @@ pub(super) type InstantiateCoSimulation = unsafe extern "C" fn(
     LogMessage,
     IntermediateUpdate,
 ) -> Component;
-pub(super) type Plain = unsafe extern "C" fn(Component) -> c_int;
 pub(super) type EnterInitialization = unsafe extern "C" fn(Component, bool, f64, f64, bool, f64) -> c_int;
 pub(super) type SetDebugLogging = unsafe extern "C" fn(Component, bool, usize, *const *const c_char) -> c_int;
 pub(super) type Get<T> = unsafe extern "C" fn(Component, *const u32, usize, *mut T, usize) -> c_int;
@@ -42,12 +41,6 @@ pub(super) type SetBinary =
     unsafe extern "C" fn(Component, *const u32, usize, *const usize, *const *const u8, usize) -> c_int;
 pub(super) type GetClock = unsafe extern "C" fn(Component, *const u32, usize, *mut Flag) -> c_int;
 pub(super) type SetClock = unsafe extern "C" fn(Component, *const u32, usize, *const Flag) -> c_int;
-pub(super) type GetState = unsafe extern "C" fn(Component, *mut StatePointer) -> c_int;
-pub(super) type SetState = unsafe extern "C" fn(Component, StatePointer) -> c_int;
-pub(super) type StateSize = unsafe extern "C" fn(Component, StatePointer, *mut usize) -> c_int;
-pub(super) type SerializeState = unsafe extern "C" fn(Component, StatePointer, *mut u8, usize) -> c_int;
-pub(super) type DeserializeState =
-    unsafe extern "C" fn(Component, *const u8, usize, *mut StatePointer) -> c_int;
 pub(super) type DirectionalDerivative = unsafe extern "C" fn(
     Component,
     *const u32,
@@ -62,9 +55,6 @@ pub(super) type DirectionalDerivative = unsafe extern "C" fn(
 pub(super) type UpdateDiscreteStates =
     unsafe extern "C" fn(Component, *mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;
 pub(super) type CompletedStep = unsafe extern "C" fn(Component, bool, *mut Flag, *mut Flag) -> c_int;
-pub(super) type SetTime = unsafe extern "C" fn(Component, f64) -> c_int;
-pub(super) type GetVector = unsafe extern "C" fn(Component, *mut f64, usize) -> c_int;
-pub(super) type SetVector = unsafe extern "C" fn(Component, *const f64, usize) -> c_int;
 pub(super) type Count = unsafe extern "C" fn(Component, *mut usize) -> c_int;
 pub(super) type GetOutputDerivatives =
     unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *mut f64, usize) -> c_int;

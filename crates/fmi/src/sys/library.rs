@@ -1,7 +1,8 @@
 //! A loaded shared library of an FMU with its function table; what all users of the library share is in `shared.rs`.
 
+use super::binding::Binding;
 use super::platform::{self, FloatEnvironment, Handle};
-use super::{Binding, InterfaceKind, Shared, fmi1, fmi2, fmi3};
+use super::{InterfaceKind, Shared, fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
 use crate::open_options::LoaderOptions;
@@ -62,7 +63,7 @@ impl Library {
             }
             FmiError::LoadFailed { library: path.to_owned(), message: message(&error) }
         })?;
-        let symbols = Symbols { handle: &handle, path };
+        let symbols = Symbols { handle: &handle, path, prefix: None };
         // SAFETY: the description says that the library follows this version of the standard.
         let binding: Box<dyn Binding> = unsafe {
             match version.major {
@@ -98,25 +99,29 @@ fn message(error: &libloading::Error) -> String {
     }
 }
 
-/// Looks symbols up in a library while its table is being made.
+/// Looks symbols up in a library while its tables are being made.
 pub(super) struct Symbols<'a> {
     handle: &'a Handle,
     path: &'a Path,
+    /// Before the names, up to an underscore.
+    prefix: Option<&'a str>,
 }
 
-impl Symbols<'_> {
+impl<'a> Symbols<'a> {
+    /// The same library with a prefix before the names; where a name does not have it, as some tools export it, the plain
+    /// one is taken.
+    pub(super) fn with_prefix(&self, prefix: &'a str) -> Self {
+        Self { handle: self.handle, path: self.path, prefix: Some(prefix) }
+    }
+
     /// A function that must be there.
     ///
     /// # Safety
     /// `T` is a function pointer type that fits the symbol, and is not called after the library is closed.
     pub(super) unsafe fn required<T: Copy>(&self, name: &'static str) -> Result<T, FmiError> {
         // SAFETY: handed on to the caller.
-        unsafe { self.optional(name) }.ok_or_else(|| self.missing(name))
-    }
-
-    /// The error for a function that is not there.
-    pub(super) fn missing(&self, name: &'static str) -> FmiError {
-        FmiError::MissingSymbol { library: self.path.to_owned(), symbol: name }
+        unsafe { self.optional(name) }
+            .ok_or_else(|| FmiError::MissingSymbol { library: self.path.to_owned(), symbol: name })
     }
 
     /// A function that may be missing.
@@ -125,6 +130,8 @@ impl Symbols<'_> {
     /// As for [`required`](Self::required).
     pub(super) unsafe fn optional<T: Copy>(&self, name: &str) -> Option<T> {
         // SAFETY: handed on to the caller.
-        unsafe { self.handle.get::<T>(name) }.ok().map(|symbol| *symbol)
+        let find = |name: &str| unsafe { self.handle.get::<T>(name) }.ok().map(|symbol| *symbol);
+        let prefixed = self.prefix.and_then(|prefix| find(&format!("{prefix}_{name}")));
+        prefixed.or_else(|| find(name))
     }
 }

@@ -29,10 +29,11 @@
 //!     there are lanes of 64 bits, and only types of which any bits are a value.
 //!
 //! The versions of FMI stop here: [`Binding`] is one function table in house types, and `fmi1.rs`, `fmi2.rs` and
-//! `fmi3.rs` are the only files that know how a version spells it. A further version is a further implementation and a
-//! line in `library.rs`.
+//! `fmi3.rs` are the only files that know how a version spells it. What has one shape in several versions is bound once,
+//! in `functions.rs`. A further version is a further implementation and a line in `library.rs`.
 #![allow(unsafe_code)]
 
+mod binding;
 mod callbacks;
 mod fmi1;
 mod fmi2;
@@ -41,6 +42,8 @@ mod fmi3_clocks;
 mod fmi3_functions;
 mod fmi3_intermediate;
 mod fmi3_numbers;
+mod fmi3_values;
+mod functions;
 mod library;
 mod packed;
 mod platform;
@@ -53,13 +56,11 @@ pub(crate) use platform::FloatEnvironment;
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
 pub(crate) use shared::{Loan, Shared, Spares};
 
-use crate::description::{Interval, VariableKind};
-use callbacks::Environment;
-use std::any::Any;
-use std::ffi::{CStr, CString, c_char, c_void};
+use crate::description::Interval;
+use binding::{Binding, Call};
+use std::ffi::{CStr, CString, c_void};
 use std::fmt;
 use std::path::Path;
-use std::sync::Arc;
 
 /// Pointer to a component of an FMU.
 type Component = *mut c_void;
@@ -131,48 +132,6 @@ fn file_uri(path: &Path) -> CString {
         }
     }
     CString::new(uri).unwrap_or_default()
-}
-
-/// The calls, in house words; [`Binding::name`] gives the standard's.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Call {
-    Instantiate,
-    SetDebugLogging,
-    SetupExperiment,
-    EnterInitialization,
-    ExitInitialization,
-    Terminate,
-    Reset,
-    Get(VariableKind),
-    Set(VariableKind),
-    EnterConfiguration,
-    ExitConfiguration,
-    CountStates,
-    CountIndicators,
-    EnterStepMode,
-    SaveState,
-    RestoreState,
-    SerializedSize,
-    Serialize,
-    Deserialize,
-    DirectionalDerivative,
-    EnterEventMode,
-    NewDiscreteStates,
-    EnterContinuousTimeMode,
-    CompletedIntegratorStep,
-    SetTime,
-    SetContinuousStates,
-    GetContinuousStates,
-    GetDerivatives,
-    GetEventIndicators,
-    GetNominals,
-    DoStep,
-    StepStatus,
-    CancelStep,
-    SetInputDerivatives,
-    GetInterval,
-    GetShift,
-    GetOutputDerivatives,
 }
 
 /// What an event iteration told.
@@ -261,13 +220,6 @@ impl MidStep for () {
     }
 }
 
-/// A live component and what it needs to stay alive.
-struct Created {
-    component: Component,
-    /// Structures whose address the FMU was given.
-    keep: Arc<dyn Any + Send + Sync>,
-}
-
 /// What an instance is made with.
 #[derive(Debug)]
 pub(crate) struct Request<'a> {
@@ -291,236 +243,6 @@ pub(crate) struct Experiment {
     pub(crate) tolerance: Option<f64>,
     pub(crate) start: f64,
     pub(crate) stop: Option<f64>,
-}
-
-/// The function table of one library in house types: what a version of FMI has to supply.
-///
-/// # Safety
-/// For all `unsafe` methods: `component` was made by this binding, is not freed and not dead, and no other call on
-/// it is under way; slices that belong together have the same length; vectors have the model's sizes.
-/// Functions that a library may lack answer [`Status::Missing`].
-#[allow(clippy::missing_safety_doc)]
-trait Binding: Send + Sync {
-    fn name(&self, call: Call) -> &'static str;
-    unsafe fn instantiate(&self, request: &Request<'_>, environment: &Environment) -> Option<Created>;
-    unsafe fn free_instance(&self, component: Component);
-    unsafe fn set_debug_logging(&self, component: Component, on: bool) -> Status;
-    /// Before the initialization, where a version has a call for it.
-    unsafe fn setup_experiment(&self, component: Component, experiment: &Experiment) -> Status {
-        let _ = (component, experiment);
-        Status::Ok
-    }
-    unsafe fn enter_initialization(&self, component: Component, experiment: &Experiment) -> Status;
-    unsafe fn exit_initialization(&self, component: Component) -> Status;
-    unsafe fn terminate(&self, component: Component) -> Status;
-    unsafe fn reset(&self, component: Component) -> Status;
-    /// Whether a reference may stand for several values. If not, there are as many values as references.
-    fn has_arrays(&self) -> bool {
-        false
-    }
-    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Status;
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status;
-    /// Values of all other kinds of numbers, in lanes (see `lanes.rs`).
-    unsafe fn get_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status;
-    /// The lanes are used up.
-    unsafe fn set_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status;
-    unsafe fn get_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &mut [*const c_char],
-    ) -> Status;
-    unsafe fn set_string(&self, component: Component, references: &[u32], values: &[*const c_char])
-    -> Status;
-    /// Addresses and sizes of binary values; they stay valid until the next call on the component.
-    unsafe fn get_binary(
-        &self,
-        component: Component,
-        references: &[u32],
-        sizes: &mut [usize],
-        values: &mut [*const u8],
-    ) -> Status {
-        let _ = (component, references, sizes, values);
-        Status::Missing
-    }
-    unsafe fn set_binary(
-        &self,
-        component: Component,
-        references: &[u32],
-        sizes: &[usize],
-        values: &[*const u8],
-    ) -> Status {
-        let _ = (component, references, sizes, values);
-        Status::Missing
-    }
-    unsafe fn enter_configuration(&self, component: Component) -> Status {
-        let _ = component;
-        Status::Missing
-    }
-    unsafe fn exit_configuration(&self, component: Component) -> Status {
-        let _ = component;
-        Status::Missing
-    }
-    /// Number of continuous states, where it can change.
-    unsafe fn count_states(&self, component: Component, count: &mut usize) -> Status {
-        let _ = (component, count);
-        Status::Missing
-    }
-    /// Number of event indicators, where it can change.
-    unsafe fn count_indicators(&self, component: Component, count: &mut usize) -> Status {
-        let _ = (component, count);
-        Status::Missing
-    }
-    unsafe fn save_state(&self, component: Component, state: &mut StatePointer) -> Status {
-        let _ = (component, state);
-        Status::Missing
-    }
-    unsafe fn restore_state(&self, component: Component, state: StatePointer) -> Status {
-        let _ = (component, state);
-        Status::Missing
-    }
-    unsafe fn free_state(&self, component: Component, state: &mut StatePointer) -> Status {
-        let _ = (component, state);
-        Status::Missing
-    }
-    unsafe fn serialized_size(&self, component: Component, state: StatePointer, size: &mut usize) -> Status {
-        let _ = (component, state, size);
-        Status::Missing
-    }
-    unsafe fn serialize(&self, component: Component, state: StatePointer, bytes: &mut [u8]) -> Status {
-        let _ = (component, state, bytes);
-        Status::Missing
-    }
-    unsafe fn deserialize(&self, component: Component, bytes: &[u8], state: &mut StatePointer) -> Status {
-        let _ = (component, bytes, state);
-        Status::Missing
-    }
-    unsafe fn directional_derivative(
-        &self,
-        component: Component,
-        unknowns: &[u32],
-        knowns: &[u32],
-        seed: &[f64],
-        sensitivity: &mut [f64],
-    ) -> Status {
-        let _ = (component, unknowns, knowns, seed, sensitivity);
-        Status::Missing
-    }
-    unsafe fn enter_event_mode(&self, component: Component) -> Status;
-    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Status;
-    unsafe fn enter_continuous_time_mode(&self, component: Component) -> Status;
-    unsafe fn completed_integrator_step(
-        &self,
-        component: Component,
-        no_set_state_prior: bool,
-        event: &mut bool,
-        terminate: &mut bool,
-    ) -> Status;
-    unsafe fn set_time(&self, component: Component, time: f64) -> Status;
-    unsafe fn set_continuous_states(&self, component: Component, states: &[f64]) -> Status;
-    unsafe fn get_continuous_states(&self, component: Component, states: &mut [f64]) -> Status;
-    unsafe fn get_derivatives(&self, component: Component, derivatives: &mut [f64]) -> Status;
-    /// Time, states and derivatives: the calls of a right-hand side in one, up to the first that fails.
-    unsafe fn right_hand_side(
-        &self,
-        component: Component,
-        time: f64,
-        states: &[f64],
-        derivatives: &mut [f64],
-    ) -> (Call, Status) {
-        let is_good = |status| matches!(status, Status::Ok | Status::Warning);
-        // SAFETY: the caller's promises are those of the three functions.
-        unsafe {
-            let status = self.set_time(component, time);
-            if !is_good(status) {
-                return (Call::SetTime, status);
-            }
-            let status = self.set_continuous_states(component, states);
-            if !is_good(status) {
-                return (Call::SetContinuousStates, status);
-            }
-            (Call::GetDerivatives, self.get_derivatives(component, derivatives))
-        }
-    }
-    unsafe fn get_event_indicators(&self, component: Component, indicators: &mut [f64]) -> Status;
-    unsafe fn get_nominals(&self, component: Component, nominals: &mut [f64]) -> Status;
-    /// One communication step. `Discard` is for steps of which nothing or only a part was computed, also because the
-    /// model ends the simulation; `Pending` for steps that go on.
-    unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status;
-    /// The same for models that call back during the step; `keep` is what was made with the component.
-    unsafe fn do_step_with(
-        &self,
-        component: Component,
-        (time, step): (f64, f64),
-        info: &mut StepInfo,
-        keep: &(dyn Any + Send + Sync),
-        mid_step: &mut dyn MidStep,
-    ) -> Status {
-        let _ = (keep, mid_step);
-        // SAFETY: the caller's promises are those of `do_step`.
-        unsafe { self.do_step(component, time, step, info) }
-    }
-    /// How a pending step stands; as for `do_step`.
-    unsafe fn step_status(&self, component: Component, info: &mut StepInfo) -> Status;
-    unsafe fn cancel_step(&self, component: Component) -> Status;
-    /// Back from event mode (co-simulation).
-    unsafe fn enter_step_mode(&self, component: Component) -> Status {
-        let _ = component;
-        Status::Missing
-    }
-    /// The interval before the next tick of a clock, as a fraction or not.
-    unsafe fn get_interval(
-        &self,
-        component: Component,
-        clock: u32,
-        fraction: bool,
-        answer: &mut IntervalAnswer,
-    ) -> Status {
-        let _ = (component, clock, fraction, answer);
-        Status::Missing
-    }
-    /// From the start to the first tick of a clock.
-    unsafe fn get_shift(
-        &self,
-        component: Component,
-        clock: u32,
-        fraction: bool,
-        shift: &mut Interval,
-    ) -> Status {
-        let _ = (component, clock, fraction, shift);
-        Status::Missing
-    }
-    /// Derivatives (of these orders) of real outputs with respect to time, at the end of the last step.
-    unsafe fn get_output_derivatives(
-        &self,
-        component: Component,
-        references: &[u32],
-        orders: &[i32],
-        values: &mut [f64],
-    ) -> Status {
-        let _ = (component, references, orders, values);
-        Status::Missing
-    }
-    /// Derivatives (of these orders) of real inputs with respect to time.
-    unsafe fn set_input_derivatives(
-        &self,
-        component: Component,
-        references: &[u32],
-        orders: &[i32],
-        values: &[f64],
-    ) -> Status;
 }
 
 #[cfg(test)]

@@ -44,6 +44,8 @@ pub(crate) struct Shared {
     reuse: [AtomicU8; 2],
     /// For each kind of interface: saved states do not bring an instance back to its beginning.
     no_restore: [AtomicBool; 2],
+    /// Co-simulations will not be made with the event mode that the description promises.
+    no_event_mode: AtomicBool,
     gate: Mutex<Inside>,
     left: Condvar,
     /// Whether somebody holds the loan of a library that can be lent to one only.
@@ -111,6 +113,15 @@ impl Shared {
 
     pub(super) fn set_fatal(&self) {
         self.fatal.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether co-simulations were seen to refuse the event mode that the description promises.
+    pub(crate) fn is_event_mode_refused(&self) -> bool {
+        self.no_event_mode.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn refuse_event_mode(&self) {
+        self.no_event_mode.store(true, Ordering::Relaxed);
     }
 
     /// Whether instances disturb each other, or only one is allowed.

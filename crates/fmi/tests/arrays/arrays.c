@@ -65,7 +65,7 @@ FMI3_EXPORT void fmi3FreeInstance(fmi3Instance i) { free(i); }
 FMI3_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance i, bool td, double t, double start, bool sd, double s) {
     (void)td, (void)t, (void)sd, (void)s;
     ((Model *)i)->time = start;
-    return fmi3OK;
+    return ((Model *)i)->configuring ? fmi3Error : fmi3OK;
 }
 FMI3_EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance i) { (void)i; return fmi3OK; }
 FMI3_EXPORT fmi3Status fmi3Terminate(fmi3Instance i) { (void)i; return fmi3OK; }
@@ -103,10 +103,11 @@ FMI3_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance i) { ((Model *)i)-
             c_type *p = NULL;                                                                                         \
             count = 1;                                                                                                \
             switch (r[j]) { FIND }                                                                                    \
-            if (p == NULL || at + count > nv) return fmi3Error;                                                       \
+            if (p == NULL || at + count > nv || (m->configuring && r[j] != 1)) return fmi3Error;                      \
             memcpy(p, v + at, count * sizeof *p);                                                                     \
             at += count;                                                                                              \
         }                                                                                                             \
+        if (m->n > MOST) { m->n = 3; return fmi3Discard; }                                                            \
         return at == nv ? fmi3OK : fmi3Error;                                                                         \
     }
 static double *derivatives(Model *m) {

@@ -63,6 +63,9 @@ FMI3_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String
                                                      fmi3IntermediateUpdateCallback update) {
     (void)name, (void)resources, (void)visible, (void)logging, (void)environment, (void)log, (void)r, (void)n;
     (void)update, (void)early;
+#ifdef NO_EVENT_MODE
+    event_mode = !event_mode;
+#endif
     return event_mode ? make(token, 1) : NULL;
 }
 FMI3_EXPORT void fmi3FreeInstance(fmi3Instance i) { free(i); }
@@ -189,6 +192,32 @@ FMI3_EXPORT fmi3Status fmi3GetShiftDecimal(fmi3Instance i, const fmi3ValueRefere
     Model *m = i;
     if (m->phase != INITIALIZATION || n != 1 || r[0] != RETUNED) return fmi3Error;
     v[0] = 0.25;
+    return fmi3OK;
+}
+
+FMI3_EXPORT fmi3Status fmi3SetIntervalDecimal(fmi3Instance i, const fmi3ValueReference r[], size_t n, const double v[]) {
+    Model *m = i;
+    if (m->phase != INITIALIZATION || n != 1 || v[0] > 100) return fmi3Error;
+    if (r[0] == COUNTED) {
+        m->period = v[0];
+    } else if (r[0] == RETUNED) {
+        m->tunable = v[0];
+        m->told_tunable = 1;
+    } else if (r[0] != OPTIONAL) {
+        return fmi3Error;
+    }
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3SetIntervalFraction(fmi3Instance i, const fmi3ValueReference r[], size_t n, const uint64_t c[], const uint64_t d[]) {
+    Model *m = i;
+    if (m->phase != INITIALIZATION || n != 1 || r[0] != COUNTED) return fmi3Error;
+    m->period = (double)c[0] / (double)d[0];
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance i) {
+    Model *m = i;
+    if (m->phase != EVENT) return fmi3Error;
+    if (m->active[SAMPLE]) m->u = m->K * (m->setpoint - m->x);
     return fmi3OK;
 }
 

@@ -22,6 +22,7 @@ typedef struct {
 #ifdef ONE_SET
     double u;
     int has_u; /* set at this instant */
+    int is_late; /* in initialization mode or beyond */
 #endif
     int restored;
     double restored_k;
@@ -66,7 +67,7 @@ static void start_values(Model *m) {
     m->b = 1;
     m->polls = 0;
 #ifdef ONE_SET
-    m->has_u = 0;
+    m->u = m->has_u = m->is_late = 0;
 #endif
 }
 
@@ -126,7 +127,13 @@ EXPORT fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance
     return fmi2OK;
 }
 
-EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
+EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+    (void)c;
+#ifdef ONE_SET
+    ((Model *)c)->is_late = 1;
+#endif
+    return fmi2OK;
+}
 
 EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     (void)c;
@@ -248,6 +255,12 @@ EXPORT fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference *vr, siz
             break;
 #ifdef ONE_SET
         case 7:
+#ifdef LATE_INPUTS
+            if (!m->is_late) {
+                say(m, fmi2Error, "inputs are set in initialization mode");
+                return fmi2Error;
+            }
+#endif
             if (m->has_u) {
                 say(m, fmi2Error, "the input is set twice at one instant");
                 return fmi2Error;

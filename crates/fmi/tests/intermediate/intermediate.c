@@ -31,6 +31,12 @@ FMI3_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String
     Model *m;
     size_t i;
     (void)name, (void)resources, (void)visible, (void)logging, (void)event_mode, (void)log;
+#ifdef NO_EVENT_MODE
+    if (event_mode) {
+        log(environment, fmi3Error, "logStatusError", "there is no event mode");
+        return NULL;
+    }
+#endif
     if (strcmp(token, "{intermediate}") != 0) return NULL;
     m = calloc(1, sizeof *m);
     if (m == NULL) return NULL;

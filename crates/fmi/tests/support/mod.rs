@@ -29,7 +29,9 @@ fn compile(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&str])
 
 /// The same with further arguments.
 fn compile_with(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&str], arguments: &[String]) {
-    let folder = root.join("binaries").join(&fmi::platform::binary_folders(2)[0]);
+    let folder = root
+        .join("binaries")
+        .join(&fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits)[0]);
     std::fs::create_dir_all(&folder).unwrap();
     let library = folder.join(format!("{identifier}.{}", fmi::platform::LIBRARY_EXTENSION));
     let output = Command::new("cc")
@@ -131,7 +133,10 @@ pub(crate) fn evil_with_sibling(faults: &[&str], name: &str) -> Folder {
     let folder = evil(faults);
     let faults: Vec<&str> = faults.iter().copied().chain(["SIBLING_GLOBALS"]).collect();
     compile(folder.path(), &format!("lib{name}"), &[here().join("tests/evil/sibling.c")], &[]);
-    let beside = folder.path().join("binaries").join(&fmi::platform::binary_folders(2)[0]);
+    let beside = folder
+        .path()
+        .join("binaries")
+        .join(&fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits)[0]);
     let arguments = [format!("-L{}", beside.display()), format!("-l{name}"), "-Wl,-rpath,$ORIGIN".to_owned()];
     compile_with(folder.path(), "evil", &[here().join("tests/evil/evil.c")], &faults, &arguments);
     folder

@@ -206,7 +206,9 @@ class Calibration:
             chattering=_options.choice("chattering", chattering),
         )
         self._model = _path(model)
-        self._native = _core.Calibration(self._model, experiment, list(self._parameters))
+        opened = getattr(model, "_fmu", None)
+        source = opened if isinstance(opened, _core.Fmu) else self._model
+        self._native = _core.Calibration(source, experiment, list(self._parameters))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

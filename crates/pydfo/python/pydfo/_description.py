@@ -342,9 +342,9 @@ class Description:
         """The categories of log messages."""
         return [LogCategory(*category) for category in self._fmu.log_categories()]
 
-    @cached_property
+    @property
     def quirks(self) -> list[Quirk]:
-        """Where the file departs from the standard."""
+        """Where the file departs from the standard, and where the model was seen to when it was run."""
         return [Quirk(*quirk) for quirk in self._fmu.quirks()]
 
     def __repr__(self) -> str:

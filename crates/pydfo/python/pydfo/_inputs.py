@@ -18,8 +18,8 @@ class Table:
 
     times: FloatArray
     columns: list[tuple[str, FloatArray]]
-    #: Inputs that are texts or bytes.
-    texts: list[tuple[str, list[Any]]]
+    #: Texts, bytes, and integers that doubles cannot hold.
+    values: list[tuple[str, list[Any]]]
 
 
 @dataclass(frozen=True)
@@ -87,15 +87,30 @@ def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Tab
 
 
 def _columns(times: FloatArray, given: Mapping[str, Any]) -> Table:
-    texts = [(name, list(values)) for name, values in given.items() if _is_text(values)]
-    are_text = {name for name, _ in texts}
-    return Table(times, [(name, _column(name, values)) for name, values in given.items() if name not in are_text], texts)
+    exact = {name: _exact(values) for name, values in given.items()}
+    numbers = [(name, _column(name, values)) for name, values in given.items() if exact[name] is None]
+    return Table(times, numbers, [(name, values) for name, values in exact.items() if values is not None])
 
 
-def _is_text(values: Any) -> bool:
+#: Up to here a double holds every integer.
+_EXACT_INTEGERS = 2**53
+
+
+def _exact(values: Any) -> list[Any] | None:
+    """The values one by one, where they are texts, bytes, or integers of which a double cannot hold all; else None."""
+    if np.ndim(values) != 1 or len(values) == 0:
+        return None
+    if isinstance(values, np.ndarray) and values.dtype.kind in "iu":
+        is_large = max(int(values.max()), -int(values.min())) > _EXACT_INTEGERS
+        return [int(value) for value in values] if is_large else None
     if isinstance(values, np.ndarray) and values.dtype.kind not in "USO":
-        return False
-    return np.ndim(values) == 1 and len(values) > 0 and all(isinstance(value, (str, bytes)) for value in values)
+        return None
+    items = list(values)
+    if all(isinstance(item, (str, bytes)) for item in items):
+        return items
+    if all(isinstance(item, (int, np.integer)) for item in items) and max(map(abs, map(int, items))) > _EXACT_INTEGERS:
+        return [int(item) for item in items]
+    return None
 
 
 def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import logging
+import logging as _logging
+import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +19,7 @@ from ._description import Description
 from ._files import PathLike
 from ._trajectory import SimulationResult
 
-_log = logging.getLogger("pydfo")
+_log = _logging.getLogger("pydfo")
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -33,6 +34,7 @@ class Request:
     output_interval: float | None
     ncp: int | None
     start_values: list[tuple[str, Any]]
+    clock_intervals: list[tuple[str, float | tuple[int, int]]]
     outputs: list[str] | None
     tables: list[_inputs.Table]
     functions: list[_inputs.Function]
@@ -45,15 +47,46 @@ class Request:
     chattering: str
 
 
-def load_fmu(path: PathLike, kind: str = "auto") -> FMUModel:
-    """Opens an FMU.
+LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug", "all")
+"""PyFMI's levels of logging, by their numbers."""
+
+
+@dataclass(frozen=True)
+class OpenOptions:
+    """How an FMU is opened, as the native code reads it."""
+
+    log_level: int
+    logging: bool
+    show_log: bool
+    deepbind: bool
+    lazy: bool
+    tool_is_present: bool
+
+
+def load_fmu(
+    path: PathLike,
+    kind: str = "auto",
+    log_level: int | str | None = None,
+    *,
+    logging: bool = False,
+    deepbind: bool = False,
+    lazy: bool = False,
+    tool_is_present: bool = False,
+) -> FMUModel:
+    """Opens an FMU: the same as `FMUModel`, which see.
 
     Parameters
     ----------
     path : path
         An ``.fmu`` file or an unpacked folder.
     kind : {"auto", "ME", "CS"}
-        How to run it, as in `FMUModel`.
+        How to run it.
+    log_level : int or str, optional
+        Which lines of the FMU's log are shown.
+    logging : bool
+        The FMU is asked to log.
+    deepbind, lazy, tool_is_present : bool
+        How its library is loaded, and that the tool it needs is there.
 
     Returns
     -------
@@ -61,10 +94,35 @@ def load_fmu(path: PathLike, kind: str = "auto") -> FMUModel:
 
     Raises
     ------
-    OSError, FmuError
+    OSError, FmuError, ValueError
         As `FMUModel`.
     """
-    return FMUModel(path, kind)
+    return FMUModel(
+        path,
+        kind,
+        log_level,
+        logging=logging,
+        deepbind=deepbind,
+        lazy=lazy,
+        tool_is_present=tool_is_present,
+    )
+
+
+def _log_level(level: int | str | None) -> int:
+    """The number of a level."""
+    if level is None:
+        return len(LOG_LEVELS) - 1
+    names = ", ".join(f"{number} ({name})" for number, name in enumerate(LOG_LEVELS))
+    if isinstance(level, str):
+        if level.lower() in LOG_LEVELS:
+            return LOG_LEVELS.index(level.lower())
+        raise ValueError(f"log_level must be one of {names}, not {level!r}")
+    if isinstance(level, bool) or not hasattr(level, "__index__"):
+        raise TypeError(f"log_level must be a number or a name, one of {names}, not {level!r}")
+    number = operator.index(level)
+    if not 0 <= number < len(LOG_LEVELS):
+        raise ValueError(f"log_level must be one of {names}, not {level!r}")
+    return number
 
 
 class FMUModel:
@@ -84,6 +142,21 @@ class FMUModel:
         How to run it: "ME" integrates its equations with a method of choice (model exchange), "CS" lets it integrate
         itself from one communication point to the next (co-simulation), "auto" takes model exchange where it is
         offered. The case of the letters does not matter.
+    log_level : int or str, optional
+        Which lines of the FMU's log are kept, and shown: after each simulation they go to the logger "pydfo" of Python's
+        `logging` at the level INFO. The levels are PyFMI's: 0 "nothing", 1 "fatal", 2 "error" (both let errors of any kind
+        pass), 3 "warning", 4 "info", 5 "verbose", 6 "debug", 7 "all" (all lines, with all four). Default: all lines are
+        kept, the last of them are part of the message of every error, and none are shown.
+    logging : bool
+        The FMU is asked to log; FMUs log what they think important without being asked, too.
+    deepbind : bool
+        Symbols of the FMU's library come before those of the process (RTLD_DEEPBIND, Linux): for libraries that would get a
+        function of the same name of the host program instead of their own.
+    lazy : bool
+        Functions of the library are looked up when they are first called (RTLD_LAZY): for libraries that lack some which
+        are never called.
+    tool_is_present : bool
+        Run the FMU although it says that it needs the tool that made it.
 
     Raises
     ------
@@ -93,7 +166,7 @@ class FMUModel:
         The archive or its ``modelDescription.xml`` is damaged or not safe to unpack; the FMU is of a kind or version
         that cannot be simulated (`read_description` still describes it).
     ValueError
-        `kind` is none of those above.
+        `kind` or `log_level` is none of those above.
 
     Examples
     --------
@@ -105,10 +178,28 @@ class FMUModel:
     0.13534
     """
 
-    def __init__(self, path: PathLike, kind: str = "auto") -> None:
+    def __init__(
+        self,
+        path: PathLike,
+        kind: str = "auto",
+        log_level: int | str | None = None,
+        *,
+        logging: bool = False,
+        deepbind: bool = False,
+        lazy: bool = False,
+        tool_is_present: bool = False,
+    ) -> None:
         if not isinstance(kind, str):
             raise TypeError(f"kind must be a string, not {kind!r}")
-        self._fmu = _core.Fmu(path)
+        options = OpenOptions(
+            log_level=_log_level(log_level),
+            logging=bool(logging),
+            show_log=log_level is not None,
+            deepbind=bool(deepbind),
+            lazy=bool(lazy),
+            tool_is_present=bool(tool_is_present),
+        )
+        self._fmu = _core.Fmu(path, options)
         self._kind = self._fmu.check_runnable(kind)
         self._model = _core.Model(self._fmu, self._kind)
 
@@ -121,6 +212,19 @@ class FMUModel:
     def kind(self) -> str:
         """How it is run: "ME" or "CS"."""
         return self._kind
+
+    @property
+    def reuse(self) -> str | None:
+        """How an instance is brought back to its beginning between two simulations: the first of "restore" (a saved state),
+        "reset" (the FMU's function) and "reinstantiate" (a new instance) that was seen to give the same bits; None before
+        it was tried, which is when the second simulation begins."""
+        return self._fmu.reuse(self._kind)
+
+    @property
+    def sharing(self) -> str | None:
+        """How several simulations of the FMU share the process in fits: "together", with "private copies" of its library, or
+        "one at a time"; None before it was tried."""
+        return self._fmu.sharing(self._kind)
 
     @cached_property
     def description(self) -> Description:
@@ -203,6 +307,7 @@ class FMUModel:
         output_interval: SupportsFloat | None = None,
         ncp: SupportsFloat | None = None,
         start_values: Mapping[str, object] | None = None,
+        clock_intervals: Mapping[str, SupportsFloat | tuple[int, int]] | None = None,
         relative_tolerance: SupportsFloat | None = None,
         solver: str = "auto",
         step_size: SupportsFloat | None = None,
@@ -249,6 +354,9 @@ class FMUModel:
             given.
         start_values : dict of str to value, optional
             Values for this simulation only, on top of those set.
+        clock_intervals : dict of str to float or tuple of int, optional
+            Intervals in s between the ticks of input clocks whose intervals are fixed or tunable (FMI 3.0); a tuple is a
+            fraction, counter and resolution.
         relative_tolerance : float, optional
             Default: that of the default experiment, else 1e-6.
         solver : {"auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"}
@@ -303,6 +411,7 @@ class FMUModel:
             output_interval=_number("output_interval", output_interval),
             ncp=_options.limit("ncp", _number("ncp", ncp), 1),
             start_values=_pairs(start_values),
+            clock_intervals=_intervals(clock_intervals),
             outputs=self._outputs(output),
             tables=tables,
             functions=functions,
@@ -365,3 +474,22 @@ def _pairs(values: Mapping[str, object] | None) -> list[tuple[str, object]]:
         raise TypeError(f"start_values must be a dict of names and values, not {values!r}")
     _names("start_values", list(values))
     return list(values.items())
+
+
+def _intervals(
+    intervals: Mapping[str, SupportsFloat | tuple[int, int]] | None,
+) -> list[tuple[str, float | tuple[int, int]]]:
+    if intervals is None:
+        return []
+    if not isinstance(intervals, Mapping):
+        raise TypeError(f"clock_intervals must be a dict of names and intervals, not {intervals!r}")
+    _names("clock_intervals", list(intervals))
+    return [(name, _interval(name, interval)) for name, interval in intervals.items()]
+
+
+def _interval(name: str, interval: SupportsFloat | tuple[int, int]) -> float | tuple[int, int]:
+    if not isinstance(interval, tuple):
+        return _options.number(f"the interval of {name}", interval)
+    if len(interval) != 2 or not all(isinstance(part, int) and 0 <= part < 2**64 for part in interval):
+        raise TypeError(f"the interval of {name} must be a number or (counter, resolution), not {interval!r}")
+    return interval

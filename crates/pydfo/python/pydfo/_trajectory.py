@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
+from . import _core
 from ._errors import UnknownVariableError
 
 if TYPE_CHECKING:
@@ -20,23 +21,8 @@ FloatArray = npt.NDArray[np.float64]
 
 Column = npt.NDArray[Any]
 
-_DTYPES: dict[str, type] = {
-    "Real": np.float64,
-    "Float32": np.float32,
-    "Int8": np.int8,
-    "UInt8": np.uint8,
-    "Int16": np.int16,
-    "UInt16": np.uint16,
-    "Integer": np.int32,
-    "UInt32": np.uint32,
-    "Int64": np.int64,
-    "UInt64": np.uint64,
-    "Enumeration": np.int64,
-    "Boolean": np.bool_,
-    "Clock": np.bool_,
-    "String": np.object_,
-    "Binary": np.object_,
-}
+_DTYPES: dict[str, np.dtype[Any]] = {kind: np.dtype(name) for kind, name in _core.dtypes().items()}
+"""NumPy's type for the values of each kind of variable."""
 
 
 @dataclass(frozen=True)
@@ -266,7 +252,7 @@ class SimulationResult(Mapping[str, Column]):
         from ._plot import pyplot
 
         plt = pyplot()
-        drawable = [name for name in self if name != "time" and _DTYPES[self._types[name]] is not np.object_]
+        drawable = [name for name in self if name != "time" and _DTYPES[self._types[name]] != np.object_]
         chosen = drawable if names is None else [names] if isinstance(names, str) else list(names)
         groups: dict[str | None, list[tuple[str, str, Column]]] = {}
         for name, variable, column in self._flat(chosen):

@@ -2,9 +2,9 @@
 //! aliases, clocks as variables. Scheduled execution has no house type: it is named and left out.
 
 use super::attributes::Attributes;
+use super::clocks::{ClockAttributes, Clocks};
 use super::xml::{Element, Xml};
 use super::{Draft, Flags, NOWHERE, StructureList, shared};
-use crate::description::clock::{ClockKind, ClockTiming, Interval};
 use crate::description::model::{Interface, QuirkKind, Unknown};
 use crate::description::variable::{Alias, Dimension, Value, Variable, VariableKind};
 use crate::error::FmiError;
@@ -28,6 +28,7 @@ struct Later {
 pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
     shared::header(&Attributes::of(root)?, "instantiationToken", draft)?;
     let mut positions = Positions::new();
+    let mut clocks = Clocks::default();
     while let Some(element) = xml.child(root.level)? {
         match element.name() {
             "ModelExchange" => draft.model.model_exchange = Some(interface(&element, draft)?),
@@ -37,14 +38,15 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
                 unsupported(draft, &element, "scheduled execution");
             }
             "UnitDefinitions" => shared::units(xml, &element, draft)?,
-            "TypeDefinitions" => type_definitions(xml, &element, draft)?,
+            "TypeDefinitions" => type_definitions(xml, &element, &mut clocks, draft)?,
             "LogCategories" => shared::log_categories(xml, &element, draft)?,
             "DefaultExperiment" => shared::default_experiment(&element, draft)?,
-            "ModelVariables" => positions = variables(xml, &element, draft)?,
+            "ModelVariables" => positions = variables(xml, &element, &mut clocks, draft)?,
             "ModelStructure" => structure(xml, &element, &positions, draft)?,
             _ => {}
         }
     }
+    clocks.finish(draft);
     Ok(())
 }
 
@@ -86,7 +88,12 @@ fn kind(element: &str) -> Option<VariableKind> {
     })
 }
 
-fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
+fn type_definitions(
+    xml: &mut Xml<'_>,
+    parent: &Element<'_>,
+    clocks: &mut Clocks,
+    draft: &mut Draft,
+) -> Result<(), FmiError> {
     while let Some(element) = xml.child(parent.level)? {
         let Some(kind) = kind(element.name()) else {
             unsupported(draft, &element, "a type of variables this importer does not know");
@@ -96,6 +103,10 @@ fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) 
         let name = attributes.required("name")?.to_owned();
         let mut definition = shared::plain_type(name, attributes.text("description"), kind);
         shared::type_attributes(&attributes, &mut definition, draft);
+        if kind == VariableKind::Clock {
+            let clock = ClockAttributes::of(&attributes, &mut draft.quirks);
+            clocks.types.insert(definition.name.clone(), clock);
+        }
         if kind == VariableKind::Enumeration {
             definition.items = shared::items(xml, &element, draft)?;
         }
@@ -104,7 +115,12 @@ fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) 
     Ok(())
 }
 
-fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<Positions, FmiError> {
+fn variables(
+    xml: &mut Xml<'_>,
+    parent: &Element<'_>,
+    clocks: &mut Clocks,
+    draft: &mut Draft,
+) -> Result<Positions, FmiError> {
     let mut positions = Positions::new();
     let mut later = Later::default();
     while let Some(element) = xml.child(parent.level)? {
@@ -119,7 +135,7 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
         let position = draft.model.variables.len();
         let flags = scalar_attributes(&attributes, &mut variable, draft);
         if kind == VariableKind::Clock {
-            variable.clock = Some(Box::new(clock_timing(&attributes, draft)));
+            clocks.variables.push((position, ClockAttributes::of(&attributes, &mut draft.quirks)));
         }
         let texts = variable_children(xml, &element, &mut variable, draft, (position, &mut later))?;
         let is_array = !variable.dimensions.is_empty();
@@ -180,46 +196,6 @@ fn scalar_attributes(attributes: &Attributes<'_>, variable: &mut Variable, draft
     variable.relative_quantity = relative_quantity.unwrap_or(false);
     variable.unbounded = unbounded.unwrap_or(false);
     Flags { relative_quantity: relative_quantity.is_some(), unbounded: unbounded.is_some() }
-}
-
-const CLOCK_KINDS: &[(&str, ClockKind)] = &[
-    ("constant", ClockKind::Constant),
-    ("fixed", ClockKind::Fixed),
-    // A word of drafts of the standard; the interval is asked for, as where `fixed` has none.
-    ("calculated", ClockKind::Fixed),
-    ("tunable", ClockKind::Tunable),
-    ("changing", ClockKind::Changing),
-    ("countdown", ClockKind::Countdown),
-    ("triggered", ClockKind::Triggered),
-];
-
-/// When a clock ticks. A fraction, where there is one, is more exact than the decimal beside it.
-fn clock_timing(attributes: &Attributes<'_>, draft: &mut Draft) -> ClockTiming {
-    let quirks = &mut draft.quirks;
-    let kind = attributes.choice("intervalVariability", CLOCK_KINDS, quirks);
-    if kind.is_none() {
-        quirks.add(QuirkKind::Missing, attributes.line, || {
-            "a clock has no intervalVariability; taken as triggered".to_owned()
-        });
-    }
-    let mut counter =
-        |name| attributes.wide_integer(name, quirks).and_then(|counter| u64::try_from(counter).ok());
-    let resolution = counter("resolution").filter(|resolution| *resolution > 0);
-    let mut fraction = |name| Some(Interval::Fraction(counter(name)?, resolution?));
-    let (interval, shift) = (fraction("intervalCounter"), fraction("shiftCounter"));
-    let mut decimal = |name| attributes.real(name, quirks).map(Interval::Decimal);
-    let (interval_decimal, shift_decimal) = (decimal("intervalDecimal"), decimal("shiftDecimal"));
-    let none = match interval {
-        Some(Interval::Fraction(_, resolution)) => Interval::Fraction(0, resolution),
-        _ => Interval::Decimal(0.0),
-    };
-    ClockTiming {
-        kind: kind.unwrap_or(ClockKind::Triggered),
-        can_be_deactivated: attributes.flag("canBeDeactivated", quirks),
-        supports_fraction: attributes.flag("supportsFraction", quirks),
-        interval: interval.or(interval_decimal),
-        shift: shift.or(shift_decimal).unwrap_or(none),
-    }
 }
 
 /// `<Dimension>`, `<Alias>`, and `<Start value="..."/>` of texts and binary variables, which is returned.

@@ -3,6 +3,7 @@
 
 mod attributes;
 mod build_description;
+mod clocks;
 mod encoding;
 mod fmi1;
 mod fmi2;
@@ -11,8 +12,9 @@ mod shared;
 mod xml;
 
 use super::checks;
-use super::model::{FmiVersion, ModelDescription, Unknown};
+use super::model::{ModelDescription, Unknown};
 use super::quirks::Quirks;
+use super::version::FmiVersion;
 use crate::archive::MODEL_DESCRIPTION;
 use crate::error::FmiError;
 use attributes::Attributes;

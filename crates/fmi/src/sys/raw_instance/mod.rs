@@ -3,16 +3,37 @@
 use super::callbacks::{Environment, Log};
 use super::{
     Call, Component, EventInfo, Experiment, IntervalAnswer, Library, LogLine, MidStep, Qualifier, Request,
-    StatePointer, Status, StepInfo,
+    Status, StepInfo,
 };
-use crate::description::{Interval, VariableKind};
+use crate::description::Interval;
 use crate::error::FmiError;
+use saved_states::SavedStates;
 use std::any::Any;
-use std::ffi::{CStr, CString, c_char};
 use std::mem::ManuallyDrop;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Weak};
+use values::ValueBuffers;
+
+pub(crate) use saved_states::SavedSlot;
+
+/// Runs one call: the component is alive, `$body` is evaluated with the binding and the component, its status checked.
+macro_rules! run {
+    ($self:ident, $call:expr, |$binding:ident, $component:ident| $body:expr) => {{
+        $self.alive($call)?;
+        let status = {
+            let ($binding, $component) = ($self.library.binding(), $self.component);
+            // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of this
+            // macro or are those of the slices passed.
+            unsafe { $body }
+        };
+        $self.check($call, status)
+    }};
+}
+
+// Behind the macro, which they use.
+mod saved_states;
+mod values;
 
 /// Log lines that an error carries.
 const LINES_IN_ERRORS: usize = 8;
@@ -51,18 +72,6 @@ pub(crate) struct Failed {
 
 type Outcome = Result<(), Fault>;
 
-/// Place of a saved state in the table of its instance; alive while its token is.
-#[derive(Debug)]
-pub(crate) struct SavedSlot {
-    owner: Arc<()>,
-    slot: Arc<usize>,
-}
-
-struct Slot {
-    pointer: StatePointer,
-    token: Weak<usize>,
-}
-
 /// A live component.
 pub(crate) struct RawInstance {
     component: Component,
@@ -71,14 +80,13 @@ pub(crate) struct RawInstance {
     /// The library's count of instances made and freed, when this one was made.
     epoch: u64,
     sizes: Sizes,
+    /// Co-simulation: made to have its events handled between steps.
+    event_mode: bool,
     /// For messages: the time last set.
     time: Option<f64>,
-    saved: Vec<Slot>,
-    /// The state it had when it was new, where somebody wants to go back to it.
-    origin: Option<SavedSlot>,
-    identity: Arc<()>,
+    saved: SavedStates,
+    buffers: Box<ValueBuffers>,
     orders: Vec<i32>,
-    lanes: Vec<i64>,
     // What the component may reach; dropped by hand, after it, and not at all when it is dead.
     keep: ManuallyDrop<Arc<dyn Any + Send + Sync>>,
     environment: ManuallyDrop<Arc<Environment>>,
@@ -87,7 +95,7 @@ pub(crate) struct RawInstance {
 }
 
 // SAFETY: the component and its saved states are owned by this value alone and all calls take `&mut self`, so calls never
-// overlap; FMI lets the calls of an instance come from different threads one after the other (FMI 2.0.x, section 2.1.1).
+// overlap, and the pointers of its buffers are followed during a call only; FMI lets the calls of an instance come from different threads one after the other (FMI 2.0.x, section 2.1.1).
 // All other fields are `Send` by themselves. `Sync` stays absent.
 unsafe impl Send for RawInstance {}
 
@@ -138,12 +146,11 @@ impl RawInstance {
             dead: false,
             epoch: shared.epoch.fetch_add(1, Ordering::Relaxed) + 1,
             sizes,
+            event_mode: request.event_mode,
             time: None,
-            saved: Vec::new(),
-            origin: None,
-            identity: Arc::new(()),
+            saved: SavedStates::default(),
+            buffers: Box::default(),
             orders: Vec::new(),
-            lanes: Vec::new(),
             keep: ManuallyDrop::new(created.keep),
             environment: ManuallyDrop::new(environment),
             log: ManuallyDrop::new(log),
@@ -166,6 +173,11 @@ impl RawInstance {
     /// The file of its library.
     pub(crate) fn library_path(&self) -> PathBuf {
         self.library.path().to_owned()
+    }
+
+    /// Co-simulation: whether it was made to have its events handled between steps.
+    pub(crate) fn has_event_mode(&self) -> bool {
+        self.event_mode
     }
 
     /// The time last set.
@@ -231,6 +243,15 @@ impl RawInstance {
         }
     }
 
+    /// As many values as references, or more where references may stand for arrays (how many is the caller's to know:
+    /// the FMU is told the number of values).
+    fn lengths(&self, call: Call, references: usize, values: usize) -> Outcome {
+        if self.library.binding().values().has_arrays() {
+            return Ok(());
+        }
+        self.length(call, references, values)
+    }
+
     fn length(&self, call: Call, expected: usize, found: usize) -> Outcome {
         if expected == found {
             Ok(())
@@ -238,20 +259,6 @@ impl RawInstance {
             Err(Fault::Length { call: self.library.binding().name(call), expected, found })
         }
     }
-}
-
-/// Runs one call: the component is alive, `$body` is evaluated with the binding and the component, its status checked.
-macro_rules! run {
-    ($self:ident, $call:expr, |$binding:ident, $component:ident| $body:expr) => {{
-        $self.alive($call)?;
-        let status = {
-            let ($binding, $component) = ($self.library.binding(), $self.component);
-            // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of this
-            // macro or are those of the slices passed.
-            unsafe { $body }
-        };
-        $self.check($call, status)
-    }};
 }
 
 impl RawInstance {
@@ -303,204 +310,6 @@ impl RawInstance {
     pub(crate) fn reset(&mut self) -> Outcome {
         self.time = None;
         run!(self, Call::Reset, |b, c| b.reset(c))
-    }
-
-    /// As many values as references, or more where references may stand for arrays (how many is the caller's to know:
-    /// the FMU is told the number of values).
-    fn lengths(&self, call: Call, references: usize, values: usize) -> Outcome {
-        if self.library.binding().has_arrays() {
-            return Ok(());
-        }
-        self.length(call, references, values)
-    }
-
-    pub(crate) fn get_real(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
-        self.lengths(Call::Get(VariableKind::Real), references.len(), values.len())?;
-        run!(self, Call::Get(VariableKind::Real), |b, c| b.get_real(c, references, values))
-    }
-
-    /// Values of any kind of number but `Real`, in lanes.
-    pub(crate) fn get_packed(
-        &mut self,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Outcome {
-        self.lengths(Call::Get(kind), references.len(), lanes.len())?;
-        run!(self, Call::Get(kind), |b, c| b.get_packed(c, kind, references, lanes))
-    }
-
-    pub(crate) fn get_string(&mut self, references: &[u32], count: usize) -> Result<Vec<String>, Fault> {
-        self.lengths(Call::Get(VariableKind::String), references.len(), count)?;
-        let mut pointers: Vec<*const c_char> = vec![std::ptr::null(); count];
-        run!(self, Call::Get(VariableKind::String), |b, c| b.get_string(c, references, &mut pointers))?;
-        Ok(pointers
-            .into_iter()
-            .map(|pointer| {
-                if pointer.is_null() {
-                    return String::new();
-                }
-                // SAFETY: strings an FMU returns end in NUL and stay valid until the next call on it (FMI 2.0.x,
-                // section 2.1.7; the same in 1.0 and 3.0), and there is none before the copy.
-                unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned()
-            })
-            .collect())
-    }
-
-    pub(crate) fn get_binary(&mut self, references: &[u32], count: usize) -> Result<Vec<Vec<u8>>, Fault> {
-        let call = Call::Get(VariableKind::Binary);
-        self.lengths(call, references.len(), count)?;
-        let mut sizes = vec![0; count];
-        let mut pointers: Vec<*const u8> = vec![std::ptr::null(); count];
-        run!(self, call, |b, c| b.get_binary(c, references, &mut sizes, &mut pointers))?;
-        Ok(pointers
-            .into_iter()
-            .zip(sizes)
-            .map(|(pointer, size)| {
-                if pointer.is_null() || size == 0 {
-                    return Vec::new();
-                }
-                // SAFETY: the FMU says how many bytes there are; they stay valid until the next call on it (FMI 3.0,
-                // section 2.2.6.2), and there is none before the copy.
-                unsafe { std::slice::from_raw_parts(pointer, size) }.to_vec()
-            })
-            .collect())
-    }
-
-    pub(crate) fn set_real(&mut self, references: &[u32], values: &[f64]) -> Outcome {
-        self.lengths(Call::Set(VariableKind::Real), references.len(), values.len())?;
-        run!(self, Call::Set(VariableKind::Real), |b, c| b.set_real(c, references, values))
-    }
-
-    /// Values of any kind of number but `Real`, in lanes.
-    pub(crate) fn set_packed(&mut self, kind: VariableKind, references: &[u32], lanes: &[i64]) -> Outcome {
-        self.lengths(Call::Set(kind), references.len(), lanes.len())?;
-        let mut copy = std::mem::take(&mut self.lanes);
-        copy.clear();
-        copy.extend_from_slice(lanes);
-        let outcome = self.set_copied(kind, references, &mut copy);
-        self.lanes = copy;
-        outcome
-    }
-
-    fn set_copied(&mut self, kind: VariableKind, references: &[u32], lanes: &mut [i64]) -> Outcome {
-        run!(self, Call::Set(kind), |b, c| b.set_packed(c, kind, references, lanes))
-    }
-
-    pub(crate) fn set_string(&mut self, references: &[u32], values: &[CString]) -> Outcome {
-        self.lengths(Call::Set(VariableKind::String), references.len(), values.len())?;
-        let pointers: Vec<*const c_char> = values.iter().map(|value| value.as_ptr()).collect();
-        run!(self, Call::Set(VariableKind::String), |b, c| b.set_string(c, references, &pointers))
-    }
-
-    pub(crate) fn set_binary(&mut self, references: &[u32], values: &[Vec<u8>]) -> Outcome {
-        let call = Call::Set(VariableKind::Binary);
-        self.lengths(call, references.len(), values.len())?;
-        let sizes: Vec<usize> = values.iter().map(Vec::len).collect();
-        let pointers: Vec<*const u8> = values.iter().map(|value| value.as_ptr()).collect();
-        run!(self, call, |b, c| b.set_binary(c, references, &sizes, &pointers))
-    }
-
-    /// Saves the state in a place whose token is gone, or a new one.
-    pub(crate) fn save_state(&mut self) -> Result<SavedSlot, Fault> {
-        let (index, mut pointer) = self.vacant_slot();
-        let outcome = run!(self, Call::SaveState, |b, c| b.save_state(c, &mut pointer));
-        self.fill_slot(index, pointer, outcome)
-    }
-
-    /// Makes a state of bytes written by [`serialize`](Self::serialize).
-    pub(crate) fn deserialize(&mut self, bytes: &[u8]) -> Result<SavedSlot, Fault> {
-        // A new state is made, never one written over: fmi2DeSerializeFMUstate knows no reuse.
-        let mut pointer: StatePointer = std::ptr::null_mut();
-        let outcome = run!(self, Call::Deserialize, |b, c| b.deserialize(c, bytes, &mut pointer));
-        let index = self.saved.len();
-        self.saved.push(Slot { pointer: std::ptr::null_mut(), token: Weak::new() });
-        self.fill_slot(index, pointer, outcome)
-    }
-
-    /// Saves the state of a new instance, for [`restore_origin`](Self::restore_origin).
-    pub(crate) fn save_origin(&mut self) -> Outcome {
-        self.origin = Some(self.save_state()?);
-        Ok(())
-    }
-
-    /// Whether the state that it had when it was new is saved.
-    pub(crate) fn has_origin(&self) -> bool {
-        self.origin.is_some()
-    }
-
-    /// Brings that state back; without one, a `Discard`.
-    pub(crate) fn restore_origin(&mut self) -> Outcome {
-        let Some(origin) = self.origin.take() else {
-            return Err(Fault::Discard(self.library.binding().name(Call::RestoreState)));
-        };
-        let outcome = self.restore_state(&origin);
-        self.origin = Some(origin);
-        outcome
-    }
-
-    fn vacant_slot(&mut self) -> (usize, StatePointer) {
-        let index = match self.saved.iter().position(|slot| slot.token.strong_count() == 0) {
-            Some(index) => index,
-            None => {
-                self.saved.push(Slot { pointer: std::ptr::null_mut(), token: Weak::new() });
-                self.saved.len() - 1
-            }
-        };
-        (index, self.saved[index].pointer)
-    }
-
-    fn fill_slot(
-        &mut self,
-        index: usize,
-        pointer: StatePointer,
-        outcome: Outcome,
-    ) -> Result<SavedSlot, Fault> {
-        self.saved[index].pointer = pointer;
-        outcome?;
-        let slot = Arc::new(index);
-        self.saved[index].token = Arc::downgrade(&slot);
-        Ok(SavedSlot { owner: Arc::clone(&self.identity), slot })
-    }
-
-    /// The pointer behind a token; `None` if the token is of another instance.
-    fn saved_pointer(&self, saved: &SavedSlot) -> Option<StatePointer> {
-        if !Arc::ptr_eq(&saved.owner, &self.identity) {
-            return None;
-        }
-        self.saved.get(*saved.slot).map(|slot| slot.pointer)
-    }
-
-    /// Whether the token was made by this instance.
-    pub(crate) fn owns(&self, saved: &SavedSlot) -> bool {
-        self.saved_pointer(saved).is_some()
-    }
-
-    /// Brings a saved state back. The caller has checked [`owns`](Self::owns); a foreign token is a `Discard`.
-    pub(crate) fn restore_state(&mut self, saved: &SavedSlot) -> Outcome {
-        let pointer = self.owned(Call::RestoreState, saved)?;
-        self.time = None;
-        run!(self, Call::RestoreState, |b, c| b.restore_state(c, pointer))
-    }
-
-    fn owned(&self, call: Call, saved: &SavedSlot) -> Result<StatePointer, Fault> {
-        self.saved_pointer(saved).ok_or(Fault::Discard(self.library.binding().name(call)))
-    }
-
-    /// The bytes of a saved state.
-    pub(crate) fn serialize(&mut self, saved: &SavedSlot) -> Result<Vec<u8>, Fault> {
-        let pointer = self.owned(Call::Serialize, saved)?;
-        let mut size = 0;
-        run!(self, Call::SerializedSize, |b, c| b.serialized_size(c, pointer, &mut size))?;
-        let mut bytes = Vec::new();
-        if bytes.try_reserve_exact(size).is_err() {
-            return Err(Fault::Failed(Box::new(
-                self.failed(self.library.binding().name(Call::SerializedSize), Status::Error),
-            )));
-        }
-        bytes.resize(size, 0);
-        run!(self, Call::Serialize, |b, c| b.serialize(c, pointer, &mut bytes))?;
-        Ok(bytes)
     }
 
     pub(crate) fn directional_derivative(
@@ -623,6 +432,16 @@ impl RawInstance {
         Ok(answer)
     }
 
+    /// Gives a clock an interval.
+    pub(crate) fn set_interval(&mut self, clock: u32, interval: Interval) -> Outcome {
+        run!(self, Call::SetInterval, |b, c| b.set_interval(c, clock, interval))
+    }
+
+    /// Computes the discrete states without updating them.
+    pub(crate) fn evaluate_discrete_states(&mut self) -> Outcome {
+        run!(self, Call::EvaluateDiscreteStates, |b, c| b.evaluate_discrete_states(c))
+    }
+
     /// From the start to the first tick of a clock.
     pub(crate) fn get_shift(&mut self, clock: u32, fraction: bool, shift: &mut Interval) -> Outcome {
         run!(self, Call::GetShift, |b, c| b.get_shift(c, clock, fraction, shift))
@@ -691,12 +510,8 @@ impl Drop for RawInstance {
             return;
         }
         let binding = self.library.binding();
-        for slot in &mut self.saved {
-            if !slot.pointer.is_null() {
-                // SAFETY: the component is alive, the state was made by it and is freed once. The status is of no use.
-                let _ = unsafe { binding.free_state(self.component, &mut slot.pointer) };
-            }
-        }
+        // SAFETY: the component is alive and made these states.
+        unsafe { self.saved.free(binding, self.component) };
         // SAFETY: the component is alive, ours alone, and gone after this.
         unsafe { binding.free_instance(self.component) };
         // SAFETY: nothing refers to these any more, and they are dropped once; the library last.

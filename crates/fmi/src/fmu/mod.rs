@@ -1,26 +1,29 @@
 //! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
 
+mod reuse;
+
+pub use reuse::{Reuse, Sharing};
+
 use crate::archive::Archive;
 use crate::copies::{CopyStore, PrivateCopy};
 use crate::description::{Causality, Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Instance, Instantiated};
-use crate::open_options::OpenOptions;
+use crate::open_options::{LogOptions, OpenOptions};
 use crate::options::{Kind, SimulateOptions};
 use crate::plan::{Setting, SimulationPlan};
 use crate::platform;
 use crate::simulation::Simulator;
 use crate::source;
-use crate::sys::{
-    FloatEnvironment, InterfaceKind, Library, LogFilter, RawInstance, Request, Shared, Sizes, Spares,
-};
+use crate::sys::{FloatEnvironment, InterfaceKind, Library, LogFilter, RawInstance, Request, Sizes};
 use crate::trajectory::Trajectory;
+use reuse::Idle;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
-/// Instances kept for later, per FMU.
-const MAX_IDLE: usize = 4;
+const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated \
+                             with it: it is run without";
 
 /// An opened FMU. Clones share everything and are cheap.
 ///
@@ -54,69 +57,6 @@ struct Side {
     copies: OnceLock<Arc<CopyStore>>,
     library: Mutex<Option<Arc<Library>>>,
 }
-
-/// Whether all of `set` is among `settings`; both are sorted.
-fn are_covered(set: &[Setting], settings: &[Setting]) -> bool {
-    set.iter().all(|one| settings.binary_search(one).is_ok())
-}
-
-/// Instances that nobody uses at present, each with everything that was ever set in it. Resetting may leave what was set
-/// (the first-use test does not see variables that its plan does not set), so an instance goes only to plans that set all
-/// of it again.
-#[derive(Debug, Default)]
-struct Idle(Mutex<Vec<(RawInstance, Arc<[Setting]>)>>);
-
-impl Idle {
-    fn lock(&self) -> MutexGuard<'_, Vec<(RawInstance, Arc<[Setting]>)>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Spares for Idle {
-    fn free_all(&self) {
-        let idle = std::mem::take(&mut *self.lock());
-        drop(idle);
-    }
-}
-
-/// How the instances of an FMU are brought back to their beginning between simulations: the first of these ways that was
-/// seen to be right. Right means that runs have the same bits as on a new instance, also after a run with other values;
-/// which way is faster is never asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-#[non_exhaustive]
-pub enum Reuse {
-    /// By bringing back the state saved when the instance was new (model exchange, FMUs that can save states): it was seen to restore
-    /// everything, bit for bit. All values are set again afterwards, and read back.
-    Restore,
-    /// By the FMU's reset function: it was seen to restore everything, bit for bit.
-    Reset,
-    /// By a new instance for every simulation: nothing else is offered, or it fails, or it leaves traces.
-    Reinstantiate,
-}
-
-/// How several simulations of an FMU share a process.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Sharing {
-    /// At the same time, with instances of one library: these were seen to leave each other alone.
-    Together,
-    /// At the same time, each with a copy of the library of its own, because instances of one library disturb each other
-    /// or the FMU allows only one of them in a process. Every copy is a file of its own with globals of its own, and was
-    /// seen to give the same bits; the files beside the library and the resources are linked along. Shared remain the
-    /// libraries that it depends on and what the linker has marked as unique in the process: if that matters, the trial
-    /// runs see it, and simulations run [one at a time](Self::OneAtATime). There are as many copies as simulators in use
-    /// at once (and three for the trial runs), at most 64 in a process, for they are never unloaded and static
-    /// thread-local storage is small. Where no further copy can be made, simulations take turns with the library itself.
-    PrivateCopies,
-    /// One after the other, each waiting for its turn: instances disturb each other, also those of private copies, or they
-    /// write into the resources that all of them share.
-    OneAtATime,
-}
-
-// Verdicts as the library stores them; 0: none.
-const RESTORE: u8 = 1;
-const RESET: u8 = 2;
-const REINSTANTIATE: u8 = 3;
 
 /// How an instance is made.
 #[derive(Debug, Clone, Default)]
@@ -272,6 +212,22 @@ impl Fmu {
         self.instantiate_in(&self.library(kind)?, kind, options)
     }
 
+    /// Makes an instance for simulations.
+    pub(crate) fn instantiate_for_runs(
+        &self,
+        library: &Arc<Library>,
+        kind: InterfaceKind,
+    ) -> Result<RawInstance, FmiError> {
+        let LogOptions { asked, filter, .. } = self.inner.options.logging;
+        let options = InstanceOptions { logging: asked, log_filter: filter, ..InstanceOptions::default() };
+        self.instantiate_in(library, kind, &options)
+    }
+
+    /// The level at which lines of its log go to the program's logger.
+    pub(crate) fn log_level(&self) -> log::Level {
+        if self.inner.options.logging.shown { log::Level::Info } else { log::Level::Debug }
+    }
+
     /// Makes an instance of either kind with this library, which is that of the FMU or a copy of it.
     pub(crate) fn instantiate_in(
         &self,
@@ -295,12 +251,12 @@ impl Fmu {
             true => description.variables.iter().filter(is_intermediate).map(|v| v.value_reference).collect(),
             false => Vec::new(),
         };
-        let request = Request {
+        let mut request = Request {
             name: &name,
             guid: &guid,
             resources: &resources,
             kind,
-            event_mode: interface.capabilities.uses_event_mode(),
+            event_mode: interface.capabilities.uses_event_mode() && !library.shared().is_event_mode_refused(),
             early_return: interface.capabilities.may_return_early(),
             intermediate: &intermediate,
             visible: options.visible,
@@ -315,7 +271,24 @@ impl Fmu {
         }
         // The FMU may change the floating-point mode of this thread and shall not.
         let _guard = FloatEnvironment::standard();
-        RawInstance::new(library, &request, sizes, only_one)
+        let refusal = match RawInstance::new(library, &request, sizes, only_one) {
+            Err(FmiError::Call(refusal)) if request.event_mode => FmiError::Call(refusal),
+            outcome => return outcome,
+        };
+        // Some models promise an event mode that they do not have.
+        request.event_mode = false;
+        let raw = RawInstance::new(library, &request, sizes, only_one).map_err(|_| refusal)?;
+        library.shared().refuse_event_mode();
+        log::warn!("{}: {NO_EVENT_MODE}", description.model_name);
+        Ok(raw)
+    }
+
+    /// Departures from the standard that showed when the FMU was run; those of its description are in
+    /// [`ModelDescription::quirks`].
+    pub fn quirks_seen(&self) -> Vec<Quirk> {
+        let refused = self.shared(InterfaceKind::CoSimulation).is_some_and(|s| s.is_event_mode_refused());
+        let quirk = || Quirk { kind: QuirkKind::Promise, message: NO_EVENT_MODE.to_owned(), line: 0 };
+        refused.then(quirk).into_iter().collect()
     }
 
     /// Whether the FMU can be simulated, one way or the other; the interface that would be used.
@@ -409,7 +382,7 @@ impl Fmu {
         let path = match platform::find_binary(
             self.root(),
             &interface.model_identifier,
-            description.fmi_version.major,
+            description.fmi_version.folder_names(),
         ) {
             Ok(found) => {
                 if let Some(note) = &found.note {
@@ -459,17 +432,6 @@ impl Fmu {
         Library::open(path, version, kind, &interface.model_identifier, &self.inner.options.loader)
     }
 
-    /// How several simulations share the process; `None` before it was tried (by a [`Pool`](crate::Pool)).
-    pub fn sharing_of(&self, kind: InterfaceKind) -> Option<Sharing> {
-        let shared = self.shared(kind)?;
-        match (shared.is_dependent(), shared.copies_work()) {
-            (true, Some(true)) => Some(Sharing::PrivateCopies),
-            (true, _) => Some(Sharing::OneAtATime),
-            (false, _) if shared.is_reentrant() => Some(Sharing::Together),
-            _ => None,
-        }
-    }
-
     /// Says the path the user knows instead of that of the private folder.
     fn with_own_path(&self, error: FmiError) -> FmiError {
         match error {
@@ -484,102 +446,6 @@ impl Fmu {
         match kind {
             InterfaceKind::ModelExchange => &self.inner.model_exchange,
             InterfaceKind::CoSimulation => &self.inner.co_simulation,
-        }
-    }
-
-    /// An instance that was used before, in which nothing was set but what `settings` set again; to be reset before use.
-    pub(crate) fn take_idle(&self, kind: InterfaceKind, settings: &[Setting]) -> Option<RawInstance> {
-        let mut idle = self.side(kind).idle.lock();
-        let place = idle.iter().rposition(|(_, set)| are_covered(set, settings))?;
-        Some(idle.remove(place).0)
-    }
-
-    /// Keeps an instance, in which `settings` were set, for later; frees another one if there are many.
-    pub(crate) fn put_idle(&self, kind: InterfaceKind, raw: RawInstance, settings: &Arc<[Setting]>) {
-        if raw.is_dead() || raw.is_stale() {
-            return;
-        }
-        let surplus = {
-            let mut idle = self.side(kind).idle.lock();
-            idle.push((raw, Arc::clone(settings)));
-            (idle.len() > MAX_IDLE).then(|| idle.remove(0))
-        };
-        drop(surplus);
-    }
-
-    /// Frees the idle instances.
-    pub(crate) fn drop_idle(&self, kind: InterfaceKind) {
-        self.side(kind).idle.free_all();
-    }
-
-    /// What all users of the library share; `None` before it is loaded.
-    pub(crate) fn shared(&self, kind: InterfaceKind) -> Option<Arc<Shared>> {
-        let slot = self.side(kind).library.lock().unwrap_or_else(PoisonError::into_inner);
-        slot.as_ref().map(|library| Arc::clone(library.shared()))
-    }
-
-    /// How instances are brought back to their beginning, for the interface that is used where nothing else is asked for;
-    /// `None` before it was tried.
-    pub fn reuse(&self) -> Option<Reuse> {
-        self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
-    }
-
-    /// How instances are brought back to their beginning; `None` before it was tried.
-    pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
-        match self.shared(kind)?.reuse(kind) {
-            RESTORE => Some(Reuse::Restore),
-            RESET => Some(Reuse::Reset),
-            REINSTANTIATE => Some(Reuse::Reinstantiate),
-            _ => None,
-        }
-    }
-
-    /// The same for plans that set `settings`; `None` before it was tried with all or some of these.
-    pub(crate) fn reuse_for(&self, kind: InterfaceKind, settings: &[Setting]) -> Option<Reuse> {
-        let reuse = self.reuse_of(kind)?;
-        let proven = self.proven(kind);
-        let is_proven = || proven.iter().any(|(way, set)| *way == reuse && are_covered(set, settings));
-        (reuse == Reuse::Reinstantiate || is_proven()).then_some(reuse)
-    }
-
-    fn proven(&self, kind: InterfaceKind) -> MutexGuard<'_, Vec<(Reuse, Arc<[Setting]>)>> {
-        self.side(kind).proven.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Stores what trial runs of a plan that sets `settings` have shown.
-    pub(crate) fn set_reuse(&self, kind: InterfaceKind, reuse: Reuse, settings: &Arc<[Setting]>) {
-        if let Some(shared) = self.shared(kind) {
-            // Once found out, a broken reset stays broken.
-            let verdict = match reuse {
-                Reuse::Restore if shared.is_restore_refused(kind) => return,
-                Reuse::Restore => RESTORE,
-                Reuse::Reset => RESET,
-                Reuse::Reinstantiate => REINSTANTIATE,
-            };
-            shared.worsen_reuse(kind, verdict);
-        }
-        if reuse == Reuse::Reinstantiate {
-            return self.drop_idle(kind);
-        }
-        let mut proven = self.proven(kind);
-        // What was shown while more was set is shown by this, too.
-        proven.retain(|(way, set)| *way != reuse || !are_covered(settings, set));
-        proven.push((reuse, Arc::clone(settings)));
-    }
-
-    /// Whether instances may be brought back by a saved state, as far as is known. Not in co-simulation: some models abort
-    /// the process when they are initialized after it (seen in Dymola's, whose solver is no part of the state), and reset
-    /// is as fast.
-    pub(crate) fn may_restore(&self, kind: InterfaceKind) -> bool {
-        kind == InterfaceKind::ModelExchange
-            && self.interface(kind).is_some_and(|interface| interface.capabilities.can_get_and_set_state)
-            && self.shared(kind).is_none_or(|shared| !shared.is_restore_refused(kind))
-    }
-
-    /// Saved states were found not to bring instances back.
-    pub(crate) fn refuse_restore(&self, kind: InterfaceKind) {
-        if let Some(shared) = self.shared(kind) {
-            shared.refuse_restore(kind, RESTORE);
         }
     }
 }

@@ -1,25 +1,28 @@
 //! Time-varying inputs: tables and functions; linear between rows for continuous reals, held for everything else.
 
+mod state;
+
+pub(crate) use state::InputState;
+
+use crate::assign::convert_one;
 use crate::clocks::{ClockInputs, Clocked};
-use crate::column::Column;
+use crate::column::{Column, HeldColumn};
 use crate::description::{Causality, ClockKind, Value, Variability, Variable, VariableKind};
 use crate::error::FmiError;
-use crate::instance::Core;
 use crate::lanes;
 use crate::places::{Place, Slots, Starts};
 use crate::text_inputs::TextInput;
 use ode::InputStop;
 use std::fmt;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 /// A function of time.
 pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
 
 /// What drives the inputs of a model.
 ///
-/// Continuous real inputs are linear between the rows of their table, all other inputs ([texts](Self::texts), too) keep the value of a row until the
-/// next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
+/// Continuous real inputs are linear between the rows of their table, all other inputs (texts, too: [`values`](Self::values)) keep
+/// the value of a row until the next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
 /// is the limit from the left. Jumps and changes of held values are events; changes of slope are hit by steps.
 ///
 /// ```
@@ -37,13 +40,13 @@ pub struct Inputs {
 enum Source {
     Column { name: String, times: Arc<[f64]>, values: Arc<[f64]> },
     Function { name: String, function: InputFunction },
-    Texts { name: String, times: Arc<[f64]>, values: Arc<[Value]> },
+    Values { name: String, times: Arc<[f64]>, values: Arc<[Value]> },
 }
 
 impl fmt::Debug for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Source::Column { name, times, .. } | Source::Texts { name, times, .. } => {
+            Source::Column { name, times, .. } | Source::Values { name, times, .. } => {
                 write!(f, "{name}: {} rows", times.len())
             }
             Source::Function { name, .. } => write!(f, "{name}: function"),
@@ -88,16 +91,16 @@ impl Inputs {
         self
     }
 
-    /// Adds a variable that is text or binary, with times of its own; it keeps the value of a row until the next.
+    /// Adds a variable of any type with times of its own, for what a double cannot hold: texts, bytes, integers of 64 bits.
     #[must_use]
-    pub fn texts(
+    pub fn values(
         mut self,
         name: impl Into<String>,
         times: impl Into<Arc<[f64]>>,
         values: impl IntoIterator<Item = impl Into<Value>>,
     ) -> Self {
         let values = values.into_iter().map(Into::into).collect();
-        self.sources.push(Source::Texts { name: name.into(), times: times.into(), values });
+        self.sources.push(Source::Values { name: name.into(), times: times.into(), values });
         self
     }
 
@@ -116,7 +119,7 @@ impl Inputs {
     /// The names, in the order given.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.sources.iter().map(|source| match source {
-            Source::Column { name, .. } | Source::Function { name, .. } | Source::Texts { name, .. } => {
+            Source::Column { name, .. } | Source::Function { name, .. } | Source::Values { name, .. } => {
                 name.as_str()
             }
         })
@@ -133,7 +136,7 @@ enum Continuous {
 /// A held column and where its value goes.
 #[derive(Debug, Clone)]
 struct Held {
-    column: Column,
+    column: HeldColumn,
     target: Target,
 }
 
@@ -188,7 +191,7 @@ impl InputPlan {
         let mut plan = Self { same, ..Self::default() };
         let mut stops = Vec::new();
         for source in &inputs.sources {
-            let (Source::Column { name, .. } | Source::Function { name, .. } | Source::Texts { name, .. }) =
+            let (Source::Column { name, .. } | Source::Function { name, .. } | Source::Values { name, .. }) =
                 source;
             let place = Place::of_name(description, starts.structure, name)?;
             let variable = &description.variables[place.variable];
@@ -206,11 +209,8 @@ impl InputPlan {
                 let problem = format!("it is an array; drive its elements, {name}[...], counted from 1");
                 return Err(bad(variable, problem));
             }
-            let is_linear =
-                variable.kind == VariableKind::Real && variable.variability == Variability::Continuous;
-            let sign = if variable.negated { -1.0 } else { 1.0 };
             match source {
-                Source::Function { function, .. } if is_linear => {
+                Source::Function { function, .. } if is_linear(variable) => {
                     let function = Arc::clone(function);
                     let function = if variable.negated { Arc::new(move |t| -function(t)) } else { function };
                     let at = plan.place_continuous(starts, place)?;
@@ -220,46 +220,87 @@ impl InputPlan {
                     let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
                     return Err(bad(variable, problem.to_owned()));
                 }
-                Source::Texts { .. } if place.element.is_some() || !variable.clocks.is_empty() => {
-                    let problem = "texts drive single variables that belong to no clock";
-                    return Err(bad(variable, problem.to_owned()));
-                }
-                Source::Texts { times, values, .. } => {
+                Source::Values { times, values, .. } if !variable.kind.is_number() => {
+                    if place.element.is_some() || !variable.clocks.is_empty() {
+                        let problem = "texts drive single variables that belong to no clock";
+                        return Err(bad(variable, problem.to_owned()));
+                    }
                     let (text, numbers) = TextInput::new(variable, values)?;
                     check_rows(variable, times, &numbers)?;
                     let column = Column { times: Arc::clone(times), values: numbers.into() };
                     column.held_stops(&mut stops);
-                    plan.held.push(Held { column, target: Target::Text(plan.texts.len()) });
+                    plan.held.push(Held { column: column.into(), target: Target::Text(plan.texts.len()) });
                     plan.texts.push(text);
                 }
-                Source::Column { times, values, .. } => {
-                    check_rows(variable, times, values)?;
-                    let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
-                    if is_linear {
-                        let column = column.times(sign);
-                        column.linear_stops(same, &mut stops);
-                        let at = plan.place_continuous(starts, place)?;
-                        plan.sources.push((Continuous::Linear(column), at));
-                    } else if place.element.is_some()
-                        && (variable.kind == VariableKind::Clock || !variable.clocks.is_empty())
-                    {
-                        let problem = "elements of arrays cannot be clocks, nor be driven by clocks";
-                        return Err(bad(variable, problem.to_owned()));
-                    } else if variable.kind == VariableKind::Clock {
-                        plan.clock(variable, place.variable, column, &mut stops)?;
-                    } else if !variable.clocks.is_empty() {
-                        let column = check_held(variable, column)?;
-                        plan.clocks.clocked.push(Clocked { variable: place.variable, column });
+                Source::Values { times, values, .. } => {
+                    let converted: Vec<Value> =
+                        values.iter().map(|value| convert_one(variable, value)).collect::<Result<_, _>>()?;
+                    if matches!(variable.kind, VariableKind::Int64 | VariableKind::UInt64) {
+                        let lanes: Vec<i64> =
+                            converted.iter().filter_map(|value| lanes::lane(variable.kind, value)).collect();
+                        let column = HeldColumn::of_lanes(times, &lanes);
+                        check_rows(variable, times, &column.column.values)?;
+                        plan.add_held(starts, place, column, &mut stops)?;
                     } else {
-                        column.held_stops(&mut stops);
-                        plan.hold(starts, place, column)?;
+                        let numbers: Vec<f64> = converted.iter().filter_map(Value::as_number).collect();
+                        plan.add_numbers(starts, place, (times, &numbers.into()), &mut stops)?;
                     }
+                }
+                Source::Column { times, values, .. } => {
+                    plan.add_numbers(starts, place, (times, values), &mut stops)?;
                 }
             }
         }
         plan.take_intermediate(starts);
         plan.take_stops(stops);
         Ok(plan)
+    }
+
+    /// A column of numbers for a variable or an element of one.
+    fn add_numbers(
+        &mut self,
+        starts: &Starts<'_>,
+        place: Place,
+        (times, values): (&Arc<[f64]>, &Arc<[f64]>),
+        stops: &mut Vec<InputStop>,
+    ) -> Result<(), FmiError> {
+        let variable = &starts.description.variables[place.variable];
+        check_rows(variable, times, values)?;
+        let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
+        if is_linear(variable) {
+            let column = column.times(if variable.negated { -1.0 } else { 1.0 });
+            column.linear_stops(self.same, stops);
+            let at = self.place_continuous(starts, place)?;
+            self.sources.push((Continuous::Linear(column), at));
+            return Ok(());
+        }
+        let column = check_held(variable, column)?;
+        if variable.kind == VariableKind::Clock && place.element.is_none() {
+            return self.clock(variable, place.variable, column, stops);
+        }
+        self.add_held(starts, place, column.into(), stops)
+    }
+
+    /// A held column for a variable that is no clock, or an element of one.
+    fn add_held(
+        &mut self,
+        starts: &Starts<'_>,
+        place: Place,
+        column: HeldColumn,
+        stops: &mut Vec<InputStop>,
+    ) -> Result<(), FmiError> {
+        let variable = &starts.description.variables[place.variable];
+        let is_clocked = !variable.clocks.is_empty();
+        if place.element.is_some() && (variable.kind == VariableKind::Clock || is_clocked) {
+            let problem = "elements of arrays cannot be clocks, nor be driven by clocks";
+            return Err(bad(variable, problem.to_owned()));
+        }
+        if is_clocked {
+            self.clocks.clocked.push(Clocked::new(place.variable, variable, column));
+            return Ok(());
+        }
+        column.column.held_stops(stops);
+        self.hold(starts, place, column)
     }
 
     fn place_continuous(&mut self, starts: &Starts<'_>, place: Place) -> Result<usize, FmiError> {
@@ -284,10 +325,9 @@ impl InputPlan {
         }
     }
 
-    fn hold(&mut self, starts: &Starts<'_>, place: Place, column: Column) -> Result<(), FmiError> {
+    fn hold(&mut self, starts: &Starts<'_>, place: Place, column: HeldColumn) -> Result<(), FmiError> {
         let variable = &starts.description.variables[place.variable];
         let (kind, reference) = (variable.kind, variable.value_reference);
-        let column = check_held(variable, column)?;
         let target = if kind == VariableKind::Real {
             Target::Real(self.held_reals.place(reference, place.element, || starts.reals(place))?)
         } else {
@@ -301,11 +341,7 @@ impl InputPlan {
             let slots = &mut self.held_packed[group].1;
             Target::Packed(group, slots.place(reference, place.element, || starts.lanes(place))?)
         };
-        let column = match (variable.negated, kind) {
-            (false, _) => column,
-            (true, VariableKind::Boolean) => column.flipped(),
-            (true, _) => column.times(-1.0),
-        };
+        let column = if variable.negated { column.negated(kind) } else { column };
         self.held.push(Held { column, target });
         Ok(())
     }
@@ -319,7 +355,6 @@ impl InputPlan {
         column: Column,
         stops: &mut Vec<InputStop>,
     ) -> Result<(), FmiError> {
-        let column = check_held(variable, column)?;
         match variable.clock.as_deref() {
             Some(timing) if timing.kind != ClockKind::Triggered && timing.can_be_deactivated => {
                 self.clocks.enabled.push((index, column));
@@ -363,7 +398,7 @@ impl InputPlan {
             Continuous::Linear(column) => Some(column),
             Continuous::Function(_) => None,
         });
-        for column in linear.chain(self.held.iter_mut().map(|held| &mut held.column)) {
+        for column in linear.chain(self.held.iter_mut().map(|held| &mut held.column.column)) {
             column.snap(&self.jumps, self.same);
         }
     }
@@ -404,6 +439,11 @@ impl Starts<'_> {
         let values = self.elements(place.variable)?;
         Ok(values.iter().map(|value| lanes::lane(kind, value).unwrap_or_default()).collect())
     }
+}
+
+/// Whether an input goes from row to row along a line.
+fn is_linear(variable: &Variable) -> bool {
+    variable.kind == VariableKind::Real && variable.variability == Variability::Continuous
 }
 
 fn bad(variable: &Variable, problem: String) -> FmiError {
@@ -449,187 +489,4 @@ fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<(), 
         }
     }
     Ok(())
-}
-
-/// Where a run stands in its inputs, and the values for the next calls.
-#[derive(Debug, Default)]
-pub(crate) struct InputState {
-    /// Jumps that have happened.
-    passed: usize,
-    cursors: Vec<usize>,
-    pub(crate) continuous: Vec<f64>,
-    pub(crate) held_reals: Vec<f64>,
-    /// Lanes, by the groups of the plan.
-    pub(crate) held_packed: Vec<Vec<i64>>,
-    /// The number of the value that each text has.
-    texts: Vec<usize>,
-    /// Time in functions of the user since the start.
-    in_functions: Duration,
-}
-
-impl InputState {
-    /// Buffers of the right sizes.
-    pub(crate) fn new(plan: &InputPlan) -> Self {
-        Self {
-            passed: 0,
-            cursors: vec![0; plan.sources.len()],
-            continuous: plan.continuous.start.clone(),
-            held_reals: plan.held_reals.start.clone(),
-            held_packed: plan.held_packed.iter().map(|(_, slots)| slots.start.clone()).collect(),
-            texts: vec![0; plan.texts.len()],
-            in_functions: Duration::ZERO,
-        }
-    }
-
-    /// Seconds that the functions of the user took since the start.
-    pub(crate) fn seconds_in_functions(&self) -> f64 {
-        self.in_functions.as_secs_f64()
-    }
-
-    /// Goes to the start of a run: jumps up to `t` have happened.
-    pub(crate) fn begin(&mut self, plan: &InputPlan, t: f64) {
-        self.in_functions = Duration::ZERO;
-        self.passed = 0;
-        self.cursors.fill(0);
-        self.pass(plan, t);
-    }
-
-    /// Lets the jumps up to `t` happen and takes over the held values; whether there were any.
-    pub(crate) fn pass(&mut self, plan: &InputPlan, t: f64) -> bool {
-        let before = self.passed;
-        let happened = plan.jumps.partition_point(|jump| *jump <= t + plan.same);
-        self.passed = self.passed.max(happened);
-        let now = match self.passed.checked_sub(1).and_then(|last| plan.jumps.get(last)) {
-            Some(jump) => jump.max(t),
-            None => t,
-        };
-        for held in &plan.held {
-            let value = held.column.held(now);
-            match held.target {
-                Target::Real(i) => self.held_reals[i] = value,
-                Target::Packed(group, i) => {
-                    let kind = plan.held_packed[group].0;
-                    self.held_packed[group][i] = lanes::lane_of_number(kind, value).unwrap_or_default();
-                }
-                Target::Text(i) => self.texts[i] = value as usize,
-            }
-        }
-        self.passed > before
-    }
-
-    /// Computes the continuous inputs at `t`; `false` if one is not finite. The piece between two jumps is used until
-    /// the jump has happened ([`pass`](Self::pass)), also for times a little beyond it.
-    pub(crate) fn continuous_at(&mut self, plan: &InputPlan, t: f64) -> bool {
-        let next = plan.jumps.get(self.passed).copied().unwrap_or(f64::INFINITY);
-        let last = self.passed.checked_sub(1).map_or(f64::NEG_INFINITY, |i| plan.jumps[i]);
-        let (at, left) = if t >= next { (next, true) } else { (t.max(last), false) };
-        for ((source, place), cursor) in plan.sources.iter().zip(&mut self.cursors) {
-            self.continuous[*place] = match source {
-                Continuous::Linear(column) => column.linear(at, left, cursor),
-                Continuous::Function(function) => {
-                    let began = Instant::now();
-                    let value = function(t);
-                    self.in_functions += began.elapsed();
-                    value
-                }
-            };
-        }
-        self.continuous.iter().all(|value| value.is_finite())
-    }
-}
-
-impl InputState {
-    /// Sets the held inputs, one call per type.
-    pub(crate) fn set_held(&self, core: &mut Core, plan: &InputPlan) -> Result<(), FmiError> {
-        core.set_reals(&plan.held_reals.references, &self.held_reals)?;
-        for ((kind, slots), lanes) in plan.held_packed.iter().zip(&self.held_packed) {
-            core.call(|raw| raw.set_packed(*kind, &slots.references, lanes))?;
-        }
-        for (text, number) in plan.texts.iter().zip(&self.texts) {
-            text.set(core, *number)?;
-        }
-        Ok(())
-    }
-
-    /// What is wrong where [`continuous_at`](Self::continuous_at) said no.
-    pub(crate) fn bad_function_value(&self, t: f64) -> FmiError {
-        let bad = self.continuous.iter().find(|value| !value.is_finite());
-        let value = bad.copied().unwrap_or(f64::NAN);
-        FmiError::NotFinite { name: format!("an input function at t = {t}"), value }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn column(times: &[f64], values: &[f64]) -> Column {
-        Column { times: times.into(), values: values.into() }
-    }
-
-    fn plan_of(linear: Vec<Column>, held: Vec<Column>) -> InputPlan {
-        let mut plan = InputPlan { same: 1e-14, ..InputPlan::default() };
-        let mut stops = Vec::new();
-        linear.iter().for_each(|c| c.linear_stops(plan.same, &mut stops));
-        held.iter().for_each(|c| c.held_stops(&mut stops));
-        plan.held_reals.start = vec![0.0; held.len()];
-        plan.continuous.start = vec![0.0; linear.len()];
-        plan.sources = linear.into_iter().map(Continuous::Linear).zip(0..).collect();
-        plan.held = held
-            .into_iter()
-            .enumerate()
-            .map(|(i, column)| Held { column, target: Target::Real(i) })
-            .collect();
-        plan.take_stops(stops);
-        plan
-    }
-
-    #[test]
-    fn the_piece_before_a_jump_holds_until_the_jump_has_happened() {
-        let plan = plan_of(
-            vec![column(&[0.0, 1.0, 1.0, 2.0], &[0.0, 1.0, 5.0, 5.0])],
-            vec![column(&[0.0, 1.0, 1.5], &[7.0, 8.0, 9.0])],
-        );
-        let mut state = InputState::new(&plan);
-        state.begin(&plan, 0.0);
-        assert_eq!(state.held_reals, [7.0]);
-        for (t, u) in [(0.5, 0.5), (1.0, 1.0), (1.5, 1.0)] {
-            assert!(state.continuous_at(&plan, t));
-            assert_eq!(state.continuous, [u], "t = {t}");
-        }
-        state.pass(&plan, 1.0);
-        assert_eq!(state.held_reals, [8.0]);
-        state.continuous_at(&plan, 1.0);
-        assert_eq!(state.continuous, [5.0]);
-        state.pass(&plan, 1.5);
-        assert_eq!(state.held_reals, [9.0]);
-    }
-
-    #[test]
-    fn jumps_within_rounding_are_one_instant() {
-        let near = 0.1 + 0.2; // 0.30000000000000004
-        let plan = plan_of(
-            vec![column(&[0.0, 0.3, 0.3, 1.0], &[0.0, 1.0, 5.0, 5.0])],
-            vec![column(&[0.0, near], &[7.0, 8.0])],
-        );
-        assert_eq!(plan.jumps, [near]);
-        let mut state = InputState::new(&plan);
-        state.begin(&plan, 0.0);
-        state.continuous_at(&plan, near);
-        assert_eq!(state.continuous, [1.0]);
-        state.pass(&plan, 0.3);
-        state.continuous_at(&plan, 0.3);
-        assert_eq!((state.continuous[0], state.held_reals[0]), (5.0, 8.0));
-        assert_eq!(plan.next_stop(0.3), None);
-        assert_eq!(plan.next_stop(0.0).map(|stop| (stop.time, stop.jump)), Some((near, true)));
-    }
-
-    #[test]
-    fn a_jump_at_the_start_has_happened() {
-        let plan = plan_of(vec![column(&[0.0, 0.0, 1.0], &[1.0, 2.0, 2.0])], vec![]);
-        let mut state = InputState::new(&plan);
-        state.begin(&plan, 0.0);
-        state.continuous_at(&plan, 0.0);
-        assert_eq!(state.continuous, [2.0]);
-    }
 }

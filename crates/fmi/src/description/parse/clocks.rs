@@ -1,0 +1,122 @@
+//! What the elements `<Clock>` and `<ClockType>` say about the ticks of clocks (FMI 3.0.x, sections 2.2.8.3 and 2.4.4).
+
+use super::Draft;
+use super::attributes::Attributes;
+use crate::description::clock::{ClockKind, ClockTiming, Interval};
+use crate::description::model::QuirkKind;
+use crate::description::quirks::Quirks;
+use std::collections::HashMap;
+
+const CLOCK_KINDS: &[(&str, ClockKind)] = &[
+    ("constant", ClockKind::Constant),
+    ("fixed", ClockKind::Fixed),
+    // A word of drafts of the standard; the interval is asked for, as where `fixed` has none.
+    ("calculated", ClockKind::Fixed),
+    ("tunable", ClockKind::Tunable),
+    ("changing", ClockKind::Changing),
+    ("countdown", ClockKind::Countdown),
+    ("triggered", ClockKind::Triggered),
+];
+
+/// The attributes as they are written.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ClockAttributes {
+    line: u32,
+    kind: Option<ClockKind>,
+    can_be_deactivated: Option<bool>,
+    supports_fraction: Option<bool>,
+    resolution: Option<u64>,
+    interval: Span,
+    shift: Span,
+}
+
+/// A span of time, as a number and as the counter of a fraction.
+#[derive(Debug, Clone, Copy)]
+struct Span {
+    decimal: Option<f64>,
+    counter: Option<u64>,
+}
+
+impl Span {
+    fn is_given(self) -> bool {
+        self.decimal.is_some() || self.counter.is_some()
+    }
+
+    /// A fraction, where there is one, is more exact than the number beside it.
+    fn resolved(self, resolution: Option<u64>) -> Option<Interval> {
+        let fraction = self.counter.zip(resolution).map(|(counter, of)| Interval::Fraction(counter, of));
+        fraction.or(self.decimal.map(Interval::Decimal))
+    }
+}
+
+impl ClockAttributes {
+    pub(super) fn of(attributes: &Attributes<'_>, quirks: &mut Quirks) -> Self {
+        let mut counter =
+            |name| attributes.wide_integer(name, quirks).and_then(|counter| u64::try_from(counter).ok());
+        let resolution = counter("resolution").filter(|resolution| *resolution > 0);
+        let counters = (counter("intervalCounter"), counter("shiftCounter"));
+        Self {
+            line: attributes.line,
+            kind: attributes.choice("intervalVariability", CLOCK_KINDS, quirks),
+            can_be_deactivated: attributes.boolean("canBeDeactivated", quirks),
+            supports_fraction: attributes.boolean("supportsFraction", quirks),
+            resolution,
+            interval: Span { decimal: attributes.real("intervalDecimal", quirks), counter: counters.0 },
+            shift: Span { decimal: attributes.real("shiftDecimal", quirks), counter: counters.1 },
+        }
+    }
+
+    /// Takes over what the type says and the variable does not.
+    fn inherit(&mut self, of_type: &Self) {
+        self.kind = self.kind.or(of_type.kind);
+        self.can_be_deactivated = self.can_be_deactivated.or(of_type.can_be_deactivated);
+        self.supports_fraction = self.supports_fraction.or(of_type.supports_fraction);
+        self.resolution = self.resolution.or(of_type.resolution);
+        for (own, inherited) in [(&mut self.interval, of_type.interval), (&mut self.shift, of_type.shift)] {
+            if !own.is_given() {
+                *own = inherited;
+            }
+        }
+    }
+
+    fn timing(self, quirks: &mut Quirks) -> ClockTiming {
+        if self.kind.is_none() {
+            quirks.add(QuirkKind::Missing, self.line, || {
+                "a clock has no intervalVariability; taken as triggered".to_owned()
+            });
+        }
+        let interval = self.interval.resolved(self.resolution);
+        let none = match interval {
+            Some(Interval::Fraction(_, resolution)) => Interval::Fraction(0, resolution),
+            _ => Interval::Decimal(0.0),
+        };
+        ClockTiming {
+            kind: self.kind.unwrap_or(ClockKind::Triggered),
+            can_be_deactivated: self.can_be_deactivated.unwrap_or(false),
+            supports_fraction: self.supports_fraction.unwrap_or(false),
+            interval,
+            shift: self.shift.resolved(self.resolution).unwrap_or(none),
+        }
+    }
+}
+
+/// The clocks of a description and their types, wherever these stand.
+#[derive(Debug, Default)]
+pub(super) struct Clocks {
+    pub(super) types: HashMap<String, ClockAttributes>,
+    /// By the position of the variable.
+    pub(super) variables: Vec<(usize, ClockAttributes)>,
+}
+
+impl Clocks {
+    /// Tells the variables when they tick.
+    pub(super) fn finish(self, draft: &mut Draft) {
+        for (position, mut attributes) in self.variables {
+            let Some(variable) = draft.model.variables.get_mut(position) else { continue };
+            if let Some(of_type) = variable.declared_type.as_ref().and_then(|name| self.types.get(name)) {
+                attributes.inherit(of_type);
+            }
+            variable.clock = Some(Box::new(attributes.timing(&mut draft.quirks)));
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! Values of variables: read and set by their references, one call for all of one kind.
+
+use super::{Outcome, RawInstance};
+use crate::description::VariableKind;
+use crate::sys::Call;
+use std::ffi::{CStr, CString, c_char};
+
+/// What is written on the way between the FMU and the outside. The pointers mean something during a call only.
+#[derive(Default)]
+pub(super) struct ValueBuffers {
+    lanes: Vec<i64>,
+    texts: Vec<*const c_char>,
+    sizes: Vec<usize>,
+    binaries: Vec<*const u8>,
+}
+
+impl ValueBuffers {
+    /// The buffers for binary values, empty.
+    fn take_binaries(&mut self) -> (Vec<usize>, Vec<*const u8>) {
+        let (mut sizes, mut pointers) = (std::mem::take(&mut self.sizes), std::mem::take(&mut self.binaries));
+        sizes.clear();
+        pointers.clear();
+        (sizes, pointers)
+    }
+}
+
+impl RawInstance {
+    pub(crate) fn get_real(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
+        self.lengths(Call::Get(VariableKind::Real), references.len(), values.len())?;
+        run!(self, Call::Get(VariableKind::Real), |b, c| b.get_real(c, references, values))
+    }
+
+    /// Values of any kind of number but `Real`, in lanes.
+    pub(crate) fn get_packed(
+        &mut self,
+        kind: VariableKind,
+        references: &[u32],
+        lanes: &mut [i64],
+    ) -> Outcome {
+        self.lengths(Call::Get(kind), references.len(), lanes.len())?;
+        run!(self, Call::Get(kind), |b, c| b.get_packed(c, kind, references, lanes))
+    }
+
+    /// Reads texts and hands each, `count` in all, to `take` in turn; what is not UTF-8 is replaced.
+    pub(crate) fn get_string(
+        &mut self,
+        references: &[u32],
+        count: usize,
+        mut take: impl FnMut(&str),
+    ) -> Outcome {
+        self.lengths(Call::Get(VariableKind::String), references.len(), count)?;
+        let mut pointers = std::mem::take(&mut self.buffers.texts);
+        pointers.clear();
+        pointers.resize(count, std::ptr::null());
+        let outcome = self.read_strings(references, &mut pointers);
+        if outcome.is_ok() {
+            for pointer in &pointers {
+                if pointer.is_null() {
+                    take("");
+                    continue;
+                }
+                // SAFETY: strings an FMU returns end in NUL and stay valid until the next call on it (FMI 2.0.x,
+                // section 2.1.7; the same in 1.0 and 3.0), and there is none while this instance is borrowed.
+                take(&unsafe { CStr::from_ptr(*pointer) }.to_string_lossy());
+            }
+        }
+        self.buffers.texts = pointers;
+        outcome
+    }
+
+    fn read_strings(&mut self, references: &[u32], pointers: &mut [*const c_char]) -> Outcome {
+        run!(self, Call::Get(VariableKind::String), |b, c| b.get_string(c, references, pointers))
+    }
+
+    /// Reads binary values and hands each, `count` in all, to `take` in turn.
+    pub(crate) fn get_binary(
+        &mut self,
+        references: &[u32],
+        count: usize,
+        mut take: impl FnMut(&[u8]),
+    ) -> Outcome {
+        self.lengths(Call::Get(VariableKind::Binary), references.len(), count)?;
+        let (mut sizes, mut pointers) = self.buffers.take_binaries();
+        sizes.resize(count, 0);
+        pointers.resize(count, std::ptr::null());
+        let outcome = self.read_binaries(references, &mut sizes, &mut pointers);
+        if outcome.is_ok() {
+            for (pointer, size) in pointers.iter().zip(&sizes) {
+                if pointer.is_null() || *size == 0 {
+                    take(&[]);
+                    continue;
+                }
+                // SAFETY: the FMU says how many bytes there are; they stay valid until the next call on it (FMI 3.0,
+                // section 2.2.6.2), and there is none while this instance is borrowed.
+                take(unsafe { std::slice::from_raw_parts(*pointer, *size) });
+            }
+        }
+        (self.buffers.sizes, self.buffers.binaries) = (sizes, pointers);
+        outcome
+    }
+
+    fn read_binaries(
+        &mut self,
+        references: &[u32],
+        sizes: &mut [usize],
+        pointers: &mut [*const u8],
+    ) -> Outcome {
+        let call = Call::Get(VariableKind::Binary);
+        run!(self, call, |b, c| b.get_binary(c, references, sizes, pointers))
+    }
+
+    pub(crate) fn set_real(&mut self, references: &[u32], values: &[f64]) -> Outcome {
+        self.lengths(Call::Set(VariableKind::Real), references.len(), values.len())?;
+        run!(self, Call::Set(VariableKind::Real), |b, c| b.set_real(c, references, values))
+    }
+
+    /// Values of any kind of number but `Real`, in lanes.
+    pub(crate) fn set_packed(&mut self, kind: VariableKind, references: &[u32], lanes: &[i64]) -> Outcome {
+        self.lengths(Call::Set(kind), references.len(), lanes.len())?;
+        let mut copy = std::mem::take(&mut self.buffers.lanes);
+        copy.clear();
+        copy.extend_from_slice(lanes);
+        let outcome = self.set_copied(kind, references, &mut copy);
+        self.buffers.lanes = copy;
+        outcome
+    }
+
+    fn set_copied(&mut self, kind: VariableKind, references: &[u32], lanes: &mut [i64]) -> Outcome {
+        run!(self, Call::Set(kind), |b, c| b.set_packed(c, kind, references, lanes))
+    }
+
+    pub(crate) fn set_string(&mut self, references: &[u32], values: &[CString]) -> Outcome {
+        self.lengths(Call::Set(VariableKind::String), references.len(), values.len())?;
+        let mut pointers = std::mem::take(&mut self.buffers.texts);
+        pointers.clear();
+        pointers.extend(values.iter().map(|value| value.as_ptr()));
+        let outcome = self.write_strings(references, &pointers);
+        self.buffers.texts = pointers;
+        outcome
+    }
+
+    fn write_strings(&mut self, references: &[u32], pointers: &[*const c_char]) -> Outcome {
+        run!(self, Call::Set(VariableKind::String), |b, c| b.set_string(c, references, pointers))
+    }
+
+    pub(crate) fn set_binary(&mut self, references: &[u32], values: &[Vec<u8>]) -> Outcome {
+        self.lengths(Call::Set(VariableKind::Binary), references.len(), values.len())?;
+        let (mut sizes, mut pointers) = self.buffers.take_binaries();
+        sizes.extend(values.iter().map(Vec::len));
+        pointers.extend(values.iter().map(|value| value.as_ptr()));
+        let outcome = self.write_binaries(references, &sizes, &pointers);
+        (self.buffers.sizes, self.buffers.binaries) = (sizes, pointers);
+        outcome
+    }
+
+    fn write_binaries(&mut self, references: &[u32], sizes: &[usize], pointers: &[*const u8]) -> Outcome {
+        let call = Call::Set(VariableKind::Binary);
+        run!(self, call, |b, c| b.set_binary(c, references, sizes, pointers))
+    }
+}

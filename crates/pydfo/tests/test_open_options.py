@@ -1,0 +1,88 @@
+"""How FMUs are opened: what is shown of their logs, how their libraries are loaded, what was found out about using them."""
+
+from __future__ import annotations
+
+import logging
+
+import fmus
+import pytest
+
+import pydfo
+from pydfo import FMUModel, FmuError, example_fmu, load_fmu
+
+
+def shown(caplog, *arguments, simulations=1, **options):
+    """What is logged of simulations with three bounces each."""
+    caplog.clear()
+    model = load_fmu(example_fmu("bouncing_ball"), *arguments, **options)
+    with caplog.at_level(logging.DEBUG, logger="pydfo"):
+        for _ in range(simulations):
+            model.simulate(final_time=1.5)
+    return [record for record in caplog.records if record.name == "pydfo"]
+
+
+def test_the_log_of_an_fmu_is_shown_where_that_is_asked_for(caplog):
+    assert shown(caplog) == []
+    assert shown(caplog, logging=True) == []
+    lines = shown(caplog, "auto", "all", logging=True)
+    assert lines and all(line.levelno == logging.INFO for line in lines)
+    assert all(line.getMessage().startswith("BouncingBall: [ok] ") for line in lines), lines
+    # Each run has its own lines, and once.
+    assert len(shown(caplog, log_level=7, logging=True, simulations=3)) == 3 * len(lines)
+    for level in ("nothing", "fatal", "Error", 3):
+        assert shown(caplog, log_level=level, logging=True) == []
+
+
+def test_levels_are_those_of_pyfmi():
+    path = example_fmu("dahlquist")
+    for level in (*range(8), "nothing", "warning", "all"):
+        FMUModel(path, log_level=level)
+    for level in (-1, 8, "loud"):
+        with pytest.raises(ValueError, match="log_level must be one of 0 .nothing., 1 .fatal.*7 .all."):
+            load_fmu(path, log_level=level)
+    for level in (True, 2.5, []):
+        with pytest.raises(TypeError, match="log_level"):
+            FMUModel(path, log_level=level)
+
+
+def test_a_model_keeps_the_options_it_was_opened_with(tmp_path):
+    kind = ("modelIdentifier=", 'needsExecutionTool="true" modelIdentifier=')
+    path = fmus.changed("dahlquist", tmp_path / "tool.fmu", kind)
+    with pytest.raises(FmuError, match="needsExecutionTool"):
+        FMUModel(path)
+    model = FMUModel(path, tool_is_present=True)
+    assert model.simulate(final_time=1.0).final("x") > 0
+    # The file is open with other options now, and refused without them all the same.
+    with pytest.raises(FmuError, match="needsExecutionTool"):
+        load_fmu(path)
+    times = [0.0, 0.5, 1.0]
+    data = {"time": times, "x": model.simulate(times=times, start_values={"k": 0.5})["x"]}
+    calibration = pydfo.Calibration(
+        model, data, outputs=["x"], parameters=[pydfo.Parameter("k", 1.0, 0.1, 2.0)]
+    )
+    assert calibration.fit().x[0] == pytest.approx(0.5, rel=1e-4)
+
+
+@pytest.mark.parametrize("options", [{"deepbind": True}, {"lazy": True}])
+def test_libraries_can_be_loaded_otherwise(options):
+    res = load_fmu(example_fmu("dahlquist"), **options).simulate(final_time=1.0)
+    plain = load_fmu(example_fmu("dahlquist")).simulate(final_time=1.0)
+    assert fmus.same_bits(res, plain)
+
+
+def test_the_way_of_using_instances_again_is_told(tmp_path):
+    path = fmus.changed("van_der_pol", tmp_path / "own.fmu")
+    model = FMUModel(path, "ME")
+    assert (model.reuse, model.sharing) == (None, None)
+    for _ in range(3):
+        model.simulate(final_time=2.0)
+    assert model.reuse == "restore"
+
+
+def test_a_promise_that_is_not_kept_is_a_quirk(tmp_path, caplog):
+    model = FMUModel(fmus.compiled("intermediate", tmp_path / "i.fmu", "NO_EVENT_MODE"))
+    assert model.description.quirks == []
+    with caplog.at_level(logging.WARNING, logger="pydfo"):
+        model.simulate()
+    assert [quirk.kind for quirk in model.description.quirks] == ["promise"]
+    assert "event mode" in caplog.text
