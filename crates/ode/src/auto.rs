@@ -5,11 +5,9 @@
 //! stays at the limit of stability, it is stability and not accuracy that decides the step. Back: by a bound on the
 //! spectral radius of the Jacobian.
 
-use crate::control::Weights;
 use crate::explicit_rk::ExplicitRk;
 use crate::radau5::Radau5;
-use crate::stats::Stats;
-use crate::stepper::{Attempt, Stepper, Trial};
+use crate::stepper::{Attempt, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::TSIT5;
 
@@ -114,10 +112,8 @@ impl Auto {
     /// Looks at the Jacobian at the start of a step of Tsit5, now and then, and switches if it says so.
     fn probe<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         trial: Trial<'_>,
-        weights: &Weights,
-        stats: &mut Stats,
     ) -> CallResult<()> {
         let wait = PROBE_STEPS.max(PROBE_STEPS_PER_COST * self.stiff.jacobian_cost());
         if self.since_probe < wait {
@@ -129,7 +125,7 @@ impl Auto {
         self.work = 0;
         self.advanced = 0.0;
         self.until_trial = self.until_trial.saturating_sub(1);
-        match self.stiff.spectral_radius(system, point, weights, stats) {
+        match self.stiff.spectral_radius(equations, point) {
             Ok((radius, _)) if trial.h * radius > NEAR_LIMIT => self.become_stiff(),
             Ok((radius, quotient))
                 if self.until_trial == 0 && trial.h * radius > WORTH_A_TRIAL && quotient < -0.9 * radius =>
@@ -232,12 +228,11 @@ impl Stepper for Auto {
 
     fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
-        stats: &mut Stats,
     ) -> CallResult<()> {
-        active!(self.evaluate(system, t, x, stats))
+        active!(self.evaluate(equations, t, x))
     }
 
     fn forget(&mut self) {
@@ -258,21 +253,21 @@ impl Stepper for Auto {
 
     fn try_step<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         trial: Trial<'_>,
-        weights: &Weights,
         x_new: &mut [f64],
-        stats: &mut Stats,
     ) -> CallResult<Attempt> {
         if !self.is_stiff {
-            self.probe(system, trial, weights, stats)?;
+            self.probe(equations, trial)?;
         }
-        let before = stats.right_hand_sides + stats.directional_derivatives;
-        let attempt = active!(self.try_step(system, trial, weights, x_new, stats))?;
-        self.work += stats.right_hand_sides + stats.directional_derivatives - before;
+        let before = equations.stats.right_hand_sides + equations.stats.directional_derivatives;
+        let attempt = active!(self.try_step(equations, trial, x_new))?;
+        self.work += equations.stats.right_hand_sides + equations.stats.directional_derivatives - before;
         if !self.is_stiff {
             match attempt {
-                Attempt::Good => self.response = trial.h * self.easy.response(trial.x, x_new, weights),
+                Attempt::Good => {
+                    self.response = trial.h * self.easy.response(trial.x, x_new, equations.weights)
+                }
                 _ => self.strain += 1.0,
             }
         }
@@ -289,12 +284,11 @@ impl Stepper for Auto {
 
     fn prepare_interpolation<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         trial: Trial<'_>,
         x_new: &[f64],
-        stats: &mut Stats,
     ) -> CallResult<()> {
-        active!(self.prepare_interpolation(system, trial, x_new, stats))
+        active!(self.prepare_interpolation(equations, trial, x_new))
     }
 
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {

@@ -10,11 +10,10 @@
 //! current point. A step predicts by continuing it; the corrector adds `l_j e` to each `z_j`, where `e` solves
 //! `G(e) = e + z_1 / l_1 - gamma f(t, z_0 + e) = 0`, `gamma = h / l_1`.
 
-use crate::control::{Weights, scaled_norm};
+use crate::control::scaled_norm;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
-use crate::stats::Stats;
-use crate::stepper::{Attempt, Stepper, Trial};
+use crate::stepper::{Attempt, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 mod array;
@@ -137,9 +136,8 @@ impl Bdf {
     /// Makes the array ready for a step of size `h`.
     fn prepare<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         (t, x, h): (f64, &[f64], f64),
-        stats: &mut Stats,
     ) -> CallResult<()> {
         if !self.fresh && self.error_failures >= 3 {
             // The derivatives in the array have lost their meaning.
@@ -147,8 +145,7 @@ impl Bdf {
             if self.order > 1 {
                 self.next_order = self.order - 1;
             } else {
-                stats.right_hand_sides += 1;
-                system.derivatives(t, x, &mut self.f)?;
+                equations.derivatives(t, x, &mut self.f)?;
                 self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = self.h * f);
                 self.wait = 10;
             }
@@ -171,15 +168,13 @@ impl Bdf {
     /// A new decomposition for this `gamma`, with a new Jacobian where the old one cannot be kept.
     fn set_up<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         end: f64,
         gamma: f64,
-        weights: &Weights,
-        stats: &mut Stats,
     ) -> CallResult<bool> {
         if !self.has_jacobian || self.wants_jacobian || self.jacobian_age > KEEP_JACOBIAN {
             let point = (end, &self.z_new[0][..], &self.rhs[..]);
-            self.jacobian.evaluate(system, point, weights, stats)?;
+            self.jacobian.evaluate(equations, point)?;
             self.has_jacobian = true;
             self.wants_jacobian = false;
             self.jacobian_is_suspect = false;
@@ -187,8 +182,8 @@ impl Bdf {
         }
         let n = self.rhs.len();
         let j = &self.jacobian.values;
-        stats.decompositions += 1;
-        stats.linear_algebra += self.lu.operations().0;
+        equations.stats.decompositions += 1;
+        equations.stats.linear_algebra += self.lu.operations().0;
         let good = self.lu.decompose(|p| f64::from(p.is_multiple_of(n + 1)) - gamma * j[p]);
         self.decomposed_gamma = if good { gamma } else { 0.0 };
         self.decomposition_age = 0;
@@ -199,10 +194,9 @@ impl Bdf {
     /// Newton's iterations from the prediction, whose right-hand side is in `rhs`. `false`: no convergence.
     fn newton<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         end: f64,
         gamma: f64,
-        stats: &mut Stats,
     ) -> CallResult<bool> {
         let tolerance = NEWTON_SHARE / self.coefficients.here;
         let share = 1.0 / self.coefficients.l[1];
@@ -212,8 +206,8 @@ impl Bdf {
         self.correction.fill(0.0);
         let mut last = 0.0;
         for count in 1..=MAX_NEWTON {
-            stats.newton_iterations += 1;
-            stats.linear_algebra += self.lu.operations().1;
+            equations.stats.newton_iterations += 1;
+            equations.stats.linear_algebra += self.lu.operations().1;
             for (i, b) in self.increment.iter_mut().enumerate() {
                 *b = gamma * self.rhs[i] - share * self.z_new[1][i] - self.correction[i];
             }
@@ -245,8 +239,7 @@ impl Bdf {
             for (i, x) in self.x.iter_mut().enumerate() {
                 *x = self.z_new[0][i] + self.correction[i];
             }
-            stats.right_hand_sides += 1;
-            system.derivatives(end, &self.x, &mut self.rhs)?;
+            equations.derivatives(end, &self.x, &mut self.rhs)?;
         }
         Ok(false)
     }
@@ -254,10 +247,8 @@ impl Bdf {
     /// Predicts and corrects. `false`: the equations could not be solved with a fresh Jacobian.
     fn correct<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         end: f64,
-        weights: &Weights,
-        stats: &mut Stats,
     ) -> CallResult<bool> {
         for (new, old) in self.z_new.iter_mut().zip(&self.z).take(self.order + 1) {
             new.copy_from_slice(old);
@@ -267,22 +258,21 @@ impl Bdf {
         let gamma = self.h / self.coefficients.l[1];
         let mut must_set_up = self.wants_jacobian || self.error_failures > 0;
         loop {
-            stats.right_hand_sides += 1;
-            system.derivatives(end, &self.z_new[0], &mut self.rhs)?;
+            equations.derivatives(end, &self.z_new[0], &mut self.rhs)?;
             let change = if self.decomposed_gamma == 0.0 {
                 f64::INFINITY
             } else {
                 (gamma / self.decomposed_gamma - 1.0).abs()
             };
             let old = must_set_up || change > KEEP_GAMMA || self.decomposition_age >= KEEP_DECOMPOSITION;
-            if old && !self.set_up(system, end, gamma, weights, stats)? {
+            if old && !self.set_up(equations, end, gamma)? {
                 if self.jacobian_age == 0 {
                     return Ok(false);
                 }
                 self.wants_jacobian = true;
                 continue;
             }
-            if self.newton(system, end, gamma, stats)? {
+            if self.newton(equations, end, gamma)? {
                 return Ok(true);
             }
             if self.jacobian_age == 0 && self.decomposed_gamma == gamma {
@@ -370,14 +360,12 @@ impl Stepper for Bdf {
 
     fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
-        stats: &mut Stats,
     ) -> CallResult<()> {
         self.z[0].copy_from_slice(x);
-        stats.right_hand_sides += 1;
-        system.derivatives(t, x, &mut self.f)
+        equations.derivatives(t, x, &mut self.f)
     }
 
     fn forget(&mut self) {
@@ -410,19 +398,17 @@ impl Stepper for Bdf {
 
     fn try_step<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         trial: Trial<'_>,
-        weights: &Weights,
         x_new: &mut [f64],
-        stats: &mut Stats,
     ) -> CallResult<Attempt> {
         let Trial { t, end, h, x } = trial;
         if x.is_empty() {
             return Ok(Attempt::Good);
         }
-        weights.inverse_at(x, 1.0, &mut self.inverse);
-        self.prepare(system, (t, x, h), stats)?;
-        if !self.correct(system, end, weights, stats)? {
+        equations.weights.inverse_at(x, 1.0, &mut self.inverse);
+        self.prepare(equations, (t, x, h))?;
+        if !self.correct(equations, end)? {
             self.growth = 1.0;
             self.wants_jacobian = true;
             return Ok(Attempt::NotSolved { h: 0.25 * h });

@@ -1,11 +1,12 @@
 //! DOP853: an explicit Runge-Kutta method of order 8 for tight tolerances, whose dense output (three more evaluations) is
 //! made only for steps that somebody looks into.
 
-use crate::control::{Controller, Weights};
-use crate::dop853_tableau::{A, C, DENSE, ERROR_3, ERROR_5, STAGES};
-use crate::stats::Stats;
-use crate::stepper::{Attempt, Stepper, Trial};
+use crate::control::Controller;
+use crate::stepper::{Attempt, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
+use tableau::{A, C, DENSE, ERROR_3, ERROR_5, STAGES};
+
+mod tableau;
 
 /// The stage that is the right-hand side at the end of the step.
 const END: usize = 12;
@@ -71,17 +72,15 @@ pub(crate) fn dense_weights(theta: f64) -> [f64; STAGES] {
 impl Dop853 {
     fn stage<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         s: usize,
         Trial { t, end, h, x }: Trial<'_>,
-        stats: &mut Stats,
     ) -> CallResult<()> {
         for (i, (p, x)) in self.stage.iter_mut().zip(x).enumerate() {
             *p = x + h * sum(A[s], &self.k, i);
         }
-        stats.right_hand_sides += 1;
         let time = if C[s] == 1.0 { end } else { t + C[s] * h };
-        system.derivatives(time, &self.stage, &mut self.k[s])
+        equations.derivatives(time, &self.stage, &mut self.k[s])
     }
 }
 
@@ -110,13 +109,11 @@ impl Stepper for Dop853 {
 
     fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
-        stats: &mut Stats,
     ) -> CallResult<()> {
-        stats.right_hand_sides += 1;
-        system.derivatives(t, x, &mut self.k[0])
+        equations.derivatives(t, x, &mut self.k[0])
     }
 
     fn forget(&mut self) {
@@ -129,18 +126,16 @@ impl Stepper for Dop853 {
 
     fn try_step<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         trial: Trial<'_>,
-        weights: &Weights,
         x_new: &mut [f64],
-        stats: &mut Stats,
     ) -> CallResult<Attempt> {
         let Trial { end, h, x, .. } = trial;
         if x.is_empty() {
             return Ok(Attempt::Good);
         }
         for s in 1..END {
-            self.stage(system, s, trial, stats)?;
+            self.stage(equations, s, trial)?;
         }
         for i in 0..x.len() {
             x_new[i] = x[i] + h * sum(A[END], &self.k, i);
@@ -148,8 +143,8 @@ impl Stepper for Dop853 {
             self.error[i] = h * sum(ERROR_5, &self.k, i);
         }
         // Of order 8 at a smooth place: the estimate of order 5, made smaller where that of order 3 is larger still.
-        let third = weights.error_norm(x, x_new, &self.stage);
-        let fifth = weights.error_norm(x, x_new, &self.error);
+        let third = equations.weights.error_norm(x, x_new, &self.stage);
+        let fifth = equations.weights.error_norm(x, x_new, &self.error);
         let both = fifth.hypot(0.1 * third);
         self.error_norm = if both == 0.0 { 0.0 } else { fifth * (fifth / both) };
         if self.error_norm.is_nan() {
@@ -158,8 +153,7 @@ impl Stepper for Dop853 {
         if self.error_norm > 1.0 {
             return Ok(Attempt::TooInexact { h: h * self.controller.rejected(self.error_norm) });
         }
-        stats.right_hand_sides += 1;
-        system.derivatives(end, x_new, &mut self.k[END])?;
+        equations.derivatives(end, x_new, &mut self.k[END])?;
         if !self.k[END].iter().sum::<f64>().is_finite() {
             return Err(CallError::Discard);
         }
@@ -176,16 +170,15 @@ impl Stepper for Dop853 {
 
     fn prepare_interpolation<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         trial: Trial<'_>,
         _: &[f64],
-        stats: &mut Stats,
     ) -> CallResult<()> {
         if trial.x.is_empty() {
             return Ok(());
         }
         for s in END + 1..STAGES {
-            self.stage(system, s, trial, stats)?;
+            self.stage(equations, s, trial)?;
         }
         for i in 0..trial.x.len() {
             let terms = dense_terms(&self.k, trial.h, i);

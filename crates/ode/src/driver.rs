@@ -12,7 +12,7 @@ use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
 use crate::radau5::Radau5;
 use crate::sampling::Sampler;
 use crate::stats::Stats;
-use crate::stepper::{Attempt, Stepper, Trial};
+use crate::stepper::{Attempt, Equations, Stepper, Trial};
 use crate::system::{CallError, EventCause, HybridSystem, InputStop};
 use crate::tableau::{EULER, RK4, TSIT5};
 use crate::watched::{CallWatch, Watch, Watched, kind_of};
@@ -433,8 +433,9 @@ where
     fn attempt(&mut self, end: f64, h: f64) -> Step<Tried> {
         let space = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x: &space.x };
-        let tried =
-            self.stepper.try_step(self.system, trial, &space.weights, &mut space.x_new, &mut self.stats);
+        let mut equations =
+            Equations { system: &mut *self.system, weights: &space.weights, stats: &mut self.stats };
+        let tried = self.stepper.try_step(&mut equations, trial, &mut space.x_new);
         match tried {
             Ok(Attempt::Good) => {}
             Ok(Attempt::TooInexact { h }) => {

@@ -1,8 +1,7 @@
 //! Explicit Runge-Kutta methods: one implementation for every tableau, with or without an error estimate.
 
 use crate::control::{Controller, Weights};
-use crate::stats::Stats;
-use crate::stepper::{Attempt, Stepper, Trial};
+use crate::stepper::{Attempt, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::Tableau;
 
@@ -89,13 +88,11 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
 
     fn evaluate<M: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut M,
+        equations: &mut Equations<'_, M>,
         t: f64,
         x: &[f64],
-        stats: &mut Stats,
     ) -> CallResult<()> {
-        stats.right_hand_sides += 1;
-        system.derivatives(t, x, &mut self.k[0])
+        equations.derivatives(t, x, &mut self.k[0])
     }
 
     fn forget(&mut self) {
@@ -108,11 +105,9 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
 
     fn try_step<M: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut M,
+        equations: &mut Equations<'_, M>,
         trial: Trial<'_>,
-        weights: &Weights,
         x_new: &mut [f64],
-        stats: &mut Stats,
     ) -> CallResult<Attempt> {
         let Trial { t, end, h, x } = trial;
         if x.is_empty() {
@@ -123,16 +118,15 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
             let last = s + 1 == S;
             let point = if last { &mut *x_new } else { &mut self.stage[..] };
             combine(point, x, h, &self.tableau.a[s][..s], known);
-            stats.right_hand_sides += 1;
             // The end of the step is met exactly: an input that jumps there must be asked at that very time.
             let c = self.tableau.c[s];
             let time = if c == 1.0 { end } else { t + c * h };
-            system.derivatives(time, point, &mut rest[0])?;
+            equations.derivatives(time, point, &mut rest[0])?;
         }
         self.error_norm = match &self.tableau.error {
             Some(weights_of_error) => {
                 weighted_sum(&mut self.error, h, weights_of_error, &self.k);
-                weights.error_norm(x, x_new, &self.error)
+                equations.weights.error_norm(x, x_new, &self.error)
             }
             // A sum is finite unless something in it is not; no need to look at each number.
             None if x_new.iter().sum::<f64>().is_finite() => 0.0,

@@ -1,7 +1,6 @@
 //! The Jacobian of the right-hand side: from the model, from directional derivatives, or from coloured differences.
 
-use crate::control::Weights;
-use crate::stats::Stats;
+use crate::stepper::Equations;
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Shares of the usual increment that are tried, in this order, until the model can be evaluated.
@@ -168,26 +167,24 @@ impl Jacobian {
     /// Evaluates it at `(t, x)`, where the right-hand side is `f`. [`CallError::Discard`]: it cannot be had there.
     pub(crate) fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         (t, x, f): (f64, &[f64], &[f64]),
-        weights: &Weights,
-        stats: &mut Stats,
     ) -> CallResult<()> {
-        stats.jacobians += 1;
+        equations.stats.jacobians += 1;
         self.values.fill(0.0);
         if self.source == Source::User {
-            if system.jacobian(t, x, &mut self.values)? {
+            if equations.system.jacobian(t, x, &mut self.values)? {
                 return if all_finite(&self.values) { Ok(()) } else { Err(CallError::Discard) };
             }
             self.values.fill(0.0);
             self.source = Source::Directional;
         }
         for g in 0..self.n_groups() {
-            if self.source == Source::Directional && !self.directional(system, t, x, g, stats)? {
+            if self.source == Source::Directional && !self.directional(equations, t, x, g)? {
                 self.source = Source::Differences;
             }
             if self.source == Source::Differences {
-                self.difference(system, (t, x, f), weights, g, stats)?;
+                self.difference(equations, (t, x, f), g)?;
             }
         }
         Ok(())
@@ -196,11 +193,10 @@ impl Jacobian {
     /// One group of columns from one directional derivative; `false`: the model has none.
     fn directional<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
         g: usize,
-        stats: &mut Stats,
     ) -> CallResult<bool> {
         let single = [g];
         let columns = match &self.pattern {
@@ -209,10 +205,10 @@ impl Jacobian {
         };
         self.point.fill(0.0);
         columns.iter().for_each(|&k| self.point[k] = 1.0);
-        if !system.directional_derivative(t, x, &self.point, &mut self.column)? {
+        if !equations.system.directional_derivative(t, x, &self.point, &mut self.column)? {
             return Ok(false);
         }
-        stats.directional_derivatives += 1;
+        equations.stats.directional_derivatives += 1;
         if !all_finite(&self.column) {
             return Err(CallError::Discard);
         }
@@ -230,11 +226,9 @@ impl Jacobian {
     /// defined; backward or shorter where it is refused there.
     fn difference<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         (t, x, f): (f64, &[f64], &[f64]),
-        weights: &Weights,
         g: usize,
-        stats: &mut Stats,
     ) -> CallResult<()> {
         let single = [g];
         let columns = match &self.pattern {
@@ -244,11 +238,10 @@ impl Jacobian {
         for share in LADDER {
             self.point.copy_from_slice(x);
             for &k in columns {
-                let delta = (f64::EPSILON / 2.0).sqrt() * x[k].abs().max(weights.scale(k));
+                let delta = (f64::EPSILON / 2.0).sqrt() * x[k].abs().max(equations.weights.scale(k));
                 self.point[k] += share * if f[k] < 0.0 { -delta } else { delta };
             }
-            stats.right_hand_sides += 1;
-            match system.derivatives(t, &self.point, &mut self.column) {
+            match equations.derivatives(t, &self.point, &mut self.column) {
                 Ok(()) if all_finite(&self.column) => {}
                 Ok(()) | Err(CallError::Discard) => continue,
                 Err(failed) => return Err(failed),
@@ -279,7 +272,9 @@ fn all_finite(values: &[f64]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::Weights;
     use crate::options::AbsoluteTolerance;
+    use crate::stats::Stats;
     use crate::system::EventOutcome;
 
     /// `f_i = x_{i-1} x_i - 2 x_i^2 + 3 x_{i+1}`, refused where some state is above its limit.
@@ -363,7 +358,8 @@ mod tests {
         chain.derivatives(0.0, x, &mut f).unwrap();
         let (mut jacobian, mut stats) = (Jacobian::default(), Stats::default());
         jacobian.begin(chain);
-        let result = jacobian.evaluate(chain, (0.0, x, &f), &weights, &mut stats);
+        let mut equations = Equations { system: chain, weights: &weights, stats: &mut stats };
+        let result = jacobian.evaluate(&mut equations, (0.0, x, &f));
         let exact = chain.exact(x);
         let worst = exact.iter().zip(&jacobian.values).map(|(e, j)| (e - j).abs()).fold(0.0, f64::max);
         (result, worst, stats)

@@ -2,8 +2,10 @@
 //! room; sparse where the pattern is known and it is worth it.
 
 use crate::jacobian::JacobianPattern;
-use crate::sparse_lu::SparseLu;
 use nalgebra::{ComplexField, DMatrix};
+use sparse::SparseLu;
+
+mod sparse;
 
 /// From so many rows on, and with at most this share of places that may differ from zero, matrices are sparse.
 /// Measured: a chain of 100 states (4 % of the places) is decomposed in half the time of a dense matrix, one of 1000

@@ -6,11 +6,11 @@
 //! The stages are written as increments `z_i = X_i - x`, transformed by `T` to the variables `w` in which the Newton
 //! matrix falls apart into a real and a complex block of the size of the system.
 
-use crate::control::{Weights, scaled_norm};
+use crate::control::scaled_norm;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stats::Stats;
-use crate::stepper::{Attempt, Stepper, Trial};
+use crate::stepper::{Attempt, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use nalgebra::Complex;
 
@@ -104,15 +104,13 @@ impl Radau5 {
     /// of the last product, which is minus that where the eigenvalue is real and negative.
     pub(crate) fn spectral_radius<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         point: (f64, &[f64], &[f64]),
-        weights: &Weights,
-        stats: &mut Stats,
     ) -> CallResult<(f64, f64)> {
         const HALF: i32 = 10;
         self.has_jacobian = false;
-        self.jacobian.evaluate(system, point, weights, stats)?;
-        weights.inverse_at(point.1, 1.0, &mut self.inverse);
+        self.jacobian.evaluate(equations, point)?;
+        equations.weights.inverse_at(point.1, 1.0, &mut self.inverse);
         let Self { jacobian, inverse, stage_x: v, error: product, .. } = self;
         for (i, (v, inverse)) in v.iter_mut().zip(&*inverse).enumerate() {
             *v = (1.0 + 0.1 * i as f64) / inverse;
@@ -184,10 +182,9 @@ impl Radau5 {
     /// Simplified Newton iterations on the transformed stages.
     fn newton<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         Trial { t, end, h, x }: Trial<'_>,
         tolerance: f64,
-        stats: &mut Stats,
     ) -> CallResult<Newton> {
         let n = x.len();
         self.guess_stages(h);
@@ -195,14 +192,13 @@ impl Radau5 {
         self.theta = KEEP_JACOBIAN;
         let (mut last_norm, mut last_quotient) = (0.0, 0.0);
         for count in 1..=MAX_NEWTON {
-            stats.newton_iterations += 1;
-            stats.linear_algebra += self.real.operations().1 + self.complex.operations().1;
+            equations.stats.newton_iterations += 1;
+            equations.stats.linear_algebra += self.real.operations().1 + self.complex.operations().1;
             for (r, time) in [t + C1 * h, t + C2 * h, end].into_iter().enumerate() {
                 for ((p, x), z) in self.stage_x.iter_mut().zip(x).zip(&self.z[r]) {
                     *p = x + z;
                 }
-                stats.right_hand_sides += 1;
-                system.derivatives(time, &self.stage_x, &mut self.stage_f[r])?;
+                equations.derivatives(time, &self.stage_x, &mut self.stage_f[r])?;
             }
             self.solve_for_increment(h);
             let sum: f64 =
@@ -281,9 +277,8 @@ impl Radau5 {
     /// The weighted error of the embedded formula; the second time from the point that the first estimate leads to.
     fn estimate_error<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         Trial { t, h, x, .. }: Trial<'_>,
-        stats: &mut Stats,
     ) -> CallResult<f64> {
         let n = x.len();
         for i in 0..n {
@@ -301,7 +296,7 @@ impl Radau5 {
         for ((e, s), f) in self.error.iter_mut().zip(&*slopes).zip(&self.f) {
             *e = s + f;
         }
-        stats.linear_algebra += self.real.operations().1;
+        equations.stats.linear_algebra += self.real.operations().1;
         self.real.solve(&mut self.error);
         for (d, e) in self.terms.defect.iter_mut().zip(&self.error) {
             *d = GAMMA * e;
@@ -313,8 +308,7 @@ impl Radau5 {
         for ((p, x), e) in self.stage_x.iter_mut().zip(x).zip(&self.error) {
             *p = x + e;
         }
-        stats.right_hand_sides += 1;
-        match system.derivatives(t, &self.stage_x, &mut self.stage_f[1]) {
+        match equations.derivatives(t, &self.stage_x, &mut self.stage_f[1]) {
             Ok(()) => {}
             // The first estimate stands.
             Err(CallError::Discard) => return Ok(norm),
@@ -323,7 +317,7 @@ impl Radau5 {
         for i in 0..n {
             self.error[i] = self.stage_f[1][i] + self.stage_f[0][i];
         }
-        stats.linear_algebra += self.real.operations().1;
+        equations.stats.linear_algebra += self.real.operations().1;
         self.real.solve(&mut self.error);
         Ok(scaled_norm(&self.error, &self.inverse).max(1e-10))
     }
@@ -391,15 +385,13 @@ impl Stepper for Radau5 {
 
     fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
-        stats: &mut Stats,
     ) -> CallResult<()> {
         self.jacobian_is_fresh = false;
         self.f_new.copy_from_slice(&self.f);
-        stats.right_hand_sides += 1;
-        system.derivatives(t, x, &mut self.f)?;
+        equations.derivatives(t, x, &mut self.f)?;
         // A change below the tolerance is one all the same: crossings are looked for inside of steps.
         self.can_extrapolate &= self.f == self.f_new;
         Ok(())
@@ -434,11 +426,9 @@ impl Stepper for Radau5 {
 
     fn try_step<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         trial: Trial<'_>,
-        weights: &Weights,
         x_new: &mut [f64],
-        stats: &mut Stats,
     ) -> CallResult<Attempt> {
         let Trial { t, end, h, x } = trial;
         if x.is_empty() {
@@ -446,18 +436,18 @@ impl Stepper for Radau5 {
         }
         // The error estimate is of order 3, the solution of order 5: a larger tolerance for the estimate, so that the
         // error of the solution is about what was asked for (radau5, "tolerance transform").
-        let rtol = TRANSFORM * weights.rtol().powf(2.0 / 3.0);
-        weights.inverse_at(x, weights.rtol() / rtol, &mut self.inverse);
+        let rtol = TRANSFORM * equations.weights.rtol().powf(2.0 / 3.0);
+        equations.weights.inverse_at(x, equations.weights.rtol() / rtol, &mut self.inverse);
         let newton_tolerance = (10.0 * U / rtol).max(rtol.sqrt().min(0.03));
         loop {
             if !self.has_jacobian || self.wants_jacobian {
-                self.jacobian.evaluate(system, (t, x, &self.f), weights, stats)?;
+                self.jacobian.evaluate(equations, (t, x, &self.f))?;
                 self.has_jacobian = true;
                 self.jacobian_is_fresh = true;
                 self.wants_jacobian = false;
                 self.decomposed_h = 0.0;
             }
-            if self.decomposed_h != h && !self.decompose(h, stats) {
+            if self.decomposed_h != h && !self.decompose(h, equations.stats) {
                 if self.jacobian_is_fresh {
                     self.after_rejection = true;
                     return Ok(Attempt::NotSolved { h: 0.5 * h });
@@ -465,7 +455,7 @@ impl Stepper for Radau5 {
                 self.wants_jacobian = true;
                 continue;
             }
-            match self.newton(system, trial, newton_tolerance, stats)? {
+            match self.newton(equations, trial, newton_tolerance)? {
                 Newton::Converged => break,
                 Newton::Failed(_) if !self.jacobian_is_fresh => self.wants_jacobian = true,
                 Newton::Failed(share) => {
@@ -474,10 +464,10 @@ impl Stepper for Radau5 {
                 }
             }
         }
-        let at_end = self.estimate_error(system, trial, stats)?;
+        let at_end = self.estimate_error(equations, trial)?;
         self.trial.set(h, &self.z);
         let last = self.can_extrapolate.then_some(&self.last);
-        let inside = self.terms.bend(&self.trial, last, &self.inverse) * (rtol / weights.rtol());
+        let inside = self.terms.bend(&self.trial, last, &self.inverse) * (rtol / equations.weights.rtol());
         self.error_norm = at_end.max(inside);
         if !self.error_norm.is_finite() {
             return Err(CallError::Discard);
@@ -491,8 +481,7 @@ impl Stepper for Radau5 {
             self.wants_jacobian = !self.jacobian_is_fresh && self.jacobian.cost() <= CHEAP_JACOBIAN;
             return Ok(Attempt::TooInexact { h: h_new });
         }
-        stats.right_hand_sides += 1;
-        system.derivatives(end, x_new, &mut self.f_new)?;
+        equations.derivatives(end, x_new, &mut self.f_new)?;
         if !self.f_new.iter().sum::<f64>().is_finite() {
             return Err(CallError::Discard);
         }

@@ -4,6 +4,22 @@ use crate::control::Weights;
 use crate::stats::Stats;
 use crate::system::{CallResult, HybridSystem};
 
+/// The equations, how exactly they are to be solved, and a count of what that takes.
+#[derive(Debug)]
+pub(crate) struct Equations<'a, S: ?Sized> {
+    pub(crate) system: &'a mut S,
+    pub(crate) weights: &'a Weights,
+    pub(crate) stats: &'a mut Stats,
+}
+
+impl<S: HybridSystem + ?Sized> Equations<'_, S> {
+    /// The right-hand side, counted.
+    pub(crate) fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        self.stats.right_hand_sides += 1;
+        self.system.derivatives(t, x, dx)
+    }
+}
+
 /// A trial step from `(t, x)` to `end`; `h = end - t` as the method computes with it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Trial<'a> {
@@ -59,16 +75,15 @@ pub(crate) trait Stepper {
     /// the past (Jacobians, differences) are kept.
     fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
-        stats: &mut Stats,
     ) -> CallResult<()>;
 
     /// The current point has nothing to do with the steps before it.
     fn forget(&mut self);
 
-    /// An input changes its slope at the current point, where a step always ends.
+    /// An input changes its slope at the current point, where a step always ends. Returns the step size to go on with.
     fn kink(&mut self, h: f64) -> f64 {
         h
     }
@@ -83,11 +98,9 @@ pub(crate) trait Stepper {
     /// [`Discard`](crate::CallError::Discard).
     fn try_step<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         trial: Trial<'_>,
-        weights: &Weights,
         x_new: &mut [f64],
-        stats: &mut Stats,
     ) -> CallResult<Attempt>;
 
     /// The error estimate of the last trial, per state.
@@ -99,12 +112,11 @@ pub(crate) trait Stepper {
     /// Makes ready to look inside the last trial, which was good and ended at `x_new`.
     fn prepare_interpolation<S: HybridSystem + ?Sized>(
         &mut self,
-        system: &mut S,
+        equations: &mut Equations<'_, S>,
         trial: Trial<'_>,
         x_new: &[f64],
-        stats: &mut Stats,
     ) -> CallResult<()> {
-        let _ = (system, trial, x_new, stats);
+        let _ = (equations, trial, x_new);
         Ok(())
     }
 

@@ -5,7 +5,7 @@ use crate::control::{initial_step, probe_step};
 use crate::error::Termination;
 use crate::event::ChatteringGuard;
 use crate::observer::{EventRecord, Observer};
-use crate::stepper::Stepper;
+use crate::stepper::{Equations, Stepper};
 use crate::system::{CallError, EventCause, EventOutcome, EventVisit, HybridSystem};
 
 impl<S, M, O> Run<'_, S, M, O>
@@ -81,7 +81,9 @@ where
     pub(super) fn evaluate_here(&mut self) -> Step<()> {
         let space = &mut *self.space;
         if !space.x.is_empty() {
-            self.stepper.evaluate(self.system, self.t, &space.x, &mut self.stats).map_err(no_retreat)?;
+            let mut equations =
+                Equations { system: &mut *self.system, weights: &space.weights, stats: &mut self.stats };
+            self.stepper.evaluate(&mut equations, self.t, &space.x).map_err(no_retreat)?;
             if !space.x.iter().chain(self.stepper.derivative()).all(|v| v.is_finite()) {
                 return Err(ErrorKind::DiscardedAtRestart.into());
             }

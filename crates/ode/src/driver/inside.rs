@@ -2,7 +2,7 @@
 
 use super::{Run, Shrink, Space, Step, Tried, U, kind_of, no_retreat, read_indicators};
 use crate::observer::Observer;
-use crate::stepper::{Stepper, Trial};
+use crate::stepper::{Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// So many repetitions of a step for one event; three are usual.
@@ -103,9 +103,10 @@ where
     /// Has the method interpolate inside the trial, once.
     fn make_ready(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
         if !std::mem::replace(ready, true) {
-            let Space { x, x_new, .. } = &*self.space;
+            let Space { x, x_new, weights, .. } = &*self.space;
             let trial = Trial { t: self.t, end, h, x };
-            self.stepper.prepare_interpolation(self.system, trial, x_new, &mut self.stats)?;
+            let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
+            self.stepper.prepare_interpolation(&mut equations, trial, x_new)?;
         }
         Ok(())
     }
