@@ -5,14 +5,19 @@ use crate::interrupt::lock;
 use std::io;
 use std::process;
 use std::sync::Mutex;
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread;
+use std::time::{Duration, Instant};
 
 /// Stack of a thread: compiled models put large arrays there.
 const STACK_SIZE: usize = 16 << 20;
 
 /// Idle threads beyond this end.
 const MOST_IDLE: usize = 4;
+
+/// So long a thread looks for more before it sleeps: to be woken takes as long as a short simulation, and who simulates
+/// in a loop has the next one ready by then.
+const AWAKE: Duration = Duration::from_micros(50);
 
 /// A piece of work. It returns what is to be done once its thread waits for more: tell somebody that it is done.
 pub(crate) type Work = Box<dyn FnOnce() -> Box<dyn FnOnce()> + Send>;
@@ -53,9 +58,23 @@ fn start(work: Work) -> io::Result<()> {
             drop(idle);
             announce();
             if stay {
-                work = queue.recv().ok();
+                work = match soon(&queue) {
+                    Err(TryRecvError::Empty) => queue.recv().ok(),
+                    arrived => arrived.ok(),
+                };
             }
         }
     };
     thread::Builder::new().name("pydfo-run".to_owned()).stack_size(STACK_SIZE).spawn(body).map(|_| ())
+}
+
+/// What arrives within a moment; the thread stays awake for it.
+pub(crate) fn soon<T>(queue: &Receiver<T>) -> Result<T, TryRecvError> {
+    let asleep_from = Instant::now() + AWAKE;
+    loop {
+        match queue.try_recv() {
+            Err(TryRecvError::Empty) if Instant::now() < asleep_from => std::hint::spin_loop(),
+            arrived => return arrived,
+        }
+    }
 }

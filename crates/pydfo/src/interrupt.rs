@@ -12,7 +12,7 @@ use pyo3::types::PyTuple;
 use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{RecvTimeoutError, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
@@ -196,7 +196,13 @@ impl<'py> Watch<'py> {
         }))?;
         loop {
             let job;
-            (job, jobs) = self.py.detach(move || (jobs.recv_timeout(PATIENCE), jobs));
+            (job, jobs) = self.py.detach(move || {
+                let job = match helper::soon(&jobs) {
+                    Err(TryRecvError::Empty) => jobs.recv_timeout(PATIENCE),
+                    arrived => arrived.map_err(|_| RecvTimeoutError::Disconnected),
+                };
+                (job, jobs)
+            });
             match job {
                 Ok(job) => job(self.py),
                 Err(RecvTimeoutError::Timeout) => {}
