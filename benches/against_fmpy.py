@@ -72,6 +72,11 @@ def bouncing_ball(case: Case, times: np.ndarray) -> np.ndarray:
         duration = 2 * v / a
 
 
+def dahlquist(case: Case, times: np.ndarray) -> np.ndarray:
+    """The exponential."""
+    return np.exp(-case.parameters["k"] * times)[np.newaxis]
+
+
 def van_der_pol(case: Case, times: np.ndarray) -> np.ndarray:
     from scipy.integrate import solve_ivp
 
@@ -115,6 +120,7 @@ CASES = [
     Case("furuta", 40.0, 801, ["armJoint.phi", "pendulumJoint.phi"],
          {"armFriction": 0.012, "pendulumFriction": 0.002}, None),
     Case("van_der_pol", 20.0, 401, ["x0", "x1"], {"mu": 1.0}, van_der_pol),
+    Case("dahlquist", 10.0, 101, ["x"], {"k": 1.0}, dahlquist),
     Case("bouncing_ball", 3.0, 301, ["h"], {"e": 0.7}, bouncing_ball),
     Case("quad_tank", 60.0, 61, ["qt.x1", "qt.x2"], {"qt.a1": 2.66e-6, "qt.a2": 2.71e-6}, tightest, recorded_voltages()),
     Case("exhaust", 300.0, 301, ["T_out"], {"C1": 2500.0, "G1": 120.0}, tightest, drive_cycle()),
