@@ -15,9 +15,12 @@ const STACK_SIZE: usize = 16 << 20;
 /// Idle threads beyond this end.
 const MOST_IDLE: usize = 4;
 
-/// So long a thread looks for more before it sleeps: to be woken takes as long as a short simulation, and who simulates
-/// in a loop has the next one ready by then.
-const AWAKE: Duration = Duration::from_micros(50);
+/// So long a thread looks for more before it sleeps: about as long as it takes to be woken, so that at most twice the
+/// least time is spent. Who simulates in a loop has the next run ready by then.
+const AWAKE: Duration = Duration::from_micros(250);
+
+/// Looks between two readings of the clock, each of which offers the core to others.
+const LOOKS: u32 = 64;
 
 /// A piece of work. It returns what is to be done once its thread waits for more: tell somebody that it is done.
 pub(crate) type Work = Box<dyn FnOnce() -> Box<dyn FnOnce()> + Send>;
@@ -72,9 +75,15 @@ fn start(work: Work) -> io::Result<()> {
 pub(crate) fn soon<T>(queue: &Receiver<T>) -> Result<T, TryRecvError> {
     let asleep_from = Instant::now() + AWAKE;
     loop {
-        match queue.try_recv() {
-            Err(TryRecvError::Empty) if Instant::now() < asleep_from => std::hint::spin_loop(),
-            arrived => return arrived,
+        for _ in 0..LOOKS {
+            match queue.try_recv() {
+                Err(TryRecvError::Empty) => std::hint::spin_loop(),
+                arrived => return arrived,
+            }
         }
+        if Instant::now() >= asleep_from {
+            return Err(TryRecvError::Empty);
+        }
+        thread::yield_now();
     }
 }

@@ -7,7 +7,9 @@
 
 use crate::helper;
 use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::intern;
 use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
 use pyo3::types::PyTuple;
 use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -104,6 +106,39 @@ impl Drop for Inside {
     }
 }
 
+/// Python's handling of SIGINT: the C module under `signal`, whose wrappers in Python cost as much as a short simulation.
+struct Signals {
+    module: Py<PyModule>,
+    sigint: Py<PyAny>,
+    raising: Py<PyAny>,
+}
+
+impl Signals {
+    fn get(py: Python<'_>) -> PyResult<&'static Self> {
+        static FOUND: PyOnceLock<Signals> = PyOnceLock::new();
+        FOUND.get_or_try_init(py, || {
+            let module = py.import("_signal")?;
+            let sigint = module.getattr("SIGINT")?.unbind();
+            let raising = module.getattr("default_int_handler")?.unbind();
+            Ok(Self { module: module.unbind(), sigint, raising })
+        })
+    }
+
+    fn handler<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.module.bind(py).call_method1(intern!(py, "getsignal"), (&self.sigint,))
+    }
+
+    /// Refused on other threads than the main one, which get no signals anyway.
+    fn handle_by(&self, py: Python<'_>, handler: &Bound<'_, PyAny>) -> PyResult<()> {
+        self.module.bind(py).call_method1(intern!(py, "signal"), (&self.sigint, handler)).map(drop)
+    }
+
+    /// Whether it is Python's own handler, which raises KeyboardInterrupt.
+    fn is_raising(&self, handler: &Bound<'_, PyAny>) -> bool {
+        handler.is(&self.raising)
+    }
+}
+
 /// What we install for SIGINT.
 #[pyclass(frozen, module = "pydfo._core", name = "_SigintHandler")]
 pub(crate) struct SigintHandler {
@@ -136,9 +171,8 @@ impl<'py> Watch<'py> {
         let parent = AROUND.with_borrow(|around| around.last().cloned());
         let stop = Arc::new(Stop { parent, ..Stop::default() });
         let mut watch = Self { py, stop, handler: None, previous: None };
-        // The C module under `signal`: its wrappers in Python cost more than a short simulation.
-        let signal = py.import("_signal")?;
-        let current = signal.getattr("getsignal")?.call1((signal.getattr("SIGINT")?,))?;
+        let signals = Signals::get(py)?;
+        let current = signals.handler(py)?;
         if let Ok(ours) = current.cast::<SigintHandler>() {
             // Inside of other work on the main thread, or on another thread while the main thread works: in the
             // second case the work around this one, if any, is known as its parent.
@@ -148,10 +182,9 @@ impl<'py> Watch<'py> {
                 lock(&ours.get().active).push(Arc::clone(&watch.stop));
                 watch.handler = Some(ours.clone());
             }
-        } else if current.is(&signal.getattr("default_int_handler")?) {
+        } else if signals.is_raising(&current) {
             let ours = Bound::new(py, SigintHandler { active: Mutex::new(vec![Arc::clone(&watch.stop)]) })?;
-            // Refused on other threads than the main one, which get no signals anyway.
-            if signal.call_method1("signal", (signal.getattr("SIGINT")?, &ours)).is_ok() {
+            if signals.handle_by(py, ours.as_any()).is_ok() {
                 watch.handler = Some(ours);
                 watch.previous = Some(current);
             }
@@ -227,12 +260,11 @@ impl Drop for Watch<'_> {
         lock(&handler.get().active).retain(|s| !Arc::ptr_eq(s, &self.stop));
         let Some(previous) = &self.previous else { return };
         let restore = || -> PyResult<()> {
-            let signal = self.py.import("_signal")?;
-            let sigint = signal.getattr("SIGINT")?;
-            if signal.call_method1("getsignal", (&sigint,))?.is(handler) {
-                signal.call_method1("signal", (&sigint, previous))?;
+            let signals = Signals::get(self.py)?;
+            match signals.handler(self.py)?.is(handler) {
+                true => signals.handle_by(self.py, previous),
+                false => Ok(()),
             }
-            Ok(())
         };
         if let Err(e) = restore() {
             e.write_unraisable(self.py, None);

@@ -24,7 +24,7 @@ _log = _logging.getLogger("pydfo")
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Request:
     """What a simulation is told, as the native code reads it; None leaves it to the model."""
 
@@ -424,7 +424,7 @@ class FMUModel:
             chattering=_options.choice("chattering", chattering),
         )
         result = SimulationResult(**self._model.simulate(request))
-        if result.stats.chattering and chattering == "warn":
+        if chattering == "warn" and result.stats.chattering:
             _log.warning("simulate: %d times a hundred events hardly advanced time", result.stats.chattering)
         return result
 

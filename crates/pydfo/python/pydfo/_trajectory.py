@@ -6,6 +6,7 @@ import difflib
 import importlib
 from collections.abc import Iterable, Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -95,13 +96,8 @@ class SimulationResult(Mapping[str, Column]):
         Times in s.
     left_limit : ndarray of bool, shape (rows,)
         Whether a row holds the limit from the left.
-    events : recarray
-        The events after the start, with fields ``time`` and ``kind``: "state", "time", "step", "input", or several of
-        them with a plus between.
     ticks : dict of str to ndarray
         The times in s at which the clocks of the model (FMI 3.0) ticked, for each clock that did.
-    stats : SimulationStats
-        What it cost.
     termination : {"finished", "stopped-by-model"}
         Whether the final time was reached, or the model asked for the end.
     end_time : float
@@ -128,17 +124,14 @@ class SimulationResult(Mapping[str, Column]):
     ) -> None:
         self.time = time
         self.left_limit = left
-        events = np.empty(len(event_times), dtype=[("time", np.float64), ("kind", "U21")])
-        events["time"] = event_times
-        events["kind"] = event_kinds
-        self.events = events.view(np.recarray)
         ticks: dict[str, list[float]] = {}
         for clock, tick in zip(tick_clocks, tick_times):
             ticks.setdefault(clock, []).append(tick)
         self.ticks = {clock: np.array(times) for clock, times in ticks.items()}
-        self.stats = SimulationStats(**stats)
         self.termination = termination
         self.end_time = end_time
+        # Made into what they are shown as when somebody looks: that takes as long as a short simulation.
+        self._event_times, self._event_kinds, self._stats = event_times, event_kinds, stats
         self._columns: dict[str, Column] = {"time": time}
         self._types = {"time": "Real"} | dict(zip(names, types))
         self._units: dict[str, str | None] = {"time": "s", **dict(zip(names, units))}
@@ -152,6 +145,20 @@ class SimulationResult(Mapping[str, Column]):
             self._columns[name] = whole.reshape(len(time), *shape)
             indices = (",".join(str(i + 1) for i in index) for index in np.ndindex(*shape))
             self._elements[name] = {f"{name}[{index}]": part for index, part in zip(indices, parts)}
+
+    @cached_property
+    def events(self) -> np.recarray[Any, Any]:
+        """The events after the start, with fields ``time`` and ``kind``: "state", "time", "step", "input", or several of
+        them with a plus between."""
+        events = np.empty(len(self._event_times), dtype=[("time", np.float64), ("kind", "U21")])
+        events["time"] = self._event_times
+        events["kind"] = self._event_kinds
+        return events.view(np.recarray)
+
+    @cached_property
+    def stats(self) -> SimulationStats:
+        """What it cost."""
+        return SimulationStats(**self._stats)
 
     def __getitem__(self, name: str) -> Column:
         try:
