@@ -88,6 +88,17 @@ impl Weights {
         (sum / x.len().max(1) as f64).sqrt()
     }
 
+    /// Norm of `a - b` over that of `c - d`, at the state `x`; zero if the latter is.
+    pub(crate) fn ratio(&self, x: &[f64], (a, b): (&[f64], &[f64]), (c, d): (&[f64], &[f64])) -> f64 {
+        let (mut above, mut below) = (0.0, 0.0);
+        for i in 0..x.len() {
+            let inverse = 1.0 / self.weight(i, x[i], x[i]);
+            above += ((a[i] - b[i]) * inverse).powi(2);
+            below += ((c[i] - d[i]) * inverse).powi(2);
+        }
+        if below > 0.0 { (above / below).sqrt() } else { 0.0 }
+    }
+
     /// The state that contributes most to the error norm.
     pub(crate) fn worst(&self, x: &[f64], x_new: &[f64], error: &[f64]) -> Option<usize> {
         let share = |i: usize| (error[i] / self.weight(i, x[i], x_new[i])).abs();

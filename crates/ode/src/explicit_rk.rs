@@ -33,8 +33,7 @@ impl<const S: usize> ExplicitRk<S> {
     /// How strongly the right-hand side answers to a change of the state, from the last two stages, which lie at the end
     /// of the step both: an estimate of the largest eigenvalue. For methods whose last but one abscissa is 1.
     pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &Weights) -> f64 {
-        let apart = weights.distance(x, x_new, &self.stage);
-        if apart > 0.0 { weights.distance(x, &self.k[S - 1], &self.k[S - 2]) / apart } else { 0.0 }
+        weights.ratio(x, (&self.k[S - 1], &self.k[S - 2]), (x_new, &self.stage))
     }
 
     /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
@@ -44,26 +43,42 @@ impl<const S: usize> ExplicitRk<S> {
     }
 }
 
-/// `out = x + h * sum_j weights[j] k[j]` over the first `weights.len()` stages.
-fn combine(out: &mut [f64], x: &[f64], h: f64, weights: &[f64], k: &[Vec<f64>]) {
-    for (i, (o, x)) in out.iter_mut().zip(x).enumerate() {
+/// So many components are added up at once, each in the order of the stages as if it were alone.
+const BLOCK: usize = 8;
+
+/// `out_i = finish(sum_j weights[j] k[j]_i, x_i)` over the first `weights.len()` stages.
+#[inline(always)]
+fn sums(out: &mut [f64], x: &[f64], weights: &[f64], k: &[Vec<f64>], finish: impl Fn(f64, f64) -> f64) {
+    let whole = out.len() - out.len() % BLOCK;
+    let (blocks, rest) = out.split_at_mut(whole);
+    for (b, (out, x)) in blocks.chunks_exact_mut(BLOCK).zip(x.chunks_exact(BLOCK)).enumerate() {
+        let mut sum = [0.0; BLOCK];
+        for (w, k) in weights.iter().zip(k) {
+            for (sum, k) in sum.iter_mut().zip(&k[b * BLOCK..][..BLOCK]) {
+                *sum += w * k;
+            }
+        }
+        for ((o, x), sum) in out.iter_mut().zip(x).zip(sum) {
+            *o = finish(sum, *x);
+        }
+    }
+    for (i, (o, x)) in rest.iter_mut().zip(&x[whole..]).enumerate() {
         let mut sum = 0.0;
         for (w, k) in weights.iter().zip(k) {
-            sum += w * k[i];
+            sum += w * k[whole + i];
         }
-        *o = x + h * sum;
+        *o = finish(sum, *x);
     }
 }
 
-/// `out = sum_j weights[j] k[j]`.
+/// `out = x + h * sum_j weights[j] k[j]` over the first `weights.len()` stages.
+fn combine(out: &mut [f64], x: &[f64], h: f64, weights: &[f64], k: &[Vec<f64>]) {
+    sums(out, x, weights, k, |sum, x| x + h * sum);
+}
+
+/// `out = factor * sum_j weights[j] k[j]`.
 fn weighted_sum(out: &mut [f64], factor: f64, weights: &[f64], k: &[Vec<f64>]) {
-    for (i, o) in out.iter_mut().enumerate() {
-        let mut sum = 0.0;
-        for (w, k) in weights.iter().zip(k) {
-            sum += w * k[i];
-        }
-        *o = factor * sum;
-    }
+    sums(out, &k[0], weights, k, |sum, _| factor * sum);
 }
 
 impl<const S: usize> Stepper for ExplicitRk<S> {
