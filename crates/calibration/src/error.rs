@@ -64,4 +64,14 @@ pub enum CalibrationError {
     /// The optimiser could not start, or found nothing.
     #[error(transparent)]
     Optimiser(#[from] dfo::Error),
+    /// The optimiser could not start because of one of the parameters, which it knows by number.
+    #[error("{source} (parameter {index} is '{name}')")]
+    OptimiserParameter {
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Its name.
+        name: String,
+        /// What the optimiser says.
+        source: dfo::Error,
+    },
 }

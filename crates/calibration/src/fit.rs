@@ -205,7 +205,8 @@ impl Calibration {
         let counted = Counted { calibration: self, cutoffs: options.cutoffs, stats: Mutex::default() };
         let mut run = dfo::minimize(ByRef(&counted))
             .start(&start)
-            .bounds(&bound(Parameter::lower), &bound(Parameter::upper))?
+            .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
+            .map_err(|e| self.name_parameter(e))?
             .transforms(&transforms)
             .kinds(&kinds)
             .scales(&sizes)
@@ -232,7 +233,7 @@ impl Calibration {
         if let Some(poll) = poll {
             run = run.poll(poll);
         }
-        let report = run.run()?;
+        let report = run.run().map_err(|e| self.name_parameter(e))?;
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let rms = (report.fun / self.n_residuals() as f64).sqrt();
@@ -248,6 +249,17 @@ impl Calibration {
             solver: solver.clone(),
             report,
         })
+    }
+
+    /// The optimiser knows parameters by number, the user by name.
+    fn name_parameter(&self, source: dfo::Error) -> CalibrationError {
+        match source.parameter() {
+            Some(index) => {
+                let name = self.parameters()[index].name().to_owned();
+                CalibrationError::OptimiserParameter { index, name, source }
+            }
+            None => source.into(),
+        }
     }
 
     /// Checks a start given for this fit as the parameters' own starts were checked.

@@ -269,6 +269,24 @@ pub enum Error {
 }
 
 impl Error {
+    /// The parameter that is the matter, counted from 0, where it is one.
+    pub fn parameter(&self) -> Option<usize> {
+        match self {
+            Self::BadBound { index, .. }
+            | Self::BoundsCrossed { index, .. }
+            | Self::StartNotFinite { index, .. }
+            | Self::StartOutside { index, .. }
+            | Self::LogScale { index, .. }
+            | Self::ParameterOption { index, .. }
+            | Self::NoWholeNumber { index, .. }
+            | Self::NeedsBox { index, .. }
+            | Self::StartNotInterior { index, .. }
+            | Self::NotContinuous { index, .. }
+            | Self::SimplexOutside { index, .. } => Some(*index),
+            _ => None,
+        }
+    }
+
     /// The evaluations made before the error, where there were any.
     pub fn trace(&self) -> Option<&Trace> {
         match self {

@@ -49,9 +49,11 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
     let message = error.to_string();
     match error {
         E::DataFile { path, source } => file("cannot read", path, source),
-        E::Data { .. } | E::Parameter { .. } | E::Setup(_) | E::Length { .. } => {
-            BadCalibrationError::new_err(message)
-        }
+        E::Data { .. }
+        | E::Parameter { .. }
+        | E::Setup(_)
+        | E::Length { .. }
+        | E::OptimiserParameter { .. } => BadCalibrationError::new_err(message),
         E::Model(e) => fmu_error::raise(py, e),
         E::Simulation { source: None, .. } => SimulationError::new_err(message),
         E::Simulation { source: Some(e), .. } => {

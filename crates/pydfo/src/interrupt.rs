@@ -227,15 +227,19 @@ impl<'py> Watch<'py> {
             let _ = give.send(end);
             Box::new(move || drop(desk))
         }))?;
+        // Where nothing came for a while, it is not worth while to stay awake.
+        let mut is_long = false;
         loop {
             let job;
             (job, jobs) = self.py.detach(move || {
-                let job = match helper::soon(&jobs) {
+                let soon = if is_long { Err(TryRecvError::Empty) } else { helper::soon(&jobs) };
+                let job = match soon {
                     Err(TryRecvError::Empty) => jobs.recv_timeout(PATIENCE),
                     arrived => arrived.map_err(|_| RecvTimeoutError::Disconnected),
                 };
                 (job, jobs)
             });
+            is_long = matches!(job, Err(RecvTimeoutError::Timeout));
             match job {
                 Ok(job) => job(self.py),
                 Err(RecvTimeoutError::Timeout) => {}
