@@ -2,9 +2,10 @@
 //! made only for steps that somebody looks into.
 
 use crate::control::Controller;
+use crate::stages::{combine, weighted_sum};
 use crate::stepper::{Attempt, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
-use tableau::{A, C, DENSE, ERROR_3, ERROR_5, STAGES};
+use tableau::{A, C, DENSE, ERROR_3, ERROR_5, STAGES, Weights};
 
 mod tableau;
 
@@ -37,9 +38,14 @@ impl Default for Dop853 {
     }
 }
 
+/// The stages with weights other than zero.
+fn terms(weights: Weights, k: &[Vec<f64>; STAGES]) -> impl Iterator<Item = (f64, &[f64])> + Clone {
+    weights.iter().map(|(j, w)| (*w, &k[*j][..]))
+}
+
 /// `sum_j w_j k_j` of one component.
-fn sum(weights: &[(usize, f64)], k: &[Vec<f64>; STAGES], i: usize) -> f64 {
-    weights.iter().map(|(j, w)| w * k[*j][i]).sum()
+fn sum(weights: Weights, k: &[Vec<f64>; STAGES], i: usize) -> f64 {
+    terms(weights, k).map(|(w, k)| w * k[i]).sum()
 }
 
 /// The terms of the continuous extension, of one component of a step of size `h`.
@@ -76,9 +82,7 @@ impl Dop853 {
         s: usize,
         Trial { t, end, h, x }: Trial<'_>,
     ) -> CallResult<()> {
-        for (i, (p, x)) in self.stage.iter_mut().zip(x).enumerate() {
-            *p = x + h * sum(A[s], &self.k, i);
-        }
+        combine(&mut self.stage, x, h, terms(A[s], &self.k));
         let time = if C[s] == 1.0 { end } else { t + C[s] * h };
         equations.derivatives(time, &self.stage, &mut self.k[s])
     }
@@ -137,11 +141,9 @@ impl Stepper for Dop853 {
         for s in 1..END {
             self.stage(equations, s, trial)?;
         }
-        for i in 0..x.len() {
-            x_new[i] = x[i] + h * sum(A[END], &self.k, i);
-            self.stage[i] = h * sum(ERROR_3, &self.k, i);
-            self.error[i] = h * sum(ERROR_5, &self.k, i);
-        }
+        combine(x_new, x, h, terms(A[END], &self.k));
+        weighted_sum(&mut self.stage, h, terms(ERROR_3, &self.k));
+        weighted_sum(&mut self.error, h, terms(ERROR_5, &self.k));
         // Of order 8 at a smooth place: the estimate of order 5, made smaller where that of order 3 is larger still.
         let third = equations.weights.error_norm(x, x_new, &self.stage);
         let fifth = equations.weights.error_norm(x, x_new, &self.error);

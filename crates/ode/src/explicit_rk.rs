@@ -1,6 +1,7 @@
 //! Explicit Runge-Kutta methods: one implementation for every tableau, with or without an error estimate.
 
 use crate::control::{Controller, Weights};
+use crate::stages::{combine, weighted_sum};
 use crate::stepper::{Attempt, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::Tableau;
@@ -43,42 +44,9 @@ impl<const S: usize> ExplicitRk<S> {
     }
 }
 
-/// So many components are added up at once, each in the order of the stages as if it were alone.
-const BLOCK: usize = 8;
-
-/// `out_i = finish(sum_j weights[j] k[j]_i, x_i)` over the first `weights.len()` stages.
-#[inline(always)]
-fn sums(out: &mut [f64], x: &[f64], weights: &[f64], k: &[Vec<f64>], finish: impl Fn(f64, f64) -> f64) {
-    let whole = out.len() - out.len() % BLOCK;
-    let (blocks, rest) = out.split_at_mut(whole);
-    for (b, (out, x)) in blocks.chunks_exact_mut(BLOCK).zip(x.chunks_exact(BLOCK)).enumerate() {
-        let mut sum = [0.0; BLOCK];
-        for (w, k) in weights.iter().zip(k) {
-            for (sum, k) in sum.iter_mut().zip(&k[b * BLOCK..][..BLOCK]) {
-                *sum += w * k;
-            }
-        }
-        for ((o, x), sum) in out.iter_mut().zip(x).zip(sum) {
-            *o = finish(sum, *x);
-        }
-    }
-    for (i, (o, x)) in rest.iter_mut().zip(&x[whole..]).enumerate() {
-        let mut sum = 0.0;
-        for (w, k) in weights.iter().zip(k) {
-            sum += w * k[whole + i];
-        }
-        *o = finish(sum, *x);
-    }
-}
-
-/// `out = x + h * sum_j weights[j] k[j]` over the first `weights.len()` stages.
-fn combine(out: &mut [f64], x: &[f64], h: f64, weights: &[f64], k: &[Vec<f64>]) {
-    sums(out, x, weights, k, |sum, x| x + h * sum);
-}
-
-/// `out = factor * sum_j weights[j] k[j]`.
-fn weighted_sum(out: &mut [f64], factor: f64, weights: &[f64], k: &[Vec<f64>]) {
-    sums(out, &k[0], weights, k, |sum, _| factor * sum);
+/// The first `weights.len()` stages with their weights.
+fn terms<'a>(weights: &'a [f64], k: &'a [Vec<f64>]) -> impl Iterator<Item = (f64, &'a [f64])> + Clone {
+    weights.iter().copied().zip(k.iter().map(Vec::as_slice))
 }
 
 impl<const S: usize> Stepper for ExplicitRk<S> {
@@ -132,7 +100,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
             let (known, rest) = self.k.split_at_mut(s);
             let last = s + 1 == S;
             let point = if last { &mut *x_new } else { &mut self.stage[..] };
-            combine(point, x, h, &self.tableau.a[s][..s], known);
+            combine(point, x, h, terms(&self.tableau.a[s][..s], known));
             // The end of the step is met exactly: an input that jumps there must be asked at that very time.
             let c = self.tableau.c[s];
             let time = if c == 1.0 { end } else { t + c * h };
@@ -140,7 +108,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         }
         self.error_norm = match &self.tableau.error {
             Some(weights_of_error) => {
-                weighted_sum(&mut self.error, h, weights_of_error, &self.k);
+                weighted_sum(&mut self.error, h, terms(weights_of_error, &self.k));
                 equations.weights.error_norm(x, x_new, &self.error)
             }
             // A sum is finite unless something in it is not; no need to look at each number.
@@ -165,11 +133,11 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
     }
 
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
-        combine(x, trial.x, trial.h, &self.tableau.dense_weights(theta), &self.k);
+        combine(x, trial.x, trial.h, terms(&self.tableau.dense_weights(theta), &self.k));
     }
 
     fn interpolate_slope(&self, _: Trial<'_>, theta: f64, dx: &mut [f64]) {
-        weighted_sum(dx, 1.0, &self.tableau.dense_derivative_weights(theta), &self.k);
+        weighted_sum(dx, 1.0, terms(&self.tableau.dense_derivative_weights(theta), &self.k));
     }
 
     fn accept(&mut self, h: f64, theta: f64) -> f64 {

@@ -16,6 +16,7 @@ mod options;
 mod race;
 mod radau5;
 mod sampling;
+mod stages;
 mod stats;
 mod stepper;
 mod stopwatch;
