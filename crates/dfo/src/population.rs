@@ -2,8 +2,8 @@
 
 use crate::cost::Cost;
 use crate::method::{Setup, SimplexView};
-use crate::scaling::{Space, Transform};
-use crate::termination::{Extent, Measure, Tests, Tolerances};
+use crate::scaling::Space;
+use crate::termination::{Extent, Measure, Tests, Tolerances, typical};
 use serde::{Deserialize, Serialize};
 
 /// More members than this are a mistake, not a wish.
@@ -177,22 +177,12 @@ impl Population {
     /// Whether all members are the best one up to rounding.
     pub(crate) fn is_collapsed(&self, space: &Space) -> bool {
         let best = self.u(self.best());
-        (0..self.len()).all(|slot| {
-            self.u(slot).iter().zip(best).enumerate().all(|(k, (u, b))| {
-                let magnitude = match space.transform(k) {
-                    Transform::Linear => b.abs().max(f64::EPSILON * space.size(k)),
-                    Transform::Log => b.abs().max(1.0),
-                };
-                (u - b).abs() <= 2.0 * f64::EPSILON * magnitude
-            })
-        })
+        (0..self.len()).all(|slot| space.is_same(self.u(slot), best))
     }
 
-    /// The upper median of the absolute costs: how large costs are at the start.
+    /// How large costs are.
     pub(crate) fn typical_cost(&self) -> f64 {
-        let mut costs: Vec<f64> = self.values.iter().flatten().map(|v| v.abs()).collect();
-        costs.sort_by(f64::total_cmp);
-        costs.get(costs.len() / 2).copied().unwrap_or(0.0)
+        typical(&self.values)
     }
 
     pub(crate) fn view(&self) -> SimplexView<'_> {

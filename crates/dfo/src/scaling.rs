@@ -211,6 +211,18 @@ impl Space {
         Ok(self)
     }
 
+    /// Whether two points of the working space are one up to rounding.
+    pub(crate) fn is_same(&self, u: &[f64], v: &[f64]) -> bool {
+        u.iter().zip(v).enumerate().all(|(k, (u, v))| {
+            // Rounding of ln x is absolute, that of x relative; zero is what is tiny against the size.
+            let magnitude = match self.transforms[k] {
+                Transform::Linear => v.abs().max(f64::EPSILON * self.sizes[k]),
+                Transform::Log => v.abs().max(1.0),
+            };
+            (u - v).abs() <= 2.0 * f64::EPSILON * magnitude
+        })
+    }
+
     /// Kind of free parameter `k`.
     pub fn kind(&self, k: usize) -> Kind {
         self.kinds[k]

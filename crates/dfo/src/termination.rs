@@ -191,6 +191,13 @@ impl Tolerances {
     }
 }
 
+/// How large costs are at the start: the upper median of the absolute ones.
+pub(crate) fn typical(costs: &[Option<f64>]) -> f64 {
+    let mut costs: Vec<f64> = costs.iter().flatten().map(|cost| cost.abs()).collect();
+    costs.sort_by(f64::total_cmp);
+    costs.get(costs.len() / 2).copied().unwrap_or(0.0)
+}
+
 /// Of what the tests measure the size and the spread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]

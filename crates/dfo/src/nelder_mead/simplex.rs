@@ -2,8 +2,8 @@
 
 use crate::cost::Cost;
 use crate::method::SimplexView;
-use crate::scaling::{Space, Transform};
-use crate::termination::Measure;
+use crate::scaling::Space;
+use crate::termination::{Measure, typical};
 use serde::{Deserialize, Serialize};
 
 /// Vertices in slots, and the slots by rank.
@@ -213,23 +213,12 @@ impl SimplexData {
     /// Whether all vertices are the best one up to rounding: nothing can come of it any more.
     pub(super) fn is_collapsed(&self, space: &Space) -> bool {
         let best = self.u(self.best());
-        self.order[1..].iter().all(|&slot| {
-            self.u(slot).iter().zip(best).enumerate().all(|(k, (u, b))| {
-                // Rounding of ln x is absolute, that of x relative; zero is what is tiny against the size.
-                let magnitude = match space.transform(k) {
-                    Transform::Linear => b.abs().max(f64::EPSILON * space.size(k)),
-                    Transform::Log => b.abs().max(1.0),
-                };
-                (u - b).abs() <= 2.0 * f64::EPSILON * magnitude
-            })
-        })
+        self.order[1..].iter().all(|&slot| space.is_same(self.u(slot), best))
     }
 
-    /// The upper median of the absolute costs: how large costs are at the start.
+    /// How large costs are.
     pub(super) fn typical_cost(&self) -> f64 {
-        let mut costs: Vec<f64> = self.values.iter().flatten().map(|v| v.abs()).collect();
-        costs.sort_by(f64::total_cmp);
-        costs.get(costs.len() / 2).copied().unwrap_or(0.0)
+        typical(&self.values)
     }
 
     /// Whether all lists have the lengths that belong together: what comes from a file may not.
