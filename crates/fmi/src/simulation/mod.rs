@@ -137,7 +137,7 @@ impl Simulator {
     /// A value is not finite, or there are not as many as parameters; the FMU or the integration fails. The simulator can
     /// be used again after an error: a broken instance is replaced.
     pub fn run(&mut self, parameters: &[f64], observer: &mut dyn Observer) -> Result<Report, FmiError> {
-        self.plan.check_parameters(parameters)?;
+        self.plan.values.check_parameters(parameters)?;
         self.leave_broken_copy()?;
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
@@ -199,7 +199,7 @@ impl Simulator {
 
     /// Brings the FMU to its start without simulating: afterwards [`value`](Self::value) gives initial values.
     pub(crate) fn initialize_only(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
-        self.plan.check_parameters(parameters)?;
+        self.plan.values.check_parameters(parameters)?;
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
         let _guard = FloatEnvironment::standard();
@@ -211,7 +211,7 @@ impl Simulator {
     fn start(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.began = Instant::now();
         let (instance, is_used) = self.fresh_instance(parameters)?;
-        self.engine.initialize(instance, &self.plan.start_values, parameters)?;
+        self.engine.initialize(instance, &self.plan.values.start, parameters)?;
         if !is_used || self.has_values(parameters).is_ok_and(|agrees| agrees) {
             return Ok(());
         }
@@ -229,7 +229,7 @@ impl Simulator {
             return Ok(());
         }
         log::warn!("{model}: after the initialization the model does not have the values it was given");
-        plan.read_back.set_overridden();
+        plan.values.read_back.set_overridden();
         // An instance that did not answer is not to be used.
         self.start_new(parameters)
     }
@@ -237,12 +237,12 @@ impl Simulator {
     fn start_new(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         drop(self.engine.running().retire());
         let raw = new_instance(&self.plan, &self.library)?;
-        self.engine.initialize(raw, &self.plan.start_values, parameters)
+        self.engine.initialize(raw, &self.plan.values.start, parameters)
     }
 
     fn has_values(&mut self, parameters: &[f64]) -> Result<bool, FmiError> {
         let core = self.engine.running().current.core()?;
-        self.plan.has_values(core, parameters, &mut self.buffers)
+        self.plan.values.has_values(core, parameters, &mut self.buffers)
     }
 
     /// A new instance, or one that was brought back to its beginning in a way that is known to do so; and whether it was

@@ -42,7 +42,7 @@ impl Simulator {
             // A run that fails leaves no instance to bring back: then at least the same run twice.
             None => {
                 self.probe_first(reuse, parameters, steps)?;
-                self.probe_again(reuse, &plan.start_values, parameters, steps, &mut Ignore)?
+                self.probe_again(reuse, &plan.values.start, parameters, steps, &mut Ignore)?
             }
             probe => probe,
         };
@@ -158,7 +158,7 @@ impl Simulator {
     ) -> Result<Probe, FmiError> {
         self.renewable(reuse)?;
         let plan = Arc::clone(&self.plan);
-        self.probe_new(&plan.start_values, parameters, steps, &mut Ignore)
+        self.probe_new(&plan.values.start, parameters, steps, &mut Ignore)
     }
 
     /// A trial run on this simulator's instance, brought back to its beginning; `None` if there is none, or it cannot be
@@ -194,9 +194,9 @@ impl Simulator {
         steps: Option<u64>,
     ) -> Result<Option<Probe>, FmiError> {
         let plan = Arc::clone(&self.plan);
-        let (start_values, others) = plan.other_values(parameters);
+        let (start_values, others) = plan.values.others(plan.fmu().description(), parameters);
         match self.probe_again(reuse, &start_values, &others, Some(PROBE_STEPS), &mut Ignore)? {
-            Some(_) => self.probe_again(reuse, &plan.start_values, parameters, steps, &mut Ignore),
+            Some(_) => self.probe_again(reuse, &plan.values.start, parameters, steps, &mut Ignore),
             None => Ok(None),
         }
     }
