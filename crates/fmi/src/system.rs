@@ -176,15 +176,16 @@ impl System {
     }
 
     /// Lets the jumps of inputs happen that are due at `t`, in event mode.
-    fn jump(&mut self, plan: &InputPlan, t: f64) -> CallResult<()> {
-        let Self { running: Running { inputs, current, .. }, sent, .. } = self;
-        inputs.pass(plan, t);
-        if !inputs.continuous_at(plan, t) {
+    fn jump(&mut self, t: f64) -> CallResult<()> {
+        let Self { running: Running { plan, inputs, current, .. }, sent, .. } = self;
+        inputs.pass(&plan.inputs, t);
+        if !inputs.continuous_at(&plan.inputs, t) {
             return Err(CallError::Discard);
         }
-        let set = current
-            .in_event_mode()
-            .and_then(|core| inputs.set_held(core, plan).and_then(|()| send(plan, inputs, sent, core)));
+        let set = current.in_event_mode().and_then(|core| {
+            inputs.set_held(core, &plan.inputs)?;
+            send(&plan.inputs, inputs, sent, core)
+        });
         set.map_err(|error| current.fail(error))
     }
 
@@ -315,10 +316,13 @@ impl HybridSystem for System {
         seed: &[f64],
         derivative: &mut [f64],
     ) -> CallResult<bool> {
-        let plan = Arc::clone(&self.running.plan);
-        let Some(sides) = &plan.jacobian.directional else { return Ok(false) };
+        if self.running.plan.jacobian.directional.is_none() {
+            return Ok(false);
+        }
         self.set_point(t, x)?;
-        let is_there = self.call(|raw| {
+        let Running { plan, current, .. } = &mut self.running;
+        let Some(sides) = &plan.jacobian.directional else { return Ok(false) };
+        let is_there = current.call(|raw| {
             match raw.directional_derivative(&sides.derivatives, &sides.states, seed, derivative) {
                 // Promised, but not in the library.
                 Err(Fault::Missing(_)) => Ok(false),
@@ -370,8 +374,7 @@ impl HybridSystem for System {
     }
 
     fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
-        let plan = Arc::clone(&self.running.plan);
-        let t = visit.time;
+        let (t, plan) = (visit.time, &self.running.plan);
         // Of two instants within rounding the model must see the later one, or its time event would not be due.
         let seen = match self.announced {
             Some(next) if visit.cause.time && next > t && next - t <= plan.same => next.min(plan.end.max(t)),
@@ -381,7 +384,7 @@ impl HybridSystem for System {
         self.floor = seen;
         self.enter_event_mode()?;
         if visit.cause.input {
-            self.jump(&plan.inputs, t)?;
+            self.jump(t)?;
         }
         let outcome = self.iterate_events(seen)?;
         if outcome.states_changed {
