@@ -68,8 +68,9 @@ fuzz: nightly  ## fuzz archives and descriptions, FUZZ_SECONDS=600 each; wants n
 	$(call suite,fuzz archive_entries,ASAN_OPTIONS=quarantine_size_mb=16 cargo +nightly fuzz run archive_entries \
 		fuzz/corpus/archive_entries -- $(FUZZ_FLAGS))
 
+# With frame pointers the stacks of what leaks reach up to the test, whose name decides whether it is meant to.
 sanitize: nightly  ## the importer's tests under AddressSanitizer, LeakSanitizer, valgrind; wants nightly Rust
-	$(call suite,sanitize,RUSTFLAGS=-Zsanitizer=address ASAN_OPTIONS=detect_leaks=1 \
+	$(call suite,sanitize,RUSTFLAGS="-Zsanitizer=address -Cforce-frame-pointers=yes" ASAN_OPTIONS=detect_leaks=1 \
 		LSAN_OPTIONS=suppressions=$(CURDIR)/tools/sanitize.supp:print_suppressions=0 \
 		cargo +nightly test --quiet -p fmufit-fmi --tests --target $(HOST) --target-dir target/sanitize)
 	@command -v valgrind >/dev/null || { echo "valgrind is needed: it also sees what C does to our buffers"; exit 1; }

@@ -4,10 +4,10 @@ use crate::cache::Cache;
 use crate::executor::{Executor, Halt, Outside, execute};
 use crate::ledger::{Ledger, Source};
 use crate::method::Batch;
-use crate::objective::Outcome;
+use crate::objective::{Ends, Outcome};
 use crate::termination::{Limits, Termination};
 use serde::{Deserialize, Serialize};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 /// Batches in a row without anything new after which a run ends.
@@ -189,7 +189,7 @@ impl<'a> Gateway<'a> {
         let deadline = left.and_then(|t| start.checked_add(t));
         Self {
             executor,
-            outside: Outside { cancel, deadline, poll, last_poll: None, raised: false },
+            outside: Outside { ends: Ends::new(cancel, deadline), poll, last_poll: None },
             limits,
             start,
             before,
@@ -212,7 +212,7 @@ impl<'a> Gateway<'a> {
         if self.limits.max_evaluations.is_some_and(|m| self.desk.ledger.n_evaluations >= m) {
             return Some(Termination::MaxEvaluations);
         }
-        self.outside.deadline.filter(|d| Instant::now() >= *d).map(|_| Termination::MaxTime)
+        self.outside.ends.is_late().then_some(Termination::MaxTime)
     }
 
     /// Evaluates what the budget allows of a batch, in request order. Returns why the run must end, if it must;
@@ -248,8 +248,8 @@ impl<'a> Gateway<'a> {
         if self.outcomes.iter().any(|o| !o.is_known()) {
             // An evaluation gave up although nothing above noticed: the deadline passed inside of it, or the
             // objective was told to stop by somebody else.
-            let late = self.outside.deadline.is_some_and(|d| Instant::now() >= d);
-            return Some(if late { Termination::MaxTime } else { Termination::Interrupted });
+            let is_late = self.outside.ends.is_late();
+            return Some(if is_late { Termination::MaxTime } else { Termination::Interrupted });
         }
         self.desk.is_truncated().then_some(Termination::MaxEvaluations)
     }
@@ -262,13 +262,5 @@ impl<'a> Gateway<'a> {
     /// Enters the batch just evaluated into the ledger.
     pub(crate) fn close(&mut self, batch: &Batch) {
         self.desk.close(batch, &self.outcomes, &self.seconds);
-    }
-}
-
-impl Drop for Gateway<'_> {
-    fn drop(&mut self) {
-        if self.outside.raised {
-            self.outside.cancel.store(false, Ordering::Relaxed);
-        }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::method::Batch;
-use crate::objective::{Evaluation, Failure, FailureKind, Objective, Outcome};
+use crate::objective::{Ends, Evaluation, Failure, FailureKind, Objective, Outcome};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::any::Any;
 use std::fmt;
@@ -57,8 +57,7 @@ impl fmt::Debug for WorkerPool {
 pub struct BatchView<'a> {
     batch: &'a Batch,
     len: usize,
-    cancel: &'a AtomicBool,
-    deadline: Option<Instant>,
+    ends: Ends<'a>,
 }
 
 impl<'a> BatchView<'a> {
@@ -89,7 +88,7 @@ impl<'a> BatchView<'a> {
 
     /// Cutoff, ids and cancel flag of point `k`.
     pub fn evaluation(&self, k: usize) -> Evaluation<'a> {
-        self.batch.evaluation(k).cancellable(self.cancel, self.deadline)
+        self.batch.evaluation(k).ended_by(self.ends)
     }
 }
 
@@ -104,12 +103,9 @@ pub(crate) enum Executor<'a> {
 
 /// What the outside may want while a batch is computed.
 pub(crate) struct Outside<'a> {
-    pub(crate) cancel: &'a AtomicBool,
-    pub(crate) deadline: Option<Instant>,
+    pub(crate) ends: Ends<'a>,
     pub(crate) poll: Option<&'a mut dyn FnMut() -> bool>,
     pub(crate) last_poll: Option<Instant>,
-    /// Whether the cancel flag was raised here, to end running evaluations; then it is lowered after the run.
-    pub(crate) raised: bool,
 }
 
 /// Why no more evaluations may start.
@@ -122,10 +118,10 @@ pub(crate) enum Halt {
 impl Outside<'_> {
     /// Whether to go on; asks the user's poll function unless it was asked a moment ago.
     pub(crate) fn check(&mut self) -> Option<Halt> {
-        if self.cancel.load(Ordering::Relaxed) {
+        if self.ends.is_cancelled() {
             return Some(Halt::Interrupted);
         }
-        if self.deadline.is_none() && self.poll.is_none() {
+        if self.ends.deadline.is_none() && self.poll.is_none() {
             return None;
         }
         let now = Instant::now();
@@ -137,12 +133,12 @@ impl Outside<'_> {
                 return Some(Halt::Interrupted);
             }
         }
-        self.deadline.filter(|d| now >= *d).map(|_| Halt::OutOfTime)
+        self.ends.deadline.filter(|d| now >= *d).map(|_| Halt::OutOfTime)
     }
 
     /// How long the calling thread may wait for a result before it must look up.
     fn patience(&self) -> Duration {
-        match self.deadline {
+        match self.ends.deadline {
             Some(d) => POLL_INTERVAL.min(d.saturating_duration_since(Instant::now())),
             None => POLL_INTERVAL,
         }
@@ -182,7 +178,7 @@ fn serial(
         {
             return Some(halt);
         }
-        (outcomes[k], seconds[k]) = call(objective, batch, k, outside.cancel, outside.deadline);
+        (outcomes[k], seconds[k]) = call(objective, batch, k, outside.ends);
         if matches!(outcomes[k], Outcome::Abort(_)) {
             return None;
         }
@@ -193,14 +189,14 @@ fn serial(
 /// Lets no further evaluation start, and running ones give up, when the calling thread unwinds.
 struct StopOnUnwind<'a> {
     stop: &'a AtomicBool,
-    cancel: &'a AtomicBool,
+    over: &'a AtomicBool,
 }
 
 impl Drop for StopOnUnwind<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.stop.store(true, Ordering::Release);
-            self.cancel.store(true, Ordering::Relaxed);
+            self.over.store(true, Ordering::Relaxed);
         }
     }
 }
@@ -218,9 +214,10 @@ fn pooled(
         // An objective that itself minimises on the pool it runs on: waiting for its own threads would be for ever.
         return serial(objective, batch, len, outside, outcomes, seconds);
     }
-    let (cancel, deadline) = (outside.cancel, outside.deadline);
-    let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
-    let (next, stop) = (&next, &stop);
+    let (next, stop, over) = (AtomicUsize::new(0), AtomicBool::new(false), AtomicBool::new(false));
+    let (next, stop, over) = (&next, &stop, &over);
+    let deadline = outside.ends.deadline;
+    let ends = outside.ends.with_flag_of_batch(over);
     let (sender, receiver) = channel();
     let mut halt = None;
     pool.pool.in_place_scope(|scope| {
@@ -234,7 +231,7 @@ fn pooled(
                     if k >= len {
                         break;
                     }
-                    let (outcome, seconds) = call(objective, batch, k, cancel, deadline);
+                    let (outcome, seconds) = call(objective, batch, k, ends);
                     if matches!(outcome, Outcome::Abort(_)) {
                         stop.store(true, Ordering::Release);
                     }
@@ -246,7 +243,7 @@ fn pooled(
         }
         drop(sender);
         // A panic in the poll function must not wait for the rest of the batch.
-        let _end = StopOnUnwind { stop, cancel };
+        let _end = StopOnUnwind { stop, over };
         loop {
             match receiver.recv_timeout(outside.patience()) {
                 Ok((k, outcome, elapsed)) => (outcomes[k], seconds[k]) = (outcome, elapsed),
@@ -257,15 +254,15 @@ fn pooled(
                 halt = outside.check();
                 if halt.is_some() {
                     stop.store(true, Ordering::Release);
-                    outside.raised |= !cancel.swap(true, Ordering::Relaxed);
+                    over.store(true, Ordering::Relaxed);
                 }
-            } else if outside.deadline.is_some() {
+            } else if outside.ends.deadline.is_some() {
                 // The patience is zero once the deadline is over; do not spin while the last evaluations end.
-                outside.deadline = None;
+                outside.ends.deadline = None;
             }
         }
     });
-    outside.deadline = deadline;
+    outside.ends.deadline = deadline;
     halt
 }
 
@@ -277,7 +274,7 @@ fn foreign(
     outcomes: &mut [Outcome],
     seconds: &mut [f64],
 ) -> Option<Halt> {
-    let view = BatchView { batch, len, cancel: outside.cancel, deadline: outside.deadline };
+    let view = BatchView { batch, len, ends: outside.ends };
     let start = Instant::now();
     let answer = catch_unwind(AssertUnwindSafe(|| function(&view)));
     let each = start.elapsed().as_secs_f64() / len as f64;
@@ -302,14 +299,8 @@ fn foreign(
 }
 
 /// One call of the objective: panics caught, the outcome made regular, the time taken.
-fn call(
-    objective: &dyn Objective,
-    batch: &Batch,
-    k: usize,
-    cancel: &AtomicBool,
-    deadline: Option<Instant>,
-) -> (Outcome, f64) {
-    let evaluation = batch.evaluation(k).cancellable(cancel, deadline);
+fn call(objective: &dyn Objective, batch: &Batch, k: usize, ends: Ends<'_>) -> (Outcome, f64) {
+    let evaluation = batch.evaluation(k).ended_by(ends);
     let start = Instant::now();
     // Unwind safety: the objective is only lent, and one that breaks itself by panicking can only fail again.
     let outcome = match catch_unwind(AssertUnwindSafe(|| objective.evaluate(batch.point(k), &evaluation))) {

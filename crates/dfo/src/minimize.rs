@@ -301,8 +301,9 @@ impl<'a, M> Minimize<'a, M> {
         self
     }
 
-    /// A flag that interrupts the run when set, and that the run sets while it waits for running evaluations to end
-    /// (and lowers again after it): share it with the simulations.
+    /// A flag that interrupts the run when set: no further evaluation starts, and running ones see
+    /// [`Evaluation::cancelled`](crate::Evaluation::cancelled). The run itself neither raises nor lowers it, so several
+    /// runs can share one.
     pub fn cancel(mut self, flag: Arc<AtomicBool>) -> Self {
         self.driver.cancel = Some(flag);
         self

@@ -99,6 +99,40 @@ pub enum FailureKind {
 
 static NEVER: AtomicBool = AtomicBool::new(false);
 
+/// What may end an evaluation that is under way. Each flag is raised and lowered by its owner alone.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ends<'a> {
+    /// The user's.
+    cancel: &'a AtomicBool,
+    /// The run's, for the evaluations of one batch.
+    over: &'a AtomicBool,
+    pub(crate) deadline: Option<Instant>,
+}
+
+impl<'a> Ends<'a> {
+    pub(crate) fn new(cancel: &'a AtomicBool, deadline: Option<Instant>) -> Self {
+        Self { cancel, over: &NEVER, deadline }
+    }
+
+    /// The same for a batch of which the run may end all evaluations by this flag.
+    pub(crate) fn with_flag_of_batch<'b>(self, over: &'b AtomicBool) -> Ends<'b>
+    where
+        'a: 'b,
+    {
+        Ends { over, ..self }
+    }
+
+    /// Whether the user's flag is up.
+    pub(crate) fn is_cancelled(&self) -> bool {
+        self.cancel.load(Ordering::Relaxed)
+    }
+
+    /// Whether the deadline has come.
+    pub(crate) fn is_late(&self) -> bool {
+        self.deadline.is_some_and(|d| Instant::now() >= d)
+    }
+}
+
 /// What an objective is told besides the point.
 #[derive(Debug, Clone, Copy)]
 pub struct Evaluation<'a> {
@@ -109,32 +143,31 @@ pub struct Evaluation<'a> {
     pub id: u64,
     /// Running number of the batch that the point belongs to.
     pub batch: u64,
-    cancel: &'a AtomicBool,
-    deadline: Option<Instant>,
+    ends: Ends<'a>,
 }
 
 impl Evaluation<'static> {
     /// An evaluation that nobody cancels: for calling an objective by hand.
     pub fn new(id: u64, batch: u64, cutoff: f64) -> Self {
-        Self { cutoff, id, batch, cancel: &NEVER, deadline: None }
+        Self { cutoff, id, batch, ends: Ends::new(&NEVER, None) }
     }
 }
 
-impl<'a> Evaluation<'a> {
+impl Evaluation<'_> {
     /// The same evaluation, given up when the flag is set or the deadline is over.
     pub fn cancellable(self, cancel: &AtomicBool, deadline: Option<Instant>) -> Evaluation<'_> {
-        Evaluation { cutoff: self.cutoff, id: self.id, batch: self.batch, cancel, deadline }
+        self.ended_by(Ends::new(cancel, deadline))
+    }
+
+    /// The same evaluation as one of a run.
+    pub(crate) fn ended_by(self, ends: Ends<'_>) -> Evaluation<'_> {
+        Evaluation { cutoff: self.cutoff, id: self.id, batch: self.batch, ends }
     }
 
     /// Whether the run is being ended (interrupt or time limit): a long evaluation should look now and then, give
     /// up and return [`Outcome::cancelled`].
     pub fn cancelled(&self) -> bool {
-        self.cancel.load(Ordering::Relaxed) || self.deadline.is_some_and(|d| Instant::now() >= d)
-    }
-
-    /// The flag behind [`cancelled`](Self::cancelled), without the deadline.
-    pub fn cancel_flag(&self) -> &'a AtomicBool {
-        self.cancel
+        self.ends.is_cancelled() || self.ends.over.load(Ordering::Relaxed) || self.ends.is_late()
     }
 }
 

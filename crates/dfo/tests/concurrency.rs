@@ -168,15 +168,15 @@ fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
     assert_eq!((report.termination, report.n_iterations), (Termination::Interrupted, 4));
     assert!(flag.load(Ordering::Relaxed));
 
-    // A flag that the run itself raised is lowered again.
+    // Nor is it raised where the run itself ends evaluations.
     let shared = Arc::new(AtomicBool::new(false));
-    let seen = shared.clone();
-    let hanging = AtomicBool::new(false);
-    let error = minimize(with_evaluation(|_: &[f64], _: &Evaluation<'_>| {
+    let (hanging, seen_raised) = (AtomicBool::new(false), AtomicBool::new(false));
+    let error = minimize(with_evaluation(|_: &[f64], e: &Evaluation<'_>| {
         hanging.store(true, Ordering::Release);
-        while !seen.load(Ordering::Relaxed) {
+        while !e.cancelled() {
             thread::sleep(Duration::from_millis(1));
         }
+        seen_raised.fetch_or(shared.load(Ordering::Relaxed), Ordering::Relaxed);
         Outcome::cancelled()
     }))
     .start(&[-1.2, 1.0])
@@ -189,7 +189,69 @@ fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
         matches!(error, Error::EndedWithoutPoint { termination: Termination::Interrupted, .. }),
         "{error}"
     );
-    assert!(!shared.load(Ordering::Relaxed));
+    assert!(!shared.load(Ordering::Relaxed) && !seen_raised.load(Ordering::Relaxed));
+}
+
+#[test]
+fn a_cancel_flag_set_while_a_run_ends_its_evaluations_is_not_lost() {
+    let (flag, hanging) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
+    let run = || {
+        let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+            if e.id == 0 {
+                return Outcome::Value(rosenbrock(x));
+            }
+            hanging.store(true, Ordering::Release);
+            while !e.cancelled() {
+                thread::sleep(Duration::from_millis(1));
+            }
+            // Ctrl-C, after the run has ended this evaluation.
+            flag.store(true, Ordering::Relaxed);
+            Outcome::cancelled()
+        });
+        minimize(cost)
+            .start(&[-1.2, 1.0])
+            .workers(2)
+            .cancel(flag.clone())
+            .poll(|| hanging.load(Ordering::Acquire))
+            .run()
+    };
+    let report = run().unwrap();
+    assert_eq!((report.termination, report.fun), (Termination::Interrupted, rosenbrock(&[-1.2, 1.0])));
+    assert!(flag.load(Ordering::Relaxed));
+    // What shares the flag ends, too: nothing hangs any more, only the flag is up.
+    hanging.store(false, Ordering::Relaxed);
+    let Err(Error::EndedWithoutPoint { termination, found }) = run() else {
+        panic!("it ran with the flag up")
+    };
+    assert_eq!((termination, found.trace.len()), (Termination::Interrupted, 0));
+}
+
+#[test]
+fn a_poll_function_that_panics_ends_running_evaluations_and_leaves_the_flag_alone() {
+    let (flag, hanging) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
+    let cost = with_evaluation(|_: &[f64], e: &Evaluation<'_>| {
+        hanging.store(true, Ordering::Release);
+        while !e.cancelled() {
+            thread::sleep(Duration::from_millis(1));
+        }
+        Outcome::cancelled()
+    });
+    let unwound = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        minimize(cost)
+            .start(&[-1.2, 1.0])
+            .workers(2)
+            .cancel(flag.clone())
+            .poll(|| {
+                if hanging.load(Ordering::Acquire) {
+                    std::panic::resume_unwind(Box::new("poll"))
+                } else {
+                    false
+                }
+            })
+            .run()
+    }));
+    assert_eq!(unwound.unwrap_err().downcast_ref::<&str>(), Some(&"poll"));
+    assert!(!flag.load(Ordering::Relaxed));
 }
 
 #[test]

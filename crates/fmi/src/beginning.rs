@@ -43,10 +43,10 @@ impl Start<'_> {
     ) -> Result<Instance<Initialization, K>, FmiError> {
         let plan = self.plan;
         let mut instance: Instance<Instantiated, K> = Instance::from_raw(raw, plan.fmu().clone());
-        plan.set_up(instance.core(), self.start_values, self.parameters, buffer)?;
+        plan.values.set_up(instance.core(), self.start_values, self.parameters, buffer)?;
         let mut instance =
             instance.enter_initialization(plan.start, self.stop, Some(plan.options.relative_tolerance))?;
-        plan.set_up_inputs(instance.core(), self.start_values, self.parameters, buffer)?;
+        plan.values.set_up_inputs(instance.core(), self.start_values, self.parameters, buffer)?;
         inputs.begin(&plan.inputs, plan.start);
         if !inputs.continuous_at(&plan.inputs, plan.start) {
             return Err(inputs.bad_function_value(plan.start));

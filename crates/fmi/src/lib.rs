@@ -34,6 +34,7 @@ mod pool;
 mod readback;
 mod reconfiguration;
 mod renewal;
+mod running;
 mod selection;
 mod session;
 mod simulation;

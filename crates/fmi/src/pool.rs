@@ -67,7 +67,7 @@ impl Pool {
     /// # Errors
     /// A value is not finite, or there are not as many as parameters.
     pub fn with_reference(plan: Arc<SimulationPlan>, reference: &[f64]) -> Result<Self, FmiError> {
-        plan.check_parameters(reference)?;
+        plan.values.check_parameters(reference)?;
         Ok(Self { reference: reference.to_vec(), ..Self::new(plan) })
     }
 

@@ -1,40 +1,22 @@
 //! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
 
-use crate::beginning::{Start, StartValues};
-use crate::clocks::{ClockState, Tick};
+use crate::beginning::StartValues;
 use crate::description::Variable;
-use crate::digest::Digest;
 use crate::error::FmiError;
 use crate::input::{InputPlan, InputState};
-use crate::instance::{ContinuousTime, Core, EventMode, Initialization, Instance};
-use crate::outputs::OutputBuffers;
+use crate::instance::{Core, Initialization, Instance};
 use crate::plan::SimulationPlan;
+use crate::running::{Phase, Running};
 use crate::sys::{Fault, RawInstance};
 use ode::{
     CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
 };
 use std::sync::Arc;
 
-/// What a run has of its FMU at the moment.
-#[derive(Debug)]
-enum Mode {
-    /// Nothing: none was made yet, or it broke.
-    Gone,
-    /// An instance with a past, to be reset before its next use.
-    Spare(RawInstance),
-    /// Initialized, or ended by the model.
-    Event(Instance<EventMode>),
-    Continuous(Instance<ContinuousTime>),
-}
-
 /// One worker's system: the instance and everything that is written during a run.
 #[derive(Debug)]
 pub(crate) struct System {
-    plan: Arc<SimulationPlan>,
-    mode: Mode,
-    /// An FMU call failed: the instance is not used again.
-    broken: bool,
-    inputs: InputState,
+    pub(crate) running: Running,
     /// The continuous inputs as the FMU has them; none while that is not known. FMUs may allow an input to be set only
     /// once at an instant (FMI 2.0.x, section 2.2.7, `canHandleMultipleSetPerTimeInstant`).
     sent: Vec<f64>,
@@ -50,12 +32,6 @@ pub(crate) struct System {
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and never gone back
     /// behind.
     floor: f64,
-    buffers: OutputBuffers,
-    clocks: ClockState,
-    /// Values of parameters on their way.
-    signed: Vec<f64>,
-    /// Running digest of everything that the FMU answered; only while reset is checked.
-    digest: Option<Digest>,
 }
 
 /// Same bits, so that NaN and signed zeros count as what they are.
@@ -67,9 +43,6 @@ impl System {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
         let n = plan.n_states;
         Self {
-            mode: Mode::Gone,
-            broken: false,
-            inputs: InputState::new(&plan.inputs),
             sent: Vec::with_capacity(plan.inputs.continuous.start.len()),
             set_time: None,
             set_states: None,
@@ -78,96 +51,34 @@ impl System {
             last_states: vec![0.0; n],
             announced: None,
             floor: f64::NEG_INFINITY,
-            buffers: OutputBuffers::new(plan.outputs()),
-            clocks: ClockState::default(),
-            signed: Vec::new(),
-            digest: None,
-            plan,
+            running: Running::new(plan),
         }
-    }
-
-    /// The outputs as they were read last.
-    pub(crate) fn buffers(&self) -> &OutputBuffers {
-        &self.buffers
-    }
-
-    /// The ticks of all clocks in the last run.
-    pub(crate) fn take_ticks(&mut self) -> Vec<Tick> {
-        std::mem::take(&mut self.clocks.ticks)
-    }
-
-    /// Starts collecting a digest of what the FMU answers.
-    pub(crate) fn begin_digest(&mut self) {
-        self.digest = Some(Digest::default());
-    }
-
-    /// Ends collecting.
-    pub(crate) fn end_digest(&mut self) -> Option<u64> {
-        self.digest.take().map(Digest::value)
-    }
-
-    /// Takes an instance that will have to be reset.
-    pub(crate) fn adopt(&mut self, raw: RawInstance) {
-        self.broken = false;
-        self.mode = Mode::Spare(raw);
-    }
-
-    /// Hands what the FMU has logged in a run to the program's logger.
-    pub(crate) fn pass_log_on(&self) {
-        match &self.mode {
-            Mode::Event(instance) => instance.pass_log_on(),
-            Mode::Continuous(instance) => instance.pass_log_on(),
-            Mode::Gone | Mode::Spare(_) => {}
-        }
-    }
-
-    /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
-    pub(crate) fn retire(&mut self) -> Option<RawInstance> {
-        let instance = match std::mem::replace(&mut self.mode, Mode::Gone) {
-            Mode::Gone => return None,
-            Mode::Spare(raw) => return Some(raw),
-            _ if self.broken => return None,
-            // Some FMUs free what a run has allocated only when they are told that it is over.
-            Mode::Event(instance) => instance.terminate(),
-            Mode::Continuous(instance) => instance.terminate(),
-        };
-        instance.ok().map(|instance| instance.into_raw().0)
     }
 
     /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
-    pub(crate) fn initialize(&mut self, raw: RawInstance, parameters: &[f64]) -> Result<(), FmiError> {
-        let plan = Arc::clone(&self.plan);
-        self.initialize_with(raw, &plan.start_values, parameters)
-    }
-
-    /// The same with other start values for the variables that have some in the plan.
-    pub(crate) fn initialize_with(
+    pub(crate) fn initialize(
         &mut self,
         raw: RawInstance,
         start_values: &StartValues,
         parameters: &[f64],
     ) -> Result<(), FmiError> {
-        let plan = Arc::clone(&self.plan);
-        self.mode = Mode::Gone;
-        self.broken = false;
-        self.buffers.begin();
-        let Self { inputs, clocks, signed, .. } = self;
-        let start = Start { plan: &plan, start_values, parameters, stop: Some(plan.end) };
-        let instance: Instance<Initialization> = start.begin(raw, signed, inputs, clocks)?;
-        self.sent.clone_from(&self.inputs.continuous);
-        self.mode = Mode::Event(instance.exit_initialization()?);
+        let (start, end) = (self.running.plan.start, self.running.plan.end);
+        let instance: Instance<Initialization> =
+            self.running.begin(raw, start_values, parameters, Some(end))?;
+        self.sent.clone_from(&self.running.inputs.continuous);
+        self.running.current.phase = Phase::Event(instance.exit_initialization()?);
         self.set_time = None;
         self.set_states = None;
         self.announced = None;
         self.floor = f64::NEG_INFINITY;
-        self.last_time = plan.start;
+        self.last_time = start;
         Ok(())
     }
 
     /// Lets the initial events happen, for those who only want initial values.
     pub(crate) fn settle(&mut self) -> Result<(), FmiError> {
-        let mut states = vec![0.0; self.plan.n_states];
-        let start = self.plan.start;
+        let mut states = vec![0.0; self.running.plan.n_states];
+        let start = self.running.plan.start;
         match self.start(start, &mut states) {
             // States that are not finite can be looked at all the same.
             Ok(_) | Err(CallError::Discard) => Ok(()),
@@ -177,13 +88,7 @@ impl System {
 
     /// Value of a variable at the point last committed.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value, FmiError> {
-        if self.broken {
-            return Err(no_instance());
-        }
-        let raw = &self.core()?.raw;
-        if raw.is_stale() {
-            return Err(FmiError::Disturbed { library: raw.library_path() });
-        }
+        self.running.current.trusted()?;
         let (time, states) = (self.last_time, self.last_states.clone());
         match self.set_point(time, &states) {
             Ok(()) => {}
@@ -191,26 +96,13 @@ impl System {
             // The point was good when the step was completed; the value there is the best there is.
             Err(CallError::Discard) => {}
         }
-        self.core()?.value(variable)
+        self.running.current.core()?.value(variable)
     }
 
-    pub(crate) fn core(&mut self) -> Result<&mut Core, FmiError> {
-        match &mut self.mode {
-            Mode::Event(instance) => Ok(instance.core()),
-            Mode::Continuous(instance) => Ok(instance.core()),
-            Mode::Gone | Mode::Spare(_) => Err(no_instance()),
-        }
-    }
-
-    /// Makes a raw call; see [`call`].
+    /// Makes a raw call; see [`Current::call`](crate::running::Current::call).
+    #[inline]
     fn call<T>(&mut self, body: impl FnOnce(&mut RawInstance) -> Result<T, Fault>) -> CallResult<T> {
-        call(&mut self.mode, &mut self.broken, body)
-    }
-
-    /// Notes that the instance is not to be used again.
-    fn fail(&mut self, error: FmiError) -> CallError {
-        self.broken = true;
-        CallError::failed(error)
+        self.running.current.call(body)
     }
 
     /// Sets time, continuous inputs and states together; what has these very bits already is left out.
@@ -237,10 +129,10 @@ impl System {
 
     /// Sets the continuous inputs at `t`.
     fn set_inputs(&mut self, t: f64) -> CallResult<()> {
-        if self.plan.inputs.continuous.references.is_empty() {
+        let Self { running: Running { plan, inputs, current, .. }, sent, .. } = self;
+        if plan.inputs.continuous.references.is_empty() {
             return Ok(());
         }
-        let Self { plan, inputs, mode, broken, sent, .. } = self;
         if !inputs.continuous_at(&plan.inputs, t) {
             return Err(CallError::Discard);
         }
@@ -248,21 +140,15 @@ impl System {
             return Ok(());
         }
         sent.clear();
-        call(mode, broken, |raw| raw.set_real(&plan.inputs.continuous.references, &inputs.continuous))?;
+        current.call(|raw| raw.set_real(&plan.inputs.continuous.references, &inputs.continuous))?;
         sent.extend_from_slice(&inputs.continuous);
         Ok(())
     }
 
-    fn note(&mut self, values: &[f64]) {
-        if let Some(digest) = &mut self.digest {
-            digest.note(values);
-        }
-    }
-
     fn note_outcome(&mut self, outcome: &EventOutcome) {
-        if self.digest.is_some() {
+        if self.running.digest.is_some() {
             let flags = u32::from(outcome.terminate) + 2 * u32::from(outcome.nominals_changed);
-            self.note(&[f64::from(flags), outcome.next_time.unwrap_or(f64::NAN)]);
+            self.running.note(&[f64::from(flags), outcome.next_time.unwrap_or(f64::NAN)]);
         }
     }
 
@@ -276,51 +162,46 @@ impl System {
         if outcome.terminate {
             return Ok(());
         }
-        match std::mem::replace(&mut self.mode, Mode::Gone) {
-            Mode::Event(instance) => match instance.enter_continuous_time() {
-                Ok(instance) => {
-                    self.mode = Mode::Continuous(instance);
-                    Ok(())
-                }
-                Err(error) => Err(self.fail(error)),
-            },
-            other => {
-                self.mode = other;
-                Ok(())
-            }
-        }
+        self.running.current.change(|phase| match phase {
+            Phase::Event(instance) => instance.enter_continuous_time().map(Phase::Continuous),
+            other => Ok(other),
+        })
     }
 
     fn enter_event_mode(&mut self) -> CallResult<()> {
-        match std::mem::replace(&mut self.mode, Mode::Gone) {
-            Mode::Continuous(instance) => match instance.enter_event_mode() {
-                Ok(instance) => {
-                    self.mode = Mode::Event(instance);
-                    Ok(())
-                }
-                Err(error) => Err(self.fail(error)),
-            },
-            other => {
-                self.mode = other;
-                Ok(())
-            }
+        self.running.current.change(|phase| match phase {
+            Phase::Continuous(instance) => instance.enter_event_mode().map(Phase::Event),
+            other => Ok(other),
+        })
+    }
+
+    /// Lets the jumps of inputs happen that are due at `t`, in event mode.
+    fn jump(&mut self, t: f64) -> CallResult<()> {
+        let Self { running: Running { plan, inputs, current, .. }, sent, .. } = self;
+        inputs.pass(&plan.inputs, t);
+        if !inputs.continuous_at(&plan.inputs, t) {
+            return Err(CallError::Discard);
         }
+        let set = current.in_event_mode().and_then(|core| {
+            inputs.set_held(core, &plan.inputs)?;
+            send(&plan.inputs, inputs, sent, core)
+        });
+        set.map_err(|error| current.fail(error))
     }
 
     fn iterate_events(&mut self, t: f64) -> CallResult<EventOutcome> {
-        let Self { plan, mode, clocks, buffers, .. } = self;
-        let core = match mode {
-            Mode::Event(instance) => Ok(instance.core()),
-            _ => Err(no_instance()),
-        };
+        let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let recorded = &plan.outputs().clocks;
-        match core.and_then(|core| clocks.settle(&plan.clocks, core, t, (recorded, buffers))) {
+        let settled = current
+            .in_event_mode()
+            .and_then(|core| clocks.settle(&plan.clocks, core, t, (recorded, buffers)));
+        match settled {
             Ok((outcome, announced)) => {
                 self.announced = announced;
                 self.note_outcome(&outcome);
                 Ok(outcome)
             }
-            Err(error) => Err(self.fail(error)),
+            Err(error) => Err(current.fail(error)),
         }
     }
 
@@ -330,28 +211,6 @@ impl System {
         }
         self.call(|raw| raw.get_continuous_states(x))?;
         all_finite(x)
-    }
-}
-
-/// Makes a raw call; `Discard` costs nothing, everything worse ends the use of the instance.
-fn call<T>(
-    mode: &mut Mode,
-    broken: &mut bool,
-    body: impl FnOnce(&mut RawInstance) -> Result<T, Fault>,
-) -> CallResult<T> {
-    let core = match mode {
-        Mode::Event(instance) => instance.core(),
-        Mode::Continuous(instance) => instance.core(),
-        Mode::Gone | Mode::Spare(_) => return Err(CallError::failed(no_instance())),
-    };
-    match body(&mut core.raw) {
-        Ok(value) => Ok(value),
-        Err(Fault::Discard(_)) => Err(CallError::Discard),
-        Err(fault) => {
-            let error = core.error(fault);
-            *broken = true;
-            Err(CallError::failed(error))
-        }
     }
 }
 
@@ -371,10 +230,6 @@ fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut C
     Ok(())
 }
 
-fn no_instance() -> FmiError {
-    FmiError::BadSetting { problem: "there is no running instance".to_owned() }
-}
-
 fn all_finite(values: &[f64]) -> CallResult<()> {
     if values.iter().all(|value| value.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
 }
@@ -389,15 +244,15 @@ pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError
 
 impl HybridSystem for System {
     fn n_states(&self) -> usize {
-        self.plan.n_states
+        self.running.plan.n_states
     }
 
     fn n_event_indicators(&self) -> usize {
-        self.plan.n_indicators
+        self.running.plan.n_indicators
     }
 
     fn n_outputs(&self) -> usize {
-        self.plan.outputs().len()
+        self.running.plan.outputs().len()
     }
 
     fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
@@ -406,22 +261,22 @@ impl HybridSystem for System {
         }
         match self.call(|raw| raw.get_nominals(nominals)) {
             Ok(()) => {}
-            Err(CallError::Discard) => nominals.copy_from_slice(&self.plan.nominals),
+            Err(CallError::Discard) => nominals.copy_from_slice(&self.running.plan.nominals),
             Err(error) => return Err(error),
         }
-        self.plan.correct_nominals(nominals);
+        self.running.plan.correct_nominals(nominals);
         Ok(())
     }
 
     fn is_unbounded(&self, state: usize) -> bool {
-        self.plan.unbounded[state]
+        self.running.plan.unbounded[state]
     }
 
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
         let outcome = self.iterate_events(t0)?;
         self.read_states(x)?;
         self.leave_event_mode(&outcome)?;
-        self.note(x);
+        self.running.note(x);
         self.commit(t0, x);
         // The model stands at its start time with its own states and the inputs set in initialization mode; only in
         // continuous-time mode can they be set anew.
@@ -434,7 +289,7 @@ impl HybridSystem for System {
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
         let time = t.max(self.floor);
         let is_new_time = !self.set_time.is_some_and(|set| same_bits(set, time));
-        if is_new_time && self.plan.inputs.continuous.references.is_empty() {
+        if is_new_time && self.running.plan.inputs.continuous.references.is_empty() {
             self.set_time = None;
             self.set_states = None;
             self.call(|raw| raw.right_hand_side(time, x, dx))?;
@@ -446,12 +301,12 @@ impl HybridSystem for System {
             self.call(|raw| raw.get_derivatives(dx))?;
         }
         all_finite(dx)?;
-        self.note(dx);
+        self.running.note(dx);
         Ok(())
     }
 
     fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
-        self.plan.jacobian.pattern.as_ref()
+        self.running.plan.jacobian.pattern.as_ref()
     }
 
     fn directional_derivative(
@@ -461,10 +316,13 @@ impl HybridSystem for System {
         seed: &[f64],
         derivative: &mut [f64],
     ) -> CallResult<bool> {
-        let plan = Arc::clone(&self.plan);
-        let Some(sides) = &plan.jacobian.directional else { return Ok(false) };
+        if self.running.plan.jacobian.directional.is_none() {
+            return Ok(false);
+        }
         self.set_point(t, x)?;
-        let is_there = self.call(|raw| {
+        let Running { plan, current, .. } = &mut self.running;
+        let Some(sides) = &plan.jacobian.directional else { return Ok(false) };
+        let is_there = current.call(|raw| {
             match raw.directional_derivative(&sides.derivatives, &sides.states, seed, derivative) {
                 // Promised, but not in the library.
                 Err(Fault::Missing(_)) => Ok(false),
@@ -475,7 +333,7 @@ impl HybridSystem for System {
             return Ok(false);
         }
         all_finite(derivative)?;
-        self.note(derivative);
+        self.running.note(derivative);
         Ok(true)
     }
 
@@ -486,28 +344,28 @@ impl HybridSystem for System {
         self.set_point(t, x)?;
         self.call(|raw| raw.get_event_indicators(z))?;
         all_finite(z)?;
-        self.note(z);
+        self.running.note(z);
         Ok(())
     }
 
     /// Values that are not finite are passed on: an output that is NaN is for the reader to judge.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
-        if self.plan.outputs().needs_fmu() {
+        if self.running.plan.outputs().needs_fmu() {
             self.set_point(t, x)?;
         }
-        let Self { plan, mode, broken, buffers, .. } = self;
+        let Running { plan, current, buffers, .. } = &mut self.running;
         if plan.outputs().needs_fmu() {
-            call(mode, broken, |raw| buffers.read(plan.outputs(), raw))?;
+            current.call(|raw| buffers.read(plan.outputs(), raw))?;
         }
         buffers.row(plan.outputs(), t, plan.same, x, y);
-        self.note(y);
+        self.running.note(y);
         Ok(())
     }
 
     fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
         self.commit(t, x);
-        self.note(x);
-        if self.plan.completed_step_not_needed {
+        self.running.note(x);
+        if self.running.plan.completed_step_not_needed {
             return Ok(StepAction::default());
         }
         self.set_point(t, x)?;
@@ -516,8 +374,7 @@ impl HybridSystem for System {
     }
 
     fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
-        let plan = Arc::clone(&self.plan);
-        let t = visit.time;
+        let (t, plan) = (visit.time, &self.running.plan);
         // Of two instants within rounding the model must see the later one, or its time event would not be due.
         let seen = match self.announced {
             Some(next) if visit.cause.time && next > t && next - t <= plan.same => next.min(plan.end.max(t)),
@@ -527,28 +384,14 @@ impl HybridSystem for System {
         self.floor = seen;
         self.enter_event_mode()?;
         if visit.cause.input {
-            self.inputs.pass(&plan.inputs, t);
-            if !self.inputs.continuous_at(&plan.inputs, t) {
-                return Err(CallError::Discard);
-            }
-            let core = match &mut self.mode {
-                Mode::Event(instance) => instance.core(),
-                _ => return Err(CallError::Discard),
-            };
-            let set = self
-                .inputs
-                .set_held(core, &plan.inputs)
-                .and_then(|()| send(&plan.inputs, &self.inputs, &mut self.sent, core));
-            if let Err(error) = set {
-                return Err(self.fail(error));
-            }
+            self.jump(t)?;
         }
         let outcome = self.iterate_events(seen)?;
         if outcome.states_changed {
             self.read_states(x)?;
         }
         self.leave_event_mode(&outcome)?;
-        self.note(x);
+        self.running.note(x);
         self.commit(t, x);
         self.set_time = outcome.terminate.then_some(seen);
         self.set_states = outcome.terminate.then_some(());
@@ -557,10 +400,10 @@ impl HybridSystem for System {
     }
 
     fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
-        self.plan.inputs.next_stop(t)
+        self.running.plan.inputs.next_stop(t)
     }
 
     fn seconds_elsewhere(&self) -> f64 {
-        self.inputs.seconds_in_functions()
+        self.running.seconds_elsewhere()
     }
 }

@@ -51,12 +51,12 @@ impl<'a> Trial<'a> {
         simulator: &mut Simulator,
     ) -> Result<Option<Self>, FmiError> {
         let mut clock = Clock { end: Instant::now() + LONG, over: false };
-        let mut truth = simulator.probe_new(&plan.start_values, base, None, &mut clock)?;
+        let mut truth = simulator.probe_new(&plan.values.start, base, None, &mut clock)?;
         let steps = clock.over.then_some(PROBE_STEPS);
         if clock.over {
-            truth = simulator.probe_new(&plan.start_values, base, steps, &mut Ignore)?;
+            truth = simulator.probe_new(&plan.values.start, base, steps, &mut Ignore)?;
         }
-        let others = plan.other_values(base);
+        let others = plan.values.others(plan.fmu().description(), base);
         Ok(matches!(truth, Probe::Digest(_)).then_some(Self { plan, base, others, steps, truth }))
     }
 
@@ -95,7 +95,7 @@ impl<'a> Trial<'a> {
             return Ok(Some(false));
         }
         let again = |simulator: &mut Simulator| {
-            simulator.probe_again(reuse, &self.plan.start_values, self.base, self.steps, &mut Ignore)
+            simulator.probe_again(reuse, &self.plan.values.start, self.base, self.steps, &mut Ignore)
         };
         let last = match simulator.probe_again(reuse, others.0, others.1, short, &mut Ignore)? {
             Some(Probe::TimedOut) => return Ok(None),
@@ -156,7 +156,7 @@ impl<'a> Trial<'a> {
             Ok(simulator) => simulator,
             Err(error) => return no_copy(error),
         };
-        match simulator.probe_new(&plan.start_values, self.base, self.steps, &mut Ignore) {
+        match simulator.probe_new(&plan.values.start, self.base, self.steps, &mut Ignore) {
             Ok(Probe::TimedOut) => Ok(None),
             Ok(probe) if probe != self.truth => Ok(Some(false)),
             Ok(_) => self.independent(&make, &mut simulator, reuse).or_else(no_copy),
@@ -168,7 +168,7 @@ impl<'a> Trial<'a> {
     /// its first event iteration.
     fn interleaved(&self, make: Make<'_>, simulator: &mut Simulator) -> Result<Option<bool>, FmiError> {
         let mut second = Second { trial: self, make, polled: false, failed: None };
-        if !simulator.begin_new(&self.plan.start_values, self.base)? {
+        if !simulator.begin_new(&self.plan.values.start, self.base)? {
             return Ok(Some(false));
         }
         second.run();
@@ -192,7 +192,7 @@ impl<'a> Trial<'a> {
     ) -> Result<Option<bool>, FmiError> {
         let Self { plan, base, others, steps, truth } = self;
         let other_truth = simulator.probe_new(&others.0, &others.1, *steps, &mut Ignore)?;
-        let values = [(&plan.start_values, *base), (&others.0, &others.1[..])];
+        let values = [(&plan.values.start, *base), (&others.0, &others.1[..])];
         let truths = [*truth, other_truth];
         // With other values the model may not run at all.
         let choice = if matches!(other_truth, Probe::Digest(_)) { [0, 1] } else { [0, 0] };

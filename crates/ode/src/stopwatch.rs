@@ -102,21 +102,23 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
         Timing { kind, began: Some(Instant::now()) }
     }
 
-    /// It has ended. `elsewhere`: seconds of it that do not count.
+    /// It has ended. `elsewhere`: seconds of it that do not count. Returns what is known of this one call: the seconds it
+    /// took if it was timed, else those of the last fast one that was.
     #[inline]
-    pub fn stop(&mut self, timing: Timing, elsewhere: f64) {
-        if let Some(began) = timing.began {
-            self.take(timing.kind, began, elsewhere);
+    pub fn stop(&mut self, timing: Timing, elsewhere: f64) -> f64 {
+        match timing.began {
+            Some(began) => self.take(timing.kind, began, elsewhere),
+            None => self.tallies[timing.kind].usual,
         }
     }
 
     /// Not part of what is compiled into every call: most are not timed.
     #[inline(never)]
-    fn take(&mut self, kind: usize, began: Instant, elsewhere: f64) {
-        self.enter(kind, began.elapsed().as_secs_f64() - self.reading - elsewhere);
+    fn take(&mut self, kind: usize, began: Instant, elsewhere: f64) -> f64 {
+        self.enter(kind, began.elapsed().as_secs_f64() - self.reading - elsewhere)
     }
 
-    fn enter(&mut self, kind: usize, seconds: f64) {
+    fn enter(&mut self, kind: usize, seconds: f64) -> f64 {
         let tally = &mut self.tallies[kind];
         let seconds = seconds.max(0.0);
         if seconds < FAST {
@@ -128,6 +130,7 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
         let each = if seconds < LONGEST { seconds } else { tally.usual };
         tally.seconds += seconds + f64::from(tally.untimed) * each;
         tally.untimed = 0;
+        seconds
     }
 
     /// The estimate for all calls so far, in seconds.
@@ -199,5 +202,19 @@ mod tests {
         let timing = watch.start_timed(1);
         watch.stop(timing, 10.0);
         assert!(watch.seconds() <= 1.1e-7);
+    }
+
+    #[test]
+    fn a_call_that_is_not_timed_is_said_to_take_as_long_as_the_last() {
+        let mut watch = Stopwatch::<1>::new();
+        for nanoseconds in [2000.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 20.0] {
+            assert_eq!(watch.enter(0, 1e-9 * nanoseconds), 1e-9 * nanoseconds);
+        }
+        let timing = watch.start(0);
+        assert!(!timing.is_on());
+        assert_eq!(watch.stop(timing, 0.0), 2e-8);
+        // More elsewhere than in all.
+        let timing = watch.start_timed(0);
+        assert_eq!(watch.stop(timing, 10.0), 0.0);
     }
 }

@@ -33,7 +33,8 @@ pub(crate) struct Stop {
 }
 
 impl Stop {
-    /// The flag for optimisers and simulations to look at. They may use it for their own ends, too.
+    /// The flag for optimisers and simulations to look at. Work may raise it to end itself (an input function that
+    /// raised an exception); nobody lowers it.
     pub(crate) fn flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.flag)
     }

@@ -1,12 +1,13 @@
 //! The loop over communication points: from one to the next, with inputs and events between two steps.
 
+use super::Stepping;
 use super::samples::Place;
-use super::{Mode, Stepping, no_instance};
 use crate::co_simulation::StepOutcome;
 use crate::error::FmiError;
 use crate::intermediate::Between;
 use crate::plan::SimulationPlan;
 use crate::points::Communication;
+use crate::running::Running;
 use crate::sys::RawInstance;
 use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Stats, Termination};
 use std::sync::atomic::Ordering;
@@ -87,9 +88,9 @@ impl Run<'_> {
             Call::Events => self.stepping.stopwatch.start_timed(call as usize),
             _ => self.stepping.stopwatch.start(call as usize),
         };
-        let elsewhere = self.stepping.seconds_elsewhere();
+        let elsewhere = self.stepping.running.seconds_elsewhere();
         let answer = make(self);
-        let elsewhere = self.stepping.seconds_elsewhere() - elsewhere;
+        let elsewhere = self.stepping.running.seconds_elsewhere() - elsewhere;
         self.stepping.stopwatch.stop(timing, elsewhere);
         answer
     }
@@ -124,13 +125,12 @@ impl Run<'_> {
                 && !cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed))
         };
         let step = self.timed(Call::Step, |run| {
-            let Stepping { inputs, mode, intermediate, .. } = &mut *run.stepping;
-            let Mode::Stepping(instance) = mode else { return Err(no_instance()) };
+            let Stepping { running: Running { inputs, current, .. }, intermediate, .. } = &mut *run.stepping;
             let mut between = Between { plan: &run.plan.inputs, inputs, values: intermediate, goes_on };
-            instance.core().do_step((run.t, target.step), &mut between, &mut { goes_on })
+            current.core()?.do_step((run.t, target.step), &mut between, &mut { goes_on })
         });
         let Some(outcome) = step? else {
-            self.stepping.broken = true;
+            self.stepping.running.current.broken = true;
             self.check_limits()?;
             return Err(Exit::Error(ErrorKind::Cancelled));
         };
@@ -182,7 +182,7 @@ impl Run<'_> {
             if may_have_ended && self.stats.accepted_steps > 0 {
                 return Err(Exit::Normal(Termination::StoppedByModel));
             }
-            let core = self.stepping.core()?;
+            let core = self.stepping.running.current.core()?;
             let fault = core.raw.step_refused();
             return Err(core.error(fault).into());
         }
@@ -207,16 +207,15 @@ impl Run<'_> {
     fn arrive_at(&mut self, time: f64, event: bool) -> Step<()> {
         self.t = time;
         self.sample_left()?;
-        let event_mode = self.stepping.core()?.raw.has_event_mode();
+        let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
         let ended = event_mode && self.set_inputs_at_events(event)?;
         if !event_mode && !self.plan.inputs.driven.is_empty() {
             self.timed(Call::Inputs, Self::set_inputs)?;
         }
-        if self.stepping.digest.is_some() {
+        if self.stepping.running.digest.is_some() {
             // Steps between requested times count too.
             self.read(Place::After)?;
-            let Stepping { digest, after, .. } = &mut *self.stepping;
-            digest.iter_mut().for_each(|digest| digest.note(after));
+            self.stepping.running.note(&self.stepping.after);
         }
         self.sample_here()?;
         if ended {
@@ -282,7 +281,7 @@ impl Run<'_> {
 
     /// Refuses to step over a tick: a model that takes steps of one length only may not be able to stop there.
     fn check_ticks(&self, target: &Target) -> Step<()> {
-        let (clocks, same) = (&self.stepping.clocks, self.plan.same);
+        let (clocks, same) = (&self.stepping.running.clocks, self.plan.same);
         match clocks.next(&self.plan.clocks) {
             Some(tick) if tick < target.time - same && !self.communication.variable => {
                 let name = self.plan.clocks.name_of_next(clocks).unwrap_or_default();
@@ -305,7 +304,7 @@ impl Run<'_> {
 
     fn set_input_derivatives(&mut self, target: &Target) -> Step<()> {
         let inputs = &self.plan.inputs;
-        let Stepping { inputs: state, slopes, .. } = &mut *self.stepping;
+        let Stepping { running: Running { inputs: state, current, .. }, slopes, .. } = &mut *self.stepping;
         slopes.copy_from_slice(&state.continuous);
         if !state.continuous_at(inputs, target.time) {
             return Err(state.bad_function_value(target.time).into());
@@ -313,12 +312,8 @@ impl Run<'_> {
         for (slope, end) in slopes.iter_mut().zip(&state.continuous) {
             *slope = (end - *slope) / target.step;
         }
-        let slopes = std::mem::take(&mut self.stepping.slopes);
-        let set = self.stepping.core().and_then(|core| {
-            core.call(|raw| raw.set_input_derivatives(&inputs.continuous.references, &slopes))
-        });
-        self.stepping.slopes = slopes;
-        match set {
+        let references = &inputs.continuous.references;
+        match current.core()?.call(|raw| raw.set_input_derivatives(references, slopes)) {
             // Offered, but not there: then inputs are held, as for everybody else.
             Ok(()) | Err(FmiError::MissingFunction { .. }) => Ok(()),
             Err(error) => Err(error.into()),
@@ -350,9 +345,8 @@ impl Run<'_> {
     }
 
     fn visit_event_mode(&mut self) -> Step<EventOutcome> {
-        let Stepping { inputs, mode, clocks, buffers, .. } = &mut *self.stepping;
-        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
-        let core = instance.core();
+        let Running { inputs, current, clocks, buffers, .. } = &mut self.stepping.running;
+        let core = current.core()?;
         core.call(RawInstance::enter_event_mode)?;
         inputs.set_held(core, &self.plan.inputs)?;
         core.set_reals(&self.plan.inputs.continuous.references, &inputs.continuous)?;
@@ -365,15 +359,14 @@ impl Run<'_> {
     /// Inputs from this point on, where the model has no event mode.
     fn set_inputs(&mut self) -> Step<()> {
         self.compute_inputs()?;
-        let Stepping { inputs, mode, .. } = &mut *self.stepping;
-        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
-        inputs.set_held(instance.core(), &self.plan.inputs)?;
+        let Running { inputs, current, .. } = &mut self.stepping.running;
+        inputs.set_held(current.core()?, &self.plan.inputs)?;
         self.set_continuous_inputs()
     }
 
     /// Goes on to the inputs at this point; whether any of them jumped.
     fn compute_inputs(&mut self) -> Step<bool> {
-        let inputs = &mut self.stepping.inputs;
+        let inputs = &mut self.stepping.running.inputs;
         let jumped = inputs.pass(&self.plan.inputs, self.t);
         if inputs.continuous_at(&self.plan.inputs, self.t) {
             Ok(jumped)
@@ -383,9 +376,8 @@ impl Run<'_> {
     }
 
     fn set_continuous_inputs(&mut self) -> Step<()> {
-        let Stepping { inputs, mode, .. } = &mut *self.stepping;
-        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
+        let Running { inputs, current, .. } = &mut self.stepping.running;
         let references = &self.plan.inputs.continuous.references;
-        Ok(instance.core().set_reals(references, &inputs.continuous)?)
+        Ok(current.core()?.set_reals(references, &inputs.continuous)?)
     }
 }

@@ -1,7 +1,8 @@
 //! The samples of a co-simulation: at communication points as the model gives them, between two of them interpolated.
 
+use super::Stepping;
 use super::run::{Call, Exit, Run, Step};
-use super::{Mode, Stepping, no_instance};
+use crate::running::Running;
 use crate::sys::Fault;
 use ode::{Sample, Side, Termination};
 use std::ops::ControlFlow;
@@ -21,10 +22,9 @@ impl Run<'_> {
 
     fn read_into(&mut self, place: Place) -> Step<()> {
         let time = self.t;
-        let Stepping { mode, buffers, before, after, .. } = &mut *self.stepping;
-        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
+        let Stepping { running: Running { current, buffers, .. }, before, after, .. } = &mut *self.stepping;
         let outputs = self.plan.outputs();
-        instance.core().call(|raw| buffers.read(outputs, raw))?;
+        current.core()?.call(|raw| buffers.read(outputs, raw))?;
         let row = match place {
             Place::Before => before,
             Place::After => after,
@@ -46,18 +46,18 @@ impl Run<'_> {
     /// Reads the derivatives of outputs at the end of a step, if the FMU offers them.
     pub(super) fn read_slopes(&mut self) -> Step<()> {
         let references = &self.plan.outputs().smooth.1;
-        let Stepping { mode, ends, .. } = &mut *self.stepping;
+        let Stepping { running, ends, .. } = &mut *self.stepping;
         ends.clear();
         if !self.communication.output_derivatives || references.is_empty() {
             return Ok(());
         }
-        let Mode::Stepping(instance) = mode else { return Err(no_instance().into()) };
+        let core = running.current.core()?;
         ends.resize(references.len(), 0.0);
-        match instance.core().raw.get_output_derivatives(references, ends) {
+        match core.raw.get_output_derivatives(references, ends) {
             Ok(()) => {}
             // Offered, but not there: then without them.
             Err(Fault::Missing(_) | Fault::Discard(_)) => ends.clear(),
-            Err(fault) => return Err(instance.core().error(fault).into()),
+            Err(fault) => return Err(core.error(fault).into()),
         }
         if ends.iter().any(|slope| !slope.is_finite()) {
             ends.clear();
@@ -131,9 +131,7 @@ impl Run<'_> {
         let side = if self.twice() { Side::Left } else { Side::Right };
         self.next_row += 1;
         self.stats.samples += 1;
-        if let Some(digest) = &mut self.stepping.digest {
-            digest.note(outputs);
-        }
+        self.stepping.running.note(outputs);
         let sample = Sample { time: self.plan.times[index], index: Some(index), side, states: &[], outputs };
         match self.observer.sample(&sample) {
             ControlFlow::Continue(()) => Ok(()),

@@ -126,13 +126,6 @@ impl Inputs {
     }
 }
 
-/// A linear column or a function and where its value goes.
-#[derive(Clone)]
-enum Continuous {
-    Linear(Column),
-    Function(InputFunction),
-}
-
 /// A held column and where its value goes.
 #[derive(Debug, Clone)]
 struct Held {
@@ -151,7 +144,10 @@ enum Target {
 /// The inputs of one simulation, resolved and checked.
 #[derive(Clone, Default)]
 pub(crate) struct InputPlan {
-    sources: Vec<(Continuous, usize)>,
+    /// Columns of continuous inputs, and where their values go.
+    linear: Vec<(Column, usize)>,
+    /// The same of functions.
+    functions: Vec<(InputFunction, usize)>,
     pub(crate) continuous: Slots<f64>,
     held: Vec<Held>,
     pub(crate) held_reals: Slots<f64>,
@@ -214,7 +210,7 @@ impl InputPlan {
                     let function = Arc::clone(function);
                     let function = if variable.negated { Arc::new(move |t| -function(t)) } else { function };
                     let at = plan.place_continuous(starts, place)?;
-                    plan.sources.push((Continuous::Function(function), at));
+                    plan.functions.push((function, at));
                 }
                 Source::Function { .. } => {
                     let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
@@ -271,7 +267,7 @@ impl InputPlan {
             let column = column.times(if variable.negated { -1.0 } else { 1.0 });
             column.linear_stops(self.same, stops);
             let at = self.place_continuous(starts, place)?;
-            self.sources.push((Continuous::Linear(column), at));
+            self.linear.push((column, at));
             return Ok(());
         }
         let column = check_held(variable, column)?;
@@ -394,10 +390,7 @@ impl InputPlan {
             }
         }
         self.jumps = self.stops.iter().filter(|stop| stop.jump).map(|stop| stop.time).collect();
-        let linear = self.sources.iter_mut().filter_map(|(source, _)| match source {
-            Continuous::Linear(column) => Some(column),
-            Continuous::Function(_) => None,
-        });
+        let linear = self.linear.iter_mut().map(|(column, _)| column);
         for column in linear.chain(self.held.iter_mut().map(|held| &mut held.column.column)) {
             column.snap(&self.jumps, self.same);
         }

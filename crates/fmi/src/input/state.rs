@@ -1,9 +1,9 @@
 //! Where a run stands in its inputs: which jumps have happened, and the values for the next calls.
 
-use super::{Continuous, InputPlan, Target};
+use super::{InputPlan, Target};
 use crate::error::FmiError;
 use crate::instance::Core;
-use std::time::{Duration, Instant};
+use ode::Stopwatch;
 
 /// Where a run stands in its inputs, and the values for the next calls.
 #[derive(Debug, Default)]
@@ -17,8 +17,11 @@ pub(crate) struct InputState {
     pub(crate) held_packed: Vec<Vec<i64>>,
     /// The number of the value that each text has.
     texts: Vec<usize>,
-    /// Time in functions of the user since the start.
-    in_functions: Duration,
+    /// Seconds in functions of the user since the start: a sum over all calls, each of which adds what is known of it when
+    /// it ends, so that also differences of it mean the time between.
+    in_functions: f64,
+    /// All functions at one instant are one call: one of them may do the work for the others.
+    stopwatch: Stopwatch<1>,
 }
 
 impl InputState {
@@ -26,23 +29,26 @@ impl InputState {
     pub(crate) fn new(plan: &InputPlan) -> Self {
         Self {
             passed: 0,
-            cursors: vec![0; plan.sources.len()],
+            cursors: vec![0; plan.linear.len()],
             continuous: plan.continuous.start.clone(),
             held_reals: plan.held_reals.start.clone(),
             held_packed: plan.held_packed.iter().map(|(_, slots)| slots.start.clone()).collect(),
             texts: vec![0; plan.texts.len()],
-            in_functions: Duration::ZERO,
+            in_functions: 0.0,
+            stopwatch: Stopwatch::new(),
         }
     }
 
-    /// Seconds that the functions of the user took since the start.
+    /// Seconds that the functions of the user took since the start; an estimate where they are fast, see
+    /// [`Stopwatch`](ode::Stopwatch).
     pub(crate) fn seconds_in_functions(&self) -> f64 {
-        self.in_functions.as_secs_f64()
+        self.in_functions
     }
 
     /// Goes to the start of a run: jumps up to `t` have happened.
     pub(crate) fn begin(&mut self, plan: &InputPlan, t: f64) {
-        self.in_functions = Duration::ZERO;
+        self.in_functions = 0.0;
+        self.stopwatch.reset();
         self.passed = 0;
         self.cursors.fill(0);
         self.pass(plan, t);
@@ -75,16 +81,15 @@ impl InputState {
         let next = plan.jumps.get(self.passed).copied().unwrap_or(f64::INFINITY);
         let last = self.passed.checked_sub(1).map_or(f64::NEG_INFINITY, |i| plan.jumps[i]);
         let (at, left) = if t >= next { (next, true) } else { (t.max(last), false) };
-        for ((source, place), cursor) in plan.sources.iter().zip(&mut self.cursors) {
-            self.continuous[*place] = match source {
-                Continuous::Linear(column) => column.linear(at, left, cursor),
-                Continuous::Function(function) => {
-                    let began = Instant::now();
-                    let value = function(t);
-                    self.in_functions += began.elapsed();
-                    value
-                }
-            };
+        for ((column, place), cursor) in plan.linear.iter().zip(&mut self.cursors) {
+            self.continuous[*place] = column.linear(at, left, cursor);
+        }
+        if !plan.functions.is_empty() {
+            let timing = self.stopwatch.start(0);
+            for (function, place) in &plan.functions {
+                self.continuous[*place] = function(t);
+            }
+            self.in_functions += self.stopwatch.stop(timing, 0.0);
         }
         self.continuous.iter().all(|value| value.is_finite())
     }
@@ -116,6 +121,7 @@ mod tests {
     use super::*;
     use crate::column::Column;
     use crate::input::Held;
+    use std::sync::Arc;
 
     fn column(times: &[f64], values: &[f64]) -> Column {
         Column { times: times.into(), values: values.into() }
@@ -128,7 +134,7 @@ mod tests {
         held.iter().for_each(|c| c.held_stops(&mut stops));
         plan.held_reals.start = vec![0.0; held.len()];
         plan.continuous.start = vec![0.0; linear.len()];
-        plan.sources = linear.into_iter().map(Continuous::Linear).zip(0..).collect();
+        plan.linear = linear.into_iter().zip(0..).collect();
         plan.held = held
             .into_iter()
             .enumerate()
@@ -176,6 +182,30 @@ mod tests {
         assert_eq!((state.continuous[0], state.held_reals[0]), (5.0, 8.0));
         assert_eq!(plan.next_stop(0.3), None);
         assert_eq!(plan.next_stop(0.0).map(|stop| (stop.time, stop.jump)), Some((near, true)));
+    }
+
+    #[test]
+    fn time_in_functions_is_that_of_all_of_them_since_the_start() {
+        let mut plan = plan_of(vec![column(&[0.0, 1.0], &[0.0, 1.0])], vec![]);
+        let mut state = InputState::new(&plan);
+        state.continuous_at(&plan, 0.5);
+        assert_eq!(state.seconds_in_functions(), 0.0);
+        plan.continuous.start = vec![0.0; 3];
+        let slowly = |t| {
+            std::thread::sleep(std::time::Duration::from_millis(2));
+            2.0 * t
+        };
+        plan.functions = vec![(Arc::new(|t| -t), 1), (Arc::new(slowly), 2)];
+        let mut state = InputState::new(&plan);
+        let mut before = 0.0;
+        for t in [0.0, 0.5, 0.25] {
+            assert!(state.continuous_at(&plan, t));
+            assert_eq!(state.continuous, [t, -t, 2.0 * t]);
+            assert!(state.seconds_in_functions() >= before + 0.00199);
+            before = state.seconds_in_functions();
+        }
+        state.begin(&plan, 0.0);
+        assert_eq!(state.seconds_in_functions(), 0.0);
     }
 
     #[test]

@@ -83,15 +83,17 @@ impl Call {
     }
 }
 
-/// Does something unsafe with the FMU's own component.
-macro_rules! within {
-    ($self:ident, $outer:ident, |$component:ident| $body:expr) => {
-        // SAFETY: the caller's promises are those of the trait.
-        unsafe {
-            let ($component, _current) = $self.enter($outer);
-            $body
+/// Methods that do what those of [`Values`] of the same names do, with the FMU's own component.
+macro_rules! entered {
+    ($($name:ident($($argument:ident: $type:ty),*);)*) => {$(
+        unsafe fn $name(&self, component: Component, $($argument: $type),*) -> Status {
+            // SAFETY: the caller's promises are those of the trait.
+            unsafe {
+                let (component, _current) = self.enter(component);
+                self.values().$name(component, $($argument),*)
+            }
         }
-    };
+    )*};
 }
 
 /// Calls a function of a table that the binding may not have.
@@ -227,63 +229,15 @@ pub(super) trait Binding: Send + Sync {
         optional!(self.life().reset, component)
     }
     fn values(&self) -> &dyn Values;
-    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Status {
-        within!(self, component, |component| self.values().get_real(component, references, values))
-    }
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status {
-        within!(self, component, |component| self.values().set_real(component, references, values))
-    }
-    unsafe fn get_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status {
-        within!(self, component, |component| self.values().get_packed(component, kind, references, lanes))
-    }
-    unsafe fn set_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status {
-        within!(self, component, |component| self.values().set_packed(component, kind, references, lanes))
-    }
-    unsafe fn get_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &mut [*const c_char],
-    ) -> Status {
-        within!(self, component, |component| self.values().get_string(component, references, values))
-    }
-    unsafe fn set_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &[*const c_char],
-    ) -> Status {
-        within!(self, component, |component| self.values().set_string(component, references, values))
-    }
-    unsafe fn get_binary(
-        &self,
-        component: Component,
-        references: &[u32],
-        sizes: &mut [usize],
-        values: &mut [*const u8],
-    ) -> Status {
-        within!(self, component, |component| self.values().get_binary(component, references, sizes, values))
-    }
-    unsafe fn set_binary(
-        &self,
-        component: Component,
-        references: &[u32],
-        sizes: &[usize],
-        values: &[*const u8],
-    ) -> Status {
-        within!(self, component, |component| self.values().set_binary(component, references, sizes, values))
+    entered! {
+        get_real(references: &[u32], values: &mut [f64]);
+        set_real(references: &[u32], values: &[f64]);
+        get_packed(kind: VariableKind, references: &[u32], lanes: &mut [i64]);
+        set_packed(kind: VariableKind, references: &[u32], lanes: &mut [i64]);
+        get_string(references: &[u32], values: &mut [*const c_char]);
+        set_string(references: &[u32], values: &[*const c_char]);
+        get_binary(references: &[u32], sizes: &mut [usize], values: &mut [*const u8]);
+        set_binary(references: &[u32], sizes: &[usize], values: &[*const u8]);
     }
     unsafe fn enter_configuration(&self, component: Component) -> Status {
         let _ = component;

@@ -5,7 +5,10 @@
 
 use super::binding::{Binding, Call, Created, Values};
 use super::callbacks::{Current, Environment, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
-use super::functions::{LifeFunctions, PointFunctions, StepFunctions, ValueFunctions, call, optional, table};
+use super::functions::{
+    Interface, LifeFunctions, PointFunctions, StepFunctions, Table, ValueFunctions, call, model, optional,
+    table,
+};
 use super::library::Symbols;
 use super::{Component, EventInfo, Experiment, InterfaceKind, Request, Status, StepInfo, file_uri, status};
 use crate::description::VariableKind;
@@ -91,12 +94,7 @@ pub(super) struct Fmi1 {
     life: LifeFunctions,
     values: ValueFunctions<Boolean>,
     set_debug_logging: Option<SetDebugLogging>,
-    interface: Interface,
-}
-
-enum Interface {
-    ModelExchange(ModelExchange, PointFunctions),
-    CoSimulation(CoSimulation, StepFunctions),
+    interface: Interface<ModelExchange, CoSimulation>,
 }
 
 table! {
@@ -149,22 +147,12 @@ impl Fmi1 {
         let name = |call| name(kind, call);
         // SAFETY: the caller vouches for the library, and the names are those of FMI 1.0.
         unsafe {
-            let interface = match kind {
-                InterfaceKind::ModelExchange => Interface::ModelExchange(
-                    ModelExchange::load(symbols, name)?,
-                    PointFunctions::load(symbols, name)?,
-                ),
-                InterfaceKind::CoSimulation => Interface::CoSimulation(
-                    CoSimulation::load(symbols, name)?,
-                    StepFunctions::load(symbols, name)?,
-                ),
-            };
             Ok(Self {
+                interface: Interface::load(symbols, kind, name)?,
                 kind,
                 life: LifeFunctions::load(symbols, name)?,
                 values: ValueFunctions::load(symbols, name)?,
                 set_debug_logging: symbols.optional(name(Call::SetDebugLogging)),
-                interface,
             })
         }
     }
@@ -253,17 +241,11 @@ impl Binding for Fmi1 {
     }
 
     fn point(&self) -> Option<&PointFunctions> {
-        match &self.interface {
-            Interface::ModelExchange(_, point) => Some(point),
-            Interface::CoSimulation(..) => None,
-        }
+        self.interface.point()
     }
 
     fn steps(&self) -> Option<&StepFunctions> {
-        match &self.interface {
-            Interface::ModelExchange(..) => None,
-            Interface::CoSimulation(_, steps) => Some(steps),
-        }
+        self.interface.steps()
     }
 
     unsafe fn instantiate(&self, request: &Request<'_>, environment: &Environment) -> Option<Created> {
@@ -328,11 +310,9 @@ impl Binding for Fmi1 {
     unsafe fn enter_initialization(&self, component: Component, experiment: &Experiment) -> Status {
         // SAFETY: the caller's promises are those of the trait.
         unsafe { Boxed::of(component) }.experiment = *experiment;
-        match &self.interface {
-            Interface::ModelExchange(_, point) => {
-                within!(component, |slave| call!(point.set_time, slave, experiment.start))
-            }
-            Interface::CoSimulation(..) => Status::Ok,
+        match self.interface.point() {
+            Some(point) => within!(component, |slave| call!(point.set_time, slave, experiment.start)),
+            None => Status::Ok,
         }
     }
 
@@ -378,8 +358,7 @@ impl Binding for Fmi1 {
         let mut raw = RawEventInfo::default();
         // fmiFalse: the FMU iterates by itself and returns when it is done. That is what every other importer asks for;
         // one that returns before is asked again.
-        let Interface::ModelExchange(functions, _) = &self.interface else { return Status::Missing };
-        let status = within!(component, |slave| call!(functions.event_update, slave, 0, &raw mut raw));
+        let status = within!(component, |slave| model!(self, event_update, slave, 0, &raw mut raw));
         *info = raw.in_house_words();
         status
     }
@@ -396,9 +375,7 @@ impl Binding for Fmi1 {
         terminate: &mut bool,
     ) -> Status {
         let mut raw: Boolean = 0;
-        let Interface::ModelExchange(functions, _) = &self.interface else { return Status::Missing };
-        let status =
-            within!(component, |slave| call!(functions.completed_integrator_step, slave, &raw mut raw));
+        let status = within!(component, |slave| model!(self, completed_integrator_step, slave, &raw mut raw));
         *event = raw != 0;
         *terminate = false;
         status

@@ -3,8 +3,8 @@
 use super::binding::{Binding, Call, Created, Values};
 use super::callbacks::{Environment, fmufit_allocate, fmufit_fmi2_log, fmufit_free};
 use super::functions::{
-    LifeFunctions, Plain, PointFunctions, StateFunctions, StepFunctions, ValueFunctions, call, optional,
-    table,
+    Interface, LifeFunctions, Plain, PointFunctions, StateFunctions, StepFunctions, Table, ValueFunctions,
+    call, model, optional, table,
 };
 use super::library::Symbols;
 use super::{Component, EventInfo, Experiment, InterfaceKind, Request, Status, StepInfo, file_uri, status};
@@ -73,12 +73,7 @@ pub(super) struct Fmi2 {
     life: LifeFunctions,
     values: ValueFunctions<Boolean>,
     states: StateFunctions,
-    interface: Interface,
-}
-
-enum Interface {
-    ModelExchange(ModelExchange, PointFunctions),
-    CoSimulation(CoSimulation, StepFunctions),
+    interface: Interface<ModelExchange, CoSimulation>,
 }
 
 table! {
@@ -121,16 +116,6 @@ table! {
     }
 }
 
-/// Calls a function of model exchange.
-macro_rules! model {
-    ($self:ident, $function:ident, $($argument:expr),*) => {
-        match &$self.interface {
-            Interface::ModelExchange(functions, _) => call!(functions.$function, $($argument),*),
-            Interface::CoSimulation(..) => Status::Missing,
-        }
-    };
-}
-
 impl Fmi2 {
     /// Looks the functions of one interface up.
     ///
@@ -139,22 +124,12 @@ impl Fmi2 {
     pub(super) unsafe fn load(symbols: &Symbols<'_>, kind: InterfaceKind) -> Result<Self, FmiError> {
         // SAFETY: the caller vouches for the library, and the names are those of FMI 2.0.
         unsafe {
-            let interface = match kind {
-                InterfaceKind::ModelExchange => Interface::ModelExchange(
-                    ModelExchange::load(symbols, name)?,
-                    PointFunctions::load(symbols, name)?,
-                ),
-                InterfaceKind::CoSimulation => Interface::CoSimulation(
-                    CoSimulation::load(symbols, name)?,
-                    StepFunctions::load(symbols, name)?,
-                ),
-            };
             Ok(Self {
+                interface: Interface::load(symbols, kind, name)?,
                 common: Common::load(symbols, name)?,
                 life: LifeFunctions::load(symbols, name)?,
                 values: ValueFunctions::load(symbols, name)?,
                 states: StateFunctions::load(symbols, name)?,
-                interface,
             })
         }
     }
@@ -221,10 +196,7 @@ impl Binding for Fmi2 {
     }
 
     fn point(&self) -> Option<&PointFunctions> {
-        match &self.interface {
-            Interface::ModelExchange(_, point) => Some(point),
-            Interface::CoSimulation(..) => None,
-        }
+        self.interface.point()
     }
 
     fn states(&self) -> Option<&StateFunctions> {
@@ -232,10 +204,7 @@ impl Binding for Fmi2 {
     }
 
     fn steps(&self) -> Option<&StepFunctions> {
-        match &self.interface {
-            Interface::ModelExchange(..) => None,
-            Interface::CoSimulation(_, steps) => Some(steps),
-        }
+        self.interface.steps()
     }
 
     unsafe fn instantiate(&self, request: &Request<'_>, environment: &Environment) -> Option<Created> {

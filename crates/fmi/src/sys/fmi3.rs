@@ -10,7 +10,9 @@ use super::fmi3_functions::{
 use super::fmi3_intermediate::{StepEnvironment, intermediate_update};
 use super::fmi3_numbers::{get_name, set_name};
 use super::fmi3_values::Fmi3Values;
-use super::functions::{LifeFunctions, Plain, PointFunctions, StateFunctions, call, optional, table};
+use super::functions::{
+    Interface, LifeFunctions, Plain, PointFunctions, StateFunctions, Table, call, model, optional, table,
+};
 use super::library::Symbols;
 use super::{
     Component, EventInfo, Experiment, InterfaceKind, IntervalAnswer, MidStep, Request, Status, StepInfo,
@@ -31,12 +33,7 @@ pub(super) struct Fmi3 {
     states: StateFunctions,
     values: Fmi3Values,
     clocks: ClockFunctions,
-    interface: Interface,
-}
-
-enum Interface {
-    ModelExchange(ModelExchange, PointFunctions),
-    CoSimulation(CoSimulation),
+    interface: Interface<ModelExchange, CoSimulation, ()>,
 }
 
 table! {
@@ -96,34 +93,17 @@ impl Fmi3 {
         let name = |call| name(kind, call);
         // SAFETY: the caller vouches for the library, and the names are those of FMI 3.0.
         unsafe {
-            let interface = match kind {
-                InterfaceKind::ModelExchange => Interface::ModelExchange(
-                    ModelExchange::load(symbols, name)?,
-                    PointFunctions::load(symbols, name)?,
-                ),
-                InterfaceKind::CoSimulation => Interface::CoSimulation(CoSimulation::load(symbols, name)?),
-            };
             Ok(Self {
+                interface: Interface::load(symbols, kind, name)?,
                 kind,
                 common: Common::load(symbols, name)?,
                 life: LifeFunctions::load(symbols, name)?,
                 states: StateFunctions::load(symbols, name)?,
                 values: Fmi3Values::load(symbols, name)?,
                 clocks: ClockFunctions::load(symbols),
-                interface,
             })
         }
     }
-}
-
-/// Calls a function of model exchange.
-macro_rules! model {
-    ($self:ident, $function:ident, $($argument:expr),*) => {
-        match &$self.interface {
-            Interface::ModelExchange(functions, _) => call!(functions.$function, $($argument),*),
-            Interface::CoSimulation(_) => Status::Missing,
-        }
-    };
 }
 
 /// The standard's names.
@@ -187,10 +167,7 @@ impl Binding for Fmi3 {
     }
 
     fn point(&self) -> Option<&PointFunctions> {
-        match &self.interface {
-            Interface::ModelExchange(_, point) => Some(point),
-            Interface::CoSimulation(_) => None,
-        }
+        self.interface.point()
     }
 
     fn states(&self) -> Option<&StateFunctions> {
@@ -205,7 +182,7 @@ impl Binding for Fmi3 {
         let resources = if request.resources.is_dir() { resources.as_ptr() } else { std::ptr::null() };
         let mut keep: Arc<dyn Any + Send + Sync> = Arc::new(());
         let mut environment_of: *mut c_void = std::ptr::from_ref(environment).cast_mut().cast();
-        if let Interface::CoSimulation(_) = &self.interface {
+        if let Interface::CoSimulation(..) = &self.interface {
             let step_environment = Arc::new(StepEnvironment::new(environment));
             environment_of = Arc::as_ptr(&step_environment).cast_mut().cast();
             keep = step_environment;
@@ -222,7 +199,7 @@ impl Binding for Fmi3 {
                     environment_of,
                     fmi3_log,
                 ),
-                Interface::CoSimulation(functions) => (functions.instantiate)(
+                Interface::CoSimulation(functions, ()) => (functions.instantiate)(
                     request.name.as_ptr(),
                     request.guid.as_ptr(),
                     resources,
@@ -273,14 +250,14 @@ impl Binding for Fmi3 {
     unsafe fn count_states(&self, component: Component, count: &mut usize) -> Status {
         match &self.interface {
             Interface::ModelExchange(functions, _) => optional!(functions.count_states, component, count),
-            Interface::CoSimulation(_) => Status::Missing,
+            Interface::CoSimulation(..) => Status::Missing,
         }
     }
 
     unsafe fn count_indicators(&self, component: Component, count: &mut usize) -> Status {
         match &self.interface {
             Interface::ModelExchange(functions, _) => optional!(functions.count_indicators, component, count),
-            Interface::CoSimulation(_) => Status::Missing,
+            Interface::CoSimulation(..) => Status::Missing,
         }
     }
 
@@ -359,7 +336,7 @@ impl Binding for Fmi3 {
     }
 
     unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status {
-        let Interface::CoSimulation(functions) = &self.interface else { return Status::Missing };
+        let Interface::CoSimulation(functions, ()) = &self.interface else { return Status::Missing };
         let (mut event, mut terminate, mut early): (Flag, Flag, Flag) = (0, 0, 0);
         let mut reached = time;
         let result = call!(
@@ -445,7 +422,7 @@ impl Binding for Fmi3 {
         orders: &[c_int],
         values: &mut [f64],
     ) -> Status {
-        let Interface::CoSimulation(functions) = &self.interface else { return Status::Missing };
+        let Interface::CoSimulation(functions, ()) = &self.interface else { return Status::Missing };
         optional!(
             functions.get_output_derivatives,
             component,
@@ -459,7 +436,7 @@ impl Binding for Fmi3 {
 
     unsafe fn enter_step_mode(&self, component: Component) -> Status {
         match &self.interface {
-            Interface::CoSimulation(functions) => optional!(functions.enter_step_mode, component),
+            Interface::CoSimulation(functions, ()) => optional!(functions.enter_step_mode, component),
             Interface::ModelExchange(..) => Status::Missing,
         }
     }

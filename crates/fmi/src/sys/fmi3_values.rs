@@ -3,7 +3,7 @@
 use super::binding::{Call, Values};
 use super::fmi3_functions::{Flag, Get, GetBinary, GetClock, Set, SetBinary, SetClock};
 use super::fmi3_numbers::Numbers;
-use super::functions::{call, optional, table};
+use super::functions::{Table, call, optional, table};
 use super::library::Symbols;
 use super::{Component, Status, packed, status};
 use crate::description::VariableKind;

@@ -4,7 +4,7 @@
 use super::binding::Values;
 use super::library::Symbols;
 use super::packed::{self, Element};
-use super::{Call, Component, StatePointer, Status, StepInfo, status};
+use super::{Call, Component, InterfaceKind, StatePointer, Status, StepInfo, status};
 use crate::description::VariableKind;
 use crate::error::FmiError;
 use std::ffi::{c_char, c_int};
@@ -53,7 +53,89 @@ macro_rules! optional {
 }
 pub(super) use optional;
 
-/// A table of functions, and how it is filled: under the names that a version has for the calls.
+/// Functions that belong together.
+pub(super) trait Table: Sized {
+    /// Looks them up under the names that a version has for the calls.
+    ///
+    /// # Errors
+    /// A function that must be there is missing.
+    ///
+    /// # Safety
+    /// The library follows the version of the standard whose names these are: a symbol of a name has the type the standard
+    /// gives it.
+    unsafe fn load(symbols: &Symbols<'_>, name: impl Fn(Call) -> &'static str) -> Result<Self, FmiError>;
+}
+
+/// No functions.
+impl Table for () {
+    unsafe fn load(_: &Symbols<'_>, _: impl Fn(Call) -> &'static str) -> Result<Self, FmiError> {
+        Ok(())
+    }
+}
+
+/// The functions of the interface by which a model is run: a version's own, and those that several versions share; `S` are
+/// the latter of co-simulation.
+pub(super) enum Interface<M, C, S = StepFunctions> {
+    ModelExchange(M, PointFunctions),
+    CoSimulation(C, S),
+}
+
+impl<M: Table, C: Table, S: Table> Interface<M, C, S> {
+    /// # Errors
+    /// A function that must be there is missing.
+    ///
+    /// # Safety
+    /// As for [`Table::load`].
+    pub(super) unsafe fn load(
+        symbols: &Symbols<'_>,
+        kind: InterfaceKind,
+        name: impl Fn(Call) -> &'static str,
+    ) -> Result<Self, FmiError> {
+        // SAFETY: handed on to the caller.
+        unsafe {
+            Ok(match kind {
+                InterfaceKind::ModelExchange => Interface::ModelExchange(
+                    Table::load(symbols, &name)?,
+                    PointFunctions::load(symbols, &name)?,
+                ),
+                InterfaceKind::CoSimulation => {
+                    Interface::CoSimulation(Table::load(symbols, &name)?, Table::load(symbols, &name)?)
+                }
+            })
+        }
+    }
+}
+
+impl<M, C, S> Interface<M, C, S> {
+    /// In model exchange.
+    pub(super) fn point(&self) -> Option<&PointFunctions> {
+        match self {
+            Interface::ModelExchange(_, point) => Some(point),
+            Interface::CoSimulation(..) => None,
+        }
+    }
+
+    /// In co-simulation.
+    pub(super) fn steps(&self) -> Option<&S> {
+        match self {
+            Interface::ModelExchange(..) => None,
+            Interface::CoSimulation(_, steps) => Some(steps),
+        }
+    }
+}
+
+/// Calls a function of a version's own model exchange.
+macro_rules! model {
+    ($self:ident, $function:ident, $($argument:expr),* $(,)?) => {
+        match &$self.interface {
+            Interface::ModelExchange(functions, _) => call!(functions.$function, $($argument),*),
+            Interface::CoSimulation(..) => Status::Missing,
+        }
+    };
+}
+pub(super) use model;
+
+/// A table of functions, and how it is filled.
 macro_rules! table {
     (
         $(#[$doc:meta])*
@@ -68,14 +150,8 @@ macro_rules! table {
             $($vis $optional: Option<$offered>,)*
         }
 
-        impl $name {
-            /// # Errors
-            /// A function that must be there is missing.
-            ///
-            /// # Safety
-            /// The library follows the version of the standard whose names these are: a symbol of a name has the type
-            /// the standard gives it.
-            $vis unsafe fn load(
+        impl Table for $name {
+            unsafe fn load(
                 symbols: &Symbols<'_>,
                 name: impl Fn(Call) -> &'static str,
             ) -> Result<Self, FmiError> {
@@ -196,16 +272,9 @@ pub(super) struct ValueFunctions<B> {
     set_string: Option<Set<*const c_char>>,
 }
 
-impl<B: Element> ValueFunctions<B> {
-    /// # Errors
-    /// There are no real variables.
-    ///
-    /// # Safety
-    /// As for the tables above; `B` is the version's Boolean.
-    pub(super) unsafe fn load(
-        symbols: &Symbols<'_>,
-        name: impl Fn(Call) -> &'static str,
-    ) -> Result<Self, FmiError> {
+/// What must be there are the functions for real variables; `B` must be the version's Boolean.
+impl<B: Element> Table for ValueFunctions<B> {
+    unsafe fn load(symbols: &Symbols<'_>, name: impl Fn(Call) -> &'static str) -> Result<Self, FmiError> {
         let getter = |kind| name(Call::Get(kind));
         let setter = |kind| name(Call::Set(kind));
         // SAFETY: as for the tables above.

@@ -2,8 +2,7 @@
 
 use super::callbacks::{Environment, Log};
 use super::{
-    Call, Component, EventInfo, Experiment, IntervalAnswer, Library, LogLine, MidStep, Qualifier, Request,
-    Status, StepInfo,
+    Call, Component, EventInfo, Experiment, IntervalAnswer, Library, LogLine, Qualifier, Request, Status,
 };
 use crate::description::Interval;
 use crate::error::FmiError;
@@ -33,6 +32,7 @@ macro_rules! run {
 
 // Behind the macro, which they use.
 mod saved_states;
+mod steps;
 mod values;
 
 /// Log lines that an error carries.
@@ -82,6 +82,8 @@ pub(crate) struct RawInstance {
     sizes: Sizes,
     /// Co-simulation: made to have its events handled between steps.
     event_mode: bool,
+    /// A reference may stand for several values.
+    has_arrays: bool,
     /// For messages: the time last set.
     time: Option<f64>,
     saved: SavedStates,
@@ -147,6 +149,7 @@ impl RawInstance {
             epoch: shared.epoch.fetch_add(1, Ordering::Relaxed) + 1,
             sizes,
             event_mode: request.event_mode,
+            has_arrays: library.binding().values().has_arrays(),
             time: None,
             saved: SavedStates::default(),
             buffers: Box::default(),
@@ -246,10 +249,7 @@ impl RawInstance {
     /// As many values as references, or more where references may stand for arrays (how many is the caller's to know:
     /// the FMU is told the number of values).
     fn lengths(&self, call: Call, references: usize, values: usize) -> Outcome {
-        if self.library.binding().values().has_arrays() {
-            return Ok(());
-        }
-        self.length(call, references, values)
+        if self.has_arrays { Ok(()) } else { self.length(call, references, values) }
     }
 
     fn length(&self, call: Call, expected: usize, found: usize) -> Outcome {
@@ -393,37 +393,6 @@ impl RawInstance {
         run!(self, Call::GetNominals, |b, c| b.get_nominals(c, nominals))
     }
 
-    /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says how far the
-    /// model got, and the answer is `false`. A pending step has to be asked for with [`step_status`](Self::step_status).
-    /// `mid_step` is asked when the model calls back during the step.
-    pub(crate) fn do_step(
-        &mut self,
-        (time, step): (f64, f64),
-        info: &mut StepInfo,
-        mid_step: &mut dyn MidStep,
-    ) -> Result<bool, Fault> {
-        self.log.go_on();
-        self.time = Some(time);
-        let outcome =
-            run!(self, Call::DoStep, |b, c| b.do_step_with(c, (time, step), info, &**self.keep, mid_step));
-        completed(outcome, info)
-    }
-
-    /// The fault of a step of which nothing was computed.
-    pub(crate) fn step_refused(&self) -> Fault {
-        Fault::Discard(self.library.binding().name(Call::DoStep))
-    }
-
-    /// How a pending step stands; as [`do_step`](Self::do_step).
-    pub(crate) fn step_status(&mut self, info: &mut StepInfo) -> Result<bool, Fault> {
-        let outcome = run!(self, Call::StepStatus, |b, c| b.step_status(c, info));
-        completed(outcome, info)
-    }
-
-    pub(crate) fn enter_step_mode(&mut self) -> Outcome {
-        run!(self, Call::EnterStepMode, |b, c| b.enter_step_mode(c))
-    }
-
     /// What the model says about the interval before the next tick of a clock.
     pub(crate) fn get_interval(&mut self, clock: u32, fraction: bool) -> Result<IntervalAnswer, Fault> {
         let mut answer =
@@ -445,57 +414,6 @@ impl RawInstance {
     /// From the start to the first tick of a clock.
     pub(crate) fn get_shift(&mut self, clock: u32, fraction: bool, shift: &mut Interval) -> Outcome {
         run!(self, Call::GetShift, |b, c| b.get_shift(c, clock, fraction, shift))
-    }
-
-    /// Gives a pending step up. An instance that does not let go is abandoned: nothing may be called on it meanwhile.
-    pub(crate) fn abandon_step(&mut self) {
-        self.dead |= self.cancel_step().is_err();
-    }
-
-    fn cancel_step(&mut self) -> Outcome {
-        run!(self, Call::CancelStep, |b, c| b.cancel_step(c))
-    }
-
-    /// Sets first derivatives of real inputs with respect to time.
-    pub(crate) fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Outcome {
-        self.length(Call::SetInputDerivatives, references.len(), values.len())?;
-        let mut orders = std::mem::take(&mut self.orders);
-        orders.clear();
-        orders.resize(values.len(), 1);
-        let outcome = self.set_derivatives_of(references, &orders, values);
-        self.orders = orders;
-        outcome
-    }
-
-    /// First derivatives of single real outputs with respect to time, at the end of the last step.
-    pub(crate) fn get_output_derivatives(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
-        self.length(Call::GetOutputDerivatives, references.len(), values.len())?;
-        let mut orders = std::mem::take(&mut self.orders);
-        orders.clear();
-        orders.resize(values.len(), 1);
-        let outcome = self.get_derivatives_of(references, &orders, values);
-        self.orders = orders;
-        outcome
-    }
-
-    fn get_derivatives_of(&mut self, references: &[u32], orders: &[i32], values: &mut [f64]) -> Outcome {
-        run!(self, Call::GetOutputDerivatives, |b, c| {
-            b.get_output_derivatives(c, references, orders, values)
-        })
-    }
-
-    fn set_derivatives_of(&mut self, references: &[u32], orders: &[i32], values: &[f64]) -> Outcome {
-        run!(self, Call::SetInputDerivatives, |b, c| b.set_input_derivatives(c, references, orders, values))
-    }
-}
-
-/// Whether a step was completed; `false` for one that was cut short or is pending.
-fn completed(outcome: Outcome, info: &StepInfo) -> Result<bool, Fault> {
-    match outcome {
-        Ok(()) => Ok(true),
-        Err(Fault::Discard(_)) => Ok(false),
-        Err(Fault::Failed(failed)) if failed.status == Status::Pending && info.pending => Ok(false),
-        Err(fault) => Err(fault),
     }
 }
 

@@ -1,25 +1,24 @@
 //! One worker's simulator: a plan, a live instance, a driver and buffers, run as often as one likes.
 
-use crate::beginning::StartValues;
-use crate::communication::Stepping;
+mod engine;
+mod probe;
+
+pub(crate) use probe::{PROBE_STEPS, Probe};
+
 use crate::copies::PrivateCopy;
 use crate::description::Value;
 use crate::error::FmiError;
 use crate::fmu::Reuse;
-use crate::instance::{self, Core};
 use crate::places::{Place, element_value};
 use crate::plan::SimulationPlan;
 use crate::readback::ReadBackBuffers;
 use crate::renewal::{new_instance, new_with_origin, renew_or_replace};
-use crate::sys::{FloatEnvironment, InterfaceKind, Library, RawInstance, Shared};
-use crate::system::System;
+use crate::sys::{FloatEnvironment, Library, RawInstance, Shared};
 use crate::trajectory::{Recorder, Trajectory};
-use ode::{Driver, ErrorKind, HybridSystem, Ignore, Observer, Report, Seconds};
+use engine::Engine;
+use ode::{Observer, Report, Seconds};
 use std::sync::Arc;
 use std::time::Instant;
-
-/// Steps after which a check of reset is sure enough: what reset forgets shows in the first right-hand sides.
-pub(crate) const PROBE_STEPS: u64 = 50;
 
 /// Runs one plan over and over, each time from a freshly reset instance: the same parameters give the same bits, whatever
 /// was run before. One thread at a time uses it ([`Send`], not `Sync`); when warm, a run allocates nothing.
@@ -49,94 +48,6 @@ pub struct Simulator {
     shared: Arc<Shared>,
     /// Where instances of one library disturb each other: the library is one of its own. Given back after the instances.
     copy: Option<PrivateCopy>,
-}
-
-/// What makes the steps: the driver, or the FMU itself.
-#[derive(Debug)]
-enum Engine {
-    Integrated { driver: Box<Driver>, system: Box<System> },
-    Stepping(Box<Stepping>),
-}
-
-/// The same call to whichever engine it is.
-macro_rules! each {
-    ($engine:expr, $run:ident => $call:expr) => {
-        match $engine {
-            Engine::Integrated { system: $run, .. } => $call,
-            Engine::Stepping($run) => $call,
-        }
-    };
-}
-
-impl Engine {
-    fn new(plan: &Arc<SimulationPlan>) -> Result<Self, FmiError> {
-        Ok(match plan.kind {
-            InterfaceKind::ModelExchange => Engine::Integrated {
-                driver: Box::new(Driver::new(plan.options.clone())?),
-                system: Box::new(System::new(Arc::clone(plan))),
-            },
-            InterfaceKind::CoSimulation => Engine::Stepping(Box::new(Stepping::new(Arc::clone(plan)))),
-        })
-    }
-
-    fn adopt(&mut self, raw: RawInstance) {
-        each!(self, run => run.adopt(raw));
-    }
-
-    fn retire(&mut self) -> Option<RawInstance> {
-        each!(self, run => run.retire())
-    }
-
-    fn core(&mut self) -> Result<&mut Core, FmiError> {
-        each!(self, run => run.core())
-    }
-
-    fn initialize(&mut self, raw: RawInstance, parameters: &[f64]) -> Result<(), FmiError> {
-        each!(self, run => run.initialize(raw, parameters))
-    }
-
-    /// Seconds since the start in what is no part of the model.
-    fn seconds_elsewhere(&self) -> f64 {
-        each!(self, run => run.seconds_elsewhere())
-    }
-
-    /// The run itself; `steps`: at most so many.
-    fn run(
-        &mut self,
-        plan: &SimulationPlan,
-        steps: Option<u64>,
-        observer: &mut dyn Observer,
-    ) -> Result<Report, FmiError> {
-        let limited = |limits: ode::Limits| ode::Limits { max_steps: steps.or(limits.max_steps), ..limits };
-        match self {
-            Engine::Integrated { driver, system } => {
-                let mut probe;
-                let driver = if steps.is_none() {
-                    driver
-                } else {
-                    let options =
-                        ode::Options { limits: limited(plan.options.limits), ..plan.options.clone() };
-                    probe = Driver::new(options)?;
-                    &mut probe
-                };
-                driver
-                    .run(&mut **system, plan.start, plan.end, &plan.times, observer)
-                    .map_err(FmiError::Simulation)
-            }
-            Engine::Stepping(stepping) => stepping.run(&limited(plan.options.limits), observer),
-        }
-    }
-}
-
-/// What a trial run showed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Probe {
-    /// Digest of everything that the FMU answered.
-    Digest(u64),
-    /// It could not be started: nothing to compare.
-    Nothing,
-    /// A time limit ended it, which says nothing about the FMU.
-    TimedOut,
 }
 
 impl Simulator {
@@ -172,7 +83,7 @@ impl Simulator {
         };
         let idle = if copy.is_none() { plan.fmu().take_idle(plan.kind, &plan.settings) } else { None };
         match idle {
-            Some(raw) => engine.adopt(raw),
+            Some(raw) => engine.running().adopt(raw),
             None => fresh = Some(new_instance(&plan, &library)?),
         }
         let shared = Arc::clone(library.shared());
@@ -198,7 +109,7 @@ impl Simulator {
         if self.copy.is_none() || !self.shared.is_fatal() {
             return Ok(());
         }
-        drop(self.engine.retire());
+        drop(self.engine.running().retire());
         self.fresh = None;
         let copy = self.plan.fmu().private_copy(self.plan.kind)?;
         self.library = Arc::clone(copy.library());
@@ -226,17 +137,18 @@ impl Simulator {
     /// A value is not finite, or there are not as many as parameters; the FMU or the integration fails. The simulator can
     /// be used again after an error: a broken instance is replaced.
     pub fn run(&mut self, parameters: &[f64], observer: &mut dyn Observer) -> Result<Report, FmiError> {
-        self.plan.check_parameters(parameters)?;
+        self.plan.values.check_parameters(parameters)?;
         self.leave_broken_copy()?;
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
         let guard = FloatEnvironment::standard();
         self.start(parameters)?;
-        let (starting, elsewhere) = (self.began.elapsed().as_secs_f64(), self.engine.seconds_elsewhere());
+        let (starting, elsewhere) =
+            (self.began.elapsed().as_secs_f64(), self.engine.running().seconds_elsewhere());
         // Instantiating or initializing may have changed the floating-point mode.
         guard.assert();
         let mut outcome = self.engine.run(&self.plan, None, observer);
-        each!(&self.engine, run => run.pass_log_on());
+        self.engine.running().pass_log_on();
         let stats = match &mut outcome {
             Ok(report) => &mut report.stats,
             Err(FmiError::Simulation(error)) => &mut error.stats,
@@ -255,9 +167,9 @@ impl Simulator {
     pub fn trajectory(&mut self, parameters: &[f64]) -> Result<Trajectory, FmiError> {
         let mut recorder = Recorder::new(&self.plan);
         let report = self.run(parameters, &mut recorder)?;
-        let ticks = each!(&mut self.engine, run => run.take_ticks());
-        let buffers = each!(&self.engine, run => run.buffers());
-        Ok(recorder.finish(&self.plan, &buffers.table, ticks, report))
+        let running = self.engine.running();
+        let ticks = running.take_ticks();
+        Ok(recorder.finish(&self.plan, &running.buffers.table, ticks, report))
     }
 
     /// Value of a variable, or of an element of an array (`name[2,1]`), where the last run ended (after a step inside of which it was stopped: at the end of the
@@ -271,7 +183,7 @@ impl Simulator {
         let place = Place::of_name(description, self.plan.structure(), name)?;
         let _turn = self.shared.turn_if_dependent();
         let _guard = FloatEnvironment::standard();
-        let value = each!(&mut self.engine, run => run.value(&description.variables[place.variable]))?;
+        let value = self.engine.value(&description.variables[place.variable])?;
         Ok(element_value(value, place.element))
     }
 
@@ -287,22 +199,19 @@ impl Simulator {
 
     /// Brings the FMU to its start without simulating: afterwards [`value`](Self::value) gives initial values.
     pub(crate) fn initialize_only(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
-        self.plan.check_parameters(parameters)?;
+        self.plan.values.check_parameters(parameters)?;
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
         let _guard = FloatEnvironment::standard();
         self.start(parameters)?;
-        match &mut self.engine {
-            Engine::Integrated { system, .. } => system.settle(),
-            Engine::Stepping(_) => Ok(()),
-        }
+        self.engine.settle()
     }
 
     /// Initializes a new instance, or one that was brought back to its beginning and has the values it was given.
     fn start(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.began = Instant::now();
         let (instance, is_used) = self.fresh_instance(parameters)?;
-        self.engine.initialize(instance, parameters)?;
+        self.engine.initialize(instance, &self.plan.values.start, parameters)?;
         if !is_used || self.has_values(parameters).is_ok_and(|agrees| agrees) {
             return Ok(());
         }
@@ -320,20 +229,20 @@ impl Simulator {
             return Ok(());
         }
         log::warn!("{model}: after the initialization the model does not have the values it was given");
-        plan.read_back.set_overridden();
+        plan.values.read_back.set_overridden();
         // An instance that did not answer is not to be used.
         self.start_new(parameters)
     }
 
     fn start_new(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
-        drop(self.engine.retire());
+        drop(self.engine.running().retire());
         let raw = new_instance(&self.plan, &self.library)?;
-        self.engine.initialize(raw, parameters)
+        self.engine.initialize(raw, &self.plan.values.start, parameters)
     }
 
     fn has_values(&mut self, parameters: &[f64]) -> Result<bool, FmiError> {
-        let core = self.engine.core()?;
-        self.plan.has_values(core, parameters, &mut self.buffers)
+        let core = self.engine.running().current.core()?;
+        self.plan.values.has_values(core, parameters, &mut self.buffers)
     }
 
     /// A new instance, or one that was brought back to its beginning in a way that is known to do so; and whether it was
@@ -344,7 +253,7 @@ impl Simulator {
             return Ok((raw, false));
         }
         let plan = Arc::clone(&self.plan);
-        let used = self.engine.retire().filter(good);
+        let used = self.engine.running().retire().filter(good);
         let Some(used) = used.or_else(|| self.take_idle().filter(good)) else {
             return Ok((new_instance(&plan, &self.library)?, false));
         };
@@ -363,190 +272,16 @@ impl Simulator {
         }
     }
 
-    /// Compares the first steps of the instance brought back to its beginning with those of a new one, and returns an
-    /// instance to use.
-    fn check_reuse(
-        &mut self,
-        used: RawInstance,
-        parameters: &[f64],
-    ) -> Result<(RawInstance, bool), FmiError> {
-        let plan = Arc::clone(&self.plan);
-        let reuse = if used.has_origin() { Reuse::Restore } else { Reuse::Reset };
-        self.engine.adopt(used);
-        let steps = Some(PROBE_STEPS);
-        let after = match self.probe_after_others(reuse, parameters, steps)? {
-            // A run that fails leaves no instance to bring back: then at least the same run twice.
-            None => {
-                self.probe_first(reuse, parameters, steps)?;
-                self.probe_again(reuse, &plan.start_values, parameters, steps, &mut Ignore)?
-            }
-            probe => probe,
-        };
-        // One at a time: the FMU may not allow two.
-        drop(self.engine.retire());
-        let from_new = self.probe_first(reuse, parameters, steps)?;
-        self.began = Instant::now();
-        match (after, from_new) {
-            (Some(Probe::TimedOut), _) | (_, Probe::TimedOut) => {}
-            (None | Some(Probe::Nothing), Probe::Nothing) => {}
-            (after, new) if after == Some(new) => plan.set_reuse(reuse),
-            _ if reuse == Reuse::Restore => plan.refuse_restore(),
-            _ => plan.set_reuse(Reuse::Reinstantiate),
-        }
-        match (self.engine.retire(), plan.reuse()) {
-            (Some(used), Some(known)) if known == reuse => {
-                renew_or_replace(used, &plan, &self.library, reuse)
-            }
-            (used, _) => {
-                drop(used);
-                Ok((new_instance(&plan, &self.library)?, false))
-            }
-        }
-    }
-
-    /// Brings an instance that is new or was reset to the start of a trial run; whether that went well.
-    fn begin_probe(&mut self, raw: RawInstance, start_values: &StartValues, parameters: &[f64]) -> bool {
-        let _guard = FloatEnvironment::standard();
-        each!(&mut self.engine, run => run.initialize_with(raw, start_values, parameters)).is_ok()
-    }
-
-    /// Makes the trial run, and returns the digest of what the FMU answered.
-    ///
-    /// # Errors
-    /// It was cancelled. A simulation that fails is part of the digest.
-    pub(crate) fn finish_probe(
-        &mut self,
-        steps: Option<u64>,
-        observer: &mut dyn Observer,
-    ) -> Result<Probe, FmiError> {
-        let _guard = FloatEnvironment::standard();
-        each!(&mut self.engine, run => run.begin_digest());
-        let outcome = self.engine.run(&self.plan, steps, observer);
-        let digest = each!(&mut self.engine, run => run.end_digest()).map_or(Probe::Nothing, Probe::Digest);
-        match outcome {
-            Err(FmiError::Simulation(error)) => match error.kind {
-                ErrorKind::Cancelled => Err(FmiError::Simulation(error)),
-                ErrorKind::TimedOut(_) => Ok(Probe::TimedOut),
-                _ => Ok(digest),
-            },
-            _ => Ok(digest),
-        }
-    }
-
-    /// Brings a new instance to the start of a trial run; whether that went well.
-    ///
-    /// # Errors
-    /// There is no new instance to be had.
-    pub(crate) fn begin_new(
-        &mut self,
-        start_values: &StartValues,
-        parameters: &[f64],
-    ) -> Result<bool, FmiError> {
-        let raw = match self.fresh.take() {
-            Some(raw) => raw,
-            None => {
-                drop(self.engine.retire());
-                new_instance(&self.plan, &self.library)?
-            }
-        };
-        Ok(self.begin_probe(raw, start_values, parameters))
-    }
-
-    /// A trial run on a new instance.
-    ///
-    /// # Errors
-    /// It was cancelled; there is no new instance to be had.
-    pub(crate) fn probe_new(
-        &mut self,
-        start_values: &StartValues,
-        parameters: &[f64],
-        steps: Option<u64>,
-        observer: &mut dyn Observer,
-    ) -> Result<Probe, FmiError> {
-        match self.begin_new(start_values, parameters)? {
-            true => self.finish_probe(steps, observer),
-            false => Ok(Probe::Nothing),
-        }
-    }
-
-    /// Makes a new instance for the next trial run, if that has to be one that can be brought back in a certain way.
-    ///
-    /// # Errors
-    /// There is no new instance to be had.
-    pub(crate) fn renewable(&mut self, reuse: Reuse) -> Result<(), FmiError> {
-        if reuse == Reuse::Restore {
-            self.fresh = None;
-            drop(self.engine.retire());
-            self.fresh = Some(new_with_origin(&self.plan, &self.library)?);
-        }
-        Ok(())
-    }
-
     /// What all users of its library share.
     pub(crate) fn shared(&self) -> &Shared {
         &self.shared
-    }
-
-    /// A trial run on a new instance that can be brought back in this way afterwards.
-    ///
-    /// # Errors
-    /// It was cancelled; there is no new instance to be had.
-    pub(crate) fn probe_first(
-        &mut self,
-        reuse: Reuse,
-        parameters: &[f64],
-        steps: Option<u64>,
-    ) -> Result<Probe, FmiError> {
-        self.renewable(reuse)?;
-        let plan = Arc::clone(&self.plan);
-        self.probe_new(&plan.start_values, parameters, steps, &mut Ignore)
-    }
-
-    /// A trial run on this simulator's instance, brought back to its beginning; `None` if there is none, or it cannot be
-    /// brought back.
-    ///
-    /// # Errors
-    /// It was cancelled.
-    pub(crate) fn probe_again(
-        &mut self,
-        reuse: Reuse,
-        start_values: &StartValues,
-        parameters: &[f64],
-        steps: Option<u64>,
-        observer: &mut dyn Observer,
-    ) -> Result<Option<Probe>, FmiError> {
-        let Some(used) = self.engine.retire() else { return Ok(None) };
-        let Ok(raw) = instance::renew(used, self.plan.fmu(), reuse) else { return Ok(None) };
-        match self.begin_probe(raw, start_values, parameters) {
-            true => self.finish_probe(steps, observer).map(Some),
-            false => Ok(Some(Probe::Nothing)),
-        }
-    }
-
-    /// The same after a run with other values in between, which shows whether any of them are left behind; `None` if there
-    /// is nothing to bring back, or it cannot be brought back.
-    ///
-    /// # Errors
-    /// It was cancelled.
-    pub(crate) fn probe_after_others(
-        &mut self,
-        reuse: Reuse,
-        parameters: &[f64],
-        steps: Option<u64>,
-    ) -> Result<Option<Probe>, FmiError> {
-        let plan = Arc::clone(&self.plan);
-        let (start_values, others) = plan.other_values(parameters);
-        match self.probe_again(reuse, &start_values, &others, Some(PROBE_STEPS), &mut Ignore)? {
-            Some(_) => self.probe_again(reuse, &plan.start_values, parameters, steps, &mut Ignore),
-            None => Ok(None),
-        }
     }
 
     /// Gives the instance back to the FMU, for whoever needs one next.
     pub(crate) fn park(&mut self) {
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn_if_dependent();
-        let used = self.fresh.take().or_else(|| self.engine.retire());
+        let used = self.fresh.take().or_else(|| self.engine.running().retire());
         if let Some(raw) = used
             && self.plan.reuse() != Some(Reuse::Reinstantiate)
             && self.copy.is_none()

@@ -1,13 +1,15 @@
 //! Instances of a model and the phases of their lives; each phase is a type, and has the calls that FMI allows in it.
 
+mod core;
+
+pub(crate) use core::Core;
+
 use crate::assign::{self, Assignments};
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
-use crate::failure::CallFailure;
 use crate::fmu::{Fmu, Reuse};
-use crate::lanes;
 use crate::reconfiguration;
-use crate::sys::{Experiment, Fault, LogLine, RawInstance, SavedSlot, Sizes, Status};
+use crate::sys::{Experiment, Fault, LogLine, RawInstance, SavedSlot};
 use std::marker::PhantomData;
 
 /// A live instance of an FMU in the phase `P`, for model exchange or co-simulation.
@@ -134,189 +136,6 @@ impl SerializedState {
     /// The bytes.
     pub fn as_bytes(&self) -> &[u8] {
         &self.bytes
-    }
-}
-
-/// The part of an instance that does not change with the phase. The component is dropped before the FMU it is of.
-#[derive(Debug)]
-pub(crate) struct Core {
-    pub(crate) raw: RawInstance,
-    fmu: Fmu,
-    structure: Structure,
-}
-
-impl Core {
-    pub(crate) fn fmu(&self) -> &Fmu {
-        &self.fmu
-    }
-
-    /// The error behind a fault.
-    pub(crate) fn error(&self, fault: Fault) -> FmiError {
-        self.error_about(fault, &[], |_| false)
-    }
-
-    /// The error behind a fault of a call about `references`, whose kind of variable `is` tells.
-    fn error_about(&self, fault: Fault, references: &[u32], is: impl Fn(VariableKind) -> bool) -> FmiError {
-        let failed = match fault {
-            Fault::Discard(call) => self.raw.failed(call, Status::Discard),
-            Fault::Failed(failed) => *failed,
-            Fault::Unusable(library) => return FmiError::LibraryUnusable { library },
-            Fault::Missing(function) => return FmiError::MissingFunction { function },
-            Fault::Length { call, expected, found } => return FmiError::Length { call, expected, found },
-        };
-        let mut failure = CallFailure::from(failed);
-        let variables = &self.fmu.description().variables;
-        failure.variables = references
-            .iter()
-            .filter_map(|reference| variables.iter().find(|v| v.value_reference == *reference && is(v.kind)))
-            .map(|variable| variable.name.clone())
-            .collect();
-        failure.expand(self.fmu.description());
-        FmiError::Call(Box::new(failure))
-    }
-
-    /// Sets values, one call per type.
-    pub(crate) fn apply(&mut self, values: &Assignments) -> Result<(), FmiError> {
-        let Assignments { reals, packed, strings, binaries } = values;
-        self.set_reals(&reals.0, &reals.1)?;
-        for (kind, references, lanes) in packed {
-            self.raw
-                .set_packed(*kind, references, lanes)
-                .map_err(|fault| self.error_about(fault, references, |other| other == *kind))?;
-        }
-        if !strings.0.is_empty() {
-            self.raw
-                .set_string(&strings.0, &strings.1)
-                .map_err(|fault| self.error_about(fault, &strings.0, |kind| kind == VariableKind::String))?;
-        }
-        if !binaries.0.is_empty() {
-            self.raw
-                .set_binary(&binaries.0, &binaries.1)
-                .map_err(|fault| self.error_about(fault, &binaries.0, |kind| kind == VariableKind::Binary))?;
-        }
-        Ok(())
-    }
-
-    /// Gives structural parameters their values (in configuration mode, before everything else), and makes the sizes of
-    /// the model's vectors those that follow.
-    pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<(), FmiError> {
-        if !values.is_empty() {
-            self.call(RawInstance::enter_configuration)?;
-            let applied = self.apply(values);
-            let left = self.call(RawInstance::exit_configuration);
-            // What was wrong with the values matters more; the instance has the structure it had.
-            applied.and(left)?;
-        }
-        self.restructure(structure);
-        Ok(())
-    }
-
-    /// Makes the sizes of the model's vectors those that follow from its structural parameters.
-    fn restructure(&mut self, structure: &Structure) {
-        self.structure.clone_from(structure);
-        let model = self.fmu.description();
-        self.raw
-            .set_sizes(Sizes { states: structure.states(model), indicators: structure.indicators(model) });
-    }
-
-    /// Compares the sizes that the description promises with those the FMU says.
-    pub(crate) fn check_sizes(&mut self) -> Result<(), FmiError> {
-        let model = self.fmu.description();
-        let promised =
-            Sizes { states: self.structure.states(model), indicators: self.structure.indicators(model) };
-        match self.call(RawInstance::ask_sizes)? {
-            Some(found) if found != promised => Err(FmiError::BadSetting {
-                problem: format!(
-                    "the description promises {} states and {} event indicators, the FMU has {} and {}",
-                    promised.states, promised.indicators, found.states, found.indicators
-                ),
-            }),
-            _ => Ok(()),
-        }
-    }
-
-    /// Sets real variables.
-    pub(crate) fn set_reals(&mut self, references: &[u32], values: &[f64]) -> Result<(), FmiError> {
-        if references.is_empty() && values.is_empty() {
-            return Ok(());
-        }
-        self.raw
-            .set_real(references, values)
-            .map_err(|fault| self.error_about(fault, references, |kind| kind == VariableKind::Real))
-    }
-
-    /// Refuses value references that are not those of variables of type Real, and slices that do not have as many
-    /// elements as these have values: where a reference may stand for an array, only the description knows how many.
-    #[inline]
-    pub(crate) fn check_reals(
-        &self,
-        call: &'static str,
-        references: &[u32],
-        found: usize,
-    ) -> Result<(), FmiError> {
-        self.fmu.check_real_references(call, references)?;
-        let model = self.fmu.description();
-        let expected = if model.has_arrays {
-            let variables = references.iter().filter_map(|reference| self.fmu.real_variable(*reference));
-            variables.map(|variable| self.structure.elements(model, variable)).sum()
-        } else {
-            references.len()
-        };
-        if expected == found { Ok(()) } else { Err(FmiError::Length { call, expected, found }) }
-    }
-
-    /// Number of elements of an array; `None` for a single value.
-    pub(crate) fn elements(&self, variable: &Variable) -> Option<usize> {
-        let is_array = !variable.dimensions.is_empty();
-        is_array.then(|| self.structure.elements(self.fmu.description(), variable))
-    }
-
-    /// Reads a variable.
-    pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
-        let references = [variable.value_reference];
-        let kind = variable.kind;
-        let elements = self.elements(variable);
-        let n = elements.unwrap_or(1);
-        let read = match kind {
-            VariableKind::Real => {
-                let mut values = vec![0.0; n];
-                let read = self.raw.get_real(&references, &mut values);
-                read.map(|()| values.into_iter().map(Value::Real).collect())
-            }
-            VariableKind::String => {
-                let mut values = Vec::with_capacity(n);
-                let read = self.raw.get_string(&references, n, |text| values.push(text.into()));
-                read.map(|()| values)
-            }
-            VariableKind::Binary => {
-                let mut values = Vec::with_capacity(n);
-                let read =
-                    self.raw.get_binary(&references, n, |bytes| values.push(Value::Binary(bytes.to_vec())));
-                read.map(|()| values)
-            }
-            kind => {
-                let mut values = vec![0; n];
-                let read = self.raw.get_packed(kind, &references, &mut values);
-                read.map(|()| values.into_iter().map(|lane| lanes::value(kind, lane)).collect::<Vec<Value>>())
-            }
-        };
-        let mut values = read.map_err(|fault| self.error_about(fault, &references, |other| other == kind))?;
-        let value = match (elements, values.pop()) {
-            (None, Some(value)) => value,
-            (_, last) => {
-                values.extend(last);
-                Value::Array(values)
-            }
-        };
-        Ok(if variable.negated { assign::negate(value) } else { value })
-    }
-
-    /// Runs a raw call and words its error.
-    pub(crate) fn call<T>(
-        &mut self,
-        call: impl FnOnce(&mut RawInstance) -> Result<T, Fault>,
-    ) -> Result<T, FmiError> {
-        call(&mut self.raw).map_err(|fault| self.error(fault))
     }
 }
 
@@ -530,7 +349,7 @@ impl<P: Phase, K> Instance<P, K> {
 
 impl<K> Instance<Instantiated, K> {
     pub(crate) fn from_raw(raw: RawInstance, fmu: Fmu) -> Self {
-        Self { core: Box::new(Core { raw, fmu, structure: Structure::default() }), _phase: PhantomData }
+        Self { core: Box::new(Core::new(raw, fmu)), _phase: PhantomData }
     }
 
     /// Sets the experiment up and enters initialization mode.

@@ -1,0 +1,95 @@
+//! What makes the steps of a simulation: the driver of integrations, or the FMU itself.
+
+use crate::beginning::StartValues;
+use crate::communication::Stepping;
+use crate::description::{Value, Variable};
+use crate::error::FmiError;
+use crate::plan::SimulationPlan;
+use crate::running::Running;
+use crate::sys::{InterfaceKind, RawInstance};
+use crate::system::System;
+use ode::{Driver, Observer, Report};
+use std::sync::Arc;
+
+/// A way of running a model, with its instance.
+#[derive(Debug)]
+pub(super) enum Engine {
+    Integrated { driver: Box<Driver>, system: Box<System> },
+    Stepping(Box<Stepping>),
+}
+
+impl Engine {
+    pub(super) fn new(plan: &Arc<SimulationPlan>) -> Result<Self, FmiError> {
+        Ok(match plan.kind {
+            InterfaceKind::ModelExchange => Engine::Integrated {
+                driver: Box::new(Driver::new(plan.options.clone())?),
+                system: Box::new(System::new(Arc::clone(plan))),
+            },
+            InterfaceKind::CoSimulation => Engine::Stepping(Box::new(Stepping::new(Arc::clone(plan)))),
+        })
+    }
+
+    /// The instance and what is written beside it.
+    pub(super) fn running(&mut self) -> &mut Running {
+        match self {
+            Engine::Integrated { system, .. } => &mut system.running,
+            Engine::Stepping(stepping) => &mut stepping.running,
+        }
+    }
+
+    /// Brings a fresh instance to the start, with the start values of the plan or others for the same variables.
+    pub(super) fn initialize(
+        &mut self,
+        raw: RawInstance,
+        start_values: &StartValues,
+        parameters: &[f64],
+    ) -> Result<(), FmiError> {
+        match self {
+            Engine::Integrated { system, .. } => system.initialize(raw, start_values, parameters),
+            Engine::Stepping(stepping) => stepping.initialize(raw, start_values, parameters),
+        }
+    }
+
+    /// Lets the initial events happen, where they are not part of the initialization.
+    pub(super) fn settle(&mut self) -> Result<(), FmiError> {
+        match self {
+            Engine::Integrated { system, .. } => system.settle(),
+            Engine::Stepping(_) => Ok(()),
+        }
+    }
+
+    /// Value of a variable where the run stands.
+    pub(super) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
+        match self {
+            Engine::Integrated { system, .. } => system.value(variable),
+            Engine::Stepping(stepping) => stepping.value(variable),
+        }
+    }
+
+    /// The run itself; `steps`: at most so many.
+    pub(super) fn run(
+        &mut self,
+        plan: &SimulationPlan,
+        steps: Option<u64>,
+        observer: &mut dyn Observer,
+    ) -> Result<Report, FmiError> {
+        let limited = |limits: ode::Limits| ode::Limits { max_steps: steps.or(limits.max_steps), ..limits };
+        match self {
+            Engine::Integrated { driver, system } => {
+                let mut probe;
+                let driver = if steps.is_none() {
+                    driver
+                } else {
+                    let options =
+                        ode::Options { limits: limited(plan.options.limits), ..plan.options.clone() };
+                    probe = Driver::new(options)?;
+                    &mut probe
+                };
+                driver
+                    .run(&mut **system, plan.start, plan.end, &plan.times, observer)
+                    .map_err(FmiError::Simulation)
+            }
+            Engine::Stepping(stepping) => stepping.run(&limited(plan.options.limits), observer),
+        }
+    }
+}
