@@ -312,7 +312,8 @@ where
             v.clear();
             v.resize(n, 0.0);
         }
-        space.domains.resize(nz);
+        let system = &*self.system;
+        space.domains.begin(nz, |i| system.event_direction(i));
         space.sampler.begin(self.system.n_outputs());
         self.stepper.begin(&*self.system);
         if let Some(m) = self.system.mass_matrix() {

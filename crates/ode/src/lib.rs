@@ -32,5 +32,6 @@ pub use race::{Entry, Heat, Lap, Race, Verdict, race};
 pub use stats::{Seconds, Stats};
 pub use stopwatch::{Stopwatch, Timing};
 pub use system::{
-    CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction,
+    CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop,
+    StepAction,
 };

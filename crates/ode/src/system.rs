@@ -24,6 +24,18 @@ impl CallError {
 /// Result of a call into the model.
 pub type CallResult<T> = Result<T, CallError>;
 
+/// Which changes of the domain of an event indicator are events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Direction {
+    /// All: the rule of FMI.
+    #[default]
+    Both,
+    /// Those into the domain `z > 0`.
+    Up,
+    /// Those into the domain `z <= 0`.
+    Down,
+}
+
 /// What made an event; several causes at one instant are one visit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct EventCause {
@@ -44,7 +56,8 @@ pub struct EventVisit<'a> {
     pub time: f64,
     /// What made it.
     pub cause: EventCause,
-    /// Per event indicator: +1 it became positive, -1 it left the positive domain, 0 it stayed.
+    /// Per event indicator: +1 it became positive, -1 it left the positive domain, 0 it stayed, or it crossed in a
+    /// [direction](HybridSystem::event_direction) that is no event.
     pub crossings: &'a [i8],
 }
 
@@ -96,6 +109,13 @@ pub trait HybridSystem {
     /// Number of event indicators.
     fn n_event_indicators(&self) -> usize {
         0
+    }
+
+    /// In which direction an indicator must cross for an event. Crossings in the other one end no step, are not counted, and
+    /// are not told of. Read once a run.
+    fn event_direction(&self, indicator: usize) -> Direction {
+        let _ = indicator;
+        Direction::Both
     }
 
     /// Number of outputs that a sample holds.
@@ -200,6 +220,9 @@ macro_rules! hand_on {
         }
         fn n_event_indicators(&$self) -> usize {
             $inner.n_event_indicators()
+        }
+        fn event_direction(&$self, indicator: usize) -> Direction {
+            $inner.event_direction(indicator)
         }
         fn n_outputs(&$self) -> usize {
             $inner.n_outputs()

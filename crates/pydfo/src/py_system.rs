@@ -4,7 +4,9 @@
 use crate::interrupt::{Inside, Stop};
 use crate::objective::number;
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
-use ode::{CallError, CallResult, EventOutcome, EventVisit, HybridSystem, JacobianPattern, StepAction};
+use ode::{
+    CallError, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, JacobianPattern, StepAction,
+};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use std::sync::Arc;
@@ -12,8 +14,7 @@ use std::sync::Arc;
 /// One event function and what was seen of it.
 pub(crate) struct Event<'py> {
     pub(crate) function: Bound<'py, PyAny>,
-    /// Only upward crossings count (positive), only downward ones (negative), or both (zero).
-    pub(crate) direction: f64,
+    pub(crate) direction: Direction,
     /// The run ends with this occurrence; 0: never.
     pub(crate) terminal: usize,
     pub(crate) times: Vec<f64>,
@@ -83,6 +84,10 @@ impl HybridSystem for PySystem<'_> {
         self.events.len()
     }
 
+    fn event_direction(&self, indicator: usize) -> Direction {
+        self.events[indicator].direction
+    }
+
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
         x.copy_from_slice(&self.x0);
         self.keep(t0, x);
@@ -134,7 +139,7 @@ impl HybridSystem for PySystem<'_> {
         let mut which = Vec::new();
         let mut outcome = EventOutcome::default();
         for (i, (event, crossing)) in self.events.iter_mut().zip(visit.crossings).enumerate() {
-            if *crossing != 0 && f64::from(*crossing) * event.direction >= 0.0 {
+            if *crossing != 0 {
                 which.push(i);
                 event.times.push(visit.time);
                 event.states.extend_from_slice(x);

@@ -224,7 +224,7 @@ def solve(
     events : callable, or list of callables, optional
         ``event(t, y) -> float``: an event occurs where it becomes positive or stops being positive. Its attributes are
         those of SciPy: ``terminal`` (True, or after how many occurrences the run ends) and ``direction`` (positive: only
-        upward, negative: only downward crossings count).
+        upward, negative: only downward crossings are events; the others do not even end a step).
     on_event : callable, optional
         ``on_event(t, y, which) -> array_like, shape (n,), or None``: called at each event with the list `which` of the
         positions of the functions that have crossed; returns the states to go on with, or None to keep them.
