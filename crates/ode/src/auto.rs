@@ -7,7 +7,7 @@
 
 use crate::explicit_rk::ExplicitRk;
 use crate::radau5::Radau5;
-use crate::stepper::{Attempt, Equations, Stepper, Trial};
+use crate::stepper::{Attempt, Consistency, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::TSIT5;
 
@@ -233,6 +233,15 @@ impl Stepper for Auto {
         x: &[f64],
     ) -> CallResult<()> {
         active!(self.evaluate(equations, t, x))
+    }
+
+    fn make_consistent<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &mut [f64],
+    ) -> CallResult<Consistency> {
+        active!(self.make_consistent(equations, t, x))
     }
 
     fn forget(&mut self) {

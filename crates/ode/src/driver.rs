@@ -315,7 +315,6 @@ where
         let system = &*self.system;
         space.domains.begin(nz, |i| system.event_direction(i));
         space.sampler.begin(self.system.n_outputs());
-        self.stepper.begin(&*self.system);
         if let Some(m) = self.system.mass_matrix() {
             if m.len() != n * n || m.iter().any(|m| !m.is_finite()) {
                 return Err(ErrorKind::MassMatrix { given: m.len(), states: n }.into());
@@ -324,6 +323,7 @@ where
                 return Err(ErrorKind::MassMatrixNeedsRadau5.into());
             }
         }
+        self.stepper.begin(&*self.system);
 
         let given = if self.fixed_step.is_some() { self.fixed_step } else { self.options.max_step };
         if let Some(step) = given.filter(|step| start < end && *step <= 4.0 * self.same) {

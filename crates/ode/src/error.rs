@@ -75,6 +75,14 @@ pub enum ErrorKind {
     },
     /// The model has a mass matrix, which this method cannot take.
     MassMatrixNeedsRadau5,
+    /// The equations of a singular mass matrix that have no derivative in them do not hold at the start or after an event,
+    /// and no states were found for which they do.
+    Inconsistent {
+        /// The equation with the largest residual, seen against the tolerances of the states.
+        equation: usize,
+        /// What is left there of zero.
+        residual: f64,
+    },
     /// The model refused its own starting point (or the point right after an event), or a state or derivative is not
     /// finite there.
     DiscardedAtRestart,
@@ -122,6 +130,7 @@ impl ErrorKind {
             Self::NoConvergence => "the equations of the implicit method do not converge".to_owned(),
             Self::MassMatrix { .. } => "the mass matrix cannot be used".to_owned(),
             Self::MassMatrixNeedsRadau5 => "the mass matrix needs solver radau5".to_owned(),
+            Self::Inconsistent { .. } => "the states are not consistent".to_owned(),
             Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
             Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
             Self::TooManyEvents(n) => format!("the limit of {n} events was reached"),
@@ -200,6 +209,13 @@ impl fmt::Display for SimulationError {
             }
             ErrorKind::MassMatrixNeedsRadau5 => {
                 return write!(f, "a system with a mass matrix can only be integrated by radau5 (or auto)");
+            }
+            ErrorKind::Inconsistent { equation, residual } => {
+                write!(
+                    f,
+                    "the states at t = {t} are not consistent, and no others with the same left-hand side are: \
+                     equation {equation}, in which no derivative stands, has the residual {residual:e}"
+                )?;
             }
             ErrorKind::DiscardedAtRestart => {
                 write!(f, "the model cannot be evaluated at its own state at t = {t}")?

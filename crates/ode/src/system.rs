@@ -168,10 +168,21 @@ pub trait HybridSystem {
     }
 
     /// The constant matrix `M` of `M x' = f(t, x)`, by columns (`n * n` numbers); `None`: the identity. It may be
-    /// singular (a differential-algebraic system of index 1); then the states must be consistent at the start and
-    /// after each event. Only [`Method::Radau5`](crate::Method) and [`Method::Auto`](crate::Method) take it.
+    /// singular (a differential-algebraic system of index 1). Then some equations, or sums of them, have no derivative in
+    /// them. Where these do not hold within the tolerances of the states, at the start and after each event, Newton's
+    /// method changes the states until they do, in such a way that `M x` stays as it is: that what the other equations
+    /// say of derivatives goes on from the values given. [`states_corrected`](Self::states_corrected) tells of it;
+    /// [`ErrorKind::Inconsistent`](crate::ErrorKind) is what comes of it where there is no such state near.
+    /// Only [`Method::Radau5`](crate::Method) and [`Method::Auto`](crate::Method) take a mass matrix.
     fn mass_matrix(&self) -> Option<&[f64]> {
         None
+    }
+
+    /// Told at the start and after an event, before anything else is asked of it there, if states were changed so that
+    /// the equations without derivatives hold; `x` has all states as they are now.
+    fn states_corrected(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
+        let _ = (t, x);
+        Ok(())
     }
 
     /// Fills in the event indicators.
@@ -235,6 +246,9 @@ macro_rules! hand_on {
         }
         fn mass_matrix(&$self) -> Option<&[f64]> {
             $inner.mass_matrix()
+        }
+        fn states_corrected(&mut $self, t: f64, x: &[f64]) -> CallResult<()> {
+            $inner.states_corrected(t, x)
         }
         fn next_input_stop(&mut $self, t: f64) -> Option<InputStop> {
             $inner.next_input_stop(t)

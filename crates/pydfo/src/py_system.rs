@@ -46,6 +46,8 @@ pub(crate) struct PySystem<'py> {
     pub(crate) keeps_steps: bool,
     pub(crate) times: Vec<f64>,
     pub(crate) states: Vec<f64>,
+    /// The last of these was made by the start or an event.
+    pub(crate) is_made: bool,
     /// The exception that ended the run.
     pub(crate) raised: Option<PyErr>,
 }
@@ -91,6 +93,7 @@ impl HybridSystem for PySystem<'_> {
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
         x.copy_from_slice(&self.x0);
         self.keep(t0, x);
+        self.is_made = true;
         Ok(EventOutcome::default())
     }
 
@@ -121,6 +124,15 @@ impl HybridSystem for PySystem<'_> {
         self.mass.as_deref()
     }
 
+    fn states_corrected(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
+        if self.is_made && self.keeps_steps {
+            self.times.pop();
+            self.states.truncate(self.states.len() - x.len());
+        }
+        self.keep(t, x);
+        Ok(())
+    }
+
     fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
         self.ask(|this| {
             for (i, (event, z)) in this.events.iter().zip(z).enumerate() {
@@ -132,6 +144,7 @@ impl HybridSystem for PySystem<'_> {
 
     fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
         self.keep(t, x);
+        self.is_made = false;
         Ok(StepAction::default())
     }
 
@@ -166,6 +179,7 @@ impl HybridSystem for PySystem<'_> {
         })?;
         if outcome.states_changed {
             self.keep(visit.time, x);
+            self.is_made = true;
         }
         Ok(outcome)
     }

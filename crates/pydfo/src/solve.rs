@@ -162,6 +162,7 @@ impl<'py> Problem<'py> {
             keeps_steps: self.times.is_none(),
             times: Vec::new(),
             states: Vec::new(),
+            is_made: false,
             raised: None,
         })
     }

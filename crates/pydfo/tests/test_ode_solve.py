@@ -198,6 +198,39 @@ def test_differential_algebraic_system():
         ode.solve(rhs, (0, 1), [1, 0, 0], mass=np.eye(2))
 
 
+def test_algebraic_states_are_guesses():
+    def rhs(t, y):
+        return [-y[0], y[1] ** 2 - 4.0 * y[0]]
+
+    mass = np.diag([1.0, 0.0])
+    for method in "radau5", "auto":
+        exact = ode.solve(rhs, (0, 2), [1.0, 2.0], method, mass=mass, rtol=1e-8, dense_output=True)
+        guess = ode.solve(rhs, (0, 2), [1.0, 30.0], method, mass=mass, rtol=1e-8, dense_output=True)
+        assert exact.y[:, 0].tolist() == [1.0, 2.0] and exact.t[0] == guess.t[0] == 0.0 < guess.t[1]
+        assert np.abs(guess.y[:, 0] - [1.0, 2.0]).max() < 1e-9 and np.abs(guess.sol(0.0) - [1.0, 2.0]).max() < 1e-9
+        assert np.abs(guess.y[:, -1] / [math.exp(-2), 2 * math.exp(-1)] - 1).max() < 1e-7
+        # The other root.
+        other = ode.solve(rhs, (0, 2), [1.0, -0.1], method, mass=mass, rtol=1e-8, t_eval=[0.0, 2.0])
+        assert np.abs(other.y[1] / [-2.0, -2 * math.exp(-1)] - 1).max() < 1e-7
+        failed = ode.solve(rhs, (0, 2), [-1.0, 2.0], method, mass=mass)
+        assert not failed.success and "equation 1, in which no derivative stands, has the residual 8" in failed.message
+
+
+def test_algebraic_states_follow_events():
+    state = {"opening": 1.0}
+
+    def open_valve(t, y, which):
+        state["opening"] = 3.0
+
+    res = ode.solve(
+        lambda t, y: [-y[1], y[1] - state["opening"] * y[0]], (0, 2), [1.0, 1.0], mass=np.diag([1.0, 0.0]), rtol=1e-9,
+        events=lambda t, y: t - 1.0, on_event=open_valve,
+    )
+    both = res.y[:, res.t == res.t_events[0][0]]
+    assert np.abs(both * math.e - [[1, 1], [1, 3]]).max() < 1e-7
+    assert np.abs(res.y[:, -1] - [math.exp(-4), 3 * math.exp(-4)]).max() < 1e-8
+
+
 def test_tolerances_and_steps():
     scales = np.array([1.0, 1e-6])
     loose = ode.solve(lambda t, y: -y, (0, 1), scales, "tsit5", atol=[1e-9, 1e-3], rtol=1e-9)

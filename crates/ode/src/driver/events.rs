@@ -5,7 +5,7 @@ use crate::control::{initial_step, probe_step};
 use crate::error::Termination;
 use crate::event::ChatteringGuard;
 use crate::observer::{EventRecord, Observer};
-use crate::stepper::{Equations, Stepper};
+use crate::stepper::{Consistency, Equations, Stepper};
 use crate::system::{CallError, EventCause, EventOutcome, EventVisit, HybridSystem};
 
 impl<S, M, O> Run<'_, S, M, O>
@@ -60,7 +60,7 @@ where
         let Space { x, x_mid, weights, .. } = &*self.space;
         // Written so that a NaN counts as a change.
         let same_states = !outcome.states_changed || weights.distance(x, x, x_mid) < 1e-3;
-        self.evaluate_here()?;
+        let same_states = !self.evaluate_here()? && same_states;
         if before == 0.0 {
             return Ok(()); // still at the start: the first step is estimated when its events are over
         }
@@ -77,8 +77,9 @@ where
         Ok(())
     }
 
-    /// Right-hand side and event indicators at the current point.
-    pub(super) fn evaluate_here(&mut self) -> Step<()> {
+    /// Right-hand side and event indicators at the current point. `true`: for its algebraic equations states were changed.
+    pub(super) fn evaluate_here(&mut self) -> Step<bool> {
+        let mut corrected = false;
         let space = &mut *self.space;
         if !space.x.is_empty() {
             let mut equations =
@@ -87,13 +88,23 @@ where
             if !space.x.iter().chain(self.stepper.derivative()).all(|v| v.is_finite()) {
                 return Err(ErrorKind::DiscardedAtRestart.into());
             }
+            match self.stepper.make_consistent(&mut equations, self.t, &mut space.x).map_err(no_retreat)? {
+                Consistency::Holds => {}
+                Consistency::Corrected => {
+                    corrected = true;
+                    self.system.states_corrected(self.t, &space.x).map_err(no_retreat)?;
+                }
+                Consistency::Impossible { equation, residual } => {
+                    return Err(ErrorKind::Inconsistent { equation, residual }.into());
+                }
+            }
         }
         if space.domains.len() > 0 {
             space.domains.forget();
             self.stats.event_indicators += 1;
             read_indicators(self.system, self.t, &space.x, &mut space.domains.base).map_err(no_retreat)?;
         }
-        Ok(())
+        Ok(corrected)
     }
 
     /// Without states nothing measures an error; indicators of time alone are looked at this often.

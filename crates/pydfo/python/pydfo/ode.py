@@ -240,9 +240,11 @@ def solve(
     jac_sparsity : array_like or sparse matrix, shape (n, n), optional
         Not zero where the Jacobian may differ from zero: columns that share no row then come from one difference.
     mass : array_like, shape (n, n), optional
-        The constant matrix on the left. It may be singular (a differential-algebraic system of index 1; `x0` must be
-        consistent: that is not checked, and already the first step ends at algebraic states that are). Only for "radau5"
-        and "auto".
+        The constant matrix on the left. It may be singular (a differential-algebraic system of index 1). Then the
+        equations in which no derivative stands must hold at the start and after each event. Where they do not, within
+        the tolerances, the states that they decide are corrected by Newton's method, with ``mass @ y`` as it was: give
+        the others exactly, and for these a guess. If that finds none the integration fails and names the equation. Only
+        for "radau5" and "auto".
     first_step, max_step : float, optional
         First and largest step. By default the first step is estimated, and the largest is the span.
     step : float, optional
