@@ -243,6 +243,7 @@ where
         (observer, watch): (&'a mut O, Watch<'a>),
     ) -> Self {
         let span = end - start;
+        let same = 100.0 * U * start.abs().max(end.abs()).max(span);
         let fixed_step = (!stepper.has_error_estimate()).then(|| options.step_size.unwrap_or(span / 500.0));
         Self {
             options,
@@ -253,14 +254,14 @@ where
             observer,
             start,
             end,
-            same: 100.0 * U * start.abs().max(end.abs()).max(span),
+            same,
             t: start,
             h: 0.0,
             h_tried: 0.0,
             fixed_step,
             next_time_event: None,
             input_stop: None,
-            sliding: Sliding::new(span),
+            sliding: Sliding::new(span, same),
             discards: 0,
             worst_state: None,
             last_event: None,

@@ -1,4 +1,4 @@
-//! State events: the domain memory of the indicators, root location, and the guard against chattering.
+//! State events: the domain memory of the indicators, and root location.
 //!
 //! An indicator is in the domain `z > 0` or `z <= 0` (the rule of FMI 2.0, 3.2.1). A state event happens when one
 //! changes its domain, in a direction that its system wants to know of. Signs are never multiplied: products underflow.
@@ -298,41 +298,6 @@ impl Domains {
     }
 }
 
-/// Notices events that follow each other while time hardly advances (chattering, Zeno). The test is on the time that
-/// passes, not on the number of events: many events far apart are a legal model.
-#[derive(Debug)]
-pub(crate) struct ChatteringGuard {
-    times: [f64; Self::EVENTS],
-    next: usize,
-    least: f64,
-}
-
-impl ChatteringGuard {
-    /// So many events in a row must advance time.
-    pub(crate) const EVENTS: usize = 100;
-    /// By this share of the span, state events.
-    pub(crate) const STATE_EVENTS: f64 = 1e-6;
-    /// By this share of the span, time events: a clock may be fast, but it must not stand still.
-    pub(crate) const TIME_EVENTS: f64 = 1e-9;
-
-    pub(crate) fn new(least: f64) -> Self {
-        Self { times: [f64::NEG_INFINITY; Self::EVENTS], next: 0, least }
-    }
-
-    /// Records an event at `t`; returns the time in which the last [`EVENTS`](Self::EVENTS) happened if that is too short.
-    pub(crate) fn record(&mut self, t: f64) -> Option<f64> {
-        let within = t - self.times[self.next];
-        self.times[self.next] = t;
-        self.next = (self.next + 1) % Self::EVENTS;
-        (within < self.least).then_some(within)
-    }
-
-    /// Forgets all events.
-    pub(crate) fn forget(&mut self) {
-        self.times.fill(f64::NEG_INFINITY);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -502,14 +467,5 @@ mod tests {
         d.base[0] = 1e-300;
         d.end[0] = 0.0;
         assert!(d.changed());
-    }
-
-    #[test]
-    fn the_guard_looks_at_time_not_at_the_count() {
-        let mut guard = ChatteringGuard::new(1e-6);
-        assert!((0..10_000).all(|i| guard.record(f64::from(i) * 1e-4).is_none()));
-        let mut guard = ChatteringGuard::new(1e-6);
-        let caught = (0..200).position(|i| guard.record(f64::from(i) * 1e-10).is_some());
-        assert_eq!(caught, Some(100));
     }
 }

@@ -82,7 +82,8 @@ pub struct Limits {
     pub timeout: Option<Duration>,
 }
 
-/// What to do when state events follow each other so closely that time hardly advances.
+/// What to do when state events follow each other so closely that time hardly advances: a hundred of them within 1e-6 of
+/// the span; in spans above 1000 units of time, within a thousandth of one (or as close as times can be told apart).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum ChatteringPolicy {

@@ -1,9 +1,9 @@
 //! Events at the point where the run stands: one visit for all causes, then on as before or anew.
 
+use super::sliding::ChatteringGuard;
 use super::{ErrorKind, Run, Space, Step, finish, kind_of, no_retreat, read_indicators};
 use crate::control::{initial_step, probe_step};
 use crate::error::Termination;
-use crate::event::ChatteringGuard;
 use crate::observer::{EventRecord, Observer};
 use crate::stepper::{Consistency, Equations, Stepper};
 use crate::system::{CallError, EventCause, EventOutcome, EventVisit, HybridSystem};
