@@ -304,10 +304,6 @@ impl Stepper for Auto {
         active!(self.interpolate(trial, theta, x));
     }
 
-    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]) {
-        active!(self.interpolate_slope(trial, theta, dx));
-    }
-
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
         let proposed = active!(self.accept(h, theta));
         self.advanced += theta * h;

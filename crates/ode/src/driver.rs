@@ -341,7 +341,7 @@ where
         self.input_stop = self.system.next_input_stop(self.t);
         self.evaluate_here()?;
         // Events announced for the very start belong to it: samples there see them done.
-        self.more_events_here()?;
+        self.more_events_here(true)?;
         match self.options.initial_step {
             Some(h) => self.h = h,
             None => self.estimate_step()?,
@@ -504,17 +504,9 @@ where
         self.worst_state = None;
         self.show_step(at, end, h);
 
-        // Slopes at both sides of an event decide whether the method must be restarted.
         let theta = if inside { (at - self.t) / h } else { 1.0 };
-        if inside {
-            let Space { x, slope, .. } = &mut *self.space;
-            self.stepper.interpolate_slope(Trial { t: self.t, end, h, x }, theta, slope);
-        }
         std::mem::swap(&mut self.space.x, &mut self.space.x_new);
         let h_next = self.next_step(h, theta);
-        if !inside {
-            self.space.slope.copy_from_slice(self.stepper.derivative());
-        }
         let began = std::mem::replace(&mut self.t, at);
         self.stats.accepted_steps += 1;
 
@@ -528,6 +520,7 @@ where
         self.watch_events(cause, crossed)?;
         if eventful {
             self.sample_left()?;
+            self.take_slope(!inside && self.stepper.evaluates_ends())?;
         }
         if let Some(stop) = stop {
             self.h = self.stepper.kink(self.h);
@@ -538,7 +531,7 @@ where
         } else {
             self.space.domains.advance(began);
         }
-        let eventful = self.more_events_here()? || eventful;
+        let eventful = self.more_events_here(eventful)? || eventful;
         self.sample_here(eventful)?;
         if action.terminate {
             return finish(Termination::StoppedByModel);

@@ -532,13 +532,6 @@ impl Stepper for Radau5 {
         }
     }
 
-    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]) {
-        let slope = self.terms.slope(&self.trial, theta);
-        for (i, out) in dx.iter_mut().enumerate() {
-            *out = slope(i) / trial.h;
-        }
-    }
-
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
         let mut proposed = self.wanted(h);
         if std::mem::take(&mut self.at_kink) {

@@ -114,7 +114,13 @@ pub(crate) trait Stepper {
     /// The next trial is the last one, which was good, with an earlier end.
     fn repeat(&mut self) {}
 
-    /// The right-hand side at the current point.
+    /// Whether [`derivative`](Self::derivative) is the right-hand side itself also where a whole step has led, and not only
+    /// where it was [evaluated](Self::evaluate).
+    fn evaluates_ends(&self) -> bool {
+        true
+    }
+
+    /// The right-hand side at the current point, or an estimate of it.
     fn derivative(&self) -> &[f64];
 
     /// Tries a step; `x_new` receives its end. A refused point, or a number that is not finite, is
@@ -145,9 +151,6 @@ pub(crate) trait Stepper {
 
     /// The state at `trial.t + theta * trial.h` inside the last trial step.
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]);
-
-    /// The slope of [`interpolate`](Self::interpolate).
-    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]);
 
     /// The last trial, of size `h`, is accepted up to `theta` (1: as a whole); the next step starts there. Returns the
     /// step size to go on with.

@@ -254,9 +254,9 @@ def solve(
         do not hide in one step. By default one where steps are long.
     chattering : {"error", "warn", "slide"}
         What to do where events follow each other while time hardly advances (a hundred within 1e-6 of the span, or within
-        1e-3 where the span is longer than 1000): fail; go on and log a warning (an error
-        still where time stands still); or go on in steps of 1e-5 of the span at whose ends the events happen, which
-        slides along a border that the solution cannot leave.
+        1e-3 where the span is longer than 1000): fail; go on and log a warning (an error still where time stands still);
+        or go on in steps of 1e-5 of the span at whose ends the events happen, which slides along a border that the
+        solution cannot leave.
     max_steps, max_events : int, optional
         Limits.
     timeout : float, optional
