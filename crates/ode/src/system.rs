@@ -191,7 +191,8 @@ pub trait HybridSystem {
         Ok(())
     }
 
-    /// Fills in the outputs.
+    /// Fills in the outputs. Unlike derivatives and indicators they may be NaN or infinite: the observer is given them as
+    /// they are, and judges.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
         let _ = (t, x, y);
         Ok(())
