@@ -1,5 +1,6 @@
 //! What a run may be told: method, tolerances, limits. Checked once, when a driver is made.
 
+use crate::number::Number;
 use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -237,7 +238,7 @@ impl Options {
 #[non_exhaustive]
 pub enum OptionsError {
     /// A number outside its range.
-    #[error("{name} = {value} must be {range}")]
+    #[error("{name} = {} must be {range}", Number(*.value))]
     OutOfRange {
         /// Name of the option.
         name: &'static str,
