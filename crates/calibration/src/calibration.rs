@@ -9,7 +9,7 @@ use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
 use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
 use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Trajectory};
-use ode::{ErrorKind, Method, Stats};
+use ode::{ErrorKind, Method, Number, Stats};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -371,7 +371,7 @@ impl Calibration {
 
     fn describe(&self, x: &[f64]) -> String {
         let pairs: Vec<String> =
-            self.parameters.iter().zip(x).map(|(p, v)| format!("{} = {v}", p.name())).collect();
+            self.parameters.iter().zip(x).map(|(p, v)| format!("{} = {}", p.name(), Number(*v))).collect();
         pairs.join(", ")
     }
 
@@ -429,7 +429,7 @@ impl Calibration {
             if !accumulator.complete() {
                 let reason = format!(
                     "the model ended the simulation before the last measurement, at t = {}",
-                    report.time
+                    Number(report.time)
                 );
                 return Err(NoCost::Failed { kind: FailureKind::Error, reason, source: None });
             }

@@ -1,6 +1,7 @@
 //! Measured series: CSV files and in-memory columns, irregular times, missing values.
 
 use crate::error::CalibrationError;
+use ode::Number;
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::io::Read;
@@ -138,17 +139,18 @@ impl Data {
         }
         for (i, t) in time.iter().enumerate() {
             if !t.is_finite() {
-                return bad(format!("time {t} at {} is not finite", place(i)));
+                return bad(format!("time {} at {} is not finite", Number(*t), place(i)));
             }
             if i > 0 && *t < time[i - 1] {
                 return bad(format!(
-                    "time {t} at {} comes after {}: times must ascend",
+                    "time {} at {} comes after {}: times must ascend",
+                    Number(*t),
                     place(i),
-                    time[i - 1]
+                    Number(time[i - 1])
                 ));
             }
             if i > 1 && *t == time[i - 2] {
-                return bad(format!("time {t} at {} stands there for the third time", place(i)));
+                return bad(format!("time {} at {} stands there for the third time", Number(*t), place(i)));
             }
         }
         Ok(Self { source, time_name, time, columns })
@@ -232,9 +234,9 @@ impl Data {
         if let Some(i) = twice {
             return bad(format!(
                 "column '{name}' has two measurements at time {}: {} and {}",
-                time[i],
-                values[i - 1],
-                values[i]
+                Number(time[i]),
+                Number(values[i - 1]),
+                Number(values[i])
             ));
         }
         Ok(values)

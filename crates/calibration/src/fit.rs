@@ -8,6 +8,7 @@ use dfo::{
     AnyMethod, ByRef, Checkpoint, Evaluation, Kind, Limits, Measure, NelderMead, Objective, Outcome,
     Progress, Report, Stop, Tolerances, Transform, WorkerPool,
 };
+use ode::Number;
 use ode::Stats;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -105,26 +106,12 @@ pub struct Fit {
     pub report: Report,
 }
 
-/// A number as people write it: small and large ones with an exponent.
-struct Short(f64);
-
-impl fmt::Display for Short {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let size = self.0.abs();
-        if size == 0.0 || (1e-4..1e7).contains(&size) {
-            write!(f, "{}", self.0)
-        } else {
-            write!(f, "{:e}", self.0)
-        }
-    }
-}
-
 impl fmt::Display for Fit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (name, value) in self.names.iter().zip(&self.x) {
-            writeln!(f, "{name} = {}", Short(*value))?;
+            writeln!(f, "{name} = {}", Number(*value))?;
         }
-        writeln!(f, "cost {}, RMS {}", Short(self.cost), Short(self.rms))?;
+        writeln!(f, "cost {}, RMS {}", Number(self.cost), Number(self.rms))?;
         writeln!(
             f,
             "{} right-hand sides, solver {}; {:.3} s in simulations, {:.3} s of them inside the model",
@@ -269,7 +256,9 @@ impl Calibration {
             let (lower, upper) = (parameter.lower(), parameter.upper());
             if !(lower..=upper).contains(value) {
                 let name = parameter.name().to_owned();
-                let message = if lower == upper {
+                let is_fixed = lower == upper;
+                let [lower, upper, value] = [lower, upper, *value].map(Number);
+                let message = if is_fixed {
                     format!("is fixed at {lower}, it cannot start at {value}")
                 } else {
                     format!("start {value} is outside of the bounds {lower} and {upper}")

@@ -2,6 +2,7 @@
 
 use crate::error::CalibrationError;
 use dfo::Kind;
+use ode::Number;
 
 /// How a parameter is measured inside the optimiser; outside it is always in the user's units.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -131,31 +132,32 @@ impl Parameter {
     pub fn check(&self) -> Result<(), CalibrationError> {
         let Self { name, start, lower, upper, .. } = self;
         let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
+        let [first, low, high] = [*start, *lower, *upper].map(Number);
         if !start.is_finite() {
-            return bad(format!("start {start} is not finite"));
+            return bad(format!("start {first} is not finite"));
         }
         if lower.is_nan() || upper.is_nan() {
-            return bad(format!("bounds {lower} and {upper}: neither may be NaN"));
+            return bad(format!("bounds {low} and {high}: neither may be NaN"));
         }
         if lower > upper {
-            return bad(format!("lower bound {lower} is above upper bound {upper}"));
+            return bad(format!("lower bound {low} is above upper bound {high}"));
         }
         if !self.fixed && !(*lower..=*upper).contains(start) {
-            return bad(format!("start {start} is outside of the bounds {lower} and {upper}"));
+            return bad(format!("start {first} is outside of the bounds {low} and {high}"));
         }
         if self.kind != Kind::Continuous && !self.fixed {
             if lower.ceil() > upper.floor() {
                 let kind = self.kind;
                 return bad(format!(
-                    "is {kind}, but between its bounds {lower} and {upper} there is no whole number"
+                    "is {kind}, but between its bounds {low} and {high} there is no whole number"
                 ));
             }
             if start.fract() != 0.0 {
-                return bad(format!("is {}, so start {start} must be a whole number", self.kind));
+                return bad(format!("is {}, so start {first} must be a whole number", self.kind));
             }
         }
         if self.scale == Scale::Log && !self.fixed && (*start <= 0.0 || (lower.is_finite() && *lower < 0.0)) {
-            return bad(format!("a log scale wants positive values; start {start}, lower bound {lower}"));
+            return bad(format!("a log scale wants positive values; start {first}, lower bound {low}"));
         }
         if let Some(nominal) = self.nominal
             && !(nominal.is_finite() && nominal != 0.0)

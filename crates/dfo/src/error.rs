@@ -1,5 +1,6 @@
 //! What can be wrong before or instead of a result: one typed error, with indices and values.
 
+use crate::number::Number;
 use crate::scaling::Kind;
 use crate::termination::Termination;
 use crate::trace::Trace;
@@ -29,7 +30,7 @@ pub enum Error {
         got: usize,
     },
     /// A bound is NaN, a lower bound is +inf or an upper bound is -inf.
-    #[error("the {side} bound of parameter {index} is {value}")]
+    #[error("the {side} bound of parameter {index} is {value}", value = Number(*.value))]
     BadBound {
         /// `"lower"` or `"upper"`.
         side: &'static str,
@@ -39,7 +40,7 @@ pub enum Error {
         value: f64,
     },
     /// A lower bound lies above the upper bound.
-    #[error("parameter {index}: the lower bound {lower} is above the upper bound {upper}")]
+    #[error("parameter {index}: the lower bound {lower} is above the upper bound {upper}", lower = Number(*.lower), upper = Number(*.upper))]
     BoundsCrossed {
         /// Parameter, counted from 0.
         index: usize,
@@ -49,7 +50,7 @@ pub enum Error {
         upper: f64,
     },
     /// A coordinate of the start point is NaN or infinite.
-    #[error("start value {value} of parameter {index} is not finite")]
+    #[error("start value {value} of parameter {index} is not finite", value = Number(*.value))]
     StartNotFinite {
         /// Parameter, counted from 0.
         index: usize,
@@ -57,7 +58,7 @@ pub enum Error {
         value: f64,
     },
     /// The start point lies outside of the box.
-    #[error("start value {value} of parameter {index} lies outside of its bounds [{lower}, {upper}]")]
+    #[error("start value {value} of parameter {index} lies outside of its bounds [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper))]
     StartOutside {
         /// Parameter, counted from 0.
         index: usize,
@@ -69,7 +70,7 @@ pub enum Error {
         upper: f64,
     },
     /// A parameter on a logarithmic scale has a start value or bound that has no logarithm.
-    #[error("parameter {index} is on a logarithmic scale, but its {what} is {value}")]
+    #[error("parameter {index} is on a logarithmic scale, but its {what} is {value}", value = Number(*.value))]
     LogScale {
         /// Parameter, counted from 0.
         index: usize,
@@ -79,7 +80,7 @@ pub enum Error {
         value: f64,
     },
     /// An entry of a per-parameter option is out of range.
-    #[error("{name} of parameter {index} = {value} must be {range}")]
+    #[error("{name} of parameter {index} = {value} must be {range}", value = Number(*.value))]
     ParameterOption {
         /// Name of the option.
         name: &'static str,
@@ -92,7 +93,7 @@ pub enum Error {
     },
     /// A discrete parameter has no value to take.
     #[error(
-        "parameter {index} is discrete, but between its bounds {lower} and {upper} there is no whole number"
+        "parameter {index} is discrete, but between its bounds {lower} and {upper} there is no whole number", lower = Number(*.lower), upper = Number(*.upper)
     )]
     NoWholeNumber {
         /// Parameter, counted from 0.
@@ -103,7 +104,7 @@ pub enum Error {
         upper: f64,
     },
     /// A number outside its range.
-    #[error("{name} = {value} must be {range}")]
+    #[error("{name} = {value} must be {range}", value = Number(*.value))]
     Option {
         /// Name of the option.
         name: &'static str,
@@ -121,7 +122,7 @@ pub enum Error {
         name: String,
     },
     /// A method needs a finite range for each parameter.
-    #[error("{method} searches a box, but parameter {index} lies in [{lower}, {upper}]")]
+    #[error("{method} searches a box, but parameter {index} lies in [{lower}, {upper}]", lower = Number(*.lower), upper = Number(*.upper))]
     NeedsBox {
         /// The method.
         method: &'static str,
@@ -134,7 +135,7 @@ pub enum Error {
     },
     /// A barrier needs a start strictly inside of the bounds.
     #[error(
-        "start value {value} of parameter {index} must lie strictly between its bounds {lower} and {upper}"
+        "start value {value} of parameter {index} must lie strictly between its bounds {lower} and {upper}", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
     )]
     StartNotInterior {
         /// Parameter, counted from 0.
@@ -172,7 +173,7 @@ pub enum Error {
     },
     /// A vertex of an initial simplex has a coordinate outside of the box, or not finite.
     #[error(
-        "initial simplex: coordinate {value} of vertex {vertex}, parameter {index}, must lie in [{lower}, {upper}]"
+        "initial simplex: coordinate {value} of vertex {vertex}, parameter {index}, must lie in [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
     )]
     SimplexOutside {
         /// Vertex, counted from 0.

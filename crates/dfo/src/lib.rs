@@ -54,6 +54,7 @@ mod ledger;
 mod method;
 mod minimize;
 mod nelder_mead;
+mod number;
 mod objective;
 mod observe;
 mod optimizer;

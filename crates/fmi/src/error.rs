@@ -2,6 +2,7 @@
 
 use crate::description::{Value, VariableKind};
 use crate::failure::CallFailure;
+use ode::Number;
 use std::io;
 use std::path::PathBuf;
 
@@ -209,7 +210,7 @@ pub enum FmiError {
         found: usize,
     },
     /// The discrete states do not settle.
-    #[error("the event iteration at t = {time} did not end after {limit} rounds")]
+    #[error("the event iteration at t = {time} did not end after {limit} rounds", time = Number(*.time))]
     EventIteration {
         /// Time of the event.
         time: f64,
@@ -274,7 +275,7 @@ pub enum FmiError {
         reason: &'static str,
     },
     /// NaN or an infinity where a number is needed.
-    #[error("{name} = {value}: a finite number is needed")]
+    #[error("{name} = {value}: a finite number is needed", value = Number(*.value))]
     NotFinite {
         /// What was to get the value.
         name: String,

@@ -3,6 +3,7 @@
 use crate::description::{ModelDescription, VariableKind};
 use crate::error::FmiError;
 use crate::sys::{Failed, LogLine, Status};
+use ode::Number;
 use std::fmt;
 
 /// A call into an FMU that failed.
@@ -35,7 +36,7 @@ impl fmt::Display for CallFailure {
             }
         }
         if let Some(time) = self.time {
-            write!(f, " at t = {time}")?;
+            write!(f, " at t = {}", Number(time))?;
         }
         if !self.log.is_empty() {
             f.write_str("; the FMU logged: ")?;

@@ -3,6 +3,7 @@
 use crate::description::{DefaultExperiment, Interval, Value};
 use crate::error::FmiError;
 use crate::input::Inputs;
+use ode::Number;
 use ode::{ChatteringPolicy, Method};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -279,12 +280,18 @@ impl SimulateOptions {
         };
         if !(start.is_finite() && end.is_finite() && start <= end) {
             let problem = format!(
-                "cannot simulate from {start} to {end}: both must be finite, the end not before the start"
+                "cannot simulate from {} to {}: both must be finite, the end not before the start",
+                Number(start),
+                Number(end)
             );
             return Err(setting(problem));
         }
         if !(end - start).is_finite() {
-            return Err(setting(format!("the span from {start} to {end} is too long for a number")));
+            return Err(setting(format!(
+                "the span from {} to {} is too long for a number",
+                Number(start),
+                Number(end)
+            )));
         }
         let same = 100.0 * U * start.abs().max(end.abs()).max(end - start);
         let mut interval = self.output_interval;
@@ -342,12 +349,15 @@ fn uniform(start: f64, end: f64, same: f64, n: usize) -> Result<Vec<f64>, FmiErr
 /// Rows `interval` apart, and one at the end.
 fn intervals(start: f64, end: f64, same: f64, interval: f64) -> Result<Vec<f64>, FmiError> {
     if !(interval > 0.0 && interval.is_finite()) {
-        return Err(setting(format!("output_interval = {interval} must be positive and finite")));
+        return Err(setting(format!("output_interval = {} must be positive and finite", Number(interval))));
     }
     let count = ((end - start) / interval).ceil();
     if count > MAX_ROWS as f64 || interval <= same {
         return Err(setting(format!(
-            "output_interval = {interval} from {start} to {end} makes more rows than the limit of {MAX_ROWS}"
+            "output_interval = {} from {} to {} makes more rows than the limit of {MAX_ROWS}",
+            Number(interval),
+            Number(start),
+            Number(end)
         )));
     }
     Ok((0..=count as usize)
@@ -363,7 +373,10 @@ fn snap(times: &[f64], start: f64, end: f64, same: f64) -> Result<Vec<f64>, FmiE
     for (i, &time) in times.iter().enumerate() {
         if !(time >= start - same && time <= end + same) {
             return Err(setting(format!(
-                "times[{i}] = {time} is not within the span of the simulation, {start} to {end}"
+                "times[{i}] = {} is not within the span of the simulation, {} to {}",
+                Number(time),
+                Number(start),
+                Number(end)
             )));
         }
         let mut time = if time <= start + same {
@@ -377,8 +390,8 @@ fn snap(times: &[f64], start: f64, end: f64, same: f64) -> Result<Vec<f64>, FmiE
             if times[i] < times[i - 1] {
                 return Err(setting(format!(
                     "times must ascend: times[{i}] = {} comes after {}",
-                    times[i],
-                    times[i - 1]
+                    Number(times[i]),
+                    Number(times[i - 1])
                 )));
             }
             if time - before <= same {
@@ -386,7 +399,8 @@ fn snap(times: &[f64], start: f64, end: f64, same: f64) -> Result<Vec<f64>, FmiE
             }
             if i > 1 && time == snapped[i - 2] {
                 return Err(setting(format!(
-                    "times[{i}] = {time} is listed a third time; twice is left and right limit"
+                    "times[{i}] = {} is listed a third time; twice is left and right limit",
+                    Number(time)
                 )));
             }
         }

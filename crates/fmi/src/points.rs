@@ -8,6 +8,7 @@
 use crate::description::{Capabilities, DefaultExperiment};
 use crate::error::FmiError;
 use crate::options::{Grid, SimulateOptions};
+use ode::Number;
 
 /// More steps than this are taken for a mistake.
 const MAX_STEPS: f64 = 1e9;
@@ -38,8 +39,10 @@ impl Communication {
         let makes_sense = |step: &f64| step.is_finite() && *step > grid.same && span / *step <= MAX_STEPS;
         if let Some(step) = options.step_size.filter(|step| !makes_sense(step)) {
             let problem = format!(
-                "step_size = {step} from {} to {}: it must be positive, finite, and not make more than {MAX_STEPS:e} steps",
-                grid.start, grid.end
+                "step_size = {} from {} to {}: it must be positive, finite, and not make more than {MAX_STEPS:e} steps",
+                Number(step),
+                Number(grid.start),
+                Number(grid.end)
             );
             return Err(FmiError::BadSetting { problem });
         }
@@ -58,7 +61,9 @@ impl Communication {
             if multiple < 1.0 || (step - multiple * internal).abs() > 1e-9 * step {
                 let (lower, upper) =
                     ((step / internal).floor() * internal, (step / internal).ceil() * internal);
-                let next = if lower > 0.0 { format!("{lower} and {upper}") } else { upper.to_string() };
+                let (below, above) = (Number(lower), Number(upper));
+                let next = if lower > 0.0 { format!("{below} and {above}") } else { above.to_string() };
+                let (step, internal) = (Number(step), Number(internal));
                 let problem = format!(
                     "a communication step of {step} is no multiple of the model's own step {internal}; next to it: {next}"
                 );

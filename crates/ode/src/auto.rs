@@ -7,7 +7,7 @@
 
 use crate::explicit_rk::ExplicitRk;
 use crate::radau5::Radau5;
-use crate::stepper::{Attempt, Equations, Stepper, Trial};
+use crate::stepper::{Attempt, Consistency, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::TSIT5;
 
@@ -235,6 +235,15 @@ impl Stepper for Auto {
         active!(self.evaluate(equations, t, x))
     }
 
+    fn make_consistent<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &mut [f64],
+    ) -> CallResult<Consistency> {
+        active!(self.make_consistent(equations, t, x))
+    }
+
     fn forget(&mut self) {
         active!(self.forget());
     }
@@ -293,10 +302,6 @@ impl Stepper for Auto {
 
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
         active!(self.interpolate(trial, theta, x));
-    }
-
-    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]) {
-        active!(self.interpolate_slope(trial, theta, dx));
     }
 
     fn accept(&mut self, h: f64, theta: f64) -> f64 {

@@ -392,6 +392,10 @@ impl Stepper for Bdf {
         h
     }
 
+    fn evaluates_ends(&self) -> bool {
+        false
+    }
+
     fn derivative(&self) -> &[f64] {
         &self.f
     }
@@ -446,10 +450,6 @@ impl Stepper for Bdf {
 
     fn interpolate(&self, _: Trial<'_>, theta: f64, x: &mut [f64]) {
         array::value(&self.z_new[..=self.order], theta - 1.0, x);
-    }
-
-    fn interpolate_slope(&self, _: Trial<'_>, theta: f64, dx: &mut [f64]) {
-        array::slope(&self.z_new[..=self.order], theta - 1.0, self.h, dx);
     }
 
     fn accept(&mut self, _: f64, theta: f64) -> f64 {

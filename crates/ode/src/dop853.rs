@@ -55,13 +55,12 @@ fn dense_terms(k: &[Vec<f64>; STAGES], h: f64, i: usize) -> [f64; TERMS] {
     [change, start - change, 2.0 * change - (start + end), d3, d4, d5, d6]
 }
 
-/// The factor of each term at `theta`, and its derivative.
-fn factors(theta: f64) -> [(f64, f64); TERMS] {
-    let mut product = (theta, 1.0);
+/// The factor of each term at `theta`.
+fn factors(theta: f64) -> [f64; TERMS] {
+    let mut product = theta;
     std::array::from_fn(|term| {
         let now = product;
-        let (f, df) = if term % 2 == 0 { (1.0 - theta, -1.0) } else { (theta, 1.0) };
-        product = (now.0 * f, now.1 * f + now.0 * df);
+        product *= if term % 2 == 0 { 1.0 - theta } else { theta };
         now
     })
 }
@@ -71,7 +70,7 @@ fn factors(theta: f64) -> [(f64, f64); TERMS] {
 pub(crate) fn dense_weights(theta: f64) -> [f64; STAGES] {
     std::array::from_fn(|stage| {
         let k = std::array::from_fn(|j| vec![f64::from(j == stage)]);
-        dense_terms(&k, 1.0, 0).iter().zip(factors(theta)).map(|(d, f)| d * f.0).sum()
+        dense_terms(&k, 1.0, 0).iter().zip(factors(theta)).map(|(d, f)| d * f).sum()
     })
 }
 
@@ -192,14 +191,7 @@ impl Stepper for Dop853 {
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
         let factors = factors(theta);
         for (i, (out, x)) in x.iter_mut().zip(trial.x).enumerate() {
-            *out = x + self.dense.iter().zip(&factors).map(|(d, f)| d[i] * f.0).sum::<f64>();
-        }
-    }
-
-    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]) {
-        let factors = factors(theta);
-        for (i, out) in dx.iter_mut().enumerate() {
-            *out = self.dense.iter().zip(&factors).map(|(d, f)| d[i] * f.1).sum::<f64>() / trial.h;
+            *out = x + self.dense.iter().zip(&factors).map(|(d, f)| d[i] * f).sum::<f64>();
         }
     }
 

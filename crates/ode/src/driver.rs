@@ -243,6 +243,7 @@ where
         (observer, watch): (&'a mut O, Watch<'a>),
     ) -> Self {
         let span = end - start;
+        let same = 100.0 * U * start.abs().max(end.abs()).max(span);
         let fixed_step = (!stepper.has_error_estimate()).then(|| options.step_size.unwrap_or(span / 500.0));
         Self {
             options,
@@ -253,14 +254,14 @@ where
             observer,
             start,
             end,
-            same: 100.0 * U * start.abs().max(end.abs()).max(span),
+            same,
             t: start,
             h: 0.0,
             h_tried: 0.0,
             fixed_step,
             next_time_event: None,
             input_stop: None,
-            sliding: Sliding::new(span),
+            sliding: Sliding::new(span, same),
             discards: 0,
             worst_state: None,
             last_event: None,
@@ -312,9 +313,9 @@ where
             v.clear();
             v.resize(n, 0.0);
         }
-        space.domains.resize(nz);
+        let system = &*self.system;
+        space.domains.begin(nz, |i| system.event_direction(i));
         space.sampler.begin(self.system.n_outputs());
-        self.stepper.begin(&*self.system);
         if let Some(m) = self.system.mass_matrix() {
             if m.len() != n * n || m.iter().any(|m| !m.is_finite()) {
                 return Err(ErrorKind::MassMatrix { given: m.len(), states: n }.into());
@@ -323,6 +324,7 @@ where
                 return Err(ErrorKind::MassMatrixNeedsRadau5.into());
             }
         }
+        self.stepper.begin(&*self.system);
 
         let given = if self.fixed_step.is_some() { self.fixed_step } else { self.options.max_step };
         if let Some(step) = given.filter(|step| start < end && *step <= 4.0 * self.same) {
@@ -339,7 +341,7 @@ where
         self.input_stop = self.system.next_input_stop(self.t);
         self.evaluate_here()?;
         // Events announced for the very start belong to it: samples there see them done.
-        self.more_events_here()?;
+        self.more_events_here(true)?;
         match self.options.initial_step {
             Some(h) => self.h = h,
             None => self.estimate_step()?,
@@ -502,17 +504,9 @@ where
         self.worst_state = None;
         self.show_step(at, end, h);
 
-        // Slopes at both sides of an event decide whether the method must be restarted.
         let theta = if inside { (at - self.t) / h } else { 1.0 };
-        if inside {
-            let Space { x, slope, .. } = &mut *self.space;
-            self.stepper.interpolate_slope(Trial { t: self.t, end, h, x }, theta, slope);
-        }
         std::mem::swap(&mut self.space.x, &mut self.space.x_new);
         let h_next = self.next_step(h, theta);
-        if !inside {
-            self.space.slope.copy_from_slice(self.stepper.derivative());
-        }
         let began = std::mem::replace(&mut self.t, at);
         self.stats.accepted_steps += 1;
 
@@ -526,6 +520,7 @@ where
         self.watch_events(cause, crossed)?;
         if eventful {
             self.sample_left()?;
+            self.take_slope(!inside && self.stepper.evaluates_ends())?;
         }
         if let Some(stop) = stop {
             self.h = self.stepper.kink(self.h);
@@ -536,7 +531,7 @@ where
         } else {
             self.space.domains.advance(began);
         }
-        let eventful = self.more_events_here()? || eventful;
+        let eventful = self.more_events_here(eventful)? || eventful;
         self.sample_here(eventful)?;
         if action.terminate {
             return finish(Termination::StoppedByModel);

@@ -1,5 +1,6 @@
 //! How a run ends: normally ([`Termination`]) or with a [`SimulationError`].
 
+use crate::number::Number;
 use crate::stats::Stats;
 use std::fmt;
 use std::time::Duration;
@@ -75,6 +76,14 @@ pub enum ErrorKind {
     },
     /// The model has a mass matrix, which this method cannot take.
     MassMatrixNeedsRadau5,
+    /// The equations of a singular mass matrix that have no derivative in them do not hold at the start or after an event,
+    /// and no states were found for which they do.
+    Inconsistent {
+        /// The equation with the largest residual, seen against the tolerances of the states.
+        equation: usize,
+        /// What is left there of zero.
+        residual: f64,
+    },
     /// The model refused its own starting point (or the point right after an event), or a state or derivative is not
     /// finite there.
     DiscardedAtRestart,
@@ -122,12 +131,15 @@ impl ErrorKind {
             Self::NoConvergence => "the equations of the implicit method do not converge".to_owned(),
             Self::MassMatrix { .. } => "the mass matrix cannot be used".to_owned(),
             Self::MassMatrixNeedsRadau5 => "the mass matrix needs solver radau5".to_owned(),
+            Self::Inconsistent { .. } => "the states are not consistent".to_owned(),
             Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
             Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
             Self::TooManyEvents(n) => format!("the limit of {n} events was reached"),
             Self::TooManyRightHandSides(n) => format!("the limit of {n} right-hand sides was reached"),
-            Self::TooMuchWork(n) => format!("the limit of {n} right-hand sides' work was reached"),
-            Self::TimedOut(limit) => format!("the time limit of {} s was reached", limit.as_secs_f64()),
+            Self::TooMuchWork(n) => format!("the limit of {} right-hand sides' work was reached", Number(*n)),
+            Self::TimedOut(limit) => {
+                format!("the time limit of {} s was reached", Number(limit.as_secs_f64()))
+            }
             Self::Cancelled => "cancelled".to_owned(),
             Self::Chattering { indicator, .. } => format!("chattering (event indicator {indicator})"),
             Self::TimeEventLoop(_) => "time events that do not let time advance".to_owned(),
@@ -156,15 +168,17 @@ pub struct SimulationError {
 
 impl fmt::Display for SimulationError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let t = self.time;
+        let (t, h) = (Number(self.time), Number(self.step));
         match &self.kind {
             ErrorKind::Span { start, end } => {
+                let (start, end) = (Number(*start), Number(*end));
                 return write!(
                     f,
                     "cannot simulate from {start} to {end}: both must be finite, the end not before the start"
                 );
             }
             ErrorKind::SampleTimes { index, time } => {
+                let time = Number(*time);
                 return write!(
                     f,
                     "requested time {time} at position {index} is not finite, not in ascending order, or outside of the span"
@@ -174,22 +188,22 @@ impl fmt::Display for SimulationError {
                 return write!(f, "{given} absolute tolerances given for {states} states");
             }
             ErrorKind::StepTooSmall { discarded: false } => {
-                write!(f, "the error test wants steps below {:e} at t = {t}", self.step)?;
+                write!(f, "the error test wants steps below {h} at t = {t}")?;
             }
             ErrorKind::StepTooSmall { discarded: true } => {
-                write!(f, "the model cannot be evaluated beyond t = {t}, down to steps of {:e}", self.step)?;
+                write!(f, "the model cannot be evaluated beyond t = {t}, down to steps of {h}")?;
             }
             ErrorKind::StepBelowRounding { step, least } => {
+                let (step, least) = (Number(*step), Number(*least));
                 return write!(
                     f,
-                    "steps of {step:e} were asked for, but in this span only steps above {least:e} tell instants apart"
+                    "steps of {step} were asked for, but in this span only steps above {least} tell instants apart"
                 );
             }
             ErrorKind::NoConvergence => {
-                let h = self.step;
                 write!(
                     f,
-                    "the equations of the implicit method do not converge at t = {t}, down to steps of {h:e}"
+                    "the equations of the implicit method do not converge at t = {t}, down to steps of {h}"
                 )?;
             }
             ErrorKind::MassMatrix { given, states } => {
@@ -201,6 +215,14 @@ impl fmt::Display for SimulationError {
             ErrorKind::MassMatrixNeedsRadau5 => {
                 return write!(f, "a system with a mass matrix can only be integrated by radau5 (or auto)");
             }
+            ErrorKind::Inconsistent { equation, residual } => {
+                let residual = Number(*residual);
+                write!(
+                    f,
+                    "the states at t = {t} are not consistent, and no others with the same left-hand side are: \
+                     equation {equation}, in which no derivative stands, has the residual {residual}"
+                )?;
+            }
             ErrorKind::DiscardedAtRestart => {
                 write!(f, "the model cannot be evaluated at its own state at t = {t}")?
             }
@@ -210,22 +232,25 @@ impl fmt::Display for SimulationError {
                 write!(f, "the limit of {n} right-hand sides was reached at t = {t}")?;
             }
             ErrorKind::TooMuchWork(n) => {
+                let n = Number(*n);
                 write!(f, "the limit of {n} right-hand sides' work was reached at t = {t}")?;
             }
             ErrorKind::TimedOut(d) => {
-                write!(f, "the time limit of {} s was reached at t = {t}", d.as_secs_f64())?
+                write!(f, "the time limit of {} s was reached at t = {t}", Number(d.as_secs_f64()))?
             }
             ErrorKind::Cancelled => write!(f, "cancelled at t = {t}")?,
             ErrorKind::Chattering { events, within, indicator } => {
+                let within = Number(*within);
                 write!(
                     f,
-                    "chattering at t = {t}: {events} state events within {within:e} (last: event indicator {indicator})"
+                    "chattering at t = {t}: {events} state events within {within} (last: event indicator {indicator})"
                 )?;
             }
             ErrorKind::TimeEventLoop(n) => {
                 write!(f, "{n} time events at t = {t}, each announcing another one there or a hair later")?
             }
             ErrorKind::EventInThePast(next) => {
+                let next = Number(*next);
                 write!(f, "the model announced its next time event for {next}, which lies before t = {t}")?;
             }
             ErrorKind::Model(e) => write!(f, "at t = {t}: {e}")?,
@@ -234,7 +259,7 @@ impl fmt::Display for SimulationError {
             write!(f, "; largest error in state {i}")?;
         }
         if let Some(e) = self.last_event {
-            write!(f, "; last event at {e}")?;
+            write!(f, "; last event at {}", Number(e))?;
         }
         Ok(())
     }

@@ -1,9 +1,9 @@
-//! State events: the domain memory of the indicators, root location, and the guard against chattering.
+//! State events: the domain memory of the indicators, and root location.
 //!
 //! An indicator is in the domain `z > 0` or `z <= 0` (the rule of FMI 2.0, 3.2.1). A state event happens when one
-//! changes its domain. Signs are never multiplied: products underflow.
+//! changes its domain, in a direction that its system wants to know of. Signs are never multiplied: products underflow.
 
-use crate::system::CallResult;
+use crate::system::{CallResult, Direction};
 
 /// Which indicators are positive, and the values they were read from.
 #[derive(Debug, Default)]
@@ -15,6 +15,11 @@ pub(crate) struct Domains {
     mid: Vec<f64>,
     lo: Vec<f64>,
     discarded: Vec<f64>,
+    directions: Vec<Direction>,
+    /// Indicators at a point inside the step, and its time, where one has changed its domain in a direction that is no
+    /// event: what happens behind it counts from there. `None`: from the start of the step.
+    from: Vec<f64>,
+    counts_since: Option<f64>,
     /// Indicators at the start of the step before, and that time, if nothing has happened since.
     before: Vec<f64>,
     before_time: Option<f64>,
@@ -35,8 +40,19 @@ fn flipped(from: f64, to: f64) -> bool {
     (from > 0.0) != (to > 0.0)
 }
 
+/// Whether a change of an indicator is an event.
+fn crosses(direction: Direction, from: f64, to: f64) -> bool {
+    flipped(from, to)
+        && match direction {
+            Direction::Both => true,
+            Direction::Up => to > 0.0,
+            Direction::Down => to <= 0.0,
+        }
+}
+
 impl Domains {
-    pub(crate) fn resize(&mut self, n: usize) {
+    /// Makes room for `n` indicators whose changes are events in these directions.
+    pub(crate) fn begin(&mut self, n: usize, direction: impl Fn(usize) -> Direction) {
         for v in [
             &mut self.base,
             &mut self.end,
@@ -44,30 +60,55 @@ impl Domains {
             &mut self.lo,
             &mut self.discarded,
             &mut self.before,
+            &mut self.from,
         ] {
             v.clear();
             v.resize(n, 0.0);
         }
         self.crossings.clear();
         self.crossings.resize(n, 0);
+        self.directions.clear();
+        self.directions.extend((0..n).map(direction));
         self.before_time = None;
+        self.counts_since = None;
     }
 
     pub(crate) fn len(&self) -> usize {
         self.base.len()
     }
 
-    /// Whether any indicator has left the domain it was in at the start of the step.
-    pub(crate) fn changed(&self) -> bool {
-        self.base.iter().zip(&self.end).any(|(b, e)| flipped(*b, *e))
+    /// A step is going to be looked into: changes count from its start.
+    pub(crate) fn look(&mut self) {
+        self.counts_since = None;
     }
 
-    /// Writes down the direction of every crossing between start and end; returns the first that crossed.
+    /// From when on changes count, if not from the start of the step.
+    pub(crate) fn counts_since(&self) -> Option<f64> {
+        self.counts_since
+    }
+
+    /// The indicators where changes begin to count.
+    fn reference(&self) -> &[f64] {
+        if self.counts_since.is_some() { &self.from } else { &self.base }
+    }
+
+    /// Whether any indicator has an event between two points.
+    fn any_crosses(&self, from: &[f64], to: &[f64]) -> bool {
+        self.directions.iter().zip(from.iter().zip(to)).any(|(d, (from, to))| crosses(*d, *from, *to))
+    }
+
+    /// Whether any indicator has left the domain it was in, so that it is an event.
+    pub(crate) fn changed(&self) -> bool {
+        self.any_crosses(self.reference(), &self.end)
+    }
+
+    /// Writes down the direction of every crossing up to the end that is an event; returns the first that crossed.
     pub(crate) fn mark(&mut self) -> Option<usize> {
         let mut first = None;
+        let from = if self.counts_since.is_some() { &self.from } else { &self.base };
         for (i, c) in self.crossings.iter_mut().enumerate() {
-            *c = match (self.base[i] > 0.0, self.end[i] > 0.0) {
-                (false, true) => 1,
+            *c = match (crosses(self.directions[i], from[i], self.end[i]), self.end[i] > 0.0) {
+                (true, true) => 1,
                 (true, false) => -1,
                 _ => 0,
             };
@@ -118,30 +159,37 @@ impl Domains {
         (t > start && t < end && beyond).then_some(t)
     }
 
-    /// Reads the indicators at a point inside the step. `true`: one has left the domain of the start; then they are taken
-    /// as the ones at the end of the bracket.
+    /// Reads the indicators at a point inside the step to `end`. Where one has an event before that point, or behind it
+    /// because it came back to where it was at the start, the right end of the bracket is returned; the indicators there
+    /// are those at the end then.
     pub(crate) fn changed_at(
         &mut self,
         t: f64,
+        end: f64,
         evaluate: impl FnOnce(f64, &mut [f64]) -> CallResult<()>,
-    ) -> CallResult<bool> {
+    ) -> CallResult<Option<f64>> {
         evaluate(t, &mut self.mid)?;
-        let changed = self.base.iter().zip(&self.mid).any(|(b, m)| flipped(*b, *m));
-        if changed {
+        if self.any_crosses(&self.base, &self.mid) {
             std::mem::swap(&mut self.end, &mut self.mid);
+            return Ok(Some(t));
         }
-        Ok(changed)
+        let behind = self.any_crosses(&self.mid, &self.end);
+        if behind {
+            std::mem::swap(&mut self.from, &mut self.mid);
+            self.counts_since = Some(t);
+        }
+        Ok(behind.then_some(end))
     }
 
     /// All indicators that change in the bracket only jump between a value and its negative: they tell nothing but the
     /// domain.
     fn only_jumps(&self) -> bool {
-        let all = self.base.iter().zip(&self.end).zip(&self.lo);
-        all.filter(|((b, e), _)| flipped(**b, **e)).all(|((b, e), lo)| *b == -*e && b == lo)
+        let all = self.reference().iter().zip(&self.end).zip(&self.lo).zip(&self.directions);
+        all.filter(|(((_, e), lo), d)| crosses(**d, **lo, **e)).all(|(((b, e), lo), _)| *b == -*e && b == lo)
     }
 
-    /// Finds the first change of domain in `(t_lo, t_hi]`, where `base` and `end` hold the indicators at both ends and
-    /// at least one has changed. `evaluate(t, z)` fills in the indicators at a time between.
+    /// Finds the first event in `(t_lo, t_hi]`, where `end` holds the indicators at its end, and `base` (or those that
+    /// changes count from) the ones at its start, and at least one has changed so that it is an event. `evaluate(t, z)` fills in the indicators at a time between.
     ///
     /// T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function,
     /// Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators; each iteration works
@@ -155,7 +203,8 @@ impl Domains {
         (tolerance, for_jumps): (f64, f64),
         mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<Located> {
-        self.lo.copy_from_slice(&self.base);
+        let start = if self.counts_since.is_some() { &self.from } else { &self.base };
+        self.lo.copy_from_slice(start);
         let (mut lo, mut hi) = (t_lo, t_hi);
         // The end of an earlier bracket, for the inverse quadratic step, and whether it lay to the right.
         let mut third: Option<f64> = None;
@@ -185,7 +234,7 @@ impl Domains {
             }
             evaluate(mid, &mut self.mid)?;
             evaluations += 1;
-            let crossed = self.base.iter().zip(&self.mid).any(|(b, m)| flipped(*b, *m));
+            let crossed = self.any_crosses(&self.lo, &self.mid);
             // The point that leaves the bracket, or the older one on the same side, becomes the third.
             if crossed {
                 std::mem::swap(&mut self.discarded, &mut self.end);
@@ -193,6 +242,10 @@ impl Domains {
                 third = Some(hi);
                 hi = mid;
             } else {
+                if self.lo.iter().zip(&self.mid).any(|(lo, mid)| flipped(*lo, *mid)) {
+                    self.from.copy_from_slice(&self.mid);
+                    self.counts_since = Some(mid);
+                }
                 std::mem::swap(&mut self.discarded, &mut self.lo);
                 std::mem::swap(&mut self.lo, &mut self.mid);
                 third = Some(lo);
@@ -207,8 +260,8 @@ impl Domains {
     fn first_by_secant(&self, lo: f64, hi: f64) -> usize {
         let mut best = (f64::INFINITY, 0);
         for i in 0..self.base.len() {
-            if flipped(self.base[i], self.end[i]) {
-                let (a, b) = (self.lo[i], self.end[i]);
+            let (a, b) = (self.lo[i], self.end[i]);
+            if crosses(self.directions[i], a, b) {
                 let t = lo + (hi - lo) * (a / (a - b)).clamp(0.0, 1.0);
                 let t = if t.is_nan() { lo } else { t };
                 if t < best.0 {
@@ -245,48 +298,13 @@ impl Domains {
     }
 }
 
-/// Notices events that follow each other while time hardly advances (chattering, Zeno). The test is on the time that
-/// passes, not on the number of events: many events far apart are a legal model.
-#[derive(Debug)]
-pub(crate) struct ChatteringGuard {
-    times: [f64; Self::EVENTS],
-    next: usize,
-    least: f64,
-}
-
-impl ChatteringGuard {
-    /// So many events in a row must advance time.
-    pub(crate) const EVENTS: usize = 100;
-    /// By this share of the span, state events.
-    pub(crate) const STATE_EVENTS: f64 = 1e-6;
-    /// By this share of the span, time events: a clock may be fast, but it must not stand still.
-    pub(crate) const TIME_EVENTS: f64 = 1e-9;
-
-    pub(crate) fn new(least: f64) -> Self {
-        Self { times: [f64::NEG_INFINITY; Self::EVENTS], next: 0, least }
-    }
-
-    /// Records an event at `t`; returns the time in which the last [`EVENTS`](Self::EVENTS) happened if that is too short.
-    pub(crate) fn record(&mut self, t: f64) -> Option<f64> {
-        let within = t - self.times[self.next];
-        self.times[self.next] = t;
-        self.next = (self.next + 1) % Self::EVENTS;
-        (within < self.least).then_some(within)
-    }
-
-    /// Forgets all events.
-    pub(crate) fn forget(&mut self) {
-        self.times.fill(f64::NEG_INFINITY);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn locate(z: impl Fn(f64) -> Vec<f64>, lo: f64, hi: f64, tolerance: f64) -> (f64, u64, Domains) {
         let mut d = Domains::default();
-        d.resize(z(lo).len());
+        d.begin(z(lo).len(), |_| Direction::Both);
         d.base.copy_from_slice(&z(lo));
         d.end.copy_from_slice(&z(hi));
         assert!(d.changed());
@@ -333,7 +351,7 @@ mod tests {
     fn a_wider_bracket_does_for_jumps_alone() {
         let found = |z: fn(f64) -> f64| {
             let mut d = Domains::default();
-            d.resize(1);
+            d.begin(1, |_| Direction::Both);
             (d.base[0], d.end[0]) = (z(0.0), z(1.0));
             let read = |t: f64, out: &mut [f64]| {
                 out[0] = z(t);
@@ -350,7 +368,7 @@ mod tests {
     #[test]
     fn a_parabola_shows_where_a_crossing_may_hide() {
         let mut d = Domains::default();
-        d.resize(2);
+        d.begin(2, |_| Direction::Both);
         let z = |t: f64| [(t - 2.4) * (t - 2.6), 1.0 + t];
         d.before.copy_from_slice(&z(1.0));
         d.before_time = Some(1.0);
@@ -372,6 +390,63 @@ mod tests {
     }
 
     #[test]
+    fn changes_count_in_the_directions_asked_for() {
+        // Positive between 0.3 and 0.5, then another one crosses at 0.8.
+        let z = |t: f64| [(t - 0.3) * (0.5 - t), t - 0.8];
+        let at = |look: Option<f64>, directions: [Direction; 2]| {
+            let mut d = Domains::default();
+            d.begin(2, |i| directions[i]);
+            d.base.copy_from_slice(&z(0.0));
+            d.end.copy_from_slice(&z(1.0));
+            let read = |t: f64, out: &mut [f64]| {
+                out.copy_from_slice(&z(t));
+                Ok(())
+            };
+            let mut hi = d.changed().then_some(1.0);
+            if let Some(t) = look {
+                hi = d.changed_at(t, 1.0, read).unwrap();
+            }
+            let lo = d.counts_since().unwrap_or(0.0);
+            let found = d.locate(lo, hi?, (1e-12, 1e-12), read).unwrap();
+            assert!(d.changed());
+            d.mark();
+            Some((found.time, d.crossings.clone()))
+        };
+        use Direction::{Both, Down, Up};
+        for (look, directions, time, crossings) in [
+            (None, [Down, Up], 0.8, [0, 1]),
+            (Some(0.4), [Up, Down], 0.3, [1, 0]),
+            (Some(0.4), [Down, Down], 0.5, [-1, 0]),
+            (Some(0.4), [Down, Up], 0.5, [-1, 0]),
+            (Some(0.4), [Both, Both], 0.3, [1, 0]),
+        ] {
+            let (t, seen) = at(look, directions).unwrap();
+            assert!((t - time).abs() < 2e-12, "{look:?} {directions:?}: {t}");
+            assert_eq!(seen, crossings, "{look:?} {directions:?}");
+        }
+        assert_eq!(at(None, [Both, Down]), None);
+        assert_eq!(at(Some(0.1), [Both, Down]), None);
+    }
+
+    #[test]
+    fn a_return_found_on_the_way_is_the_event() {
+        // The search for the crossing at 0.9 looks at its middle, where the other indicator is on its way back.
+        let z = |t: f64| vec![(t - 0.4) * (0.6 - t), t - 0.9];
+        let mut d = Domains::default();
+        d.begin(2, |i| if i == 0 { Direction::Down } else { Direction::Both });
+        d.base.copy_from_slice(&z(0.0));
+        d.end.copy_from_slice(&z(1.0));
+        let read = |t: f64, out: &mut [f64]| {
+            out.copy_from_slice(&z(t));
+            Ok(())
+        };
+        let found = d.locate(0.0, 1.0, (1e-12, 0.0), read).unwrap();
+        d.mark();
+        assert_eq!((d.crossings.clone(), d.counts_since()), (vec![-1, 0], Some(0.5)));
+        assert!((found.time - 0.6).abs() < 2e-12, "{}", found.time);
+    }
+
+    #[test]
     fn simultaneous_crossings_are_one_event() {
         let (t, _, mut d) = locate(|t| vec![0.5 - t, t - 0.5, 1.0], 0.0, 1.0, 1e-12);
         assert!((t - 0.5).abs() <= 1e-12);
@@ -383,7 +458,7 @@ mod tests {
     #[test]
     fn zero_belongs_to_the_lower_domain() {
         let mut d = Domains::default();
-        d.resize(1);
+        d.begin(1, |_| Direction::Both);
         d.base[0] = 0.0;
         d.end[0] = -1.0;
         assert!(!d.changed());
@@ -392,14 +467,5 @@ mod tests {
         d.base[0] = 1e-300;
         d.end[0] = 0.0;
         assert!(d.changed());
-    }
-
-    #[test]
-    fn the_guard_looks_at_time_not_at_the_count() {
-        let mut guard = ChatteringGuard::new(1e-6);
-        assert!((0..10_000).all(|i| guard.record(f64::from(i) * 1e-4).is_none()));
-        let mut guard = ChatteringGuard::new(1e-6);
-        let caught = (0..200).position(|i| guard.record(f64::from(i) * 1e-10).is_some());
-        assert_eq!(caught, Some(100));
     }
 }

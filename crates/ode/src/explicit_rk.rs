@@ -136,10 +136,6 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         combine(x, trial.x, trial.h, terms(&self.tableau.dense_weights(theta), &self.k));
     }
 
-    fn interpolate_slope(&self, _: Trial<'_>, theta: f64, dx: &mut [f64]) {
-        weighted_sum(dx, 1.0, terms(&self.tableau.dense_derivative_weights(theta), &self.k));
-    }
-
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
         if theta == 1.0 {
             self.k.swap(0, S - 1);

@@ -11,6 +11,7 @@ mod event;
 mod explicit_rk;
 mod jacobian;
 mod lu;
+mod number;
 mod observer;
 mod options;
 mod race;
@@ -27,11 +28,13 @@ mod watched;
 pub use driver::Driver;
 pub use error::{ErrorKind, Report, SimulationError, Termination};
 pub use jacobian::JacobianPattern;
+pub use number::Number;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
 pub use race::{Entry, Heat, Lap, Race, Verdict, race};
 pub use stats::{Seconds, Stats};
 pub use stopwatch::{Stopwatch, Timing};
 pub use system::{
-    CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction,
+    CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop,
+    StepAction,
 };

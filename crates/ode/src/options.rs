@@ -1,5 +1,6 @@
 //! What a run may be told: method, tolerances, limits. Checked once, when a driver is made.
 
+use crate::number::Number;
 use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -82,7 +83,8 @@ pub struct Limits {
     pub timeout: Option<Duration>,
 }
 
-/// What to do when state events follow each other so closely that time hardly advances.
+/// What to do when state events follow each other so closely that time hardly advances: a hundred of them within 1e-6 of
+/// the span; in spans above 1000 units of time, within a thousandth of one (or as close as times can be told apart).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum ChatteringPolicy {
@@ -236,7 +238,7 @@ impl Options {
 #[non_exhaustive]
 pub enum OptionsError {
     /// A number outside its range.
-    #[error("{name} = {value} must be {range}")]
+    #[error("{name} = {} must be {range}", Number(*.value))]
     OutOfRange {
         /// Name of the option.
         name: &'static str,

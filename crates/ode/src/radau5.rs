@@ -10,13 +10,15 @@ use crate::control::scaled_norm;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stats::Stats;
-use crate::stepper::{Attempt, Equations, Stepper, Trial};
+use crate::stepper::{Attempt, Consistency, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use nalgebra::Complex;
 
+mod algebraic;
 mod coefficients;
 mod dense;
 
+use algebraic::Algebraic;
 use coefficients::{ALPHA, BETA, C1, C2, E, GAMMA, T, T_INVERSE};
 use dense::{Collocation, Terms};
 
@@ -43,6 +45,7 @@ enum Newton {
 pub(crate) struct Radau5 {
     jacobian: Jacobian,
     mass: Option<Vec<f64>>,
+    algebraic: Algebraic,
     real: Lu<f64>,
     complex: Lu<Complex<f64>>,
     /// Size of the step whose matrices are decomposed; 0: none.
@@ -361,6 +364,9 @@ impl Stepper for Radau5 {
             }
             (Some(m), mass) => *mass = Some(m.to_vec()),
         }
+        if let Some(mass) = &self.mass {
+            self.algebraic.begin(n, mass);
+        }
         // A mass matrix has places of its own.
         let pattern = self.jacobian.pattern().filter(|_| self.mass.is_none());
         self.real.begin(n, pattern);
@@ -395,6 +401,28 @@ impl Stepper for Radau5 {
         // A change below the tolerance is one all the same: crossings are looked for inside of steps.
         self.can_extrapolate &= self.f == self.f_new;
         Ok(())
+    }
+
+    fn make_consistent<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &mut [f64],
+    ) -> CallResult<Consistency> {
+        if self.mass.is_none() {
+            return Ok(Consistency::Holds);
+        }
+        let before = equations.stats.jacobians;
+        let Self { algebraic, jacobian, f, has_jacobian, .. } = self;
+        let found = algebraic.make_consistent(equations, (t, x, f), (jacobian, *has_jacobian))?;
+        if equations.stats.jacobians > before {
+            // Where nothing was changed it is of the current point.
+            self.has_jacobian = found == Consistency::Holds;
+            self.jacobian_is_fresh = self.has_jacobian;
+            self.wants_jacobian = false;
+            self.decomposed_h = 0.0;
+        }
+        Ok(found)
     }
 
     fn forget(&mut self) {
@@ -501,13 +529,6 @@ impl Stepper for Radau5 {
         let value = self.terms.value(&self.trial, theta);
         for (i, out) in x.iter_mut().enumerate() {
             *out = trial.x[i] + self.z[2][i] + value(i);
-        }
-    }
-
-    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]) {
-        let slope = self.terms.slope(&self.trial, theta);
-        for (i, out) in dx.iter_mut().enumerate() {
-            *out = slope(i) / trial.h;
         }
     }
 

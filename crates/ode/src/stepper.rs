@@ -40,11 +40,22 @@ pub(crate) enum Attempt {
     NotSolved { h: f64 },
 }
 
+/// Whether the equations without derivatives hold at a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Consistency {
+    /// They do, within the tolerances of the states.
+    Holds,
+    /// They do now: states were changed.
+    Corrected,
+    /// No states were found for which they hold: this equation has this residual.
+    Impossible { equation: usize, residual: f64 },
+}
+
 /// An integration method. The driver decides where steps end, and whether a step that meets the tolerance stands; the
 /// stepper judges its own error, proposes step sizes, and keeps what the method remembers between steps.
 ///
 /// The order of calls: [`begin`](Self::begin) once a run; [`evaluate`](Self::evaluate) and [`forget`](Self::forget) at
-/// its first point; trials, of which the last good one may be looked into and is then accepted; after an event
+/// its first point, with [`make_consistent`](Self::make_consistent) between them; trials, of which the last good one may be looked into and is then accepted; after an event
 /// [`evaluate`](Self::evaluate), and [`forget`](Self::forget) if it changed something.
 pub(crate) trait Stepper {
     /// The order that decides how a first step is guessed: that of the solution whose error is estimated.
@@ -80,6 +91,18 @@ pub(crate) trait Stepper {
         x: &[f64],
     ) -> CallResult<()>;
 
+    /// Sees to it that the algebraic equations of a singular mass matrix hold at `(t, x)`, where the right-hand side has
+    /// just been [evaluated](Self::evaluate), by changing what they decide.
+    fn make_consistent<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &mut [f64],
+    ) -> CallResult<Consistency> {
+        let _ = (equations, t, x);
+        Ok(Consistency::Holds)
+    }
+
     /// The current point has nothing to do with the steps before it.
     fn forget(&mut self);
 
@@ -91,7 +114,13 @@ pub(crate) trait Stepper {
     /// The next trial is the last one, which was good, with an earlier end.
     fn repeat(&mut self) {}
 
-    /// The right-hand side at the current point.
+    /// Whether [`derivative`](Self::derivative) is the right-hand side itself also where a whole step has led, and not only
+    /// where it was [evaluated](Self::evaluate).
+    fn evaluates_ends(&self) -> bool {
+        true
+    }
+
+    /// The right-hand side at the current point, or an estimate of it.
     fn derivative(&self) -> &[f64];
 
     /// Tries a step; `x_new` receives its end. A refused point, or a number that is not finite, is
@@ -122,9 +151,6 @@ pub(crate) trait Stepper {
 
     /// The state at `trial.t + theta * trial.h` inside the last trial step.
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]);
-
-    /// The slope of [`interpolate`](Self::interpolate).
-    fn interpolate_slope(&self, trial: Trial<'_>, theta: f64, dx: &mut [f64]);
 
     /// The last trial, of size `h`, is accepted up to `theta` (1: as a whole); the next step starts there. Returns the
     /// step size to go on with.

@@ -24,6 +24,18 @@ impl CallError {
 /// Result of a call into the model.
 pub type CallResult<T> = Result<T, CallError>;
 
+/// Which changes of the domain of an event indicator are events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Direction {
+    /// All: the rule of FMI.
+    #[default]
+    Both,
+    /// Those into the domain `z > 0`.
+    Up,
+    /// Those into the domain `z <= 0`.
+    Down,
+}
+
 /// What made an event; several causes at one instant are one visit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct EventCause {
@@ -44,7 +56,8 @@ pub struct EventVisit<'a> {
     pub time: f64,
     /// What made it.
     pub cause: EventCause,
-    /// Per event indicator: +1 it became positive, -1 it left the positive domain, 0 it stayed.
+    /// Per event indicator: +1 it became positive, -1 it left the positive domain, 0 it stayed, or it crossed in a
+    /// [direction](HybridSystem::event_direction) that is no event.
     pub crossings: &'a [i8],
 }
 
@@ -98,6 +111,13 @@ pub trait HybridSystem {
         0
     }
 
+    /// In which direction an indicator must cross for an event. Crossings in the other one end no step, are not counted, and
+    /// are not told of. Read once a run.
+    fn event_direction(&self, indicator: usize) -> Direction {
+        let _ = indicator;
+        Direction::Both
+    }
+
     /// Number of outputs that a sample holds.
     fn n_outputs(&self) -> usize {
         0
@@ -148,10 +168,21 @@ pub trait HybridSystem {
     }
 
     /// The constant matrix `M` of `M x' = f(t, x)`, by columns (`n * n` numbers); `None`: the identity. It may be
-    /// singular (a differential-algebraic system of index 1); then the states must be consistent at the start and
-    /// after each event. Only [`Method::Radau5`](crate::Method) and [`Method::Auto`](crate::Method) take it.
+    /// singular (a differential-algebraic system of index 1). Then some equations, or sums of them, have no derivative in
+    /// them. Where these do not hold within the tolerances of the states, at the start and after each event, Newton's
+    /// method changes the states until they do, in such a way that `M x` stays as it is: that what the other equations
+    /// say of derivatives goes on from the values given. [`states_corrected`](Self::states_corrected) tells of it;
+    /// [`ErrorKind::Inconsistent`](crate::ErrorKind) is what comes of it where there is no such state near.
+    /// Only [`Method::Radau5`](crate::Method) and [`Method::Auto`](crate::Method) take a mass matrix.
     fn mass_matrix(&self) -> Option<&[f64]> {
         None
+    }
+
+    /// Told at the start and after an event, before anything else is asked of it there, if states were changed so that
+    /// the equations without derivatives hold; `x` has all states as they are now.
+    fn states_corrected(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
+        let _ = (t, x);
+        Ok(())
     }
 
     /// Fills in the event indicators.
@@ -160,7 +191,8 @@ pub trait HybridSystem {
         Ok(())
     }
 
-    /// Fills in the outputs.
+    /// Fills in the outputs. Unlike derivatives and indicators they may be NaN or infinite: the observer is given them as
+    /// they are, and judges.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
         let _ = (t, x, y);
         Ok(())
@@ -201,6 +233,9 @@ macro_rules! hand_on {
         fn n_event_indicators(&$self) -> usize {
             $inner.n_event_indicators()
         }
+        fn event_direction(&$self, indicator: usize) -> Direction {
+            $inner.event_direction(indicator)
+        }
         fn n_outputs(&$self) -> usize {
             $inner.n_outputs()
         }
@@ -212,6 +247,9 @@ macro_rules! hand_on {
         }
         fn mass_matrix(&$self) -> Option<&[f64]> {
             $inner.mass_matrix()
+        }
+        fn states_corrected(&mut $self, t: f64, x: &[f64]) -> CallResult<()> {
+            $inner.states_corrected(t, x)
         }
         fn next_input_stop(&mut $self, t: f64) -> Option<InputStop> {
             $inner.next_input_stop(t)

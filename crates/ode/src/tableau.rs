@@ -85,11 +85,6 @@ impl<const S: usize> Tableau<S> {
     pub(crate) fn dense_weights(&self, theta: f64) -> [f64; S] {
         self.dense.map(|p| theta * (p[0] + theta * (p[1] + theta * (p[2] + theta * p[3]))))
     }
-
-    /// Weights of the derivative of the continuous extension with respect to time at `theta`.
-    pub(crate) fn dense_derivative_weights(&self, theta: f64) -> [f64; S] {
-        self.dense.map(|p| p[0] + theta * (2.0 * p[1] + theta * (3.0 * p[2] + theta * 4.0 * p[3])))
-    }
 }
 
 #[cfg(test)]
@@ -145,10 +140,6 @@ mod tests {
         let at_end = t.dense_weights(1.0);
         for (i, w) in at_end.iter().enumerate() {
             assert!((w - t.a[S - 1][i]).abs() < 1e-13, "dense output ends elsewhere at stage {i}: {w}");
-        }
-        let (lo, hi) = (t.dense_weights(0.4 - 1e-6), t.dense_weights(0.4 + 1e-6));
-        for (i, d) in t.dense_derivative_weights(0.4).iter().enumerate() {
-            assert!(((hi[i] - lo[i]) / 2e-6 - d).abs() < 1e-6);
         }
     }
 

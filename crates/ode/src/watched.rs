@@ -7,7 +7,7 @@ use crate::options::Options;
 use crate::stats::{Seconds, Stats};
 use crate::stopwatch::Stopwatch;
 use crate::system::{
-    CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction, hand_on,
+    CallError, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction, hand_on,
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};

@@ -173,3 +173,40 @@ fn policies_have_names() {
     }
     assert!("stop".parse::<ChatteringPolicy>().unwrap_err().to_string().contains("error, warn, slide"));
 }
+
+/// A relay that switches 2000 times a second, or a clock of 1 kHz, is no chattering, however long the run is; a solution
+/// that cannot leave the border of a domain, or a clock that stands still, is.
+#[test]
+fn long_runs_may_have_events_as_often_as_short_ones() {
+    for span in [10.0, 1e4, 1e7, 1e9] {
+        for &method in ADAPTIVE {
+            let limits = Limits { max_events: Some(1000), ..Limits::default() };
+            let mut driver = Driver::new(Options { method, limits, ..Options::default() }).unwrap();
+            let mut relay = Switched::new(|_| 0.0, 2.5e-4);
+            let error = driver.run(&mut relay, 0.0, span, &[], &mut Ignore).unwrap_err();
+            assert!(
+                matches!(error.kind, ErrorKind::TooManyEvents(1000)),
+                "{} {span:e}: {error}",
+                method.name()
+            );
+            // Times closer than 1.1e-14 of the span are one.
+            assert!((error.time - 1.5).abs() < 1e-3 + 2e-11 * span, "{} {span:e}: {error}", method.name());
+
+            let mut sliding = Switched::new(|_| 0.0, 0.0);
+            let error = driver.run(&mut sliding, 0.0, span, &[], &mut Ignore).unwrap_err();
+            assert!(
+                matches!(error.kind, ErrorKind::Chattering { events: 100, .. }),
+                "{} {span:e}: {error}",
+                method.name()
+            );
+        }
+        let limits = Limits { max_events: Some(1000), ..Limits::default() };
+        let mut driver = Driver::new(Options { limits, ..Options::default() }).unwrap();
+        let mut clock = Clock { period: 1e-3, ticks: 0 };
+        let error = driver.run(&mut clock, 0.0, span, &[], &mut Ignore).unwrap_err();
+        assert!(matches!(error.kind, ErrorKind::TooManyEvents(1000)), "{span:e}: {error}");
+        let mut still = Clock { period: 2e-14 * span, ticks: 0 };
+        let error = driver.run(&mut still, 0.0, span, &[], &mut Ignore).unwrap_err();
+        assert!(matches!(error.kind, ErrorKind::TimeEventLoop(100)), "{span:e}: {error}");
+    }
+}

@@ -289,6 +289,61 @@ fn step_events_cost_no_restart_when_they_change_nothing() {
     assert_eq!(report.stats.restarts, 0);
 }
 
+/// (sin t, cos t) beside a state that follows the first at this rate, with an event at each crossing, which does nothing.
+struct Silent {
+    rate: f64,
+    events: usize,
+}
+impl HybridSystem for Silent {
+    fn n_states(&self) -> usize {
+        3
+    }
+    fn n_event_indicators(&self) -> usize {
+        self.events
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.copy_from_slice(&[0.0, 1.0, 0.0]);
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx.copy_from_slice(&[x[1], -x[0], self.rate * (t.sin() - x[2])]);
+        Ok(())
+    }
+    fn event_indicators(&mut self, _: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        z.copy_from_slice(&[x[0] + 0.3 * x[1], x[0] - 0.2][..self.events]);
+        Ok(())
+    }
+}
+
+/// That the slope of what was interpolated is not the right-hand side is no reason for a restart.
+#[test]
+fn state_events_cost_no_restart_when_they_change_nothing() {
+    for rate in [1.0, 50.0, 1e5] {
+        for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
+            if rate > 1e3 && matches!(method, Method::Tsit5 | Method::Dop853) {
+                continue;
+            }
+            for relative_tolerance in [1e-4, 1e-6, 1e-8] {
+                let run = |events: usize| {
+                    let mut d = driver(method, Options { relative_tolerance, ..Options::default() });
+                    let mut seen = Recorder::default();
+                    let stats =
+                        d.run(&mut Silent { rate, events }, 0.0, 30.0, &[30.0], &mut seen).unwrap().stats;
+                    (stats, seen.rows[0].3[0])
+                };
+                let ((with, x), (without, y)) = (run(2), run(0));
+                let name = format!("{} rate {rate} at {relative_tolerance:e}", method.name());
+                assert_eq!((with.state_events, with.restarts), (19, 0), "{name}");
+                // Steps that end at the events, and no new beginnings.
+                let (steps, plain) = (with.accepted_steps, without.accepted_steps);
+                assert!(steps < 3 * plain / 2 + with.state_events, "{name}: {steps} for {plain}");
+                let (off, usual) = ((x - 30f64.sin()).abs(), (y - 30f64.sin()).abs());
+                assert!(off < 5.0 * usual + 10.0 * relative_tolerance, "{name}: {off:e} for {usual:e}");
+            }
+        }
+    }
+}
+
 #[test]
 fn refused_points_make_smaller_steps_then_an_error_with_numbers() {
     // x = (1 - t/2)^2 reaches 0 at t = 2; at 1.9 all is well, beyond 2 nothing can be evaluated.

@@ -56,7 +56,7 @@ fn steps_too_small_to_see_are_refused_or_made_larger() {
     let options = Options { method: Method::Rk4, step_size: Some(1e-3), ..Options::default() };
     let error =
         Driver::new(options).unwrap().run(&mut oscillator(), 1e12, 1e12 + 1.0, &[], &mut Ignore).unwrap_err();
-    assert!(error.to_string().starts_with("steps of 1e-3 were asked for"), "{error}");
+    assert!(error.to_string().starts_with("steps of 0.001 were asked for"), "{error}");
 }
 
 /// Solutions that grow without bound end in an error about steps, not in a swarm of steps that do not advance.
@@ -118,4 +118,22 @@ fn absolute_tolerances_that_vanish_stand_for_none() {
             assert_eq!(seen.rows[0].3[1], 0.0);
         }
     }
+}
+
+/// Where times are tiny, or huge, messages do not count zeros.
+#[test]
+fn messages_show_numbers_with_exponents() {
+    let mut driver = Driver::new(Options::default()).unwrap();
+    let mut message = |start: f64, end: f64, times: &[f64]| {
+        driver.run(&mut oscillator(), start, end, times, &mut Ignore).unwrap_err().to_string()
+    };
+    assert!(message(0.0, 1e-12, &[2e-12]).starts_with("requested time 2e-12 at position 0"));
+    assert!(message(1e300, -1e-300, &[]).starts_with("cannot simulate from 1e300 to -1e-300"));
+    let limits = Limits { max_steps: Some(1), ..Limits::default() };
+    let options = Options { limits, initial_step: Some(2.5e-13), ..Options::default() };
+    let error =
+        Driver::new(options).unwrap().run(&mut oscillator(), 0.0, 1e-12, &[], &mut Ignore).unwrap_err();
+    assert_eq!(error.to_string(), "the limit of 1 steps was reached at t = 2.5e-13");
+    let error = Driver::new(Options { relative_tolerance: 1e-30, ..Options::default() }).err().unwrap();
+    assert_eq!(error.to_string(), "relative_tolerance = 1e-30 must be at least 1e-14 and below 1");
 }

@@ -1,6 +1,6 @@
 //! Systems `M x' = f(t, x)` with a constant, singular `M` (index 1).
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 mod common;
 
@@ -112,5 +112,169 @@ fn what_cannot_be_done_is_refused() {
         let error =
             Driver::new(Options::default()).unwrap().run(&mut dae, 0.0, 1.0, &[], &mut Ignore).unwrap_err();
         assert!(matches!(error.kind, ErrorKind::MassMatrix { states: 1, .. }), "{error}");
+    }
+}
+
+/// What the equations without derivatives decide may be given as a guess.
+#[test]
+fn a_guess_of_the_algebraic_states_is_corrected_at_the_start() {
+    struct Told<F> {
+        dae: Dae<F>,
+        corrections: Vec<(f64, Vec<f64>)>,
+    }
+    impl<F: FnMut(f64, &[f64], &mut [f64])> HybridSystem for Told<F> {
+        fn n_states(&self) -> usize {
+            self.dae.n_states()
+        }
+        fn mass_matrix(&self) -> Option<&[f64]> {
+            self.dae.mass_matrix()
+        }
+        fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+            self.dae.start(t0, x)
+        }
+        fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+            self.dae.derivatives(t, x, dx)
+        }
+        fn states_corrected(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
+            self.corrections.push((t, x.to_vec()));
+            Ok(())
+        }
+    }
+    // x' = -x + y, with y + y^3 = 10 + 20 x and z = x y - 3: at x = 1 these are 3 and 0.
+    let plain = |_: f64, x: &[f64], d: &mut [f64]| {
+        d.copy_from_slice(&[x[1] - x[0], x[1] + x[1].powi(3) - 10.0 - 20.0 * x[0], x[2] - x[0] * x[1] + 3.0]);
+    };
+    // The same times a matrix from the left, and for states u with x = B u: nothing in it is zero.
+    let (a, b) = (
+        [[2.0, 1.0, -1.0], [1.0, 1.0, 0.5], [-1.0, 2.0, 1.0]],
+        [[1.0, 2.0, 0.5], [-1.0, 1.0, 1.0], [0.5, 0.0, 2.0]],
+    );
+    let of =
+        |u: &[f64]| -> Vec<f64> { b.iter().map(|row| row.iter().zip(u).map(|(b, u)| b * u).sum()).collect() };
+    let mixed = |t: f64, u: &[f64], d: &mut [f64]| {
+        let mut e = [0.0; 3];
+        plain(t, &of(u), &mut e);
+        for (d, row) in d.iter_mut().zip(a) {
+            *d = row.iter().zip(e).map(|(a, e)| a * e).sum();
+        }
+    };
+    let mixed_mass: Vec<f64> = (0..9).map(|p| a[p % 3][0] * b[0][p / 3]).collect();
+    for method in [Method::Radau5, Method::Auto] {
+        for (y, z) in [(3.0, 0.0), (2.0, 5.0), (-40.0, 1e3), (0.0, 0.0), (300.0, -1e5)] {
+            let options = Options { method, relative_tolerance: 1e-8, ..Options::default() };
+            let (mut seen, mut driver) = (Recorder::default(), Driver::new(options).unwrap());
+            let mut told = Told {
+                dae: Dae { x0: vec![1.0, y, z], mass: [&[1.0][..], &[0.0; 8]].concat(), f: plain },
+                corrections: Vec::new(),
+            };
+            driver.run(&mut told, 0.0, 1.0, &[0.0, 1.0], &mut seen).unwrap();
+            let start = &seen.rows[0].3;
+            assert!(start[0] == 1.0 && (start[1] - 3.0).abs() < 1e-9 && start[2].abs() < 1e-8, "{start:?}");
+            if y == 3.0 {
+                assert!(told.corrections.is_empty() && start[1..] == [y, z]);
+            } else {
+                assert_eq!(told.corrections, [(0.0, start.clone())]);
+            }
+
+            // B^-1 times (1, y, z), by Cramer's rule.
+            let det = |m: [[f64; 3]; 3]| {
+                m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1])
+                    - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
+                    + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
+            };
+            let u: Vec<f64> = (0..3)
+                .map(|k| {
+                    let mut m = b;
+                    m.iter_mut().zip([1.0, y, z]).for_each(|(row, v)| row[k] = v);
+                    det(m) / det(b)
+                })
+                .collect();
+            let mut other = Recorder::default();
+            driver
+                .run(
+                    &mut Dae { x0: u, mass: mixed_mass.clone(), f: mixed },
+                    0.0,
+                    1.0,
+                    &[0.0, 1.0],
+                    &mut other,
+                )
+                .unwrap();
+            for (row, same) in seen.rows.iter().zip(&other.rows) {
+                for (x, s) in row.3.iter().zip(of(&same.3)) {
+                    assert!((x - s).abs() < 1e-6, "{:?} {:?}", row.3, of(&same.3));
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_start_that_cannot_be_made_consistent_is_an_error_with_numbers() {
+    let run = |x0: Vec<f64>, mass: Vec<f64>, f: fn(&[f64], &mut [f64])| {
+        let mut dae = Dae { x0, mass, f: |_: f64, x: &[f64], d: &mut [f64]| f(x, d) };
+        Driver::new(Options::default()).unwrap().run(&mut dae, 0.5, 1.0, &[], &mut Ignore)
+    };
+    // No y has y^2 + 1 = 0; at 2 it is 5.
+    let error = run(vec![1.0, 2.0], vec![1.0, 0.0, 0.0, 0.0], |x, d| {
+        d.copy_from_slice(&[-x[0], x[1] * x[1] + 1.0]);
+    })
+    .unwrap_err();
+    let ErrorKind::Inconsistent { equation: 1, residual } = error.kind else { panic!("{error}") };
+    assert_eq!(residual, 5.0);
+    assert!(error.to_string().contains("t = 0.5") && error.to_string().contains("equation 1"), "{error}");
+    // Of index 2: the equation says what x must be, and y is what keeps it there.
+    let index_2 = |x: &[f64], d: &mut [f64]| d.copy_from_slice(&[x[1], x[0] - 1.0]);
+    let error = run(vec![1.5, 0.0], vec![1.0, 0.0, 0.0, 0.0], index_2).unwrap_err();
+    assert!(matches!(error.kind, ErrorKind::Inconsistent { equation: 1, residual: 0.5 }), "{error}");
+    // Consistent, it is not refused.
+    run(vec![1.0, 0.0], vec![1.0, 0.0, 0.0, 0.0], index_2).unwrap();
+}
+
+/// At t = 1 a valve is opened: the states stay, the flow that they make jumps.
+#[test]
+fn algebraic_states_jump_at_events() {
+    struct Valve {
+        mass: [f64; 4],
+        opening: f64,
+        corrected: Vec<(f64, Vec<f64>)>,
+    }
+    impl HybridSystem for Valve {
+        fn n_states(&self) -> usize {
+            2
+        }
+        fn mass_matrix(&self) -> Option<&[f64]> {
+            Some(&self.mass)
+        }
+        fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+            self.opening = 1.0;
+            x.copy_from_slice(&[1.0, 1.0]);
+            Ok(EventOutcome { next_time: Some(1.0), ..EventOutcome::default() })
+        }
+        fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+            dx.copy_from_slice(&[-x[1], x[1] - self.opening * x[0]]);
+            Ok(())
+        }
+        fn handle_event(&mut self, _: &EventVisit<'_>, _: &mut [f64]) -> CallResult<EventOutcome> {
+            self.opening = 3.0;
+            Ok(EventOutcome::default())
+        }
+        fn states_corrected(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
+            self.corrected.push((t, x.to_vec()));
+            Ok(())
+        }
+    }
+    for method in [Method::Radau5, Method::Auto] {
+        let mut seen = Recorder::default();
+        let mut valve = Valve { mass: [1.0, 0.0, 0.0, 0.0], opening: 1.0, corrected: Vec::new() };
+        let options = Options { method, relative_tolerance: 1e-9, ..Options::default() };
+        Driver::new(options).unwrap().run(&mut valve, 0.0, 2.0, &[1.0, 1.0, 2.0], &mut seen).unwrap();
+        let e = std::f64::consts::E;
+        let expected = [[1.0 / e, 1.0 / e], [1.0 / e, 3.0 / e], [(-4f64).exp(), 3.0 * (-4f64).exp()]];
+        for (row, expected) in seen.rows.iter().zip(expected) {
+            for (x, exact) in row.3.iter().zip(expected) {
+                assert!((x - exact).abs() < 1e-8, "{}: {row:?}", method.name());
+            }
+        }
+        assert_eq!(valve.corrected, [(1.0, seen.rows[1].3.clone())]);
     }
 }

@@ -4,7 +4,9 @@
 use crate::interrupt::{Inside, Stop};
 use crate::objective::number;
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
-use ode::{CallError, CallResult, EventOutcome, EventVisit, HybridSystem, JacobianPattern, StepAction};
+use ode::{
+    CallError, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, JacobianPattern, StepAction,
+};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use std::sync::Arc;
@@ -12,8 +14,7 @@ use std::sync::Arc;
 /// One event function and what was seen of it.
 pub(crate) struct Event<'py> {
     pub(crate) function: Bound<'py, PyAny>,
-    /// Only upward crossings count (positive), only downward ones (negative), or both (zero).
-    pub(crate) direction: f64,
+    pub(crate) direction: Direction,
     /// The run ends with this occurrence; 0: never.
     pub(crate) terminal: usize,
     pub(crate) times: Vec<f64>,
@@ -45,6 +46,8 @@ pub(crate) struct PySystem<'py> {
     pub(crate) keeps_steps: bool,
     pub(crate) times: Vec<f64>,
     pub(crate) states: Vec<f64>,
+    /// The last of these was made by the start or an event.
+    pub(crate) is_made: bool,
     /// The exception that ended the run.
     pub(crate) raised: Option<PyErr>,
 }
@@ -83,9 +86,14 @@ impl HybridSystem for PySystem<'_> {
         self.events.len()
     }
 
+    fn event_direction(&self, indicator: usize) -> Direction {
+        self.events[indicator].direction
+    }
+
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
         x.copy_from_slice(&self.x0);
         self.keep(t0, x);
+        self.is_made = true;
         Ok(EventOutcome::default())
     }
 
@@ -116,6 +124,15 @@ impl HybridSystem for PySystem<'_> {
         self.mass.as_deref()
     }
 
+    fn states_corrected(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
+        if self.is_made && self.keeps_steps {
+            self.times.pop();
+            self.states.truncate(self.states.len() - x.len());
+        }
+        self.keep(t, x);
+        Ok(())
+    }
+
     fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
         self.ask(|this| {
             for (i, (event, z)) in this.events.iter().zip(z).enumerate() {
@@ -127,6 +144,7 @@ impl HybridSystem for PySystem<'_> {
 
     fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
         self.keep(t, x);
+        self.is_made = false;
         Ok(StepAction::default())
     }
 
@@ -134,7 +152,7 @@ impl HybridSystem for PySystem<'_> {
         let mut which = Vec::new();
         let mut outcome = EventOutcome::default();
         for (i, (event, crossing)) in self.events.iter_mut().zip(visit.crossings).enumerate() {
-            if *crossing != 0 && f64::from(*crossing) * event.direction >= 0.0 {
+            if *crossing != 0 {
                 which.push(i);
                 event.times.push(visit.time);
                 event.states.extend_from_slice(x);
@@ -161,6 +179,7 @@ impl HybridSystem for PySystem<'_> {
         })?;
         if outcome.states_changed {
             self.keep(visit.time, x);
+            self.is_made = true;
         }
         Ok(outcome)
     }

@@ -6,8 +6,8 @@ use crate::py_system::{Event, JacobianSource, PySystem, matrix};
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{
-    AbsoluteTolerance, Driver, ErrorKind, JacobianPattern, Limits, Method, Observer, Options, OptionsError,
-    Report, Sample, SimulationError, StepView, Termination,
+    AbsoluteTolerance, Direction, Driver, ErrorKind, JacobianPattern, Limits, Method, Observer, Options,
+    OptionsError, Report, Sample, SimulationError, StepView, Termination,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -140,7 +140,11 @@ impl<'py> Problem<'py> {
             self.sparsity.as_ref().and_then(|places| JacobianPattern::new(n, places.iter().copied()));
         let event = |(function, direction, terminal): &(Bound<'py, PyAny>, f64, usize)| Event {
             function: function.clone(),
-            direction: *direction,
+            direction: match direction {
+                d if *d > 0.0 => Direction::Up,
+                d if *d < 0.0 => Direction::Down,
+                _ => Direction::Both,
+            },
             terminal: *terminal,
             times: Vec::new(),
             states: Vec::new(),
@@ -158,6 +162,7 @@ impl<'py> Problem<'py> {
             keeps_steps: self.times.is_none(),
             times: Vec::new(),
             states: Vec::new(),
+            is_made: false,
             raised: None,
         })
     }

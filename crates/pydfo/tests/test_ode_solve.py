@@ -114,6 +114,23 @@ def test_events_as_scipy(method):
     assert ours.status == theirs.status == 0
 
 
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_crossings_in_the_other_direction_do_nothing(method):
+    def up(t, y):
+        return y[0] - 0.5
+
+    up.direction = 1
+    called = []
+    res = ode.solve(circle, (2, 5), [1.0, 0.0], method, events=up, on_event=lambda t, y, which: called.append(which))
+    # Down through 0.5 at 2 + pi / 3: no end of a step, nothing counted.
+    plain = ode.solve(circle, (2, 5), [1.0, 0.0], method)
+    assert called == [] and res.stats.events == 0 and res.t_events[0].tolist() == []
+    assert np.array_equal(res.t, plain.t) and np.array_equal(res.y, plain.y)
+    up.direction = -1
+    res = ode.solve(circle, (2, 5), [1.0, 0.0], method, events=up, on_event=lambda t, y, which: called.append(which))
+    assert called == [[0]] and res.stats.events == 1 and abs(res.t_events[0][0] - 2 - math.pi / 3) < 1e-4
+
+
 def test_terminal_events():
     def ground(t, y):
         return y[0]
@@ -149,8 +166,8 @@ def test_events_change_the_state(method):
     at = np.flatnonzero(res.t == first)
     assert len(at) == 2 and res.y[1, at[0]] < -4 and res.y[1, at[1]] > 3
     assert np.allclose(res.sol(first), res.y[:, at[1]], atol=1e-12)
-    # The way up from zero is a crossing, too, which nobody asked for; it restarts nothing.
-    assert res.stats.state_events == 21 and res.stats.restarts == 10
+    # The way up from zero is a crossing, too, which nobody asked for.
+    assert res.stats.state_events == 11 and res.stats.restarts == 10
 
 
 def test_both_sides_of_an_event_where_asked_for_twice():
@@ -179,6 +196,39 @@ def test_differential_algebraic_system():
         ode.solve(rhs, (0, 1), [1, 0, 0], "bdf", mass=mass)
     with pytest.raises(ValueError, match=r"mass must have the shape \(3, 3\), not \(2, 2\)"):
         ode.solve(rhs, (0, 1), [1, 0, 0], mass=np.eye(2))
+
+
+def test_algebraic_states_are_guesses():
+    def rhs(t, y):
+        return [-y[0], y[1] ** 2 - 4.0 * y[0]]
+
+    mass = np.diag([1.0, 0.0])
+    for method in "radau5", "auto":
+        exact = ode.solve(rhs, (0, 2), [1.0, 2.0], method, mass=mass, rtol=1e-8, dense_output=True)
+        guess = ode.solve(rhs, (0, 2), [1.0, 30.0], method, mass=mass, rtol=1e-8, dense_output=True)
+        assert exact.y[:, 0].tolist() == [1.0, 2.0] and exact.t[0] == guess.t[0] == 0.0 < guess.t[1]
+        assert np.abs(guess.y[:, 0] - [1.0, 2.0]).max() < 1e-9 and np.abs(guess.sol(0.0) - [1.0, 2.0]).max() < 1e-9
+        assert np.abs(guess.y[:, -1] / [math.exp(-2), 2 * math.exp(-1)] - 1).max() < 1e-7
+        # The other root.
+        other = ode.solve(rhs, (0, 2), [1.0, -0.1], method, mass=mass, rtol=1e-8, t_eval=[0.0, 2.0])
+        assert np.abs(other.y[1] / [-2.0, -2 * math.exp(-1)] - 1).max() < 1e-7
+        failed = ode.solve(rhs, (0, 2), [-1.0, 2.0], method, mass=mass)
+        assert not failed.success and "equation 1, in which no derivative stands, has the residual 8" in failed.message
+
+
+def test_algebraic_states_follow_events():
+    state = {"opening": 1.0}
+
+    def open_valve(t, y, which):
+        state["opening"] = 3.0
+
+    res = ode.solve(
+        lambda t, y: [-y[1], y[1] - state["opening"] * y[0]], (0, 2), [1.0, 1.0], mass=np.diag([1.0, 0.0]), rtol=1e-9,
+        events=lambda t, y: t - 1.0, on_event=open_valve,
+    )
+    both = res.y[:, res.t == res.t_events[0][0]]
+    assert np.abs(both * math.e - [[1, 1], [1, 3]]).max() < 1e-7
+    assert np.abs(res.y[:, -1] - [math.exp(-4), 3 * math.exp(-4)]).max() < 1e-8
 
 
 def test_tolerances_and_steps():

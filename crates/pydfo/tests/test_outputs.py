@@ -6,7 +6,7 @@ import fmus
 import numpy as np
 import pytest
 
-from pydfo import Calibration, FMUModel, Parameter
+from pydfo import Calibration, FMUModel, Parameter, SimulationError
 
 
 @pytest.fixture(scope="module")
@@ -186,3 +186,22 @@ def test_integers_of_64_bits_are_inputs_without_loss(tmp_path):
     assert set(res["i64"].tolist()) == {-big}
     with pytest.raises((ValueError, TypeError), match="u64"):
         model.simulate(input={"u64": -big}, times=times)
+
+
+def test_outputs_that_are_no_numbers(tmp_path):
+    """A result holds what the model says; a fit counts it as a failure where a measurement stands against it."""
+    path = fmus.compiled("arrays", tmp_path / "nan.fmu", "NAN_ABOVE=2")
+    model = FMUModel(path)
+    model.set("k[1]", 3.0)
+    res = model.simulate(0, 1, ncp=4, output=["sum", "x"])
+    assert np.isnan(res["sum"]).all() and np.isfinite(res["x"]).all()
+
+    t = np.linspace(0, 1, 11)
+    measured = np.exp(-1.5 * t) + 5 * np.exp(-t)
+    calibration = Calibration(path, {"time": t, "y": measured}, {"sum": "y"}, [Parameter("k[1]", 1.0, 0.5, 10.0)])
+    said = "the residual of 'sum' is not finite"
+    with pytest.raises(SimulationError, match=said):
+        calibration.cost([3.0])
+    fit = calibration.fit(method="de", max_evaluations=300, rng=1)
+    assert fit.nfail > 50 and fit.failures == {said: fit.nfail}
+    assert abs(fit.x[0] - 1.5) < 1e-4 and np.isnan(fit.trace.fun).sum() >= fit.nfail

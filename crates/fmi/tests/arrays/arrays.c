@@ -119,6 +119,9 @@ static double *sum(Model *m) {
     size_t j;
     m->sum = 0;
     for (j = 0; j < m->n; j++) m->sum += m->x[j];
+#ifdef NAN_ABOVE
+    if (m->k[0] > NAN_ABOVE) m->sum = NAN;
+#endif
     return &m->sum;
 }
 ACCESS(Float64, double, case 0: p = &m->time; break; case 2: p = m->x; count = m->n; break;

@@ -90,16 +90,6 @@ pub(super) fn value(z: &[Vec<f64>], s: f64, x: &mut [f64]) {
     }
 }
 
-/// Its slope there, for a step of size `h`.
-pub(super) fn slope(z: &[Vec<f64>], s: f64, h: f64, dx: &mut [f64]) {
-    dx.fill(0.0);
-    for (j, z) in z.iter().enumerate().skip(1).rev() {
-        for (dx, z) in dx.iter_mut().zip(z) {
-            *dx = *dx * s + j as f64 * z / h;
-        }
-    }
-}
-
 /// `y += factor x`.
 pub(super) fn add_multiple(y: &mut [f64], factor: f64, x: &[f64]) {
     for (y, x) in y.iter_mut().zip(x) {
@@ -126,8 +116,6 @@ mod tests {
         assert!((z[0][0] - at(1.2)).abs() < 1e-12);
         value(&z, -0.75, &mut x);
         assert!((x[0] - at(1.05)).abs() < 1e-12);
-        slope(&z, -0.75, 0.2, &mut x);
-        assert!((x[0] - slope_at(1.05)).abs() < 1e-12);
         retreat(&mut z, 0.25);
         assert!((z[0][0] - at(1.05)).abs() < 1e-12);
         assert!((z[1][0] / 0.05 - slope_at(1.05)).abs() < 1e-12);

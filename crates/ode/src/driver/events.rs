@@ -1,11 +1,11 @@
 //! Events at the point where the run stands: one visit for all causes, then on as before or anew.
 
+use super::sliding::ChatteringGuard;
 use super::{ErrorKind, Run, Space, Step, finish, kind_of, no_retreat, read_indicators};
 use crate::control::{initial_step, probe_step};
 use crate::error::Termination;
-use crate::event::ChatteringGuard;
 use crate::observer::{EventRecord, Observer};
-use crate::stepper::{Equations, Stepper};
+use crate::stepper::{Consistency, Equations, Stepper};
 use crate::system::{CallError, EventCause, EventOutcome, EventVisit, HybridSystem};
 
 impl<S, M, O> Run<'_, S, M, O>
@@ -53,6 +53,25 @@ where
         stats.input_events += u64::from(cause.input);
     }
 
+    /// Before an event: the right-hand side on its left side, which decides whether the method must be restarted. It is
+    /// evaluated where it is not known: slopes of polynomials differ from it by more than a restart is worth, beside stiff
+    /// components by any amount.
+    pub(super) fn take_slope(&mut self, known: bool) -> Step<()> {
+        let Space { x, slope, weights, .. } = &mut *self.space;
+        if known || x.is_empty() || self.fixed_step.is_some() {
+            slope.copy_from_slice(self.stepper.derivative());
+            return Ok(());
+        }
+        let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
+        match equations.derivatives(self.t, x, slope) {
+            Ok(()) => {}
+            // Just behind the border of what it can be asked for: that counts as a change.
+            Err(CallError::Discard) => slope.fill(f64::NAN),
+            Err(failed) => return Err(no_retreat(failed)),
+        }
+        Ok(())
+    }
+
     /// After an event: reads the right-hand side and the indicators anew. When neither the states (their values before
     /// are in `x_mid`) nor the slope have changed to speak of, the step size is kept; otherwise a new one is estimated.
     fn resume(&mut self, outcome: EventOutcome) -> Step<()> {
@@ -60,9 +79,10 @@ where
         let Space { x, x_mid, weights, .. } = &*self.space;
         // Written so that a NaN counts as a change.
         let same_states = !outcome.states_changed || weights.distance(x, x, x_mid) < 1e-3;
-        self.evaluate_here()?;
-        if before == 0.0 {
-            return Ok(()); // still at the start: the first step is estimated when its events are over
+        let same_states = !self.evaluate_here()? && same_states;
+        // Still at the start the first step is estimated when its events are over; fixed steps know no past.
+        if before == 0.0 || self.fixed_step.is_some() {
+            return Ok(());
         }
         let Space { x, slope, weights, .. } = &*self.space;
         let same_slope = before * weights.distance(x, self.stepper.derivative(), slope) < 0.1;
@@ -77,8 +97,9 @@ where
         Ok(())
     }
 
-    /// Right-hand side and event indicators at the current point.
-    pub(super) fn evaluate_here(&mut self) -> Step<()> {
+    /// Right-hand side and event indicators at the current point. `true`: for its algebraic equations states were changed.
+    pub(super) fn evaluate_here(&mut self) -> Step<bool> {
+        let mut corrected = false;
         let space = &mut *self.space;
         if !space.x.is_empty() {
             let mut equations =
@@ -87,13 +108,23 @@ where
             if !space.x.iter().chain(self.stepper.derivative()).all(|v| v.is_finite()) {
                 return Err(ErrorKind::DiscardedAtRestart.into());
             }
+            match self.stepper.make_consistent(&mut equations, self.t, &mut space.x).map_err(no_retreat)? {
+                Consistency::Holds => {}
+                Consistency::Corrected => {
+                    corrected = true;
+                    self.system.states_corrected(self.t, &space.x).map_err(no_retreat)?;
+                }
+                Consistency::Impossible { equation, residual } => {
+                    return Err(ErrorKind::Inconsistent { equation, residual }.into());
+                }
+            }
         }
         if space.domains.len() > 0 {
             space.domains.forget();
             self.stats.event_indicators += 1;
             read_indicators(self.system, self.t, &space.x, &mut space.domains.base).map_err(no_retreat)?;
         }
-        Ok(())
+        Ok(corrected)
     }
 
     /// Without states nothing measures an error; indicators of time alone are looked at this often.
@@ -155,7 +186,8 @@ where
 
     /// Time events and input stops that fall on the current instant although the step did not end for them: announced
     /// for it by the start or by an event, or too close to it to be hit on their own. Whether there was any event.
-    pub(super) fn more_events_here(&mut self) -> Step<bool> {
+    /// `is_evaluated`: the right-hand side is known here.
+    pub(super) fn more_events_here(&mut self, is_evaluated: bool) -> Step<bool> {
         let mut any = false;
         let mut looks = 0;
         loop {
@@ -172,8 +204,8 @@ where
             }
             if time || input {
                 any = true;
-                self.space.slope.copy_from_slice(self.stepper.derivative());
                 self.sample_left()?;
+                self.take_slope(is_evaluated || any || self.stepper.evaluates_ends())?;
                 self.visit_event(EventCause { time, input, ..EventCause::default() })?;
             } else if stop.is_none() {
                 return Ok(any);

@@ -41,6 +41,7 @@ where
     /// is in `x_new`, the indicators there are in `domains.end`.
     pub(super) fn look_inside(&mut self, end: f64, h: f64) -> Step<Inside> {
         let mut ready = false;
+        self.space.domains.look();
         if self.sliding.step().is_some() {
             return self.slide_over(end, h);
         }
@@ -57,7 +58,7 @@ where
             };
             if let Some(at) = at.filter(|at| *at > self.t && *at < end) {
                 match self.changed_at(at, end, h, &mut ready) {
-                    Ok(changed) => bracket = changed.then_some(at),
+                    Ok(found) => bracket = found,
                     Err(error) => return self.cannot_stand(h, error),
                 }
             }
@@ -111,14 +112,14 @@ where
         Ok(())
     }
 
-    /// Whether an indicator is in another domain at a point inside the trial than at its start.
-    fn changed_at(&mut self, at: f64, end: f64, h: f64, ready: &mut bool) -> CallResult<bool> {
+    /// Looks at the indicators at a point inside the trial; the right end of what brackets an event.
+    fn changed_at(&mut self, at: f64, end: f64, h: f64, ready: &mut bool) -> CallResult<Option<f64>> {
         self.make_ready(end, h, ready)?;
         let Space { x, x_mid, domains, .. } = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x };
         self.stepper.interpolate(trial, (at - self.t) / h, x_mid);
         self.stats.event_indicators += 1;
-        domains.changed_at(at, |t, z| read_indicators(self.system, t, x_mid, z))
+        domains.changed_at(at, end, |t, z| read_indicators(self.system, t, x_mid, z))
     }
 
     fn cannot_stand(&mut self, h: f64, error: CallError) -> Step<Inside> {
@@ -135,7 +136,8 @@ where
         let tolerance = (100.0 * U * (self.t.abs() + h)).max(4.0 * U * end.abs());
         let for_jumps = if self.options.loose_jump_indicators { 1e-10 * self.t.abs().max(h) } else { 0.0 };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
-        let found = domains.locate(self.t, hi, (tolerance, for_jumps), |t, z| {
+        let lo = domains.counts_since().unwrap_or(self.t);
+        let found = domains.locate(lo, hi, (tolerance, for_jumps), |t, z| {
             stepper.interpolate(trial, (t - trial.t) / h, x_mid);
             read_indicators(system, t, x_mid, z)
         });
@@ -217,6 +219,7 @@ where
     /// `domains.end` holds the indicators at `hi`, of which at least one has changed.
     fn root_between(&mut self, lo: f64, hi: f64, end: f64, h: f64, tight: f64) -> CallResult<f64> {
         let Space { x, x_mid, domains, .. } = &mut *self.space;
+        let lo = domains.counts_since().map_or(lo, |from| lo.max(from));
         let trial = Trial { t: self.t, end, h, x };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
         let located = domains.locate(lo, hi, (tight, 0.0), |t, z| {

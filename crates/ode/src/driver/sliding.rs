@@ -1,7 +1,6 @@
 //! What is done where events follow each other while time hardly advances.
 
 use super::{ErrorKind, Run, Step};
-use crate::event::ChatteringGuard;
 use crate::observer::Observer;
 use crate::options::ChatteringPolicy;
 use crate::stepper::Stepper;
@@ -9,6 +8,53 @@ use crate::system::{EventCause, HybridSystem};
 
 /// After so many steps without a state event the sliding has ended.
 const CLEAN_STEPS: u32 = 100;
+
+/// Notices events that follow each other while time hardly advances (chattering, Zeno). The test is on the time that
+/// passes, not on the number of events: many events far apart are a legal model.
+#[derive(Debug)]
+pub(super) struct ChatteringGuard {
+    times: [f64; Self::EVENTS],
+    next: usize,
+    least: f64,
+}
+
+impl ChatteringGuard {
+    /// So many events in a row must advance time.
+    pub(super) const EVENTS: usize = 100;
+    /// State events by this share of the span, or this much at least: how often a relay may switch does not depend on
+    /// how long it is watched.
+    const STATE_EVENTS: (f64, f64) = (1e-6, 1e-3);
+    /// Time events by this: a clock may be fast, but it must not stand still.
+    const TIME_EVENTS: (f64, f64) = (1e-9, 1e-6);
+
+    /// For a span in which times closer than `same` are one.
+    fn of_span((share, enough): (f64, f64), span: f64, same: f64) -> Self {
+        Self::new((share * span).min(enough.max(Self::still(same))))
+    }
+
+    /// An event is located to a few times what tells two instants apart: in less time than this for all of them, time
+    /// stands still.
+    fn still(same: f64) -> f64 {
+        10.0 * Self::EVENTS as f64 * same
+    }
+
+    pub(super) fn new(least: f64) -> Self {
+        Self { times: [f64::NEG_INFINITY; Self::EVENTS], next: 0, least }
+    }
+
+    /// Records an event at `t`; returns the time in which the last [`EVENTS`](Self::EVENTS) happened if that is too short.
+    pub(super) fn record(&mut self, t: f64) -> Option<f64> {
+        let within = t - self.times[self.next];
+        self.times[self.next] = t;
+        self.next = (self.next + 1) % Self::EVENTS;
+        (within < self.least).then_some(within)
+    }
+
+    /// Forgets all events.
+    pub(super) fn forget(&mut self) {
+        self.times.fill(f64::NEG_INFINITY);
+    }
+}
 
 /// The guards, and whether the solution slides along the border of a domain.
 #[derive(Debug)]
@@ -23,10 +69,10 @@ pub(super) struct Sliding {
 }
 
 impl Sliding {
-    pub(super) fn new(span: f64) -> Self {
+    pub(super) fn new(span: f64, same: f64) -> Self {
         Self {
-            state_events: ChatteringGuard::new(ChatteringGuard::STATE_EVENTS * span),
-            time_events: ChatteringGuard::new(ChatteringGuard::TIME_EVENTS * span),
+            state_events: ChatteringGuard::of_span(ChatteringGuard::STATE_EVENTS, span, same),
+            time_events: ChatteringGuard::of_span(ChatteringGuard::TIME_EVENTS, span, same),
             usual: ChatteringPolicy::SLIDING_STEP * span,
             step: None,
             clean: 0,
@@ -82,8 +128,7 @@ where
             ChatteringPolicy::Slide if self.fixed_step.is_none() && !self.space.x.is_empty() => {
                 self.sliding.begin();
             }
-            // Each event is located to a few times what tells two instants apart: so close, time stands still.
-            ChatteringPolicy::Warn if within > 10.0 * events as f64 * self.same => {}
+            ChatteringPolicy::Warn if within > ChatteringGuard::still(self.same) => {}
             _ => {
                 let indicator = crossed.unwrap_or_default();
                 return Err(ErrorKind::Chattering { events, within, indicator }.into());
@@ -92,5 +137,19 @@ where
         self.sliding.state_events.forget();
         self.stats.chattering += 1;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_guard_looks_at_time_not_at_the_count() {
+        let mut guard = ChatteringGuard::new(1e-6);
+        assert!((0..10_000).all(|i| guard.record(f64::from(i) * 1e-4).is_none()));
+        let mut guard = ChatteringGuard::new(1e-6);
+        let caught = (0..200).position(|i| guard.record(f64::from(i) * 1e-10).is_some());
+        assert_eq!(caught, Some(100));
     }
 }

@@ -62,13 +62,6 @@ impl Collocation {
     pub(super) fn value(&self, i: usize, s: f64) -> f64 {
         s * (self.p[0][i] + (s + 1.0 - C2) * (self.p[1][i] + (s + 1.0 - C1) * self.p[2][i]))
     }
-
-    /// The derivative of [`value`](Self::value).
-    fn slope(&self, i: usize, s: f64) -> f64 {
-        let (s1, s2) = (s + 1.0 - C2, s + 1.0 - C1);
-        let inner = self.p[1][i] + s2 * self.p[2][i];
-        self.p[0][i] + s1 * inner + s * (inner + s1 * self.p[2][i])
-    }
 }
 
 /// The terms beyond the collocation polynomial.
@@ -111,13 +104,6 @@ impl Terms {
         let (q, w) = (correction(theta), theta * nodes(theta));
         move |i| step.value(i, theta - 1.0) + q * self.defect[i] + w * self.bend[i]
     }
-
-    /// Its slope, for `theta` as the independent variable.
-    pub(super) fn slope(&self, step: &Collocation, theta: f64) -> impl Fn(usize) -> f64 {
-        let q = -10.0 * nodes(theta);
-        let w = -0.1 + theta * (1.8 + theta * (-5.4 + 4.0 * theta));
-        move |i| step.slope(i, theta - 1.0) + q * self.defect[i] + w * self.bend[i]
-    }
 }
 
 /// `M`: the product of the distances to the abscissae.
@@ -153,12 +139,10 @@ mod tests {
         assert!((largest(&correction) / LARGEST_CORRECTION - 1.0).abs() < 0.01);
     }
 
-    /// With exact stages, as stiff components have them, the inside is exact for polynomials of degree 4, and so are
-    /// slopes.
+    /// With exact stages, as stiff components have them, the inside is exact for polynomials of degree 4.
     #[test]
     fn a_quartic_is_interpolated() {
         let x = |t: f64| 2.0 + t * (1.0 + t * (-3.0 + t * (0.5 + 0.25 * t)));
-        let slope = |t: f64| 1.0 + t * (-6.0 + t * (1.5 + t));
         let step = |t: f64, h: f64| {
             let mut c = Collocation::default();
             c.begin(1);
@@ -174,7 +158,6 @@ mod tests {
         for theta in [0.1, 0.35, 0.5, 0.8] {
             let value = x(t + h) + terms.value(&trial, theta)(0);
             assert!((value - x(t + theta * h)).abs() < 1e-13);
-            assert!((terms.slope(&trial, theta)(0) / h - slope(t + theta * h)).abs() < 1e-12);
         }
     }
 }

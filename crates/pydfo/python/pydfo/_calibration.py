@@ -115,7 +115,8 @@ class Calibration:
         The recording: a column ``time`` (in s, ascending, intervals as they come) and what was measured. NaN, None and
         empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate.
     outputs : dict of str to str, or list of str
-        Which output of the model was measured by which column; a list if they have the same names.
+        Which output of the model was measured by which column; a list if they have the same names. A simulation in which
+        one of them is NaN or infinite where something was measured counts as failed.
     parameters : sequence of Parameter
         What is fitted.
     inputs : dict of str to str, or list of str, optional

@@ -378,6 +378,7 @@ class FMUModel:
         Returns
         -------
         SimulationResult
+            Its columns hold what the model says, NaN and infinities too; derivatives and states that are none end in an error.
 
         Raises
         ------

@@ -224,7 +224,7 @@ def solve(
     events : callable, or list of callables, optional
         ``event(t, y) -> float``: an event occurs where it becomes positive or stops being positive. Its attributes are
         those of SciPy: ``terminal`` (True, or after how many occurrences the run ends) and ``direction`` (positive: only
-        upward, negative: only downward crossings count).
+        upward, negative: only downward crossings are events; the others do not even end a step).
     on_event : callable, optional
         ``on_event(t, y, which) -> array_like, shape (n,), or None``: called at each event with the list `which` of the
         positions of the functions that have crossed; returns the states to go on with, or None to keep them.
@@ -240,9 +240,11 @@ def solve(
     jac_sparsity : array_like or sparse matrix, shape (n, n), optional
         Not zero where the Jacobian may differ from zero: columns that share no row then come from one difference.
     mass : array_like, shape (n, n), optional
-        The constant matrix on the left. It may be singular (a differential-algebraic system of index 1; `x0` must be
-        consistent: that is not checked, and already the first step ends at algebraic states that are). Only for "radau5"
-        and "auto".
+        The constant matrix on the left. It may be singular (a differential-algebraic system of index 1). Then the
+        equations in which no derivative stands must hold at the start and after each event. Where they do not, within
+        the tolerances, the states that they decide are corrected by Newton's method, with ``mass @ y`` as it was: give
+        the others exactly, and for these a guess. If that finds none the integration fails and names the equation. Only
+        for "radau5" and "auto".
     first_step, max_step : float, optional
         First and largest step. By default the first step is estimated, and the largest is the span.
     step : float, optional
@@ -251,9 +253,10 @@ def solve(
         At how many points inside each step the events are looked at besides its end, so that a crossing and its return
         do not hide in one step. By default one where steps are long.
     chattering : {"error", "warn", "slide"}
-        What to do where events follow each other while time hardly advances: fail; go on and log a warning (an error
-        still where time stands still); or go on in steps of 1e-5 of the span at whose ends the events happen, which
-        slides along a border that the solution cannot leave.
+        What to do where events follow each other while time hardly advances (a hundred within 1e-6 of the span, or within
+        1e-3 where the span is longer than 1000): fail; go on and log a warning (an error still where time stands still);
+        or go on in steps of 1e-5 of the span at whose ends the events happen, which slides along a border that the
+        solution cannot leave.
     max_steps, max_events : int, optional
         Limits.
     timeout : float, optional
