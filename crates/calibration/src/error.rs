@@ -72,6 +72,6 @@ pub enum CalibrationError {
         /// Its name.
         name: String,
         /// What the optimiser says.
-        source: dfo::Error,
+        source: Box<dfo::Error>,
     },
 }

@@ -243,7 +243,7 @@ impl Calibration {
         match source.parameter() {
             Some(index) => {
                 let name = self.parameters()[index].name().to_owned();
-                CalibrationError::OptimiserParameter { index, name, source }
+                CalibrationError::OptimiserParameter { index, name, source: Box::new(source) }
             }
             None => source.into(),
         }
