@@ -111,8 +111,8 @@ class OdeResult:
     Attributes
     ----------
     t : ndarray, shape (m,)
-        The times that were asked for, or the ends of the steps. Where `on_event` changed the state, the end of a step
-        is listed twice: before and after.
+        The times that were asked for, or the ends of the steps. Where an event changed the state, the end of a step is
+        listed twice: before and after.
     y : ndarray, shape (n, m)
         The states there.
     sol : DenseOutput or None
