@@ -159,6 +159,25 @@ impl Domains {
         (t > start && t < end && beyond).then_some(t)
     }
 
+    /// Whether the first step after an event, or of a run, has led indicator `i` from next to zero on into the domain where
+    /// it was: it may have left that right behind the start, and come back.
+    pub(crate) fn leaves_zero(&self, i: usize) -> bool {
+        let (z0, z2) = (self.base[i], self.end[i]);
+        self.before_time.is_none() && !flipped(z0, z2) && z0.abs() < 1e-3 * z2.abs()
+    }
+
+    /// Where the parabola through the values of such an indicator at the start, at the point looked at last, and at the
+    /// end comes to a turning point in the other domain.
+    pub(crate) fn return_point(&self, i: usize, start: f64, mid: f64, end: f64) -> Option<f64> {
+        let (z0, z1, z2) = (self.base[i], self.mid[i], self.end[i]);
+        let (s1, s2) = ((z1 - z0) / (mid - start), (z2 - z1) / (end - mid));
+        let curvature = (s2 - s1) / (end - start);
+        let slope = s1 - curvature * (mid - start);
+        let t = start - 0.5 * slope / curvature;
+        let turns = self.leaves_zero(i) && t > start && t < end;
+        (turns && flipped(z0, z0 + 0.5 * slope * (t - start))).then_some(t)
+    }
+
     /// Reads the indicators at a point inside the step to `end`. Where one has an event before that point, or behind it
     /// because it came back to where it was at the start, the right end of the bracket is returned; the indicators there
     /// are those at the end then.

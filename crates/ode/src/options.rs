@@ -166,7 +166,8 @@ pub struct Options {
     /// Points inside each step at which the event indicators are looked at too, so that a crossing and its return do not
     /// hide in one step. Default: one for methods that take long steps (DOP853, Radau5, BDF) and where a step is more
     /// than three times as long as the one before, else none. Whatever this is, the turning point of a parabola through
-    /// the last three values is looked at where it lies near zero.
+    /// the last three values is looked at where it lies near zero; and, unless this is zero, the middle of the first step
+    /// after an event from which an indicator goes on into the domain where it is, and a turning point right behind it.
     pub interior_samples: Option<u32>,
     /// Locate indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead of to rounding:
     /// a fifth of the evaluations less, for models that have many such. Default `false`.

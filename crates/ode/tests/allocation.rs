@@ -35,6 +35,52 @@ fn a_warm_driver_allocates_nothing() {
     }
 }
 
+/// `x' = -y`, `0 = y - k x` from a guess of y; each second k changes, and y with it.
+struct Valve {
+    mass: [f64; 4],
+    k: f64,
+    corrections: u32,
+}
+
+impl HybridSystem for Valve {
+    fn n_states(&self) -> usize {
+        2
+    }
+    fn mass_matrix(&self) -> Option<&[f64]> {
+        Some(&self.mass)
+    }
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        self.k = 1.0;
+        x.copy_from_slice(&[1.0, 7.0]);
+        Ok(EventOutcome { next_time: Some(t0 + 1.0), ..EventOutcome::default() })
+    }
+    fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx.copy_from_slice(&[-x[1], x[1] - self.k * x[0]]);
+        Ok(())
+    }
+    fn handle_event(&mut self, visit: &EventVisit<'_>, _: &mut [f64]) -> CallResult<EventOutcome> {
+        self.k = 3.0 - self.k;
+        Ok(EventOutcome { next_time: Some(visit.time + 1.0), ..EventOutcome::default() })
+    }
+    fn states_corrected(&mut self, _: f64, x: &[f64]) -> CallResult<()> {
+        self.corrections += 1;
+        assert!((x[1] - self.k * x[0]).abs() < 1e-9, "{x:?}");
+        Ok(())
+    }
+}
+
+#[test]
+fn algebraic_states_are_corrected_without_allocating() {
+    let mut driver = Driver::new(Options { method: Method::Radau5, ..Options::default() }).unwrap();
+    let mut valve = Valve { mass: [1.0, 0.0, 0.0, 0.0], k: 1.0, corrections: 0 };
+    driver.run(&mut valve, 0.0, 5.5, &[], &mut Sum(0.0)).unwrap();
+    assert_eq!(valve.corrections, 6);
+    let counted = allocation_counter::measure(|| {
+        driver.run(&mut valve, 0.0, 5.5, &[], &mut Sum(0.0)).unwrap();
+    });
+    assert_eq!((counted.count_total, valve.corrections), (0, 12), "{counted:?}");
+}
+
 /// Heat in a rod of 150 cells, whose pattern is known: decompositions are sparse.
 struct Rod(JacobianPattern);
 

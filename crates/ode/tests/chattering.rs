@@ -210,3 +210,50 @@ fn long_runs_may_have_events_as_often_as_short_ones() {
         assert!(matches!(error.kind, ErrorKind::TimeEventLoop(100)), "{span:e}: {error}");
     }
 }
+
+/// A ball that an event puts on the floor exactly, with arcs that become shorter than any step: it never falls through.
+/// (BDF's first step is a straight line: it does.)
+#[test]
+fn a_ball_on_the_floor_does_not_fall_through() {
+    struct Bare {
+        direction: Direction,
+    }
+    impl HybridSystem for Bare {
+        fn n_states(&self) -> usize {
+            2
+        }
+        fn n_event_indicators(&self) -> usize {
+            1
+        }
+        fn event_direction(&self, _: usize) -> Direction {
+            self.direction
+        }
+        fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+            x.copy_from_slice(&[1.0, 0.0]);
+            Ok(EventOutcome::default())
+        }
+        fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+            dx.copy_from_slice(&[x[1], -9.81]);
+            Ok(())
+        }
+        fn event_indicators(&mut self, _: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+            z[0] = x[0];
+            Ok(())
+        }
+        fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+            if visit.crossings[0] < 0 {
+                x.copy_from_slice(&[0.0, -0.7 * x[1]]);
+            }
+            Ok(EventOutcome { states_changed: true, ..EventOutcome::default() })
+        }
+    }
+    for &method in &ADAPTIVE[..4] {
+        for direction in [Direction::Down, Direction::Both] {
+            let mut driver = driver(method, ChatteringPolicy::Error);
+            let what = format!("{} {direction:?}", method.name());
+            let error = driver.run(&mut Bare { direction }, 0.0, 4.0, &[], &mut Ignore).expect_err(&what);
+            assert!(matches!(error.kind, ErrorKind::Chattering { events: 100, .. }), "{what}: {error}");
+            assert!((error.time - 2.558_633_965_585_808_4).abs() < 1e-6, "{what}: {error}");
+        }
+    }
+}

@@ -65,6 +65,61 @@ fn robertson_with_conservation_is_robertson() {
     }
 }
 
+/// The chemical Akzo Nobel problem of the IVP test set (F. Mazzia, C. Magherini, Test Set for Initial Value Problem
+/// Solvers, 2008, II-1), in which an equilibrium decides the last concentration; its values at t = 180 are theirs.
+#[test]
+fn an_equilibrium_of_the_test_set_has_its_digits_from_any_guess() {
+    let exact = [
+        1.150_794_920_661_702e-1,
+        1.203_831_471_567_715e-3,
+        1.611_562_887_407_974e-1,
+        3.656_156_421_249_283e-4,
+        1.708_010_885_264_404e-2,
+        4.873_531_310_307_455e-3,
+    ];
+    let equilibrium = 115.83 * 0.444 * 0.007;
+    for guess in [equilibrium, 0.0, 1e3, -5.0] {
+        for (rtol, digits) in [(1e-4, 5.5), (1e-6, 6.5), (1e-8, 8.5), (1e-10, 10.5)] {
+            let mut mass = vec![0.0; 36];
+            (0..5).for_each(|i| mass[7 * i] = 1.0);
+            let mut dae = Dae {
+                x0: vec![0.444, 0.00123, 0.0, 0.007, 0.0, guess],
+                mass,
+                f: |_: f64, y: &[f64], d: &mut [f64]| {
+                    let r = [
+                        18.7 * y[0].powi(4) * y[1].sqrt(),
+                        0.58 * y[2] * y[3],
+                        0.58 / 34.4 * y[0] * y[4],
+                        0.09 * y[0] * y[3] * y[3],
+                        0.42 * y[5] * y[5] * y[1].sqrt(),
+                    ];
+                    let inflow = 3.3 * (0.9 / 737.0 - y[1]);
+                    d.copy_from_slice(&[
+                        -2.0 * r[0] + r[1] - r[2] - r[3],
+                        -0.5 * r[0] - r[3] - 0.5 * r[4] + inflow,
+                        r[0] - r[1] + r[2],
+                        -r[1] + r[2] - 2.0 * r[3],
+                        r[1] - r[2] + r[4],
+                        115.83 * y[0] * y[3] - y[5],
+                    ]);
+                },
+            };
+            let mut seen = Recorder::default();
+            let options = Options {
+                method: Method::Radau5,
+                relative_tolerance: rtol,
+                absolute_tolerance: AbsoluteTolerance::Scalar(1e-4 * rtol),
+                ..Options::default()
+            };
+            Driver::new(options).unwrap().run(&mut dae, 0.0, 180.0, &[0.0, 180.0], &mut seen).unwrap();
+            assert!((seen.rows[0].3[5] - equilibrium).abs() < 1e-9, "{guess}: {:?}", seen.rows[0]);
+            let found = exact.iter().zip(&seen.rows[1].3).map(|(e, x)| (x / e - 1.0).abs());
+            let found = -found.fold(0.0, f64::max).log10();
+            assert!(found > digits, "from {guess} at {rtol:e}: {found:.2} digits");
+        }
+    }
+}
+
 /// x' = z with 0 = x^2 + z^2 - 1 on the branch z > 0 from x = 0: sin and cos. Then the same with equations mixed, so that
 /// the matrix is singular but has no zero row.
 #[test]

@@ -170,6 +170,19 @@ def test_events_change_the_state(method):
     assert res.stats.state_events == 11 and res.stats.restarts == 10
 
 
+@pytest.mark.parametrize("method", ["auto", "tsit5", "dop853", "radau5"])
+def test_a_ball_that_never_rests_does_not_fall_through_the_floor(method):
+    def height(t, y):
+        return y[0]
+
+    height.direction = -1
+    res = ode.solve(
+        lambda t, y: [y[1], -9.81], (0, 4), [1.0, 0.0], method, events=height, on_event=lambda t, y, which: [0.0, -0.7 * y[1]]
+    )
+    assert not res.success and res.message.startswith("chattering at t = 2.5586")
+    assert abs(res.end_time - 2.5586339655858085) < 1e-6 and res.y[0].min() > -1e-9
+
+
 def test_both_sides_of_an_event_where_asked_for_twice():
     def clock(t, y):
         return t - 0.5

@@ -63,6 +63,12 @@ where
                 }
             }
         }
+        if bracket.is_none() {
+            match self.right_behind_the_start(end, h, &mut ready) {
+                Ok(found) => bracket = found,
+                Err(error) => return self.cannot_stand(h, error),
+            }
+        }
         let sampled = self.space.sampler.due_before(self.times, end - self.same).is_some();
         if (bracket.is_some() || sampled || self.observer.wants_steps())
             && let Err(error) = self.make_ready(end, h, &mut ready)
@@ -73,6 +79,28 @@ where
             Some(at) => self.locate(at, end, h),
             None => Ok(Inside::Nothing),
         }
+    }
+
+    /// Looks for a way out of a domain and back that is much shorter than the first step after an event: a ball that
+    /// bounces less and less would fall through the floor there. The right end of what brackets it.
+    fn right_behind_the_start(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<Option<f64>> {
+        let indicators = 0..self.space.domains.len();
+        let leaves_zero = |i| self.space.domains.leaves_zero(i);
+        if self.options.interior_samples == Some(0)
+            || self.space.x.is_empty()
+            || !indicators.clone().any(leaves_zero)
+        {
+            return Ok(None);
+        }
+        let mid = self.t + 0.5 * h;
+        if mid <= self.t || mid >= end {
+            return Ok(None);
+        }
+        if let Some(found) = self.changed_at(mid, end, h, ready)? {
+            return Ok(Some(found));
+        }
+        let turn = indicators.filter_map(|i| self.space.domains.return_point(i, self.t, mid, end)).next();
+        turn.map_or(Ok(None), |at| self.changed_at(at, end, h, ready))
     }
 
     /// While the solution slides a crossing counts where the step ends.

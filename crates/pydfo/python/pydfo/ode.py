@@ -111,8 +111,8 @@ class OdeResult:
     Attributes
     ----------
     t : ndarray, shape (m,)
-        The times that were asked for, or the ends of the steps. Where `on_event` changed the state, the end of a step
-        is listed twice: before and after.
+        The times that were asked for, or the ends of the steps. Where an event changed the state, the end of a step is
+        listed twice: before and after.
     y : ndarray, shape (n, m)
         The states there.
     sol : DenseOutput or None
@@ -251,7 +251,8 @@ def solve(
         Step of "rk4" and "euler"; by default a 500th of the span.
     interior_samples : int, optional
         At how many points inside each step the events are looked at besides its end, so that a crossing and its return
-        do not hide in one step. By default one where steps are long.
+        do not hide in one step. By default one where steps are long, or where an event function is next to zero at the
+        start of the first step after an event.
     chattering : {"error", "warn", "slide"}
         What to do where events follow each other while time hardly advances (a hundred within 1e-6 of the span, or within
         1e-3 where the span is longer than 1000): fail; go on and log a warning (an error still where time stands still);
