@@ -1,6 +1,7 @@
 //! Looking inside a step that meets the tolerance: crossings of indicators, and the step that ends at one.
 
-use super::{Run, Shrink, Space, Step, Tried, U, kind_of, no_retreat, read_indicators};
+use super::step::{Shrink, Tried};
+use super::{Run, Space, Step, U, kind_of, no_retreat, read_indicators};
 use crate::observer::Observer;
 use crate::stepper::{Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};

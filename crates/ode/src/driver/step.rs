@@ -1,0 +1,131 @@
+//! One step: how far it is to go, the trial, and what becomes of one that was not good.
+
+use super::{ErrorKind, Run, Step, U, kind_of, read_indicators};
+use crate::observer::Observer;
+use crate::stepper::{Attempt, Equations, Stepper, Trial};
+use crate::system::{CallError, HybridSystem};
+
+/// Refused points in a row before a run gives up.
+const MAX_DISCARDS: u32 = 12;
+
+/// Outcome of one trial step.
+pub(super) enum Tried {
+    /// Good up to its own end, or up to the event found inside.
+    Good,
+    /// Not good for this reason; to be tried again with this size.
+    Again { h: f64, why: Shrink },
+}
+
+/// Why a step is made smaller.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Shrink {
+    /// The error test wants it.
+    TooInexact,
+    /// The equations of an implicit method were not solved.
+    NotSolved,
+    /// The model refused a point of it.
+    Refused,
+}
+
+impl<S, M, O> Run<'_, S, M, O>
+where
+    S: HybridSystem + ?Sized,
+    M: Stepper,
+    O: Observer + ?Sized,
+{
+    /// The next instant that a step must hit exactly: the end, a time event, a kink or jump of an input.
+    pub(super) fn target(&self) -> f64 {
+        let mut target = self.end;
+        for stop in [self.next_time_event, self.input_stop.map(|s| s.time)].into_iter().flatten() {
+            if stop > self.t + self.same && stop < target - self.same {
+                target = stop;
+            }
+        }
+        target
+    }
+
+    /// The step to try: what the controller proposes, cut or stretched so that no sliver is left before the target.
+    pub(super) fn step_towards(&self, target: f64) -> f64 {
+        let remaining = target - self.t;
+        if let Some(step) = self.fixed_step {
+            // Grid points are start + k * step, never sums; an event does not shift them. The one we stand on, up to
+            // rounding, is not the next.
+            let mut k = ((self.t - self.start) / step).floor() + 1.0;
+            while self.start + k * step <= self.t + self.same {
+                k += 1.0;
+            }
+            let grid = self.start + k * step;
+            return if grid >= target - self.same { remaining } else { grid - self.t };
+        }
+        if self.space.x.is_empty() && self.space.domains.len() == 0 {
+            return remaining;
+        }
+        let h = self.sliding.step().unwrap_or(self.h).min(self.options.max_step.unwrap_or(f64::INFINITY));
+        let h = h.max(self.least_step());
+        if remaining < 1.1 * h && (self.options.max_step.is_none_or(|m| remaining <= m)) {
+            remaining
+        } else if remaining < 2.0 * h {
+            0.5 * remaining
+        } else {
+            h
+        }
+    }
+
+    /// Below this a step of an adaptive method means nothing: rounding moves its end by more than a part of it.
+    fn least_step(&self) -> f64 {
+        16.0 * U * self.t.abs().max(1e-6 * (self.end - self.start))
+    }
+
+    /// Tries the step and reads the event indicators at its end.
+    pub(super) fn attempt(&mut self, end: f64, h: f64) -> Step<Tried> {
+        let space = &mut *self.space;
+        let trial = Trial { t: self.t, end, h, x: &space.x };
+        let mut equations =
+            Equations { system: &mut *self.system, weights: &space.weights, stats: &mut self.stats };
+        let tried = self.stepper.try_step(&mut equations, trial, &mut space.x_new);
+        match tried {
+            Ok(Attempt::Good) => {}
+            Ok(Attempt::TooInexact { h }) => {
+                self.worst_state = space.weights.worst(&space.x, &space.x_new, self.stepper.error());
+                return Ok(Tried::Again { h, why: Shrink::TooInexact });
+            }
+            Ok(Attempt::NotSolved { h }) => return Ok(Tried::Again { h, why: Shrink::NotSolved }),
+            Err(error) => return self.refused(h, error),
+        }
+        if space.domains.len() > 0 {
+            self.stats.event_indicators += 1;
+            if let Err(error) = read_indicators(self.system, end, &space.x_new, &mut space.domains.end) {
+                return self.refused(h, error);
+            }
+        }
+        Ok(Tried::Good)
+    }
+
+    /// A point of a trial of size `h` could not be evaluated: a smaller step, unless the model has failed altogether.
+    pub(super) fn refused(&mut self, h: f64, error: CallError) -> Step<Tried> {
+        match error {
+            CallError::Discard => Ok(Tried::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
+            CallError::Failed(e) => Err(kind_of(e).into()),
+        }
+    }
+
+    /// Goes on with a smaller step, unless it would be too small to mean anything.
+    pub(super) fn shrink(&mut self, h: f64, why: Shrink) -> Step<()> {
+        self.stats.rejected_steps += 1;
+        let discarded = why == Shrink::Refused;
+        if why != Shrink::TooInexact {
+            self.worst_state = None;
+        }
+        self.discards += u32::from(discarded);
+        let hopeless = self.fixed_step.is_some() || (discarded && self.discards > MAX_DISCARDS);
+        if h < self.least_step() || hopeless {
+            return Err(match why {
+                Shrink::NotSolved => ErrorKind::NoConvergence.into(),
+                _ => ErrorKind::StepTooSmall { discarded }.into(),
+            });
+        }
+        self.h = h;
+        self.sliding.shrink(h);
+        Ok(())
+    }
+}
