@@ -150,11 +150,13 @@ pub(crate) struct SigintHandler {
 impl SigintHandler {
     #[pyo3(signature = (*_args))]
     fn __call__(&self, _args: &Bound<'_, PyTuple>) -> PyResult<()> {
-        let mut again = false;
-        for stop in lock(&self.active).iter() {
-            again |= stop.ask() > 0;
+        let active = lock(&self.active);
+        // Nobody is left to be asked: as if we were not here.
+        let mut raise = active.is_empty();
+        for stop in active.iter() {
+            raise |= stop.ask() > 0;
         }
-        if again { Err(PyKeyboardInterrupt::new_err(())) } else { Ok(()) }
+        if raise { Err(PyKeyboardInterrupt::new_err(())) } else { Ok(()) }
     }
 }
 
@@ -185,9 +187,14 @@ impl<'py> Watch<'py> {
             }
         } else if signals.is_raising(&current) {
             let ours = Bound::new(py, SigintHandler { active: Mutex::new(vec![Arc::clone(&watch.stop)]) })?;
-            if signals.handle_by(py, ours.as_any()).is_ok() {
-                watch.handler = Some(ours);
-                watch.previous = Some(current);
+            match signals.handle_by(py, ours.as_any()) {
+                Ok(()) => {
+                    watch.handler = Some(ours);
+                    watch.previous = Some(current);
+                }
+                // One that was pending has been handled before ours was in place.
+                Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(py) => return Err(e),
+                Err(_) => {}
             }
         }
         Ok(watch)
@@ -245,6 +252,8 @@ impl<'py> Watch<'py> {
                 Ok(job) => job(self.py),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
+                    // Short work has ended before anybody looked.
+                    self.stop.look(self.py);
                     return match result.recv() {
                         Ok(Ok(result)) => Ok(Some(result)),
                         Ok(Err(panic)) => resume_unwind(panic),
@@ -259,20 +268,41 @@ impl<'py> Watch<'py> {
     }
 }
 
+impl Watch<'_> {
+    /// Puts the handler from before back, unless somebody has put another one in place of ours.
+    fn restore(&self, ours: &Bound<'_, SigintHandler>, previous: &Bound<'_, PyAny>) -> PyResult<()> {
+        let signals = Signals::get(self.py)?;
+        match signals.handler(self.py)?.is(ours) {
+            true => signals.handle_by(self.py, previous),
+            false => Ok(()),
+        }
+    }
+}
+
 impl Drop for Watch<'_> {
     fn drop(&mut self) {
         let Some(handler) = &self.handler else { return };
-        lock(&handler.get().active).retain(|s| !Arc::ptr_eq(s, &self.stop));
-        let Some(previous) = &self.previous else { return };
-        let restore = || -> PyResult<()> {
-            let signals = Signals::get(self.py)?;
-            match signals.handler(self.py)?.is(handler) {
-                true => signals.handle_by(self.py, previous),
-                false => Ok(()),
+        let mut came_late = false;
+        if let Some(previous) = &self.previous {
+            // Python lets pending signals be handled before it changes a handler: one that came since somebody looked is
+            // told to this work, which nobody asks any more.
+            let asked = self.stop.asked.load(Ordering::Relaxed);
+            let restored = match self.restore(handler, previous) {
+                Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(self.py) => self.restore(handler, previous),
+                outcome => outcome,
+            };
+            if let Err(e) = restored {
+                e.write_unraisable(self.py, None);
             }
-        };
-        if let Err(e) = restore() {
-            e.write_unraisable(self.py, None);
+            came_late = self.stop.asked.load(Ordering::Relaxed) > asked;
+        }
+        lock(&handler.get().active).retain(|s| !Arc::ptr_eq(s, &self.stop));
+        if came_late {
+            // So it is handed on to the handler from before.
+            let again = self.py.import("_thread").and_then(|thread| thread.call_method0("interrupt_main"));
+            if let Err(e) = again {
+                e.write_unraisable(self.py, None);
+            }
         }
     }
 }

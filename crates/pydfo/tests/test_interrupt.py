@@ -194,3 +194,22 @@ def test_a_script_ends_as_scripts_do_on_ctrl_c():
     out, err = process.communicate(timeout=10.0)
     assert out.startswith("best ") and "Interrupted" in err
     assert process.returncode != 0
+
+
+@pytest.mark.parametrize("what", ["simulate", "cost", "solve"])
+def test_a_loop_of_short_work_can_be_interrupted(what):
+    model = pydfo.FMUModel(pydfo.example_fmu("dahlquist"))
+    data = {"time": [0.0, 0.5, 1.0], "x": [1.0, 0.6, 0.4]}
+    calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [pydfo.Parameter("k", 1.0, 0.1, 5.0)])
+    work = {
+        "simulate": lambda: model.simulate(final_time=1.0),
+        "cost": lambda: calibration.cost([1.0]),
+        "solve": lambda: pydfo.ode.solve(lambda t, x: -x, (0.0, 1.0), [1.0]),
+    }[what]
+    work()
+    for _ in range(10):
+        press(0.02)
+        with pytest.raises(KeyboardInterrupt):
+            deadline = time.monotonic() + 2.0
+            while time.monotonic() < deadline:
+                work()

@@ -203,9 +203,9 @@ where
                 return Err(ErrorKind::TimeEventLoop(ChatteringGuard::EVENTS as u64).into());
             }
             if time || input {
-                any = true;
                 self.sample_left()?;
                 self.take_slope(is_evaluated || any || self.stepper.evaluates_ends())?;
+                any = true;
                 self.visit_event(EventCause { time, input, ..EventCause::default() })?;
             } else if stop.is_none() {
                 return Ok(any);
