@@ -208,7 +208,8 @@ impl Domains {
     }
 
     /// Finds the first event in `(t_lo, t_hi]`, where `end` holds the indicators at its end, and `base` (or those that
-    /// changes count from) the ones at its start, and at least one has changed so that it is an event. `evaluate(t, z)` fills in the indicators at a time between.
+    /// changes count from) the ones at its start, and at least one has changed so that it is an event. `evaluate(t, z)`
+    /// fills in the indicators at a time between.
     ///
     /// T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function,
     /// Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators; each iteration works

@@ -55,8 +55,9 @@ pub(crate) enum Consistency {
 /// stepper judges its own error, proposes step sizes, and keeps what the method remembers between steps.
 ///
 /// The order of calls: [`begin`](Self::begin) once a run; [`evaluate`](Self::evaluate) and [`forget`](Self::forget) at
-/// its first point, with [`make_consistent`](Self::make_consistent) between them; trials, of which the last good one may be looked into and is then accepted; after an event
-/// [`evaluate`](Self::evaluate), and [`forget`](Self::forget) if it changed something.
+/// its first point, with [`make_consistent`](Self::make_consistent) between them; trials, of which the last good one may be
+/// looked into and is then accepted; after an event [`evaluate`](Self::evaluate), [`make_consistent`](Self::make_consistent),
+/// and [`forget`](Self::forget) if it changed something.
 pub(crate) trait Stepper {
     /// The order that decides how a first step is guessed: that of the solution whose error is estimated.
     fn order(&self) -> u32;

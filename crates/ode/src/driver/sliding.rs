@@ -21,10 +21,10 @@ pub(super) struct ChatteringGuard {
 impl ChatteringGuard {
     /// So many events in a row must advance time.
     pub(super) const EVENTS: usize = 100;
-    /// State events by this share of the span, or this much at least: how often a relay may switch does not depend on
-    /// how long it is watched.
+    /// State events by this share of the span, or by so many seconds if that is less: how often a relay may switch does
+    /// not depend on how long it is watched.
     const STATE_EVENTS: (f64, f64) = (1e-6, 1e-3);
-    /// Time events by this: a clock may be fast, but it must not stand still.
+    /// Time events likewise: a clock may be fast, but it must not stand still.
     const TIME_EVENTS: (f64, f64) = (1e-9, 1e-6);
 
     /// For a span in which times closer than `same` are one.
