@@ -13,6 +13,14 @@ pub enum FmiError {
     /// Opening, unpacking or compiling was ended from outside.
     #[error("cancelled")]
     Cancelled,
+    /// There is not enough memory for something large; nothing was taken.
+    #[error("{what} would take {} MB of memory, more than is available", bytes / 1_000_000)]
+    Memory {
+        /// What was to be made, with its numbers.
+        what: String,
+        /// How much it would take.
+        bytes: u64,
+    },
     /// The operating system refused something.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {

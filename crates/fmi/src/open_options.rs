@@ -2,7 +2,10 @@
 
 use crate::archive::ArchiveLimits;
 use crate::cancel::Cancel;
+use crate::description::DescriptionLimits;
+use crate::source::COMPILE_TIME;
 use crate::sys::LogFilter;
+use std::time::Duration;
 
 /// Options of [`Fmu::open_with`](crate::Fmu::open_with); the default is what [`Fmu::open`](crate::Fmu::open) does.
 ///
@@ -10,10 +13,12 @@ use crate::sys::LogFilter;
 /// use fmi::{LoaderOptions, OpenOptions};
 /// let options = OpenOptions { loader: LoaderOptions { deepbind: true, ..Default::default() }, ..Default::default() };
 /// ```
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OpenOptions {
     /// What an archive may contain.
     pub limits: ArchiveLimits,
+    /// What its description may ask for.
+    pub description: DescriptionLimits,
     /// How the library is loaded.
     pub loader: LoaderOptions,
     /// Run the FMU although it says that it needs the tool that made it (`needsExecutionTool`): the tool is there, or the
@@ -21,8 +26,24 @@ pub struct OpenOptions {
     pub tool_is_present: bool,
     /// What is done with the logs of the instances that simulations use.
     pub logging: LogOptions,
+    /// How long the compiler may run that builds the library of a source-code FMU (default: five minutes).
+    pub compile_time: Duration,
     /// Ends the opening early. It is not looked at any more when the FMU is open.
     pub cancel: Cancel,
+}
+
+impl Default for OpenOptions {
+    fn default() -> Self {
+        Self {
+            limits: ArchiveLimits::default(),
+            description: DescriptionLimits::default(),
+            loader: LoaderOptions::default(),
+            tool_is_present: false,
+            logging: LogOptions::default(),
+            compile_time: COMPILE_TIME,
+            cancel: Cancel::default(),
+        }
+    }
 }
 
 /// What is done with the log of an FMU. Its lines are kept per instance, not for ever, and the last of them are part of

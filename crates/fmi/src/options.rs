@@ -3,6 +3,7 @@
 use crate::description::{DefaultExperiment, Interval, Value};
 use crate::error::FmiError;
 use crate::input::Inputs;
+use crate::memory;
 use ode::Number;
 use ode::{ChatteringPolicy, Method};
 use std::sync::Arc;
@@ -369,7 +370,7 @@ fn intervals(start: f64, end: f64, same: f64, interval: f64) -> Result<Vec<f64>,
 
 /// Checks given times, and makes those one that are within rounding of each other or of the ends of the span.
 fn snap(times: &[f64], start: f64, end: f64, same: f64) -> Result<Vec<f64>, FmiError> {
-    let mut snapped: Vec<f64> = Vec::with_capacity(times.len());
+    let mut snapped: Vec<f64> = memory::list_of("the list of times", times.len())?;
     for (i, &time) in times.iter().enumerate() {
         if !(time >= start - same && time <= end + same) {
             return Err(setting(format!(

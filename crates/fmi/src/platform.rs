@@ -7,6 +7,7 @@ use std::env;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
 
 /// Extension of shared libraries on this platform, without the dot: `so`, `dll`, `dylib`.
 pub const LIBRARY_EXTENSION: &str = env::consts::DLL_EXTENSION;
@@ -254,6 +255,26 @@ pub(crate) fn shared_library_options() -> &'static [&'static str] {
     }
 }
 
+/// Lets a command and what it starts be ended together.
+pub(crate) fn in_own_group(command: &mut Command) {
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(command, 0);
+    #[cfg(not(unix))]
+    let _ = command;
+}
+
+/// Ends a child made by such a command; what it has started as well, where systems have groups of processes.
+pub(crate) fn kill_group(child: &mut Child) {
+    #[cfg(unix)]
+    if let Ok(id) = i32::try_from(child.id())
+        && let Some(group) = rustix::process::Pid::from_raw(id)
+    {
+        let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+    }
+    // One that has just ended cannot be killed.
+    let _ = child.kill();
+}
+
 /// Libraries every model is linked with.
 pub(crate) fn system_libraries() -> &'static [&'static str] {
     if cfg!(windows) { &[] } else { &["-lm"] }
@@ -318,6 +339,13 @@ pub(crate) fn read_at(file: &File, buffer: &mut [u8], position: u64) -> io::Resu
         file.seek(io::SeekFrom::Start(position))?;
         file.read(buffer)
     }
+}
+
+/// Bytes of memory that can be had without pushing others out; `None` where the system does not say.
+pub(crate) fn available_memory() -> Option<u64> {
+    let text = fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }
 
 /// What tells a file from another, and from what it was before it was changed.

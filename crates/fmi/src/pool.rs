@@ -175,7 +175,12 @@ impl Pool {
 
     /// What all users of the library share.
     fn shared(&self) -> Result<Arc<Shared>, FmiError> {
-        Ok(Arc::clone(self.plan.fmu().library(self.plan.kind)?.shared()))
+        Ok(Arc::clone(
+            self.plan
+                .fmu()
+                .library_unless(self.plan.kind, &self.plan.options.cancel.clone().into())?
+                .shared(),
+        ))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {

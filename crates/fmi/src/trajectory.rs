@@ -3,6 +3,7 @@
 use crate::clocks::Tick;
 use crate::description::Value;
 use crate::error::FmiError;
+use crate::memory;
 use crate::outputs::Recorded;
 use crate::plan::SimulationPlan;
 use crate::texts::{ValueTable, width};
@@ -100,14 +101,18 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
-    pub(crate) fn new(plan: &SimulationPlan) -> Self {
-        let rows = plan.times().len();
-        Self {
+    /// # Errors
+    /// [`FmiError::Memory`]: there are too many rows and columns.
+    pub(crate) fn new(plan: &SimulationPlan) -> Result<Self, FmiError> {
+        let (rows, columns) = (plan.times().len(), plan.outputs().len() + 1);
+        let cells = (rows as u64).saturating_mul(columns as u64);
+        memory::check(|| format!("a result of {rows} rows and {columns} columns"), cells.saturating_mul(8))?;
+        Ok(Self {
             time: Vec::with_capacity(rows),
             columns: (0..plan.outputs().len()).map(|_| Vec::with_capacity(rows)).collect(),
             sides: Vec::with_capacity(rows),
             events: Vec::new(),
-        }
+        })
     }
 
     /// Puts the trajectory together; the table has the values that numbers in columns without names stand for.

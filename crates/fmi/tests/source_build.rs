@@ -8,6 +8,9 @@ use fmi::{Archive, FmiError, ModelDescription, build_library, clear_caches, pack
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 const MODEL: &str = "#include \"model.h\"\nint answer(void) { return ANSWER; }\n";
 const HEADER: &str = "#define ANSWER 42\n";
@@ -208,6 +211,86 @@ fn passes_on_what_the_compiler_says() {
     assert_eq!(kept(), Vec::<PathBuf>::new());
     fs::remove_file(root.path().join("sources/model.c")).unwrap();
     assert!(matches!(build(root.path()), Err(FmiError::NoSources { .. })));
+}
+
+#[test]
+fn headers_of_the_standard_are_found() {
+    in_own_environment("headers_of_the_standard_are_found", &[], finds_headers);
+}
+
+fn finds_headers() {
+    for header in ["fmi2Functions.h", "fmi3Functions.h"] {
+        let root = source_folder();
+        let source = format!("#include \"{header}\"\nint answer(void) {{ return 42; }}\n");
+        fs::write(root.path().join("sources/model.c"), source).unwrap();
+        let library = build(root.path()).unwrap();
+        assert_eq!(fs::read_dir(library.parent().unwrap()).unwrap().count(), 1, "only the library is kept");
+        // One that the FMU brings comes first.
+        fs::write(root.path().join("sources").join(header), "#error its own\n").unwrap();
+        let message = build(root.path()).unwrap_err().to_string();
+        assert!(message.contains("its own"), "{message}");
+    }
+    // The first error is shown, however much follows.
+    let root = source_folder();
+    let notes: String = (0..100).map(|k| format!("#warning \"note {k}\"\n")).collect();
+    fs::write(root.path().join("sources/model.c"), format!("#error first\n{notes}")).unwrap();
+    let message = build(root.path()).unwrap_err().to_string();
+    assert!(message.contains("#error first") && message.contains("note 99"), "{message}");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_compiler_that_does_not_end_is_ended() {
+    use std::os::unix::fs::PermissionsExt;
+    // One that answers who it is, and then starts another program and waits for it.
+    let folder = tempfile::tempdir().unwrap();
+    let compiler = folder.path().join("cc.sh");
+    let script = "#!/bin/sh\n[ \"$1\" = --version ] && echo slow && exit 0\nsleep 600 &\necho $! > \"$0.started\"\nwait\n";
+    fs::write(&compiler, script).unwrap();
+    fs::set_permissions(&compiler, fs::Permissions::from_mode(0o755)).unwrap();
+    let variables = [("CC", compiler.to_str().unwrap())];
+    in_own_environment("a_compiler_that_does_not_end_is_ended", &variables, ends_the_compiler);
+}
+
+fn ends_the_compiler() {
+    let started = PathBuf::from(std::env::var("CC").unwrap() + ".started");
+    let root = tempfile::tempdir().unwrap();
+    bundled(root.path());
+    let run = |seconds: u64, cancel: &fmi::Cancel| {
+        let compile_time = Duration::from_secs(seconds);
+        let options = fmi::OpenOptions { compile_time, ..fmi::OpenOptions::default() };
+        let fmu = fmi::Fmu::open_with(root.path(), &options).unwrap();
+        let error = fmu.prepare(fmi::Kind::Auto, cancel).unwrap_err();
+        let ended = Instant::now();
+        let child = fs::read_to_string(&started).unwrap();
+        let process = PathBuf::from("/proc").join(child.trim()).join("exe");
+        // What it has started is ended, too; whoever adopts it has to notice.
+        let is_gone = (0..200).any(|_| {
+            std::thread::sleep(Duration::from_millis(5));
+            process.read_link().is_err()
+        });
+        assert!(is_gone, "{child}");
+        (error, ended)
+    };
+    let message = run(1, &fmi::Cancel::default()).0.to_string();
+    assert!(
+        message.contains("ended after 1 s") && message.contains("OpenOptions::compile_time"),
+        "{message}"
+    );
+    let flag = Arc::new(AtomicBool::new(false));
+    let raised = std::thread::spawn({
+        let flag = Arc::clone(&flag);
+        move || {
+            std::thread::sleep(Duration::from_millis(300));
+            flag.store(true, Ordering::Relaxed);
+            Instant::now()
+        }
+    });
+    let (error, ended) = run(60, &fmi::Cancel::when(flag));
+    assert!(matches!(error, FmiError::Cancelled), "{error}");
+    let late = ended.saturating_duration_since(raised.join().unwrap());
+    assert!(late < Duration::from_secs(5), "{late:?}");
+    assert_eq!(kept(), Vec::<PathBuf>::new());
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! Opening FMUs, each file once as long as it does not change; packing folders; the bundled examples.
 
+use crate::interrupt::Watch;
 use crate::{fmu_error, logs};
-use fmi::{ExampleKind, FmuCache, OpenOptions};
-use pyo3::exceptions::PyValueError;
+use fmi::{Cancel, ExampleKind, FmuCache, OpenOptions};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -12,9 +13,27 @@ const KEPT_OPEN: usize = 32;
 
 static OPEN: LazyLock<FmuCache> = LazyLock::new(|| FmuCache::new(KEPT_OPEN));
 
-/// The FMU at `path`, opened now or before with the same options.
+/// The FMU at `path`, opened now or before with the same options. It is opened while this thread looks for signals: small
+/// files can hold large descriptions.
 pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyResult<fmi::Fmu> {
-    let opened = py.detach(|| OPEN.open_with(path, options));
+    let opened = match py.detach(|| OPEN.find_open(&path, options)) {
+        Ok(Some(fmu)) => Ok(fmu),
+        Err(error) => Err(error),
+        Ok(None) => {
+            let watch = Watch::new(py)?;
+            let cancel = Cancel::when(watch.stop().flag());
+            let options = OpenOptions { cancel, ..options.clone() };
+            match watch.run_briefly(move || OPEN.open_with(&path, &options))? {
+                Some(opened) => opened,
+                None => {
+                    return Err(watch
+                        .stop()
+                        .take_raised()
+                        .unwrap_or_else(|| PyKeyboardInterrupt::new_err(())));
+                }
+            }
+        }
+    };
     logs::pass_on(py)?;
     opened.map_err(|e| fmu_error::raise(py, &e))
 }

@@ -2,7 +2,7 @@
 
 use fmi::FmiError;
 use pyo3::IntoPyObjectExt;
-use pyo3::exceptions::PyOSError;
+use pyo3::exceptions::{PyKeyboardInterrupt, PyMemoryError, PyOSError};
 use pyo3::prelude::*;
 use std::io;
 use std::path::Path;
@@ -17,6 +17,8 @@ pyo3::import_exception!(pydfo._errors, UnknownVariableError);
 pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
     let message = error.to_string();
     match error {
+        FmiError::Cancelled => PyKeyboardInterrupt::new_err(()),
+        FmiError::Memory { .. } => PyMemoryError::new_err(message),
         FmiError::Io { path, source, .. } => os_error(py, path, source, message),
         FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => {
             UnknownVariableError::new_err(message)

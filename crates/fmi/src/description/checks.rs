@@ -3,11 +3,12 @@
 //! Everything that can be worked with is tolerated and reported (FMUs in the wild leave the standard in many small
 //! ways); only what would make a run wrong or unsafe is an error.
 
+use super::limits::Budget;
 use super::model::{ModelDescription, Quirk, QuirkKind, Unknown};
 use super::names::NameIndex;
 use super::parse::Draft;
 use super::quirks::Quirks;
-use super::structure::{MOST_ELEMENTS, Structure};
+use super::structure::Structure;
 use super::unit::Unit;
 use super::variable::{Causality, Dimension, Initial, TypeDefinition, Value, Variability, Variable};
 use crate::archive::MODEL_DESCRIPTION;
@@ -16,16 +17,21 @@ use std::collections::{HashMap, HashSet};
 
 /// Resolves the references of a draft and turns it into a description.
 pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription, FmiError> {
-    inherit_types(&mut draft);
+    inherit_types(&mut draft)?;
     resolve_derivatives(&mut draft);
     resolve_dimensions(&mut draft)?;
     resolve_structure(&mut draft)?;
-    let Draft { mut model, mut quirks, .. } = draft;
+    draft.model.most_elements = draft.budget.limits.elements;
+    let too_large = |(line, message)| FmiError::Description { file: MODEL_DESCRIPTION, line, message };
+    Structure::default().check(&draft.model).map_err(too_large)?;
+    let Draft { mut model, mut quirks, budget, .. } = draft;
     model.n_event_indicators = Structure::default().indicators(&model);
+    budget.check(0)?;
     check_header(&model, &mut quirks);
     check_units(&model, &mut quirks);
     check_structure(&model, &mut quirks);
     for variable in &model.variables {
+        budget.check(0)?;
         check_range(variable, &mut quirks);
         if model.fmi_version.has_table_of_combinations() {
             check_roles(variable, &mut quirks);
@@ -68,7 +74,7 @@ pub(super) fn require_conforming(quirks: &[Quirk]) -> Result<(), FmiError> {
 const LONGEST_INHERITED: usize = 1024;
 
 /// Fills in what variables leave to their types.
-fn inherit_types(draft: &mut Draft) {
+fn inherit_types(draft: &mut Draft) -> Result<(), FmiError> {
     let model = &mut draft.model;
     for definition in &mut model.type_definitions {
         for text in [&mut definition.quantity, &mut definition.unit, &mut definition.display_unit] {
@@ -91,7 +97,8 @@ fn inherit_types(draft: &mut Draft) {
         let (line, kind) = (variable.line, variable.kind);
         match types.get(name.as_str()) {
             Some(definition) if definition.kind == kind => {
-                inherit(variable, definition);
+                inherit(variable, definition, &draft.budget);
+                draft.budget.check(line)?;
                 variable.relative_quantity |= definition.relative_quantity && !flags.relative_quantity;
                 variable.unbounded |= definition.unbounded && !flags.unbounded;
             }
@@ -105,20 +112,21 @@ fn inherit_types(draft: &mut Draft) {
             None => {}
         }
     }
+    Ok(())
 }
 
-fn inherit(variable: &mut Variable, definition: &TypeDefinition) {
-    fn fill<T: Clone>(own: &mut Option<T>, inherited: &Option<T>) {
-        if own.is_none() {
+fn inherit(variable: &mut Variable, definition: &TypeDefinition, budget: &Budget) {
+    let fill = |own: &mut Option<String>, inherited: &Option<String>| {
+        if own.is_none() && inherited.as_ref().is_some_and(|text| budget.take_text(text)) {
             own.clone_from(inherited);
         }
-    }
+    };
     fill(&mut variable.quantity, &definition.quantity);
     fill(&mut variable.unit, &definition.unit);
     fill(&mut variable.display_unit, &definition.display_unit);
-    fill(&mut variable.min, &definition.min);
-    fill(&mut variable.max, &definition.max);
-    fill(&mut variable.nominal, &definition.nominal);
+    variable.min = variable.min.or(definition.min);
+    variable.max = variable.max.or(definition.max);
+    variable.nominal = variable.nominal.or(definition.nominal);
 }
 
 /// Removes `derivative` attributes that name no variable.
@@ -155,9 +163,6 @@ fn resolve_dimensions(draft: &mut Draft) -> Result<(), FmiError> {
             }
         }
         let elements = Structure::default().elements(model, variable);
-        if elements >= MOST_ELEMENTS {
-            return refuse(format!("\"{}\" has {MOST_ELEMENTS} elements or more", variable.name));
-        }
         let given = match &variable.start {
             Some(Value::Array(values)) => values.len(),
             Some(_) => 1,

@@ -2,6 +2,7 @@
 
 mod checks;
 mod clock;
+mod limits;
 mod model;
 mod names;
 mod parse;
@@ -10,6 +11,8 @@ mod structure;
 mod unit;
 mod variable;
 mod version;
+
+pub use limits::DescriptionLimits;
 
 pub use clock::{ClockKind, ClockTiming, Interval};
 pub use model::{

@@ -1,5 +1,6 @@
 //! The model description as a whole: header, interfaces, structure, quirks, lookup by name.
 
+use super::limits::DescriptionLimits;
 use super::names::NameIndex;
 use super::structure::Structure;
 use super::unit::Unit;
@@ -65,6 +66,8 @@ pub struct ModelDescription {
     pub quirks: Vec<Quirk>,
     /// Whether a variable is an array (FMI 3.0).
     pub(crate) has_arrays: bool,
+    /// Elements that its arrays may have together.
+    pub(crate) most_elements: usize,
     pub(super) names: NameIndex,
     /// Positions of variables by their further names.
     pub(super) aliases: HashMap<String, usize>,
@@ -98,6 +101,7 @@ impl ModelDescription {
             declared_states: None,
             quirks: Vec::new(),
             has_arrays: false,
+            most_elements: DescriptionLimits::default().elements,
             names: NameIndex::default(),
             aliases: HashMap::new(),
         }
@@ -112,7 +116,7 @@ impl ModelDescription {
     /// definitions, bottomless nesting, model identifiers with path separators) or cannot be worked with;
     /// [`FmiError::UnknownVersion`] for versions other than 1, 2 and 3.
     pub fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
-        parse::parse(bytes)
+        parse::parse(bytes.into(), &DescriptionLimits::default(), &Cancel::default())
     }
 
     /// Reads and parses `modelDescription.xml` of an archive; nothing else of it is read.
@@ -120,8 +124,20 @@ impl ModelDescription {
     /// # Errors
     /// As [`parse`](Self::parse), and those of reading.
     pub fn read(archive: &Archive) -> Result<ModelDescription, FmiError> {
-        let bytes = archive.description(parse::LARGEST_DOCUMENT, &Cancel::default())?;
-        ModelDescription::parse(&bytes)
+        Self::read_with(archive, &DescriptionLimits::default(), &Cancel::default())
+    }
+
+    /// The same with other limits; ends early when `cancel` asks for it.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), and [`FmiError::Cancelled`].
+    pub fn read_with(
+        archive: &Archive,
+        limits: &DescriptionLimits,
+        cancel: &Cancel,
+    ) -> Result<ModelDescription, FmiError> {
+        let bytes = archive.description(limits.bytes, cancel)?;
+        parse::parse(bytes.into(), limits, cancel)
     }
 
     /// Refuses a description that departs from the standard anywhere ([`FmiError::NotConforming`]).

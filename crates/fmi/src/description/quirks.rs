@@ -4,6 +4,8 @@ use super::model::{Quirk, QuirkKind};
 
 /// Quirks of one class kept with their lines; of the rest only the number.
 const KEPT: usize = 50;
+/// Characters of a message.
+const LONGEST: usize = 500;
 
 #[derive(Debug, Default)]
 pub(super) struct Quirks {
@@ -24,7 +26,14 @@ impl Quirks {
         };
         *count += 1;
         if *count <= KEPT {
-            self.list.push(Quirk { kind, message: message(), line });
+            let mut message = message();
+            // Names in it may be as long as the file.
+            if let Some((end, _)) = message.char_indices().nth(LONGEST) {
+                message.truncate(end);
+                message.push_str("...");
+                message.shrink_to_fit();
+            }
+            self.list.push(Quirk { kind, message, line });
         }
     }
 

@@ -3,9 +3,6 @@
 use super::model::ModelDescription;
 use super::variable::{Dimension, Value, Variable};
 
-/// More elements than this make no variable.
-pub(crate) const MOST_ELEMENTS: usize = 100_000_000;
-
 /// Values of structural parameters, where they are not the start values.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Structure {
@@ -47,13 +44,49 @@ impl Structure {
         }
     }
 
-    /// Number of values of a variable, at most [`MOST_ELEMENTS`].
+    /// Number of values of a variable, `usize::MAX` for more than that.
     pub(crate) fn elements(&self, model: &ModelDescription, variable: &Variable) -> usize {
         let product = variable
             .dimensions
             .iter()
             .try_fold(1usize, |n, dimension| n.checked_mul(self.extent(model, *dimension)));
-        product.unwrap_or(MOST_ELEMENTS).min(MOST_ELEMENTS)
+        product.unwrap_or(usize::MAX)
+    }
+
+    /// Refuses sizes with which the model has more elements than its limit: of all arrays together, of the states, of the
+    /// event indicators. The message names the array with which the sum passes it.
+    pub(crate) fn check(&self, model: &ModelDescription) -> Result<(), (u32, String)> {
+        let limit = model.most_elements;
+        let refuse = |line, what: &str| {
+            let sizes = if self.is_default() { "" } else { ", with the structural parameters given" };
+            Err((
+                line,
+                format!("{what} more than {limit} elements{sizes}; the limit is DescriptionLimits::elements"),
+            ))
+        };
+        let mut sum = 0_usize;
+        for variable in model.variables.iter().filter(|variable| !variable.dimensions.is_empty()) {
+            let elements = self.elements(model, variable);
+            sum = sum.saturating_add(elements);
+            if elements > limit {
+                let extents =
+                    self.extents(model, variable).iter().map(ToString::to_string).collect::<Vec<_>>();
+                return refuse(
+                    variable.line,
+                    &format!("\"{}\" ({}) has", variable.name, extents.join(" x ")),
+                );
+            }
+            if sum > limit {
+                let what = format!("the arrays up to \"{}\" have together", variable.name);
+                return refuse(variable.line, &what);
+            }
+        }
+        for (what, n) in [("states", self.states(model)), ("event indicators", self.indicators(model))] {
+            if n > limit {
+                return refuse(0, &format!("the {what} have"));
+            }
+        }
+        Ok(())
     }
 
     /// Number of continuous states.
@@ -73,6 +106,9 @@ impl Structure {
     }
 
     fn sum(&self, model: &ModelDescription, unknowns: &[super::Unknown]) -> usize {
-        unknowns.iter().map(|unknown| self.elements(model, &model.variables[unknown.index])).sum()
+        unknowns
+            .iter()
+            .map(|unknown| self.elements(model, &model.variables[unknown.index]))
+            .fold(0, usize::saturating_add)
     }
 }

@@ -44,6 +44,8 @@ struct Inner {
     co_simulation: Side,
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
+    /// Departures from the standard that showed in runs.
+    quirks_seen: Mutex<Vec<Quirk>>,
     description: ModelDescription,
     options: OpenOptions,
     archive: Archive,
@@ -95,7 +97,7 @@ impl Fmu {
 
     /// Reads the description of an archive.
     pub(crate) fn describe(archive: Archive, path: &Path, options: &OpenOptions) -> Result<Fmu, FmiError> {
-        let mut description = ModelDescription::read(&archive)?;
+        let mut description = ModelDescription::read_with(&archive, &options.description, &options.cancel)?;
         if let [first, others @ ..] = &archive.repeated()[..] {
             let more = match others.len() {
                 0 => String::new(),
@@ -109,6 +111,7 @@ impl Fmu {
             model_exchange: Side::default(),
             co_simulation: Side::default(),
             real_references: OnceLock::new(),
+            quirks_seen: Mutex::default(),
             description,
             options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
             archive,
@@ -320,7 +323,20 @@ impl Fmu {
     pub fn quirks_seen(&self) -> Vec<Quirk> {
         let refused = self.shared(InterfaceKind::CoSimulation).is_some_and(|s| s.is_event_mode_refused());
         let quirk = || Quirk { kind: QuirkKind::Promise, message: NO_EVENT_MODE.to_owned(), line: 0 };
-        refused.then(quirk).into_iter().collect()
+        let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        seen.extend(refused.then(quirk));
+        seen
+    }
+
+    /// Lists a departure from the standard that showed in a run among the quirks; one that is new goes to the program's
+    /// logger, too.
+    pub(crate) fn note_quirk(&self, kind: QuirkKind, message: String) {
+        let quirk = Quirk { kind, message, line: 0 };
+        let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner);
+        if !seen.contains(&quirk) {
+            log::warn!("{}: {}", self.description().model_name, quirk.message);
+            seen.push(quirk);
+        }
     }
 
     /// Whether the FMU can be simulated, one way or the other; the interface that would be used.
@@ -464,7 +480,14 @@ impl Fmu {
                 reason: "its files were changed while its library was built".to_owned(),
             }),
         };
-        match source::build_unchanged(&root, description, interface, &hash, check) {
+        match source::build_unchanged(
+            &root,
+            description,
+            interface,
+            &hash,
+            (cancel, self.inner.options.compile_time),
+            check,
+        ) {
             // With the binaries of other platforms, for the message.
             Err(FmiError::NoSources { .. }) => find(Part::Binaries)
                 .map(|found| found.path)

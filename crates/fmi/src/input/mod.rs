@@ -43,6 +43,13 @@ enum Source {
     Values { name: String, times: Arc<[f64]>, values: Arc<[Value]> },
 }
 
+impl Source {
+    fn name(&self) -> &String {
+        let (Self::Column { name, .. } | Self::Function { name, .. } | Self::Values { name, .. }) = self;
+        name
+    }
+}
+
 impl fmt::Debug for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -187,8 +194,7 @@ impl InputPlan {
         let mut plan = Self { same, ..Self::default() };
         let mut stops = Vec::new();
         for source in &inputs.sources {
-            let (Source::Column { name, .. } | Source::Function { name, .. } | Source::Values { name, .. }) =
-                source;
+            let name = source.name();
             let place = Place::of_name(description, starts.structure, name)?;
             let variable = &description.variables[place.variable];
             if variable.causality != Causality::Input {
@@ -197,8 +203,13 @@ impl InputPlan {
                     format!("it is not an input but a variable of causality {}", variable.causality),
                 ));
             }
-            if plan.driven.iter().any(|driven| driven.overlaps(place)) {
-                return Err(bad(variable, "it is given twice".to_owned()));
+            // Each source before this one drives one place.
+            if let Some(first) = plan.driven.iter().position(|driven| driven.overlaps(place)) {
+                let problem = match inputs.sources[first].name() {
+                    first if first == name => "it is given twice".to_owned(),
+                    first => format!("it is the same variable as {first}, which is given too"),
+                };
+                return Err(FmiError::BadInput { name: name.clone(), problem });
             }
             plan.driven.push(place);
             if !variable.dimensions.is_empty() && place.element.is_none() {

@@ -5,7 +5,7 @@ mod values;
 pub(crate) use values::{RunValues, Setting};
 
 use crate::clocks::ClockPlan;
-use crate::description::{ModelDescription, Structure};
+use crate::description::{ModelDescription, QuirkKind, Structure};
 use crate::error::FmiError;
 use crate::fmu::{Fmu, Reuse};
 use crate::input::{InputPlan, Inputs};
@@ -266,7 +266,8 @@ impl SimulationPlan {
         &self.values.parameter_starts
     }
 
-    /// Nominals that are zero, NaN or infinite become 1, negative ones lose their sign, with one warning.
+    /// Nominals that are zero, NaN or infinite become 1, negative ones lose their sign; the first one is listed among the
+    /// quirks of the FMU.
     pub(crate) fn correct_nominals(&self, nominals: &mut [f64]) {
         for (i, nominal) in nominals.iter_mut().enumerate() {
             let corrected = if nominal.is_finite() && *nominal != 0.0 { nominal.abs() } else { 1.0 };
@@ -274,10 +275,12 @@ impl SimulationPlan {
                 continue;
             }
             if !self.warned_of_nominals.swap(true, Ordering::Relaxed) {
-                log::warn!(
-                    "{}: the nominal value of state {i} is {nominal}; {corrected} is used",
-                    self.fmu.description().model_name
-                );
+                let description = self.fmu.description();
+                let state = states(description, self.structure()).get(i).copied().flatten();
+                let name =
+                    state.map_or_else(|| format!("state {i}"), |k| description.variables[k].name.clone());
+                let message = format!("the nominal value of {name} is {nominal}; {corrected} is used");
+                self.fmu.note_quirk(QuirkKind::Range, message);
             }
             *nominal = corrected;
         }

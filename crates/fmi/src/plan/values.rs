@@ -263,6 +263,7 @@ pub(super) fn resolve(
             }
         }
     }
+    structure.check(description).map_err(|(_, problem)| FmiError::BadSetting { problem })?;
     for (name, value) in values {
         let Place { variable: index, element } = Place::of_name(description, &structure, name)?;
         let variable = &description.variables[index];

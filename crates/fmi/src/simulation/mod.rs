@@ -56,7 +56,8 @@ impl Simulator {
     /// # Errors
     /// Options of the method that cannot be used; the FMU cannot be loaded or instantiated.
     pub fn new(plan: Arc<SimulationPlan>) -> Result<Self, FmiError> {
-        let shared = Arc::clone(plan.fmu().library(plan.kind)?.shared());
+        let shared =
+            Arc::clone(plan.fmu().library_unless(plan.kind, &plan.options.cancel.clone().into())?.shared());
         let mut copy = None;
         if shared.is_dependent() && shared.copies_work() == Some(true) {
             match plan.fmu().private_copy(plan.kind) {
@@ -165,7 +166,7 @@ impl Simulator {
     /// # Errors
     /// As [`run`](Self::run).
     pub fn trajectory(&mut self, parameters: &[f64]) -> Result<Trajectory, FmiError> {
-        let mut recorder = Recorder::new(&self.plan);
+        let mut recorder = Recorder::new(&self.plan)?;
         let report = self.run(parameters, &mut recorder)?;
         let running = self.engine.running();
         let ticks = running.take_ticks();

@@ -1,6 +1,7 @@
 //! What to compile, and how: the recipe for a library, from the description or from the files that are there.
 
-use super::compiler::Compiler;
+use super::compiler::{Compiler, Patience};
+use super::headers;
 use crate::archive::{hash_of_texts, is_inside};
 use crate::description::{BUILD_DESCRIPTION, BuildSet, Interface, ModelDescription, build_sets};
 use crate::error::FmiError;
@@ -12,7 +13,7 @@ use std::path::{Path, PathBuf};
 const HEADERS: &[&str] = &["h", "hpp", "hh", "inc"];
 
 /// Raised when libraries built by earlier versions must not be used any more.
-const RECIPE_VERSION: &str = "2";
+const RECIPE_VERSION: &str = "3";
 
 /// The functions of FMI 2.0 (specification 2.0.4, 2.1, 3.2, 4.2).
 const FMI2_FUNCTIONS: &[&str] = &[
@@ -124,14 +125,24 @@ impl Recipe {
     }
 
     /// Compiles and links into `target`.
-    pub(super) fn build(&self, compiler: &Compiler, target: &Path) -> Result<(), FmiError> {
+    pub(super) fn build(
+        &self,
+        compiler: &Compiler,
+        target: &Path,
+        patience: &Patience<'_>,
+    ) -> Result<(), FmiError> {
         let header = target.with_file_name("plain_names.h");
         fs::write(&header, &self.plain_names).map_err(FmiError::io("write", &header))?;
+        let standard = target.with_file_name("standard");
+        headers::write(&standard)?;
         let mut arguments = vec!["-include".to_owned(), header.to_string_lossy().into_owned()];
         arguments.extend_from_slice(&self.arguments);
+        // Behind all other folders: headers that the FMU brings come first.
+        arguments.extend(["-idirafter".to_owned(), standard.to_string_lossy().into_owned()]);
         arguments.extend(["-o".to_owned(), target.to_string_lossy().into_owned()]);
         arguments.extend(platform::system_libraries().iter().map(|&library| library.to_owned()));
-        compiler.run(&self.model_identifier, &self.folder, &arguments)?;
+        compiler.run(&self.model_identifier, &self.folder, &arguments, patience)?;
+        fs::remove_dir_all(&standard).map_err(FmiError::io("remove", &standard))?;
         fs::remove_file(&header).map_err(FmiError::io("remove", &header))?;
         match BinaryHeader::read(target).map_err(FmiError::io("read", target))? {
             Some(header) if header.runs_here() => Ok(()),

@@ -1,14 +1,57 @@
-//! The system's C compiler: which one, which version, and what it says when it fails.
+//! The system's C compiler: which one, which version, how it is ended, and what it says when it fails.
 
+use crate::cancel::Cancel;
 use crate::error::FmiError;
 use crate::platform;
 use std::ffi::OsStr;
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
 
 /// What is kept of a compiler's messages.
 const LAST_LINES: usize = 40;
 const LAST_BYTES: usize = 8000;
+/// How much of them is searched for the first error.
+const SEARCHED_BYTES: u64 = 1 << 20;
+/// How often a running compiler is looked at: rarely enough to cost nothing beside it.
+const LOOK_EVERY: Duration = Duration::from_millis(5);
+
+/// What ends a compiler that runs.
+pub(super) struct Patience<'a> {
+    pub(super) cancel: &'a Cancel,
+    pub(super) limit: Duration,
+}
+
+impl Patience<'_> {
+    /// Waits until it has ended; ends it, and all that it has started, when it may not go on.
+    fn wait(&self, child: &mut Child) -> io::Result<Result<ExitStatus, Impatience>> {
+        let began = Instant::now();
+        loop {
+            if let Some(status) = child.try_wait()? {
+                return Ok(Ok(status));
+            }
+            let reason = match (self.cancel.is_asked(), began.elapsed() >= self.limit) {
+                (true, _) => Impatience::Cancelled,
+                (_, true) => Impatience::TimeLimit,
+                _ => {
+                    std::thread::sleep(LOOK_EVERY);
+                    continue;
+                }
+            };
+            platform::kill_group(child);
+            child.wait()?;
+            return Ok(Err(reason));
+        }
+    }
+}
+
+/// Why a compiler was ended.
+enum Impatience {
+    Cancelled,
+    TimeLimit,
+}
 
 /// A C compiler that has answered.
 #[derive(Debug)]
@@ -53,30 +96,67 @@ impl Compiler {
         format!("{} {} {}", self.program, self.arguments.join(" "), self.version)
     }
 
-    /// Runs it in a folder; fails with its last lines unless it succeeds.
+    /// Runs it in a folder; fails with its first error and its last lines unless it succeeds.
     pub(super) fn run(
         &self,
         model_identifier: &str,
         folder: &Path,
         arguments: &[impl AsRef<OsStr>],
+        patience: &Patience<'_>,
     ) -> Result<(), FmiError> {
         let mut command = Command::new(&self.program);
         command.args(&self.arguments).args(arguments).current_dir(folder);
         command.env("LC_ALL", "C").stdin(Stdio::null());
-        let output = command.output().map_err(FmiError::io("run", &self.program))?;
-        if output.status.success() {
-            return Ok(());
-        }
+        let run = FmiError::io("run", &self.program);
+        // Into a file: a pipe that nobody empties would stop it.
+        let said = tempfile::tempfile().and_then(|said| Ok((said.try_clone()?, said.try_clone()?, said)));
+        let (out, err, mut said) = match said {
+            Ok(said) => said,
+            Err(error) => return Err(run(error)),
+        };
+        command.stdout(out).stderr(err);
+        platform::in_own_group(&mut command);
+        let ended = command.spawn().and_then(|mut child| patience.wait(&mut child));
+        let status = match ended.map_err(run)? {
+            Ok(status) if status.success() => return Ok(()),
+            Ok(status) => status.to_string(),
+            Err(Impatience::Cancelled) => return Err(FmiError::Cancelled),
+            Err(Impatience::TimeLimit) => format!(
+                "ended after {} s, the time limit of OpenOptions::compile_time",
+                patience.limit.as_secs_f64()
+            ),
+        };
         let words = [OsStr::new(&self.program)].into_iter().chain(command.get_args());
         let words: Vec<_> = words.map(OsStr::to_string_lossy).collect();
-        let mut messages = output.stderr;
-        messages.extend(output.stdout);
         Err(FmiError::CompileFailed {
             model_identifier: model_identifier.to_owned(),
             command: words.join(" "),
-            status: output.status.to_string(),
-            output: last_lines(&String::from_utf8_lossy(&messages)),
+            status,
+            output: messages(&mut said).map_err(FmiError::io("read what it said of", folder))?,
         })
+    }
+}
+
+/// The first error in what a compiler said, and its last lines.
+fn messages(said: &mut File) -> io::Result<String> {
+    let mut start = Vec::new();
+    said.rewind()?;
+    said.take(SEARCHED_BYTES).read_to_end(&mut start)?;
+    let length = said.seek(SeekFrom::End(0))?;
+    said.seek(SeekFrom::Start(length.saturating_sub(4 * LAST_BYTES as u64)))?;
+    let mut end = Vec::new();
+    said.read_to_end(&mut end)?;
+    Ok(shortened(&String::from_utf8_lossy(&start), &String::from_utf8_lossy(&end)))
+}
+
+fn shortened(start: &str, end: &str) -> String {
+    let end = last_lines(end);
+    match start.lines().find(|line| line.contains("error:")) {
+        Some(first) if !end.contains(first) => {
+            let first: String = first.chars().take(LAST_BYTES).collect();
+            format!("{first}\n...\n{end}")
+        }
+        _ => end,
     }
 }
 
@@ -117,6 +197,17 @@ mod tests {
     #[test]
     fn a_program_that_does_not_exist_is_no_compiler() {
         assert!(Compiler::ask("no-such-compiler-anywhere").is_none());
+    }
+
+    #[test]
+    fn the_first_error_is_kept_whatever_follows() {
+        let many: String = (0..100).map(|line| format!("note {line}\n")).collect();
+        let text =
+            format!("a.c:1: warning: w\na.c:2:1: fatal error: x.h: not there\n{many}a.c:9: error: y\n");
+        let kept = shortened(&text, &text);
+        assert!(kept.starts_with("a.c:2:1: fatal error: x.h: not there\n...\nnote "), "{kept}");
+        assert!(kept.ends_with("a.c:9: error: y"));
+        assert_eq!(shortened("a.c:1: error: x\nb\n", "a.c:1: error: x\nb\n"), "a.c:1: error: x\nb");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Attributes as typed values: what cannot be understood becomes a quirk and counts as absent.
 
 use super::xml::Element;
+use crate::description::limits::Budget;
 use crate::description::model::QuirkKind;
 use crate::description::quirks::Quirks;
 use crate::description::variable::{Value, VariableKind};
@@ -12,6 +13,7 @@ pub(super) struct Attributes<'e> {
     file: &'static str,
     element: &'e str,
     pub(super) line: u32,
+    budget: &'e Budget,
     pairs: Vec<(&'e str, Cow<'e, str>)>,
 }
 
@@ -21,6 +23,7 @@ impl<'e> Attributes<'e> {
             file: element.file,
             element: element.name(),
             line: element.line,
+            budget: &element.budget,
             pairs: element.attributes()?,
         })
     }
@@ -32,7 +35,15 @@ impl<'e> Attributes<'e> {
 
     /// The value as an owned text.
     pub(super) fn text(&self, name: &str) -> Option<String> {
-        self.get(name).map(str::to_owned)
+        self.get(name).filter(|text| self.budget.take_text(text)).map(str::to_owned)
+    }
+
+    /// Whether there is memory for a list of as many items as an attribute has words. If there is not, reading ends with
+    /// the next element.
+    fn may_list<T>(&self, name: &str) -> bool {
+        // Items are collected in lists that double.
+        let words = self.get(name).map_or(0, |text| text.split_ascii_whitespace().count());
+        self.budget.take(words.saturating_mul(2 * size_of::<T>()))
     }
 
     /// The value as an owned text; a quirk and empty where it is missing.
@@ -46,6 +57,12 @@ impl<'e> Attributes<'e> {
     /// The value without which the element means nothing.
     pub(super) fn required(&self, name: &str) -> Result<&str, FmiError> {
         self.get(name).ok_or_else(|| self.error(format!("no {name}")))
+    }
+
+    /// As [`required`](Self::required), as an owned text.
+    pub(super) fn required_text(&self, name: &str) -> Result<String, FmiError> {
+        self.required(name)?;
+        Ok(self.text(name).unwrap_or_default())
     }
 
     pub(super) fn error(&self, message: String) -> FmiError {
@@ -83,7 +100,10 @@ impl<'e> Attributes<'e> {
     }
 
     pub(super) fn hexadecimal(&self, name: &str, quirks: &mut Quirks) -> Option<Vec<u8>> {
-        self.parsed(name, "hexadecimal", quirks, parse_hexadecimal)
+        let n = self.get(name).map_or(0, str::len);
+        self.parsed(name, "hexadecimal", quirks, |text| {
+            self.budget.take(n).then(|| parse_hexadecimal(text))?
+        })
     }
 
     pub(super) fn wide_integer(&self, name: &str, quirks: &mut Quirks) -> Option<i64> {
@@ -96,7 +116,7 @@ impl<'e> Attributes<'e> {
     pub(super) fn start(&self, kind: VariableKind, is_array: bool, quirks: &mut Quirks) -> Option<Value> {
         let one = |text: &str| match kind {
             VariableKind::Boolean | VariableKind::Clock => parse_boolean(text).map(Value::Boolean),
-            VariableKind::String => Some(Value::String(text.to_owned())),
+            VariableKind::String => self.budget.take_text(text).then(|| Value::String(text.to_owned())),
             VariableKind::Binary => parse_hexadecimal(text).map(Value::Binary),
             kind if kind.is_float() => parse_real(text).map(Value::Real),
             kind => parse_wide_integer(text, kind).map(Value::Integer),
@@ -107,6 +127,9 @@ impl<'e> Attributes<'e> {
                 VariableKind::String => self.text("start").map(Value::String),
                 _ => self.parsed("start", "a value of its type", quirks, one),
             };
+        }
+        if !self.may_list::<Value>("start") {
+            return None;
         }
         self.parsed("start", "a list of values of its type", quirks, |text| {
             text.split_ascii_whitespace().map(one).collect::<Option<Vec<Value>>>().map(Value::Array)
@@ -135,6 +158,10 @@ impl<'e> Attributes<'e> {
 
     /// A list of counts separated by white space.
     pub(super) fn counts(&self, name: &str, quirks: &mut Quirks) -> Option<Vec<u32>> {
+        // As counts, and as the positions they mean.
+        if !self.may_list::<(u32, usize)>(name) {
+            return None;
+        }
         self.parsed(name, "a list of counts", quirks, |text| {
             text.split_ascii_whitespace().map(|word| word.parse().ok()).collect()
         })
@@ -147,6 +174,9 @@ impl<'e> Attributes<'e> {
         words: &[(&str, T)],
         quirks: &mut Quirks,
     ) -> Option<Vec<T>> {
+        if !self.may_list::<T>(name) {
+            return None;
+        }
         self.parsed(name, "a list of words the standard knows", quirks, |text| {
             let meaning = |text| words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning);
             text.split_ascii_whitespace().map(meaning).collect()

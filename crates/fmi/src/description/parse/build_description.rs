@@ -4,8 +4,10 @@ use super::attributes::Attributes;
 use super::check_size;
 use super::encoding;
 use super::xml::Xml;
+use crate::description::limits::DescriptionLimits;
 use crate::description::quirks::Quirks;
 use crate::error::FmiError;
+use std::rc::Rc;
 
 /// Name of the file in `sources/`.
 pub(crate) const BUILD_DESCRIPTION: &str = "buildDescription.xml";
@@ -24,9 +26,9 @@ pub(crate) struct BuildSet {
 /// The first build configuration for a model identifier: its C source sets as one. Compiler options are left out:
 /// they are written for one compiler, and not every option is harmless.
 pub(crate) fn build_sets(bytes: &[u8], model_identifier: &str) -> Result<Option<BuildSet>, FmiError> {
-    check_size(bytes, BUILD_DESCRIPTION)?;
-    let text = encoding::decode(bytes, &mut Quirks::default());
-    let mut xml = Xml::new(&text, BUILD_DESCRIPTION)?;
+    check_size(bytes, BUILD_DESCRIPTION, &DescriptionLimits::default())?;
+    let text = encoding::decode(bytes.into(), &mut Quirks::default());
+    let mut xml = Xml::new(&text, BUILD_DESCRIPTION, Rc::default())?;
     let root = xml.root()?;
     while let Some(configuration) = xml.child(root.level)? {
         if configuration.name() != "BuildConfiguration"

@@ -9,12 +9,28 @@ use std::borrow::Cow;
 /// How far the XML declaration is looked for.
 const DECLARATION_BYTES: usize = 256;
 
-/// Decodes a document.
-pub(super) fn decode<'b>(bytes: &'b [u8], quirks: &mut Quirks) -> Cow<'b, str> {
-    let (encoding, body) = match Encoding::for_bom(bytes) {
-        Some((encoding, length)) => (encoding, &bytes[length..]),
-        None => (without_mark(bytes, quirks), bytes),
+/// Decodes a document; what need not be changed is not copied.
+pub(super) fn decode<'b>(bytes: Cow<'b, [u8]>, quirks: &mut Quirks) -> Cow<'b, str> {
+    let (encoding, start) = Encoding::for_bom(&bytes).unwrap_or_else(|| (without_mark(&bytes, quirks), 0));
+    let bytes = match bytes {
+        Cow::Owned(bytes) if encoding == UTF_8 && start == 0 => match String::from_utf8(bytes) {
+            Ok(text) => return Cow::Owned(text),
+            Err(damaged) => Cow::Owned(damaged.into_bytes()),
+        },
+        bytes => bytes,
     };
+    match bytes {
+        Cow::Borrowed(bytes) => decode_body(encoding, &bytes[start..], quirks),
+        Cow::Owned(bytes) => {
+            let mut text = decode_body(encoding, &bytes[start..], quirks).into_owned();
+            // Buffers are made for the worst case.
+            text.shrink_to_fit();
+            Cow::Owned(text)
+        }
+    }
+}
+
+fn decode_body<'b>(encoding: &'static Encoding, body: &'b [u8], quirks: &mut Quirks) -> Cow<'b, str> {
     let (text, damaged) = encoding.decode_without_bom_handling(body);
     if damaged {
         let line = match encoding == UTF_8 {
@@ -75,7 +91,8 @@ mod tests {
 
     fn decoded(bytes: &[u8]) -> (String, Vec<String>) {
         let mut quirks = Quirks::default();
-        let text = decode(bytes, &mut quirks).into_owned();
+        let text = decode(bytes.into(), &mut quirks).into_owned();
+        assert_eq!(decode(bytes.to_vec().into(), &mut Quirks::default()), text);
         (text, quirks.into_list().iter().map(ToString::to_string).collect())
     }
 
@@ -95,7 +112,7 @@ mod tests {
     #[test]
     fn utf8_is_not_copied() {
         let mut quirks = Quirks::default();
-        assert!(matches!(decode("<\u{e4}/>".as_bytes(), &mut quirks), Cow::Borrowed(_)));
+        assert!(matches!(decode("<\u{e4}/>".as_bytes().into(), &mut quirks), Cow::Borrowed(_)));
     }
 
     #[test]

@@ -64,15 +64,19 @@ fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(
         while let Some(child) = xml.child(element.level)? {
             let attributes = Attributes::of(&child)?;
             if child.name() == "DisplayUnitDefinition" {
-                display_units.push(DisplayUnit {
-                    name: attributes.required("displayUnit")?.to_owned(),
-                    factor: attributes.real("gain", &mut draft.quirks).unwrap_or(1.0),
-                    offset: attributes.real("offset", &mut draft.quirks).unwrap_or(0.0),
-                    inverse: false,
-                });
+                draft.budget.take_text(attributes.get("displayUnit").unwrap_or_default());
+                draft.budget.push(
+                    &mut display_units,
+                    DisplayUnit {
+                        name: attributes.required("displayUnit")?.to_owned(),
+                        factor: attributes.real("gain", &mut draft.quirks).unwrap_or(1.0),
+                        offset: attributes.real("offset", &mut draft.quirks).unwrap_or(0.0),
+                        inverse: false,
+                    },
+                );
             }
         }
-        draft.model.units.push(Unit { name, base: None, display_units });
+        draft.budget.push(&mut draft.model.units, Unit { name, base: None, display_units });
     }
     Ok(())
 }
@@ -93,13 +97,13 @@ fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) 
         let outer = Attributes::of(&element)?;
         while let Some(child) = xml.child(element.level)? {
             let Some(kind) = kind(child.name()) else { continue };
-            let name = outer.required("name")?.to_owned();
+            let name = outer.required_text("name")?;
             let mut found = shared::plain_type(name, outer.text("description"), kind);
             shared::type_attributes(&Attributes::of(&child)?, &mut found, draft);
             if kind == VariableKind::Enumeration {
                 found.items = shared::items(xml, &child, draft)?;
             }
-            draft.model.type_definitions.push(found);
+            draft.budget.push(&mut draft.model.type_definitions, found);
         }
     }
     Ok(())
@@ -123,8 +127,7 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
             return Err(attributes.error("a variable without type".to_owned()));
         };
         roles(&attributes, &mut variable, fixed, draft);
-        draft.model.variables.push(variable);
-        draft.flags.push(Flags::default());
+        draft.add_variable(variable, Flags::default());
     }
     Ok(())
 }

@@ -36,7 +36,9 @@ fn interface(xml: &mut Xml<'_>, element: &Element<'_>, draft: &mut Draft) -> Res
         }
         while let Some(file) = xml.child(child.level)? {
             if file.name() == "File" {
-                source_files.push(Attributes::of(&file)?.required("name")?.to_owned());
+                let name = Attributes::of(&file)?.required("name")?.to_owned();
+                draft.budget.take_text(&name);
+                draft.budget.push(&mut source_files, name);
             }
         }
     }
@@ -60,7 +62,7 @@ fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) 
             continue;
         }
         let outer = Attributes::of(&element)?;
-        let name = outer.required("name")?.to_owned();
+        let name = outer.required_text("name")?;
         let mut definition = None;
         while let Some(child) = xml.child(element.level)? {
             let Some(kind) = kind(child.name()) else { continue };
@@ -72,7 +74,7 @@ fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) 
             definition = Some(found);
         }
         match definition {
-            Some(definition) => draft.model.type_definitions.push(definition),
+            Some(definition) => draft.budget.push(&mut draft.model.type_definitions, definition),
             None => draft.quirks.add(QuirkKind::Missing, element.line, || {
                 format!("type \"{name}\" does not say what it is; left out")
             }),
@@ -85,8 +87,7 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
     while let Some(element) = xml.child(parent.level)? {
         if element.name() == "ScalarVariable" {
             let (variable, flags) = variable(xml, &element, draft)?;
-            draft.model.variables.push(variable);
-            draft.flags.push(flags);
+            draft.add_variable(variable, flags);
         } else {
             // Positions in the list are what the model structure refers to: this one has none.
             let line = element.line;

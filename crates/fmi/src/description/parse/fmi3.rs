@@ -5,6 +5,7 @@ use super::attributes::Attributes;
 use super::clocks::{ClockAttributes, Clocks};
 use super::xml::{Element, Xml};
 use super::{Draft, Flags, NOWHERE, StructureList, shared};
+use crate::description::clock::ClockTiming;
 use crate::description::model::{Interface, QuirkKind, Unknown};
 use crate::description::variable::{Alias, Dimension, Value, Variable, VariableKind};
 use crate::error::FmiError;
@@ -100,7 +101,7 @@ fn type_definitions(
             continue;
         };
         let attributes = Attributes::of(&element)?;
-        let name = attributes.required("name")?.to_owned();
+        let name = attributes.required_text("name")?;
         let mut definition = shared::plain_type(name, attributes.text("description"), kind);
         shared::type_attributes(&attributes, &mut definition, draft);
         if kind == VariableKind::Clock {
@@ -110,7 +111,7 @@ fn type_definitions(
         if kind == VariableKind::Enumeration {
             definition.items = shared::items(xml, &element, draft)?;
         }
-        draft.model.type_definitions.push(definition);
+        draft.budget.push(&mut draft.model.type_definitions, definition);
     }
     Ok(())
 }
@@ -127,6 +128,7 @@ fn variables(
         let attributes = Attributes::of(&element)?;
         let Some(kind) = kind(element.name()) else {
             let name = attributes.get("name").unwrap_or_default();
+            draft.budget.take(2 * size_of::<(u32, Option<usize>, u8)>());
             positions.entry(attributes.value_reference()?).or_insert(None);
             unsupported(draft, &element, &format!("variable \"{name}\" of type {}", element.name()));
             continue;
@@ -135,7 +137,10 @@ fn variables(
         let position = draft.model.variables.len();
         let flags = scalar_attributes(&attributes, &mut variable, draft);
         if kind == VariableKind::Clock {
-            clocks.variables.push((position, ClockAttributes::of(&attributes, &mut draft.quirks)));
+            // And its timing.
+            draft.budget.take(size_of::<ClockTiming>() + 16);
+            let clock = ClockAttributes::of(&attributes, &mut draft.quirks);
+            draft.budget.push(&mut clocks.variables, (position, clock));
         }
         let texts = variable_children(xml, &element, &mut variable, draft, (position, &mut later))?;
         let is_array = !variable.dimensions.is_empty();
@@ -144,14 +149,15 @@ fn variables(
             _ => attributes.start(kind, is_array, &mut draft.quirks),
         };
         if let Some(state) = attributes.count("derivative", &mut draft.quirks) {
-            later.derivatives.push((position, state));
+            draft.budget.push(&mut later.derivatives, (position, state));
         }
         if let Some(clocks) = attributes.counts("clocks", &mut draft.quirks) {
-            later.clocks.push((position, clocks));
+            draft.budget.push(&mut later.clocks, (position, clocks));
         }
+        // Two places of a table that doubles.
+        draft.budget.take(2 * size_of::<(u32, Option<usize>, u8)>());
         positions.entry(variable.value_reference).or_insert(Some(position));
-        draft.model.variables.push(variable);
-        draft.flags.push(flags);
+        draft.add_variable(variable, flags);
     }
     let position = |reference: u32| positions.get(&reference).copied().flatten().unwrap_or(NOWHERE);
     let variables = &mut draft.model.variables;
@@ -214,25 +220,33 @@ fn variable_children(
             "Dimension" => {
                 let extent = attributes.count("start", quirks);
                 if let Some(reference) = attributes.count("valueReference", quirks) {
-                    later.dimensions.push((position, variable.dimensions.len(), reference));
+                    let number = variable.dimensions.len();
+                    draft.budget.push(&mut later.dimensions, (position, number, reference));
                 } else if extent.is_none() {
                     return Err(
                         attributes.error(format!("\"{}\" has a dimension without extent", variable.name))
                     );
                 }
-                variable.dimensions.push(Dimension::Fixed(extent.unwrap_or(0) as usize));
+                let extent = Dimension::Fixed(extent.unwrap_or(0) as usize);
+                draft.budget.push(&mut variable.dimensions, extent);
             }
-            "Alias" => variable.aliases.push(Alias {
-                name: attributes.required("name")?.to_owned(),
-                description: attributes.text("description"),
-                display_unit: attributes.text("displayUnit"),
-            }),
+            "Alias" => {
+                let name = attributes.required("name")?.to_owned();
+                // Here, and twice in a table that doubles.
+                draft.budget.take(2 * (name.len() + 24) + 2 * size_of::<(String, usize, u8)>());
+                let alias = Alias {
+                    name,
+                    description: attributes.text("description"),
+                    display_unit: attributes.text("displayUnit"),
+                };
+                draft.budget.push(&mut variable.aliases, alias);
+            }
             "Start" if variable.kind == VariableKind::String => {
-                starts.push(Value::String(attributes.expected("value", quirks)));
+                draft.budget.push(&mut starts, Value::String(attributes.expected("value", quirks)));
             }
             "Start" if variable.kind == VariableKind::Binary => {
                 let bytes = attributes.hexadecimal("value", quirks);
-                starts.push(Value::Binary(bytes.unwrap_or_default()));
+                draft.budget.push(&mut starts, Value::Binary(bytes.unwrap_or_default()));
             }
             _ => {}
         }

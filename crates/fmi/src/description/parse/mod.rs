@@ -12,23 +12,26 @@ mod shared;
 mod xml;
 
 use super::checks;
+use super::limits::{Budget, DescriptionLimits};
 use super::model::{ModelDescription, Unknown};
 use super::quirks::Quirks;
+use super::variable::Variable;
 use super::version::FmiVersion;
 use crate::archive::MODEL_DESCRIPTION;
+use crate::cancel::Cancel;
 use crate::error::FmiError;
 use attributes::Attributes;
+use std::borrow::Cow;
+use std::rc::Rc;
 use xml::{Element, Xml};
 
 pub(crate) use build_description::{BUILD_DESCRIPTION, BuildSet, build_sets};
-
-/// Largest document read. A model with a million variables has half of it.
-pub(crate) const LARGEST_DOCUMENT: u64 = 512 << 20;
 
 /// A description in the making.
 pub(super) struct Draft {
     pub(super) model: ModelDescription,
     pub(super) quirks: Quirks,
+    pub(super) budget: Rc<Budget>,
     /// For each variable which of its flags the file sets, so that a type does not overrule them.
     pub(super) flags: Vec<Flags>,
     /// Lines of the unknowns in the model structure, in the order of outputs, derivatives, initial unknowns, event
@@ -47,11 +50,17 @@ pub(super) struct Flags {
 pub(super) const NOWHERE: usize = usize::MAX;
 
 /// Parses a document and checks it.
-pub(super) fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
-    check_size(bytes, MODEL_DESCRIPTION)?;
+pub(super) fn parse(
+    bytes: Cow<'_, [u8]>,
+    limits: &DescriptionLimits,
+    cancel: &Cancel,
+) -> Result<ModelDescription, FmiError> {
+    let budget = Rc::new(Budget::new(limits, cancel));
+    check_size(&bytes, MODEL_DESCRIPTION, limits)?;
     let mut quirks = Quirks::default();
     let text = encoding::decode(bytes, &mut quirks);
-    let mut xml = Xml::new(&text, MODEL_DESCRIPTION)?;
+    budget.take(text.len());
+    let mut xml = Xml::new(&text, MODEL_DESCRIPTION, Rc::clone(&budget))?;
     let root = xml.root()?;
     if root.name() != "fmiModelDescription" {
         return Err(
@@ -63,6 +72,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
     let mut draft = Draft {
         model: ModelDescription::empty(version),
         quirks,
+        budget,
         flags: Vec::new(),
         structure_lines: Default::default(),
     };
@@ -76,11 +86,12 @@ pub(super) fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
     checks::finish(draft)
 }
 
-fn check_size(bytes: &[u8], file: &'static str) -> Result<(), FmiError> {
-    if bytes.len() as u64 <= LARGEST_DOCUMENT {
+fn check_size(bytes: &[u8], file: &'static str, limits: &DescriptionLimits) -> Result<(), FmiError> {
+    let limit = limits.bytes;
+    if bytes.len() as u64 <= limit {
         return Ok(());
     }
-    let message = format!("{} bytes, more than the limit of {LARGEST_DOCUMENT}", bytes.len());
+    let message = format!("it has more bytes than the limit of {limit} (DescriptionLimits::bytes)");
     Err(FmiError::Description { file, line: 1, message })
 }
 
@@ -107,6 +118,14 @@ enum StructureList {
 }
 
 impl Draft {
+    /// Adds a variable.
+    fn add_variable(&mut self, variable: Variable, flags: Flags) {
+        // Its places in the index of names and in the sets that checks make.
+        self.budget.take(64);
+        self.budget.push(&mut self.model.variables, variable);
+        self.budget.push(&mut self.flags, flags);
+    }
+
     fn add_unknown(&mut self, list: StructureList, unknown: Unknown, line: u32) {
         let structure = &mut self.model.structure;
         let (unknowns, lines) = match list {
@@ -115,7 +134,7 @@ impl Draft {
             StructureList::InitialUnknowns => (&mut structure.initial_unknowns, &mut self.structure_lines[2]),
             StructureList::EventIndicators => (&mut structure.event_indicators, &mut self.structure_lines[3]),
         };
-        unknowns.push(unknown);
-        lines.push(line);
+        self.budget.push(unknowns, unknown);
+        self.budget.push(lines, line);
     }
 }

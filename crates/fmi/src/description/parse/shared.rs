@@ -10,9 +10,6 @@ use crate::description::variable::{
 };
 use crate::error::FmiError;
 
-/// More event indicators or states than a model can have; these numbers become lengths of arrays.
-const LONGEST_ARRAY: u32 = 10_000_000;
-
 pub(super) const CAUSALITIES: &[(&str, Causality)] = &[
     ("parameter", Causality::Parameter),
     ("structuralParameter", Causality::StructuralParameter),
@@ -65,11 +62,12 @@ pub(super) fn array_length(
     name: &str,
     draft: &mut Draft,
 ) -> Result<Option<usize>, FmiError> {
-    match attributes.count(name, &mut draft.quirks) {
-        Some(count) if count > LONGEST_ARRAY => {
-            Err(attributes.error(format!("{name}=\"{count}\", more than the limit of {LONGEST_ARRAY}")))
-        }
-        count => Ok(count.map(|count| count as usize)),
+    let limit = draft.budget.limits.elements;
+    match attributes.count(name, &mut draft.quirks).map(|count| count as usize) {
+        Some(count) if count > limit => Err(attributes.error(format!(
+            "{name}=\"{count}\", more than the limit of {limit} elements (DescriptionLimits::elements)"
+        ))),
+        count => Ok(count),
     }
 }
 
@@ -134,11 +132,16 @@ pub(super) fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) 
             let attributes = Attributes::of(&child)?;
             match child.name() {
                 "BaseUnit" => unit.base = Some(base_unit(&attributes, draft)),
-                "DisplayUnit" => unit.display_units.push(display_unit(&attributes, draft)?),
+                "DisplayUnit" => {
+                    let shown = display_unit(&attributes, draft)?;
+                    draft.budget.take_text(&shown.name);
+                    draft.budget.push(&mut unit.display_units, shown);
+                }
                 _ => {}
             }
         }
-        draft.model.units.push(unit);
+        draft.budget.take_text(&unit.name);
+        draft.budget.push(&mut draft.model.units, unit);
     }
     Ok(())
 }
@@ -180,10 +183,8 @@ pub(super) fn log_categories(
         if element.name() == "Category" {
             let attributes = Attributes::of(&element)?;
             let name = attributes.expected("name", &mut draft.quirks);
-            draft
-                .model
-                .log_categories
-                .push(LogCategory { name, description: attributes.text("description") });
+            let category = LogCategory { name, description: attributes.text("description") };
+            draft.budget.push(&mut draft.model.log_categories, category);
         }
     }
     Ok(())
@@ -213,11 +214,12 @@ pub(super) fn items(
         }
         let attributes = Attributes::of(&element)?;
         let next = items.len() as i64 + 1;
-        items.push(EnumerationItem {
+        let item = EnumerationItem {
             name: attributes.expected("name", &mut draft.quirks),
             value: attributes.wide_integer("value", &mut draft.quirks).unwrap_or(next),
             description: attributes.text("description"),
-        });
+        };
+        draft.budget.push(&mut items, item);
     }
     Ok(items)
 }
@@ -260,7 +262,7 @@ pub(super) fn type_attributes(
 /// A variable with its name and reference, everything else at the defaults.
 pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) -> Result<Variable, FmiError> {
     Ok(Variable {
-        name: attributes.required("name")?.to_owned(),
+        name: attributes.required_text("name")?,
         value_reference: attributes.value_reference()?,
         description: attributes.text("description"),
         kind,

@@ -1,10 +1,12 @@
 //! XML as a walk over elements, hardened: no document types, bounded depth and attributes, lines in all errors.
 
+use crate::description::limits::Budget;
 use crate::error::FmiError;
 use quick_xml::Reader;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use std::borrow::Cow;
+use std::rc::Rc;
 
 /// Depth of elements. Model descriptions need 5, annotations of tools some more.
 const DEEPEST: usize = 128;
@@ -17,6 +19,7 @@ pub(super) struct Xml<'a> {
     /// Name of the file, for messages.
     file: &'static str,
     text: &'a str,
+    budget: Rc<Budget>,
     /// Number of elements open.
     depth: usize,
     /// How far lines are counted, and how many there are up to there.
@@ -28,6 +31,7 @@ pub(super) struct Xml<'a> {
 pub(super) struct Element<'a> {
     start: BytesStart<'a>,
     pub(super) file: &'static str,
+    pub(super) budget: Rc<Budget>,
     /// Line in which it starts.
     pub(super) line: u32,
     /// Its depth; the root has 1.
@@ -35,10 +39,10 @@ pub(super) struct Element<'a> {
 }
 
 impl<'a> Xml<'a> {
-    pub(super) fn new(text: &'a str, file: &'static str) -> Result<Self, FmiError> {
+    pub(super) fn new(text: &'a str, file: &'static str, budget: Rc<Budget>) -> Result<Self, FmiError> {
         let mut reader = Reader::from_str(text);
         reader.config_mut().expand_empty_elements = true;
-        let mut xml = Xml { reader, file, text, depth: 0, counted: 0, line: 1 };
+        let mut xml = Xml { reader, file, text, budget, depth: 0, counted: 0, line: 1 };
         // Not allowed in XML, and a trap for everything that goes to C later.
         match text.find('\0') {
             Some(at) => Err(xml.error_at(at as u64, "a NUL character")),
@@ -57,7 +61,11 @@ impl<'a> Xml<'a> {
     /// The next child of the element at `level`, or `None` at its end. Whatever is left of the child returned
     /// last is skipped.
     pub(super) fn child(&mut self, level: usize) -> Result<Option<Element<'a>>, FmiError> {
+        if let Some(complaint) = self.budget.complaint() {
+            return Err(self.error(complaint));
+        }
         loop {
+            self.budget.cancel.check()?;
             let before = self.reader.buffer_position();
             match self.reader.read_event() {
                 Ok(Event::Start(start)) => {
@@ -71,6 +79,7 @@ impl<'a> Xml<'a> {
                         return Ok(Some(Element {
                             start,
                             file: self.file,
+                            budget: Rc::clone(&self.budget),
                             line: self.line_at(before),
                             level: self.depth,
                         }));
@@ -163,7 +172,7 @@ mod tests {
     use crate::archive::MODEL_DESCRIPTION;
 
     fn walk(text: &str) -> Result<Vec<String>, FmiError> {
-        let mut xml = Xml::new(text, MODEL_DESCRIPTION)?;
+        let mut xml = Xml::new(text, MODEL_DESCRIPTION, Rc::default())?;
         let root = xml.root()?;
         let mut seen = vec![format!("{}:{}", root.name(), root.line)];
         while let Some(child) = xml.child(root.level)? {
@@ -226,7 +235,8 @@ mod tests {
 
     #[test]
     fn values_are_unescaped_and_white_space_is_normalised() {
-        let mut xml = Xml::new("<a b=\"&lt;&#228;&#x62;\n&quot;\"/>", MODEL_DESCRIPTION).unwrap();
+        let mut xml =
+            Xml::new("<a b=\"&lt;&#228;&#x62;\n&quot;\"/>", MODEL_DESCRIPTION, Rc::default()).unwrap();
         let root = xml.root().unwrap();
         assert_eq!(root.attributes().unwrap()[0].1, "<\u{e4}b \"");
     }

@@ -1,0 +1,96 @@
+//! How much a model description may ask for, and what has been used of it so far.
+
+use crate::archive::MODEL_DESCRIPTION;
+use crate::cancel::Cancel;
+use crate::error::FmiError;
+use std::cell::Cell;
+
+/// What a model description may ask for. The defaults are above what real models need, and stop small files that would fill
+/// the memory.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DescriptionLimits {
+    /// Bytes of `modelDescription.xml` (default 64 MiB, a description of 200 000 variables). Reading it takes at most
+    /// eight times as much memory.
+    pub bytes: u64,
+    /// Elements of all array variables together, continuous states and event indicators (default 2 million): as declared,
+    /// and as they are after structural parameters have been set.
+    pub elements: usize,
+}
+
+impl Default for DescriptionLimits {
+    fn default() -> Self {
+        Self { bytes: 64 << 20, elements: 2_000_000 }
+    }
+}
+
+/// Memory for reading, per byte that a document may have.
+const MEMORY_PER_BYTE: u64 = 8;
+/// Of it, for what is there for a moment only: attributes as they are read, a list that grows.
+const TRANSIENT_PER_BYTE: u64 = 2;
+
+/// What is left of the memory for reading one document, and whether somebody wants the reading to end.
+#[derive(Debug)]
+pub(super) struct Budget {
+    pub(super) limits: DescriptionLimits,
+    pub(super) cancel: Cancel,
+    left: Cell<u64>,
+    is_exceeded: Cell<bool>,
+}
+
+impl Budget {
+    pub(super) fn new(limits: &DescriptionLimits, cancel: &Cancel) -> Self {
+        let left = limits.bytes.saturating_mul(MEMORY_PER_BYTE - TRANSIENT_PER_BYTE);
+        Self { limits: limits.clone(), cancel: cancel.clone(), left: left.into(), is_exceeded: false.into() }
+    }
+
+    /// Notes memory that is about to be taken; whether there is as much.
+    pub(super) fn take(&self, bytes: usize) -> bool {
+        match self.left.get().checked_sub(bytes as u64) {
+            Some(left) => self.left.set(left),
+            None => self.is_exceeded.set(true),
+        }
+        !self.is_exceeded.get()
+    }
+
+    /// Notes a text that is kept: its bytes, and what allocators add.
+    pub(super) fn take_text(&self, text: &str) -> bool {
+        self.take((text.len() + 8).next_multiple_of(16).max(32))
+    }
+
+    /// Adds to a list that grows by quarters, and notes what it takes.
+    pub(super) fn push<T>(&self, list: &mut Vec<T>, item: T) {
+        if list.len() == list.capacity() {
+            let more = (list.len() / 4).max(4);
+            if !self.take(more * size_of::<T>()) {
+                return;
+            }
+            list.reserve_exact(more);
+        }
+        list.push(item);
+    }
+
+    /// Refuses to go on if more was taken than there is, or somebody wants the reading to end.
+    pub(super) fn check(&self, line: u32) -> Result<(), FmiError> {
+        self.cancel.check()?;
+        let refusal = |message| FmiError::Description { file: MODEL_DESCRIPTION, line, message };
+        self.complaint().map_or(Ok(()), |complaint| Err(refusal(complaint)))
+    }
+
+    /// What has to be said if more was taken than there is.
+    pub(super) fn complaint(&self) -> Option<String> {
+        let Self { limits: DescriptionLimits { bytes, .. }, .. } = self;
+        self.is_exceeded.get().then(|| {
+            format!(
+                "reading it takes more than {} bytes of memory, {MEMORY_PER_BYTE} times the limit of {bytes} for the \
+                 document (DescriptionLimits::bytes)",
+                bytes.saturating_mul(MEMORY_PER_BYTE)
+            )
+        })
+    }
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self::new(&DescriptionLimits::default(), &Cancel::default())
+    }
+}

@@ -1,0 +1,32 @@
+//! The C headers of the standard, for source-code FMUs that include them and do not bring them (`headers/readme.md`: origin
+//! and licence).
+
+use crate::error::FmiError;
+use std::fs;
+use std::path::Path;
+
+/// Names and contents.
+macro_rules! headers {
+    [$($name:literal),+ $(,)?] => {
+        &[$(($name, include_str!(concat!("../../headers/", $name)))),+]
+    };
+}
+
+const HEADERS: &[(&str, &str)] = headers![
+    "fmi2TypesPlatform.h",
+    "fmi2FunctionTypes.h",
+    "fmi2Functions.h",
+    "fmi3PlatformTypes.h",
+    "fmi3FunctionTypes.h",
+    "fmi3Functions.h",
+];
+
+/// Writes them into a folder that is made for it.
+pub(super) fn write(folder: &Path) -> Result<(), FmiError> {
+    fs::create_dir(folder).map_err(FmiError::io("create", folder))?;
+    for (name, text) in HEADERS {
+        let path = folder.join(name);
+        fs::write(&path, text).map_err(FmiError::io("write", path))?;
+    }
+    Ok(())
+}
