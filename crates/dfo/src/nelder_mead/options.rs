@@ -139,10 +139,11 @@ impl Coefficients {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum InitialSimplex {
-    /// Without any bound, size or logarithm: a regular simplex with edges of `0.3 * max(1, |x0|)` (Euclidean norm). Else
-    /// one step along each free parameter. Its length: a tenth of the width of the box where that is finite, else
-    /// `0.3 * size` where the user gave a size, else 0.3 on a logarithmic scale, else `0.3 * max(1, |x0|)` with the
-    /// Euclidean norm over the parameters to which this last rule applies.
+    /// From the sizes of the parameters: the nominal value where one was given, else the width of the box, else |x0|, else
+    /// (where x0 is zero and nothing else is known) 1, the nominal value that FMI assumes. Without any bound: a regular
+    /// simplex with edges of `0.3 * size`, away from zero, so that multiplying a parameter by a constant changes nothing.
+    /// Else one step along each free parameter: a tenth of the width of the box where that is finite, else `0.3 * size`
+    /// (a logarithmic parameter has the size 1 of its logarithm).
     #[default]
     Auto,
     /// These steps, one per parameter in the user's order; a step of a logarithmic parameter is one of `ln x`, one of
