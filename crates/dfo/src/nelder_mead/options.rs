@@ -4,7 +4,7 @@ use super::initial;
 use super::state::NelderMeadState;
 use crate::error::Error;
 use crate::method::{MethodOptions, Setup, restored};
-use crate::scaling::{BoundsHandling, Space};
+use crate::scaling::BoundsHandling;
 use crate::words;
 use serde::{Deserialize, Serialize};
 
@@ -168,7 +168,7 @@ pub struct NelderMead {
     pub batch: BatchPlan,
     /// Coefficients; default standard below five parameters, adaptive from there on.
     pub coefficients: Coefficients,
-    /// How points outside of the box are brought back; default mirrored.
+    /// How the search is kept in the box; default [`BoundsHandling::Sine`].
     #[serde(rename = "bounds_handling")]
     pub bounds: BoundsHandling,
     /// The starting simplex.
@@ -184,7 +184,7 @@ impl Default for NelderMead {
         Self {
             batch: BatchPlan::Auto,
             coefficients: Coefficients::Auto,
-            bounds: BoundsHandling::Mirror,
+            bounds: BoundsHandling::default(),
             initial: InitialSimplex::Auto,
             restarts: 2,
         }
@@ -206,7 +206,7 @@ impl NelderMead {
         self
     }
 
-    /// Sets how points outside of the box are brought back.
+    /// Sets how the search is kept in the box.
     #[must_use]
     pub fn bounds_handling(mut self, handling: BoundsHandling) -> Self {
         self.bounds = handling;
@@ -236,13 +236,13 @@ impl NelderMead {
 }
 
 impl NelderMead {
-    /// For the sine: the start drawn inside, and the space of angles.
-    fn prepared(&self, setup: &Setup) -> (Setup, Option<Space>) {
-        if self.bounds != BoundsHandling::Sine {
-            return (setup.clone(), None);
+    /// The problem as the search sees it: over angles, if so wished.
+    pub(crate) fn prepared(&self, setup: &Setup) -> Setup {
+        let mut setup = setup.clone();
+        if self.bounds == BoundsHandling::Sine {
+            setup.space = setup.space.with_sine();
         }
-        let sine = setup.space.with_sine();
-        (Setup { space: setup.space.starting_at(sine.x0()), ..setup.clone() }, Some(sine))
+        setup
     }
 }
 
@@ -253,15 +253,9 @@ impl MethodOptions for NelderMead {
         setup.tolerances.check()?;
         setup.space.require_continuous("nelder-mead")?;
         let numbers = self.coefficients.resolve(setup.space.n_free())?;
-        let (setup, sine) = self.prepared(setup);
         let mut simplex = initial::simplex(&setup.space, &self.initial)?;
-        let setup = match sine {
-            None => setup,
-            Some(space) => {
-                simplex.rewrite(&space);
-                Setup { space, ..setup }
-            }
-        };
+        let setup = self.prepared(setup);
+        simplex.rewrite(&setup.space);
         let plan = self.batch.resolve(setup.workers);
         Ok(NelderMeadState::new(setup, plan, numbers, self.bounds, simplex, self.restarts))
     }
@@ -271,8 +265,7 @@ impl MethodOptions for NelderMead {
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<NelderMeadState, Error> {
-        let (setup, sine) = self.prepared(setup);
-        let setup = Setup { space: sine.unwrap_or(setup.space), ..setup };
+        let setup = self.prepared(setup);
         restored(state, |s: &NelderMeadState| s.is_sound(&setup))
     }
 }

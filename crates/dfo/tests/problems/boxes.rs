@@ -17,6 +17,16 @@ pub struct Boxed {
     pub best: f64,
 }
 
+impl Boxed {
+    /// Three starts: the usual one, and two corners of the box (where it has them).
+    pub fn starts(&self) -> [Vec<f64>; 3] {
+        let corner = |bounds: &[f64]| {
+            bounds.iter().zip(&self.start).map(|(b, x)| if b.is_finite() { *b } else { *x }).collect()
+        };
+        [self.start.clone(), corner(&self.lower), corner(&self.upper)]
+    }
+}
+
 /// Uniform numbers: the generator of Lehmer, good enough for matrices.
 struct Dice(u64);
 
