@@ -256,7 +256,8 @@ impl BarrierState {
         }
     }
 
-    fn end_stage(&mut self) -> Result<(), Error> {
+    /// `inner`: why the stage ended.
+    fn end_stage(&mut self, inner: Termination) -> Result<(), Error> {
         let Some((x, value)) = self.inner.best().map(|(x, v)| (x.to_vec(), v)) else { return Ok(()) };
         let mu = self.mu.unwrap_or(0.0);
         let barrier = self.barrier(&x);
@@ -280,8 +281,14 @@ impl BarrierState {
             Measure::Absolute => f_tol,
         };
         let tight = inner_setup(&self.setup, &x, stage - 1).tolerances == self.setup.tolerances;
-        if (tight && stage > 1 && moved <= x_tol && mu * barrier <= limit) || stage >= MAX_STAGES {
-            self.ended = Some(Termination::Converged);
+        let settled = stage > 1 && moved <= x_tol && mu * barrier <= limit;
+        self.ended = match inner {
+            Termination::OneFiniteVertex => Some(inner),
+            _ if tight && settled => Some(inner),
+            _ if stage >= MAX_STAGES => Some(Termination::Stalled),
+            _ => None,
+        };
+        if self.ended.is_some() {
             return Ok(());
         }
         self.mu = Some(mu * self.factor);
@@ -378,7 +385,7 @@ impl Method for BarrierState {
                 self.ended = Some(Termination::AllFixed);
                 Ok(())
             }
-            Status::Ended(_) => self.end_stage(),
+            Status::Ended(termination) => self.end_stage(termination),
         }
     }
 
@@ -390,8 +397,8 @@ impl Method for BarrierState {
         match (&self.ended, self.inner.status()) {
             (Some(termination), _) => Status::Ended(termination.clone()),
             (None, Status::NoStart) if self.schedule.is_empty() => Status::NoStart,
-            // Later stages start where there was a cost before; an objective that has none now has lost its mind.
-            (None, Status::NoStart) => Status::Ended(Termination::Collapsed),
+            // Later stages start where there was a cost before.
+            (None, Status::NoStart) => Status::Ended(Termination::AllFailed),
             (None, _) => Status::Running,
         }
     }

@@ -4,24 +4,26 @@ use crate::cost::Cost;
 use crate::population::Population;
 use crate::rng::Stream;
 
-/// The share that the worst member with a cost keeps of the range of costs.
+/// The share that the members worse than the median keep of the fitness of the best.
 const FLOOR: f64 = 1e-3;
 
-/// Running sums of the fitness of all members; the last is the total.
+/// Running sums of the fitness of all members; the last is the total. Fitness is how far a cost lies below the median:
+/// measured from the worst, a few mutants far off would make all others equally fit, and the population would never
+/// converge (a sphere in ten parameters: 0.27 left after 10 000 evaluations, with the median 1.4e-6).
 pub(super) fn fitness_sums(population: &Population, out: &mut Vec<f64>) {
-    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    for slot in 0..population.len() {
-        if let Cost::Value(v) = population.cost(slot) {
-            (low, high) = (low.min(v), high.max(v));
-        }
-    }
+    let cost = |rank: usize| population.cost(population.order()[rank]).value().unwrap_or(0.0);
+    let (low, median) = match population.n_finite() {
+        0 => (0.0, 0.0),
+        n => (cost(0), cost((n - 1) / 2)),
+    };
     // Halved, so that the range of the largest numbers does not overflow.
-    let range = 0.5 * high - 0.5 * low;
+    let range = 0.5 * median - 0.5 * low;
     out.clear();
     let mut sum = 0.0;
     for slot in 0..population.len() {
         sum += match population.cost(slot) {
-            Cost::Value(v) if range > 0.0 => (0.5 * high - 0.5 * v) / range + FLOOR,
+            Cost::Value(v) if v > median => FLOOR,
+            Cost::Value(v) if range > 0.0 => (0.5 * median - 0.5 * v) / range + FLOOR,
             Cost::Value(_) => 1.0,
             Cost::Failed | Cost::Pending => 0.0,
         };
@@ -92,11 +94,11 @@ mod tests {
     fn selection_follows_the_fitness_shares() {
         use Cost::{Failed, Value};
         let mut sums = Vec::new();
-        let p = population(&[Value(3.0), Failed, Value(-1.0), Value(1.0)]);
+        let p = population(&[Value(3.0), Failed, Value(-1.0), Value(0.0), Value(1.0), Value(9.0)]);
         fitness_sums(&p, &mut sums);
-        let fitness = [0.001, 0.0, 1.001, 0.501];
+        let fitness = [0.001, 0.0, 1.001, 0.501, 0.001, 0.001];
         let total: f64 = fitness.iter().sum();
-        let mut counts = [0.0; 4];
+        let mut counts = [0.0; 6];
         let (mut s, draws) = (stream(), 30_000.0);
         (0..draws as usize).for_each(|_| counts[spin(&mut s, &sums)] += 1.0);
         for (count, share) in counts.iter().zip(fitness.map(|f| f / total)) {

@@ -174,8 +174,11 @@ pub struct NelderMead {
     /// The starting simplex.
     #[serde(rename = "initial_simplex")]
     pub initial: InitialSimplex,
-    /// How often a simplex that is flat when the tests pass may be built anew (one that is flat because it lies on a
-    /// bound is not: that is normal); default 2.
+    /// How often a simplex that is flat when the tests pass is built anew around its best vertex, at the size it has then
+    /// (at least 1e-3 of the sizes); default 2. A simplex is flat if its vertices (nearly) lie in a plane: then it may have
+    /// stopped where the cost still falls across that plane. A sound simplex is not restarted, one that lies on a bound
+    /// is not flat, and after a restart that found nothing better there is none. This is no search for other minima: for
+    /// those start from several points, or use differential evolution.
     pub restarts: usize,
 }
 
@@ -213,7 +216,7 @@ impl NelderMead {
         self
     }
 
-    /// Sets how often a flat simplex may be built anew.
+    /// Sets how often a flat simplex may be built anew, see [`NelderMead::restarts`](field@Self::restarts).
     #[must_use]
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = restarts;

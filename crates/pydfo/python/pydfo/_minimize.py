@@ -87,9 +87,13 @@ def minimize(
         ("continuous", "integer" or "categorical", for all or each), ``cache`` (evaluations remembered, so that exact
         repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``warm_start`` (an earlier result or trace,
         or points and costs), ``checkpoint_interval`` (seconds between writes, 0.2).
-        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "lee-wiswall"), ``coefficients`` ("auto",
-        "standard", "adaptive" or four numbers), ``bounds_handling`` ("mirror", "clamp", "sine"), ``initial_simplex``
-        (vertices or steps), ``restarts``. Barrier: ``batch``, ``mu``, ``factor``. DE: ``population``, ``sampling``
+        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "lee-wiswall"), ``coefficients`` ("standard":
+        reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": those of Gao and Han, which depend on n; four
+        numbers; "auto", the default: "standard" below five free parameters, "adaptive" from there on),
+        ``bounds_handling`` ("sine", the default: the search runs over angles, so that bounds are smooth; "mirror";
+        "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (2: how often a simplex that has become flat, all
+        vertices nearly in a plane, is built anew around its best vertex; a sound one is not, so this finds no other
+        minima). Barrier: ``batch``, ``mu``, ``factor``. DE: ``population``, ``sampling``
         ("uniform", "latin-hypercube", "sobol"), ``repair`` ("midpoint", "mirror", "clamp", "resample"), ``include_start``;
         L-SHADE also ``budget``, ``p_best``, ``memory``, ``archive``, ``final_population``; classic also ``strategy``
         ("rand1", "best1", "current-to-best1", "rand2"), ``crossover`` ("binomial", "exponential"), ``weight`` (a number,
