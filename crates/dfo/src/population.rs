@@ -158,7 +158,7 @@ impl Population {
     /// largest minus smallest cost.
     pub(crate) fn judge(&self, extent: Extent, space: &Space, tolerances: &Tolerances, f_0: f64) -> Tests {
         let counted = match extent {
-            Extent::BetterHalf => &self.order[..self.len().div_ceil(2)],
+            Extent::BestQuarter => &self.order[..self.len().div_ceil(4)],
             Extent::Population | Extent::Simplex => &self.order[..],
         };
         let best = self.best();

@@ -218,8 +218,8 @@ pub enum Extent {
     Simplex,
     /// Of a population.
     Population,
-    /// Of its better half.
-    BetterHalf,
+    /// Of its best quarter.
+    BestQuarter,
 }
 
 impl Extent {
@@ -227,7 +227,7 @@ impl Extent {
         match self {
             Self::Simplex => "simplex",
             Self::Population => "population",
-            Self::BetterHalf => "better half of the population:",
+            Self::BestQuarter => "best quarter of the population:",
         }
     }
 }

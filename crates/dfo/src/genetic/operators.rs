@@ -4,26 +4,28 @@ use crate::cost::Cost;
 use crate::population::Population;
 use crate::rng::Stream;
 
-/// The share that the members worse than the median keep of the fitness of the best.
+/// The share of the fitness of the best that members without any fitness of their own keep.
 const FLOOR: f64 = 1e-3;
 
-/// Running sums of the fitness of all members; the last is the total. Fitness is how far a cost lies below the median:
-/// measured from the worst, a few mutants far off would make all others equally fit, and the population would never
-/// converge (a sphere in ten parameters: 0.27 left after 10 000 evaluations, with the median 1.4e-6).
+/// Running sums of the fitness of all members; the last is the total. Fitness is how far a cost lies below the 60 % quantile
+/// of the costs. Measured from the worst, a few mutants far off make all others equally fit, and the population never
+/// converges: of a sphere in ten parameters on [-5, 5] 0.26 is left after 10 000 evaluations (median of 10 seeds), with
+/// quantiles of 80, 70, 60 and 50 % 5e-3, 5e-4, 3e-5 and 3e-6. The lower the quantile, the sooner diversity is lost:
+/// Rosenbrock's function in two parameters is left at 7e-4, 2e-5, 1e-4, 9e-3 and 9e-3.
 pub(super) fn fitness_sums(population: &Population, out: &mut Vec<f64>) {
     let cost = |rank: usize| population.cost(population.order()[rank]).value().unwrap_or(0.0);
-    let (low, median) = match population.n_finite() {
+    let (low, high) = match population.n_finite() {
         0 => (0.0, 0.0),
-        n => (cost(0), cost((n - 1) / 2)),
+        n => (cost(0), cost((n - 1) * 3 / 5)),
     };
     // Halved, so that the range of the largest numbers does not overflow.
-    let range = 0.5 * median - 0.5 * low;
+    let range = 0.5 * high - 0.5 * low;
     out.clear();
     let mut sum = 0.0;
     for slot in 0..population.len() {
         sum += match population.cost(slot) {
-            Cost::Value(v) if v > median => FLOOR,
-            Cost::Value(v) if range > 0.0 => (0.5 * median - 0.5 * v) / range + FLOOR,
+            Cost::Value(v) if v > high => FLOOR,
+            Cost::Value(v) if range > 0.0 => (0.5 * high - 0.5 * v) / range + FLOOR,
             Cost::Value(_) => 1.0,
             Cost::Failed | Cost::Pending => 0.0,
         };

@@ -58,16 +58,17 @@ impl BatchPlan {
 }
 
 /// The coefficients of the simplex operations.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Coefficients {
     /// [`Standard`](Self::Standard) below five free parameters, [`Adaptive`](Self::Adaptive) from there on.
     #[default]
     Auto,
-    /// 1, 2, 1/2, 1/2.
+    /// Reflection 1, expansion 2, contraction 1/2, shrink 1/2: those of Nelder and Mead (Comput. J. 7, 1965), and of Table 1
+    /// of Gedda et al. (Modelica Conference 2012); Python's `fmin` takes them for any number of parameters.
     Standard,
-    /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n.
+    /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n: those of Gao and Han (Comput. Optim. Appl. 51, 2012).
     Adaptive,
     /// The user's.
     Custom {
