@@ -1,6 +1,7 @@
 //! An opened FMU: its folder, its description, the store of its loaded library (found when first needed).
 
-use crate::archive::Archive;
+use crate::archive::{Archive, Part};
+use crate::cancel::Cancel;
 use crate::description::{Causality, Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, Core, Instance, Instantiated};
@@ -27,10 +28,13 @@ const NO_EVENT_MODE: &str = "the description promises an event mode in co-simula
 
 /// An opened FMU. Clones share everything and are cheap.
 ///
-/// Opening and inspecting run no code of the FMU; the first instance loads its library, which does.
+/// Opening reads the description and no other file of it. The first instance unpacks what the library may look for and
+/// loads the library. Opening and inspecting run no code of the FMU; loading does.
 #[derive(Debug, Clone)]
 pub struct Fmu {
     inner: Arc<Inner>,
+    /// The path it was opened by; other clones may have been opened by others.
+    path: Arc<Path>,
 }
 
 /// Fields are dropped in this order: idle instances, folder.
@@ -41,7 +45,6 @@ struct Inner {
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
     description: ModelDescription,
-    path: PathBuf,
     options: OpenOptions,
     archive: Arc<Archive>,
 }
@@ -75,9 +78,13 @@ impl Fmu {
     /// As [`open`](Self::open).
     pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let path = path.as_ref();
-        let archive = Archive::open_with(path, &options.limits)?;
+        Self::describe(Archive::open_with(path, &options.limits, &options.cancel)?, path, options)
+    }
+
+    /// Reads the description of an archive.
+    pub(crate) fn describe(archive: Archive, path: &Path, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let mut description = ModelDescription::read(&archive)?;
-        if let [first, others @ ..] = archive.repeated() {
+        if let [first, others @ ..] = &archive.repeated()[..] {
             let more = match others.len() {
                 0 => String::new(),
                 n => format!(" and {n} more"),
@@ -86,16 +93,28 @@ impl Fmu {
                 format!("the archive holds \"{first}\"{more} more than once, with the same content");
             description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
         }
-        Ok(Fmu {
-            inner: Arc::new(Inner {
-                stores: Default::default(),
-                real_references: OnceLock::new(),
-                description,
-                path: path.to_owned(),
-                options: options.clone(),
-                archive: Arc::new(archive),
-            }),
-        })
+        let inner = Inner {
+            stores: Default::default(),
+            real_references: OnceLock::new(),
+            description,
+            options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
+            archive: Arc::new(archive),
+        };
+        Ok(Fmu { inner: Arc::new(inner), path: path.into() })
+    }
+
+    /// The same FMU, opened by another path.
+    pub(crate) fn at(&self, path: &Path) -> Fmu {
+        Fmu { inner: Arc::clone(&self.inner), path: path.into() }
+    }
+
+    pub(crate) fn archive(&self) -> &Archive {
+        &self.inner.archive
+    }
+
+    /// Whether both are one: what one of them loads, the other has loaded.
+    pub fn is_same(&self, other: &Fmu) -> bool {
+        Arc::ptr_eq(&self.inner, &other.inner)
     }
 
     /// The model description.
@@ -138,16 +157,28 @@ impl Fmu {
 
     /// The path it was opened by.
     pub fn path(&self) -> &Path {
-        &self.inner.path
+        &self.path
     }
 
-    /// The folder that holds its (unpacked) content.
-    pub fn root(&self) -> &Path {
-        self.inner.archive.root()
+    /// The folder that holds all of its content, unpacked now if it was not before.
+    ///
+    /// # Errors
+    /// As [`Archive::unpack`].
+    pub fn root(&self) -> Result<PathBuf, FmiError> {
+        self.inner.archive.unpack()
     }
 
-    /// SHA-256 of its content, in hexadecimal.
-    pub fn content_hash(&self) -> &str {
+    /// The folder that holds what the library may look for when it runs; unpacked now if it was not before, or if somebody
+    /// has removed it.
+    pub(crate) fn running_root(&self) -> Result<PathBuf, FmiError> {
+        self.inner.archive.unpack_part(Part::Running, &Cancel::default())
+    }
+
+    /// SHA-256 of its content, in hexadecimal; computed when it is first asked for.
+    ///
+    /// # Errors
+    /// As [`Archive::content_hash`].
+    pub fn content_hash(&self) -> Result<&str, FmiError> {
         self.inner.archive.content_hash()
     }
 
@@ -196,6 +227,7 @@ impl Fmu {
         options: &InstanceOptions,
     ) -> Result<(Core, CopyLease), FmiError> {
         let store = self.store(kind)?;
+        self.running_root()?;
         let open = |from: LoadFrom<'_>| self.load(from, kind);
         let request = CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open };
         let is_new = |copy: &LoadedCopy| copy.record().keys().is_empty();
@@ -253,7 +285,8 @@ impl Fmu {
         };
         let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
         let guid = text("guid", &description.guid)?;
-        let resources = self.root().join("resources");
+        // A cleaner of the folder for temporary files may have been there since the library was loaded.
+        let resources = self.running_root()?.join("resources");
         let is_intermediate = |v: &&Variable| {
             v.intermediate_update && v.causality == Causality::Input && v.kind == VariableKind::Real
         };
@@ -376,6 +409,22 @@ impl Fmu {
         Ok(interface)
     }
 
+    /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends early when
+    /// `cancel` asks for it. **This loads the library and runs its code.**
+    ///
+    /// # Errors
+    /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
+    pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<(), FmiError> {
+        let kind = self.choose(kind)?;
+        let store = self.store_unless(kind, cancel)?;
+        let open = |from: LoadFrom<'_>| self.load(from, kind);
+        store
+            .lend(&CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open }, &mut || {
+                false
+            })?;
+        Ok(())
+    }
+
     /// How instances are reset, for the interface that is used where nothing else is asked for; `None` before it was tried.
     pub fn reuse(&self) -> Option<Reuse> {
         self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
@@ -403,56 +452,66 @@ impl Fmu {
 
     /// The loaded copies of the library for this platform, which is compiled before that if the FMU brings sources only.
     pub(crate) fn store(&self, kind: InterfaceKind) -> Result<Arc<CopyStore>, FmiError> {
+        self.store_unless(kind, &Cancel::default())
+    }
+
+    /// As [`store`](Self::store), unless `cancel` asks for an early end.
+    fn store_unless(&self, kind: InterfaceKind, cancel: &Cancel) -> Result<Arc<CopyStore>, FmiError> {
         // The lock is held meanwhile: a second thread waits instead of compiling it again.
         let mut slot = self.slot(kind);
         if let Some(store) = &*slot {
             return Ok(Arc::clone(store));
         }
-        let library = self.find_library(kind)?;
-        let metadata = library.metadata().map_err(FmiError::io("open", &library))?;
-        let identity = platform::file_identity(&metadata);
-        let (archive, root, loader) = (&self.inner.archive, self.root(), self.inner.options.loader);
-        let key = match library.strip_prefix(root) {
-            Ok(place) if archive.is_private() => {
-                Key::Content(self.content_hash().to_owned(), place.to_owned(), loader)
+        let library = self.binary(self.check_interface(kind)?, cancel)?;
+        let archive = &self.inner.archive;
+        let (root, loader) = (archive.unpack_part(Part::Running, cancel)?, self.inner.options.loader);
+        let (key, identity) = match (library.strip_prefix(&root), archive.fingerprint()) {
+            (Ok(place), Some(content)) => (Key::Content(content, place.to_owned(), loader), None),
+            _ => {
+                let metadata = library.metadata().map_err(FmiError::io("open", &library))?;
+                let identity = platform::file_identity(&metadata);
+                (Key::File(identity.place(&library), identity.clone(), loader), Some(identity))
             }
-            _ => Key::File(identity.place(&library), identity.clone(), loader),
         };
-        let source =
-            Source { library, root: root.to_owned(), identity, home: Some(Arc::clone(archive) as _) };
+        let source = Source { library, root, identity, home: Some(Arc::clone(archive) as _) };
         let store = slot.insert(StoreUse::new(key, source));
         Ok(Arc::clone(store))
     }
 
-    fn find_library(&self, kind: InterfaceKind) -> Result<PathBuf, FmiError> {
-        let interface = self.check_interface(kind)?;
-        let description = self.description();
-        match platform::find_binary(
-            self.root(),
-            &interface.model_identifier,
-            description.fmi_version.folder_names(),
-        ) {
+    /// The file of the library for this platform: unpacked, or built from the sources.
+    fn binary(&self, interface: &Interface, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+        let (archive, description) = (&self.inner.archive, self.description());
+        let find = |part| {
+            let root = archive.unpack_part(part, cancel)?;
+            let names = description.fmi_version.folder_names();
+            platform::find_binary(&root, &interface.model_identifier, names)
+        };
+        match find(Part::Running) {
             Ok(found) => {
                 if let Some(note) = &found.note {
                     log::warn!("{}: {note}", self.path().display());
                 }
-                Ok(found.path)
+                return Ok(found.path);
             }
-            Err(no_binary) => {
-                // A folder may have been edited since it was opened: the library belongs to what is there now.
-                let hash = self.inner.archive.present_hash()?;
-                let check = || match self.inner.archive.present_hash()? {
-                    now if now == hash => Ok(()),
-                    _ => Err(FmiError::BadArchive {
-                        path: self.path().to_owned(),
-                        reason: "its files were changed while its library was built".to_owned(),
-                    }),
-                };
-                match source::build_unchanged(self.root(), description, interface, &hash, check) {
-                    Err(FmiError::NoSources { .. }) => Err(self.with_own_path(no_binary)),
-                    outcome => outcome,
-                }
-            }
+            Err(FmiError::NoBinary { .. }) => {}
+            Err(error) => return Err(error),
+        }
+        let root = archive.unpack_part(Part::Sources, cancel)?;
+        // A folder may have been edited since it was opened: the library belongs to what is there now.
+        let hash = archive.present_hash()?;
+        let check = || match archive.present_hash()? {
+            now if now == hash => Ok(()),
+            _ => Err(FmiError::BadArchive {
+                path: self.path().to_owned(),
+                reason: "its files were changed while its library was built".to_owned(),
+            }),
+        };
+        match source::build_unchanged(&root, description, interface, &hash, check) {
+            // With the binaries of other platforms, for the message.
+            Err(FmiError::NoSources { .. }) => find(Part::Binaries)
+                .map(|found| found.path)
+                .map_err(|no_binary| self.with_own_path(no_binary)),
+            outcome => outcome,
         }
     }
 

@@ -5,6 +5,7 @@ pub mod archive;
 mod assign;
 mod beginning;
 mod binary;
+mod cancel;
 mod clocks;
 mod co_simulation;
 mod column;
@@ -42,6 +43,7 @@ mod texts;
 mod trajectory;
 
 pub use archive::{Archive, ArchiveLimits};
+pub use cancel::Cancel;
 pub use clocks::Tick;
 pub use co_simulation::StepOutcome;
 pub use description::{ModelDescription, Value, Variable};

@@ -136,7 +136,7 @@ impl Pool {
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
         let mut runner = simulator.runner();
         runner.settle_in(None)?;
-        let resources = Snapshot::of(&fmu.root().join("resources"));
+        let resources = Snapshot::of(&fmu.running_root()?.join("resources"));
         let examined = self.examine(&mut runner);
         state.written = resources.first_change();
         let reuse = if runner.is_fatal() {

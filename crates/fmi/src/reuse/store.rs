@@ -27,7 +27,7 @@ const PATIENCE: Duration = Duration::from_millis(20);
 /// What tells one library from another.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(crate) enum Key {
-    /// Of an archive: the hash of its content, and the place in it.
+    /// Of an archive: its fingerprint, and the place in it.
     Content(String, PathBuf, LoaderOptions),
     /// Of a folder, which may be edited: the file.
     File(FilePlace, FileIdentity, LoaderOptions),
@@ -40,8 +40,8 @@ pub(crate) struct Source {
     pub(crate) library: PathBuf,
     /// The folder of the FMU.
     pub(crate) root: PathBuf,
-    /// What the file was when it was found.
-    pub(crate) identity: FileIdentity,
+    /// What the file was when it was found, where it could be written over.
+    pub(crate) identity: Option<FileIdentity>,
     /// Keeps the folder on the disk.
     pub(crate) home: Option<Home>,
 }
@@ -63,8 +63,9 @@ impl Source {
     /// # Errors
     /// The file was written over: a copy would be another library.
     pub(super) fn check_unchanged(&self) -> Result<(), FmiError> {
+        let Some(identity) = &self.identity else { return Ok(()) };
         let metadata = self.library.metadata().map_err(FmiError::io("open", &self.library))?;
-        match platform::file_identity(&metadata).same_content(&self.identity) {
+        match platform::file_identity(&metadata).same_content(identity) {
             true => Ok(()),
             false => Err(FmiError::written_over(&self.library)),
         }

@@ -236,6 +236,8 @@ impl Runner {
     fn lend(&self, mut observer: Option<&mut dyn Observer>) -> Result<CopyLease, FmiError> {
         let fmu = self.plan.fmu().clone();
         let store = fmu.store(self.plan.kind)?;
+        // Somebody may have removed what was unpacked.
+        fmu.running_root()?;
         let cancel = self.plan.options.cancel.clone();
         let mut wait = || {
             let stopped = observer.as_mut().is_some_and(|observer| observer.poll().is_break());

@@ -85,7 +85,7 @@ static void leave(void) { __atomic_fetch_sub(&inside, 1, __ATOMIC_SEQ_CST); }
 
 #ifdef LARGE_TLS
 /* Static thread-local storage is set aside once per process and is small. */
-static __thread char large[LARGE_TLS] __attribute__((tls_model("initial-exec")));
+static __thread volatile char large[LARGE_TLS] __attribute__((tls_model("initial-exec")));
 #endif
 
 static void start_values(Model *m) {
