@@ -158,7 +158,7 @@ impl Population {
     /// largest minus smallest cost.
     pub(crate) fn judge(&self, extent: Extent, space: &Space, tolerances: &Tolerances, f_0: f64) -> Tests {
         let counted = match extent {
-            Extent::BestQuarter => &self.order[..self.len().div_ceil(4)],
+            Extent::BestEighth => &self.order[..self.len().div_ceil(8)],
             Extent::Population | Extent::Simplex => &self.order[..],
         };
         let best = self.best();

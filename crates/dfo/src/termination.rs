@@ -218,8 +218,8 @@ pub enum Extent {
     Simplex,
     /// Of a population.
     Population,
-    /// Of its best quarter.
-    BestQuarter,
+    /// Of its best eighth.
+    BestEighth,
 }
 
 impl Extent {
@@ -227,7 +227,7 @@ impl Extent {
         match self {
             Self::Simplex => "simplex",
             Self::Population => "population",
-            Self::BestQuarter => "best quarter of the population:",
+            Self::BestEighth => "best eighth of the population:",
         }
     }
 }
