@@ -349,7 +349,7 @@ pub(crate) fn available_memory() -> Option<u64> {
 }
 
 /// What tells a file from another, and from what it was before it was changed.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(crate) struct FileIdentity {
     /// Device and inode, where systems have them.
     place: (u64, u64),

@@ -306,7 +306,8 @@ impl NelderMeadState {
                 self.end(Termination::Converged);
             }
         } else if collapsed {
-            self.end(Termination::Collapsed);
+            let alone = self.simplex.n_finite() == 1;
+            self.end(if alone { Termination::OneFiniteVertex } else { Termination::Collapsed });
         } else {
             self.begin_iteration();
         }
@@ -563,7 +564,9 @@ mod tests {
     /// The reflection that a given simplex (best, second, worst) in the unit square leads to.
     fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {
         let space = Space::new(&vertices[0], Bounds::new(&[0.0; 2], &[1.0; 2]).unwrap(), &[], &[]).unwrap();
-        let options = NelderMead::default().initial_simplex(vertices.iter().map(|v| v.to_vec()).collect());
+        let options = NelderMead::default()
+            .bounds_handling(BoundsHandling::Mirror)
+            .initial_simplex(vertices.iter().map(|v| v.to_vec()).collect());
         let mut search = options.begin(&Setup::new(space)).unwrap();
         let mut batch = Batch::new();
         search.ask(&mut batch);
