@@ -274,6 +274,12 @@ impl Space {
         .into()
     }
 
+    /// Whether a point lies strictly between the bounds of all free parameters.
+    pub(crate) fn is_inside(&self, x: &[f64]) -> bool {
+        let (lower, upper) = (self.bounds.lower(), self.bounds.upper());
+        self.free.iter().all(|&i| lower[i] < x[i] && x[i] < upper[i])
+    }
+
     /// The same space with another start point inside of the box.
     pub(crate) fn starting_at(&self, x0: &[f64]) -> Self {
         Self { x0: x0.to_vec(), ..self.clone() }
