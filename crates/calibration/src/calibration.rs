@@ -117,7 +117,7 @@ impl CalibrationBuilder {
                 return Err(CalibrationError::Parameter { name, message: "stands there twice".to_owned() });
             }
         }
-        let identity = identity(&fmu, &experiments, &parameters, &settings);
+        let identity = identity(&fmu, &experiments, &parameters, &settings)?;
         let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
         let experiments = experiments

@@ -10,7 +10,9 @@
 
 use crate::bounds::Bounds;
 use crate::error::Error;
-use crate::method::{Batch, Lookahead, Method, MethodOptions, Operation, Setup, SimplexView, Status, restored, saved};
+use crate::method::{
+    Batch, Lookahead, Method, MethodOptions, Operation, Setup, SimplexView, Status, restored, saved,
+};
 use crate::nelder_mead::{BatchPlan, NelderMead, NelderMeadState};
 use crate::objective::Outcome;
 use crate::scaling::Space;
@@ -219,11 +221,12 @@ pub struct BarrierState {
 impl BarrierState {
     fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
+        let inner = inner_setup(&self.setup, &self.stage_start, self.schedule.len());
         self.setup.space == *space
             && self.working.len() == space.n_free()
             && self.stage_start.len() == space.n()
             && self.best.as_ref().is_none_or(|(x, _)| x.len() == space.n())
-            && self.inner.is_sound(&inner_setup(&self.setup, &self.stage_start, self.schedule.len()))
+            && self.inner.is_sound(&NelderMead::default().prepared(&inner))
     }
 
     /// `B(x)`; positive, finite inside of the bounds.

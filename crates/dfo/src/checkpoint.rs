@@ -147,7 +147,10 @@ pub(crate) fn fingerprint(
     }
     if !prior.is_empty() {
         let bytes = postcard::to_allocvec(prior).unwrap_or_default();
-        all.push(named("warm start", format!("{} points, {n_pinned} with costs ({:08x})", prior.len(), crc32fast::hash(&bytes))));
+        all.push(named(
+            "warm start",
+            format!("{} points, {n_pinned} with costs ({:08x})", prior.len(), crc32fast::hash(&bytes)),
+        ));
     }
     if let Some(problem) = problem {
         all.push(named("problem", problem.to_owned()));

@@ -133,11 +133,7 @@ pub(crate) enum Here {
 
 pub(crate) enum Executor<'a> {
     Serial(&'a dyn Objective),
-    Pool {
-        pool: &'a WorkerPool,
-        objective: &'a dyn Objective,
-        here: Here,
-    },
+    Pool { pool: &'a WorkerPool, objective: &'a dyn Objective, here: Here },
     Foreign(&'a mut BatchFunction<'a>),
 }
 

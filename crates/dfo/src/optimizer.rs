@@ -149,7 +149,9 @@ impl Optimizer {
         };
         let abort = match &outcome {
             // What was evaluated ahead of need ends nothing before it is needed.
-            Outcome::Abort(message) if k < self.desk.n_needed() => Some(Termination::Aborted(message.clone())),
+            Outcome::Abort(message) if k < self.desk.n_needed() => {
+                Some(Termination::Aborted(message.clone()))
+            }
             Outcome::Abort(_) => None,
             other if !other.is_known() => {
                 self.due.insert(k);

@@ -3,6 +3,7 @@
 
 use crate::executor::Here;
 use crate::method::Lookahead;
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Below so many seconds of work that could be saved, handing it to other threads does not pay: a thread that sleeps is
@@ -15,6 +16,8 @@ const FIRST_WAIT: usize = 32;
 const LONGEST_WAIT: usize = 4096;
 /// A width is worth another look only if it was not slower than this, in units of the fastest.
 const HOPELESS: f64 = 3.0;
+/// Evaluations whose median says how long one takes.
+const LATELY: usize = 9;
 /// How much a new measurement counts beside all before.
 const WEIGHT: f64 = 0.25;
 
@@ -45,8 +48,8 @@ struct Width {
 pub(crate) struct Pace {
     handing_over: HandingOver,
     workers: usize,
-    /// Seconds of an evaluation, lately.
-    evaluation: Option<f64>,
+    /// Seconds of the last evaluations, the oldest replaced first; their median is not moved by one that was disturbed.
+    lately: VecDeque<f64>,
     /// The longest of the last evaluations.
     longest: f64,
     widths: Vec<Width>,
@@ -72,7 +75,7 @@ impl Pace {
         Self {
             handing_over,
             workers,
-            evaluation: None,
+            lately: VecDeque::with_capacity(LATELY),
             longest: 0.0,
             widths: points.into_iter().map(width).collect(),
             current: 0,
@@ -92,7 +95,7 @@ impl Pace {
             Lookahead::Points(points) => points,
             Lookahead::Workers => self.workers,
             Lookahead::Measured => {
-                let short = self.evaluation.is_none_or(|seconds| seconds < WORTHWHILE);
+                let short = self.evaluation().is_none_or(|seconds| seconds < WORTHWHILE);
                 if self.widths.len() == 1 || (self.handing_over == HandingOver::Threads && short) {
                     return 1;
                 }
@@ -104,6 +107,15 @@ impl Pace {
                 self.widths[self.current].points
             }
         }
+    }
+
+    /// Seconds of an evaluation.
+    fn evaluation(&self) -> Option<f64> {
+        let mut sorted = [f64::INFINITY; LATELY];
+        sorted.iter_mut().zip(&self.lately).for_each(|(place, seconds)| *place = *seconds);
+        sorted.sort_by(f64::total_cmp);
+        let len = self.lately.len();
+        (len > 0).then(|| sorted[len / 2])
     }
 
     /// Closes the measurement of a width and chooses the next.
@@ -156,8 +168,12 @@ impl Pace {
 
     /// A round of evaluations took so long in all; `seconds` of each, the first `needed` for the path.
     pub(crate) fn measured(&mut self, needed: usize, in_all: f64, seconds: &[f64]) {
-        let each = seconds.iter().sum::<f64>() / seconds.len().max(1) as f64;
-        self.evaluation = Some(self.evaluation.map_or(each, |e| e + WEIGHT * (each - e)));
+        for &seconds in seconds {
+            if self.lately.len() == LATELY {
+                self.lately.pop_front();
+            }
+            self.lately.push_back(seconds);
+        }
         let longest = seconds.iter().fold(0.0, |m: f64, s| m.max(*s));
         self.longest = longest.max(self.longest * (1.0 - WEIGHT));
         // Vertices that are needed all at once say nothing about looking ahead.
@@ -172,7 +188,8 @@ impl Pace {
     /// Whether to hand points to other threads rather than to evaluate them on the calling one. `just_measured`: seconds of
     /// an evaluation, where it was the first.
     pub(crate) fn hands_over(&self, points: usize, here: Here, just_measured: Option<f64>) -> bool {
-        let Some(evaluation) = just_measured.or(self.evaluation).filter(|_| here != Here::Never) else {
+        let Some(evaluation) = just_measured.or_else(|| self.evaluation()).filter(|_| here != Here::Never)
+        else {
             return true;
         };
         let at_once = points.div_ceil(self.workers.max(1));
@@ -182,7 +199,7 @@ impl Pace {
 
     /// Whether nothing is known of what an evaluation takes.
     pub(crate) fn is_new(&self) -> bool {
-        self.evaluation.is_none()
+        self.lately.is_empty()
     }
 }
 

@@ -201,9 +201,9 @@ fn ask_and_tell_in_any_order_is_the_driven_run() {
 #[test]
 fn a_run_by_hand_that_ends_anywhere_goes_on_from_its_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
-    let limits = Limits { max_evaluations: Some(150), ..Limits::default() };
+    let limits = Limits { max_evaluations: Some(145), ..Limits::default() };
     for (k, method) in methods().into_iter().enumerate() {
-        let whole = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100).run().unwrap();
+        let whole = boxed(minimize(probe), &method).max_evaluations(145).trace_limit(100).run().unwrap();
         let path = folder.path().join(k.to_string());
         let mut told = 0;
         // Left without a word after ever more answers, in the middle of rounds; the file is what was saved by hand.
@@ -234,7 +234,7 @@ fn a_run_by_hand_that_ends_anywhere_goes_on_from_its_checkpoint() {
             }
         }
         // The driven run takes the same file: it is over.
-        let again = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100);
+        let again = boxed(minimize(probe), &method).max_evaluations(145).trace_limit(100);
         let again = again.checkpoint(Checkpoint::new(&path).resume(Resume::Require)).run().unwrap();
         let n = whole.n_evaluations;
         assert_eq!((again.x, again.n_evaluations, again.message), (whole.x, n, whole.message));
@@ -314,8 +314,11 @@ fn warm_starts_begin_with_what_is_known() {
             asked.lock().unwrap().push(x.to_vec());
             probe(x)
         };
-        let warm =
-            boxed(minimize(cost), &method).problem("probe").warm_start(&first.trace).max_evaluations(100).run();
+        let warm = boxed(minimize(cost), &method)
+            .problem("probe")
+            .warm_start(&first.trace)
+            .max_evaluations(100)
+            .run();
         let warm = warm.unwrap();
         assert!(warm.fun <= first.fun && warm.n_cached > 0, "{method:?}");
         let asked = asked.into_inner().unwrap();
@@ -353,10 +356,12 @@ fn costs_of_another_problem_are_never_reused() {
     // The other problem is dearer everywhere: a cost below 1000 is one of the first.
     let dearer = |x: &[f64]| 1000.0 + rosenbrock(x);
     for method in methods() {
-        for (then, now) in [(Some("first"), Some("second")), (None, Some("second")), (Some("first"), None), (None, None)]
+        for (then, now) in
+            [(Some("first"), Some("second")), (None, Some("second")), (Some("first"), None), (None, None)]
         {
             let earlier = first(then);
-            let run = boxed(minimize(dearer), &method).warm_start(&earlier.trace).cache(0).max_evaluations(100);
+            let run =
+                boxed(minimize(dearer), &method).warm_start(&earlier.trace).cache(0).max_evaluations(100);
             let run = match now {
                 Some(problem) => run.problem(problem),
                 None => run,

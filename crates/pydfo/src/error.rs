@@ -3,7 +3,7 @@
 
 use crate::fmu_error;
 use crate::interrupt::Stop;
-use pyo3::exceptions::{PyKeyError, PyMemoryError, PyKeyboardInterrupt, PyOSError, PyValueError};
+use pyo3::exceptions::{PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::io;

@@ -3,8 +3,8 @@
 //! There is one decision procedure. It runs over the trial points as far as they are known; where it meets an unknown
 //! one, that point is what the next batch asks for.
 
-use super::lee_wiswall::{LeeWiswall, Verdict};
 use super::foresight::{Foresight, Problem};
+use super::lee_wiswall::{LeeWiswall, Verdict};
 use super::options::{BatchPlan, Numbers};
 use super::restart;
 use super::simplex::SimplexData;
@@ -392,13 +392,11 @@ impl Method for NelderMeadState {
                     }
                 }
             }
-            Phase::Trying(_) => {
-                match self.decide() {
-                    Err(needed) => self.phase = Phase::Trying(needed),
-                    Ok(Operation::Shrink) => self.phase = Phase::Shrinking,
-                    Ok(operation) => self.end_iteration(operation),
-                }
-            }
+            Phase::Trying(_) => match self.decide() {
+                Err(needed) => self.phase = Phase::Trying(needed),
+                Ok(Operation::Shrink) => self.phase = Phase::Shrinking,
+                Ok(operation) => self.end_iteration(operation),
+            },
         }
         Ok(())
     }
@@ -490,7 +488,9 @@ mod tests {
     /// The reflection that a given simplex (best, second, worst) in the unit square leads to.
     fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {
         let space = Space::new(&vertices[0], Bounds::new(&[0.0; 2], &[1.0; 2]).unwrap(), &[], &[]).unwrap();
-        let options = NelderMead::default().initial_simplex(vertices.iter().map(|v| v.to_vec()).collect());
+        let options = NelderMead::default()
+            .bounds_handling(BoundsHandling::Mirror)
+            .initial_simplex(vertices.iter().map(|v| v.to_vec()).collect());
         let mut search = options.begin(&Setup::new(space)).unwrap();
         let mut batch = Batch::new();
         search.ask(&mut batch);
