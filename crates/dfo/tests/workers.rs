@@ -130,13 +130,13 @@ fn more_workers_need_fewer_rounds() {
 #[test]
 fn a_warm_start_on_a_bound_does_not_end_the_barrier() {
     let slope = |x: &[f64]| x[0] + (x[1] - 0.5).powi(2);
-    let run = |method: &str| {
+    let run = |method: AnyMethod| {
         let run = minimize(slope).start(&[0.7, 0.2]).bounds(&[0.0; 2], &[1.0; 2]).unwrap();
-        run.method(method.parse::<AnyMethod>().unwrap()).problem("slope")
+        run.method(method).problem("slope")
     };
-    let first = run("nelder-mead").run().unwrap();
+    let first = run(NelderMead::default().bounds_handling(dfo::BoundsHandling::Clamp).into()).run().unwrap();
     assert_eq!(first.x[0], 0.0);
-    let warm = run("barrier").warm_start(&first.trace).run().unwrap();
+    let warm = run(dfo::Barrier::default().into()).warm_start(&first.trace).run().unwrap();
     assert!(warm.fun < 1e-4, "{warm}");
 }
 
