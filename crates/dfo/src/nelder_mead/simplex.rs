@@ -174,20 +174,20 @@ impl SimplexData {
 
     /// Largest distance of a vertex from the best along any coordinate, as the x test measures it.
     pub(super) fn x_size(&self, space: &Space, measure: Measure) -> f64 {
-        let point = |slot: usize| (self.u(slot), self.x(slot));
-        let best = point(self.best());
-        self.largest(|k, slot| space.distance(k, best, point(slot), measure))
+        let extent = |(k, &i): (usize, &usize)| {
+            let pair = |slot: usize| (self.u(slot)[k], self.x(slot)[i]);
+            space.extent(k, pair(self.best()), self.order[1..].iter().map(|s| pair(*s)), measure)
+        };
+        space.free().iter().enumerate().map(extent).fold(0.0, f64::max)
     }
 
     /// The same in units of the sizes of the working coordinates.
     pub(super) fn relative_size(&self, space: &Space) -> f64 {
         let best = self.u(self.best());
-        self.largest(|k, slot| (self.u(slot)[k] - best[k]).abs() / space.size(k))
-    }
-
-    fn largest(&self, distance: impl Fn(usize, usize) -> f64) -> f64 {
-        let of_vertex = |slot: &usize| (0..self.n).map(|k| distance(k, *slot)).fold(0.0, f64::max);
-        self.order[1..].iter().map(of_vertex).fold(0.0, f64::max)
+        let distance = |slot: &usize| {
+            (0..self.n).map(|k| (self.u(*slot)[k] - best[k]).abs() / space.size(k)).fold(0.0, f64::max)
+        };
+        self.order[1..].iter().map(distance).fold(0.0, f64::max)
     }
 
     /// Worst minus best cost; `None` while a vertex has none.
