@@ -410,6 +410,9 @@ class Calibration:
             The simulation failed at every starting point; the reasons are counted in its ``failures``.
         Interrupted
             Ctrl-C: a KeyboardInterrupt with the fit so far in ``result``.
+        FmuError
+            No simulation can be made any more: the FMU has answered "fatal" too often, and no further copy of its library can
+            be loaded. The fit so far is in ``partial_result``.
         ValueError, TypeError
             Arguments that cannot be used.
 
