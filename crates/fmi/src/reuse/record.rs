@@ -106,7 +106,8 @@ impl Runner {
         // Where there is no other copy to ask later, this one is asked before anything is set.
         let new = |key: &&SetKey| recorded.binary_search(key).is_err() && !is_known(key);
         let new: Vec<SetKey> = wanted.iter().filter(new).copied().collect();
-        if !new.is_empty() && !store.may_copy() {
+        let may_ask_later = plan.sharing == Sharing::Copies && store.may_copy();
+        if !new.is_empty() && !may_ask_later {
             lease.copy().free_idle();
             let defaults = read_defaults(plan.fmu(), plan.kind, lease.library(), &new);
             store.defaults().extend(defaults);

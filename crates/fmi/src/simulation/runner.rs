@@ -49,6 +49,8 @@ pub(crate) struct Tenancy {
     runner: Mutex<Runner>,
     /// The copy is kept between runs.
     pinned: AtomicBool,
+    /// It lies in a pool: nobody asks for the values of its last run.
+    dormant: AtomicBool,
     /// The thread that uses it, or has pinned it.
     user: Mutex<Option<ThreadId>>,
 }
@@ -88,12 +90,14 @@ impl Tenancy {
                 lease: None,
             }),
             pinned: AtomicBool::new(false),
+            dormant: AtomicBool::new(false),
             user: Mutex::new(None),
         }))
     }
 
-    /// Keeps the copy between runs, or lets others have it.
+    /// Keeps the copy between runs, or lets others have it, to whom its values mean nothing.
     pub(crate) fn pin(&self, pinned: bool) {
+        self.dormant.store(!pinned, Ordering::Release);
         *self.user() = pinned.then(|| std::thread::current().id());
         self.pinned.store(pinned, Ordering::Release);
         if !pinned {
@@ -140,6 +144,10 @@ impl Tenant for Tenancy {
         runner.give_up();
         runner.evicted = true;
         Eviction::Done
+    }
+
+    fn is_dormant(&self) -> bool {
+        self.dormant.load(Ordering::Acquire)
     }
 }
 
