@@ -299,7 +299,17 @@ impl PyCalibration {
         observer: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let Settings {
-            method, tolerances, limits, workers, seed, known, cache, trace_limit, checkpoint, ..
+            method,
+            tolerances,
+            limits,
+            workers,
+            seed,
+            known,
+            known_problem,
+            cache,
+            trace_limit,
+            checkpoint,
+            ..
         } = options.check(py)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
@@ -316,13 +326,15 @@ impl PyCalibration {
                 limits,
                 seed,
                 known,
+                known_problem,
                 cache,
                 trace_limit,
                 checkpoint,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
                     seen.pass_on(progress, desk, hearing.as_ref())
                 })),
-                poll: Some(Box::new(move || asked.is_asked())),
+                cancel: Some(asked.flag()),
+                poll: asked.has_parent().then(|| Box::new(|| asked.is_asked()) as Box<dyn FnMut() -> bool>),
                 ..FitOptions::default()
             })
         })?;

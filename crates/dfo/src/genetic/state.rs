@@ -143,7 +143,7 @@ impl Breeder for Strings {
 
     /// Mutation keeps some members away from the best however long the search goes on.
     fn extent(&self) -> Extent {
-        Extent::BestQuarter
+        Extent::BestEighth
     }
 
     fn is_sound(&self, pool: &Pool) -> bool {

@@ -381,7 +381,7 @@ class Calibration:
             End the fit as soon as the cost is at or below this.
         stop : {"all", "any"}
             Whether both tests must hold, or one ends the fit.
-        batch : {"auto", "serial", "two", "four", "two-ahead", "lee-wiswall"}
+        batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`.
         disp : bool
             Print a line per iteration.
