@@ -311,6 +311,30 @@ fn copies_are_used_again_by_who_opens_the_fmu_next() {
     assert_eq!((before, mapped()), (2, 2));
 }
 
+/// The library ends the process when two instances of it are alive in one copy.
+#[test]
+fn there_is_one_instance_in_a_copy() {
+    let faults = &["DIES_WITH_TWO_INSTANCES", "RESET_TO_ZERO"];
+    for folder in [evil(faults), evil_with_sibling(faults, "single")] {
+        let fmu = folder.open();
+        let truth = fmu.simulate(&options()).unwrap();
+        for k in [2.0, 3.0] {
+            // After one whose instance is idle: by a pool, by a session, by a plan with other settings, by hand.
+            let pool = pool(&fmu, options());
+            assert!(is_of(k, &pool.lend().unwrap().trajectory(&[k]).unwrap()));
+            let mut session = Session::new(fmu.clone());
+            session.set("k", k).unwrap();
+            assert!(is_of(k, &session.simulate(&options()).unwrap()));
+            assert!(is_of(k, &pool.lend().unwrap().trajectory(&[k]).unwrap()));
+            assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);
+            let first = options().start_value("x", 1.0);
+            assert_eq!(fmu.simulate(&first).unwrap().columns, truth.columns);
+            drop((pool, session));
+            fmu.instantiate().unwrap();
+        }
+    }
+}
+
 /// Many pools need no more copies than simulators run at once.
 #[cfg(target_os = "linux")]
 #[test]

@@ -12,13 +12,20 @@ impl Runner {
         if self.reuse() == Some(Reuse::Restore) {
             return self.new_with_origin();
         }
+        self.instantiate()
+    }
+
+    /// A new instance, and no other in its copy of the library: an idle one is freed before.
+    fn instantiate(&self) -> Result<RawInstance, FmiError> {
+        if let Some(lease) = &self.lease {
+            lease.copy().free_idle();
+        }
         self.plan.fmu().instantiate_for_runs(self.library()?, self.plan.kind)
     }
 
     /// A new instance with its state saved, unless the FMU refuses that: then it is not asked again.
     pub(crate) fn new_with_origin(&self) -> Result<RawInstance, FmiError> {
-        let new = || self.plan.fmu().instantiate_for_runs(self.library()?, self.plan.kind);
-        let mut raw = new()?;
+        let mut raw = self.instantiate()?;
         let saved = {
             let _guard = FloatEnvironment::standard();
             raw.save_origin()
@@ -26,7 +33,7 @@ impl Runner {
         if saved.is_err() {
             self.refuse_restore();
             drop(raw);
-            return new();
+            return self.instantiate();
         }
         Ok(raw)
     }

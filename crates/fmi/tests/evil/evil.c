@@ -83,6 +83,10 @@ static void leave(void) { __atomic_fetch_sub(&inside, 1, __ATOMIC_SEQ_CST); }
 #define leave()
 #endif
 
+#ifdef DIES_WITH_TWO_INSTANCES
+static int alive;
+#endif
+
 #ifdef LARGE_TLS
 /* Static thread-local storage is set aside once per process and is small. */
 static __thread volatile char large[LARGE_TLS] __attribute__((tls_model("initial-exec")));
@@ -121,6 +125,9 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     return NULL;
 #endif
     enter();
+#ifdef DIES_WITH_TWO_INSTANCES
+    if (alive++ > 0) abort();
+#endif
     m = functions->allocateMemory(1, sizeof *m);
     leave();
     if (m == NULL) return NULL;
@@ -154,6 +161,9 @@ EXPORT void fmi2FreeInstance(fmi2Component c) {
     Model *m = c;
     if (m->fatal) abort();
     enter();
+#ifdef DIES_WITH_TWO_INSTANCES
+    alive--;
+#endif
     m->functions.freeMemory(m);
     leave();
 }
