@@ -217,7 +217,8 @@ fn the_error_names_the_indicator_and_comes_at_the_limit() {
 #[test]
 fn what_just_goes_on_is_left_alone() {
     /// x'' = -g; z = x; what the event does with the speed.
-    struct Fall(fn(&mut [f64]));
+    struct Fall(Event);
+    type Event = fn(&mut [f64]);
     impl HybridSystem for Fall {
         fn n_states(&self) -> usize {
             2
@@ -246,7 +247,7 @@ fn what_just_goes_on_is_left_alone() {
         }
     }
     let t1 = (2.0_f64 / 9.81).sqrt();
-    let rest: [(fn(&mut [f64]), f64); 4] = [
+    let rest: [(Event, f64); 4] = [
         (|_| {}, -9.81 * t1),
         (|x| x.copy_from_slice(&[0.0, 0.0]), 0.0),
         (|x| x.copy_from_slice(&[-0.5, 0.1]), 0.1),

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Driver, *};
+use common::Driver;
 use ode::*;
 
 /// `x_i' = 1`, with a value of one sort that is not finite from some time on.
@@ -114,6 +114,8 @@ impl HybridSystem for Dae {
     }
 }
 
+type System = (Vec<f64>, Vec<f64>, fn(f64, &[f64], &mut [f64]));
+
 fn diagonal(entries: &[f64]) -> Vec<f64> {
     let n = entries.len();
     (0..n * n).map(|p| if p % (n + 1) == 0 { entries[p / n] } else { 0.0 }).collect()
@@ -123,7 +125,7 @@ fn diagonal(entries: &[f64]) -> Vec<f64> {
 fn a_higher_index_is_named_and_an_index_of_one_is_not() {
     const G: f64 = 9.81;
     let ones = [1.0, 1.0, 1.0, 1.0, 0.0];
-    let high: [(Vec<f64>, Vec<f64>, fn(f64, &[f64], &mut [f64])); 4] = [
+    let high: [System; 4] = [
         // x = sin t decides y = cos t only when it is differentiated.
         (vec![0.0, 1.0], vec![1.0, 0.0], |t, x, d| d.copy_from_slice(&[x[1], x[0] - t.sin()])),
         // The pendulum, by its length: index 3.
@@ -146,7 +148,7 @@ fn a_higher_index_is_named_and_an_index_of_one_is_not() {
             assert!(error.to_string().contains("the problem looks like index 2 or higher"), "{i}: {error}");
         }
     }
-    let low: [(Vec<f64>, Vec<f64>, fn(f64, &[f64], &mut [f64])); 4] = [
+    let low: [System; 4] = [
         // x = y^2 ends where y is 0.
         (vec![1.0, 1.0], vec![1.0, 0.0], |_, x, d| d.copy_from_slice(&[-1.0, x[1] * x[1] - x[0]])),
         // x' = y, y = x^2: infinite at t = 1.
