@@ -42,22 +42,23 @@ pub(super) struct Algebraic {
 
 impl Algebraic {
     /// For a mass matrix of `n` states, by columns.
-    pub(super) fn begin(&mut self, n: usize, mass: &[f64]) {
+    pub(super) fn begin(&mut self, n: usize, mass: &[f64]) -> CallResult<()> {
         if self.n == n && self.mass == mass {
-            return;
+            return Ok(());
         }
         self.n = n;
         self.mass.clear();
         self.mass.extend_from_slice(mass);
         self.split();
         let m = self.names.len();
-        self.lu.begin(m, None);
+        self.lu.begin(m, None)?;
         self.matrix.resize(m * m, 0.0);
         self.residual.resize(m, 0.0);
         let Self { step, start, along, trial, inverse, .. } = self;
         for v in [step, start, along, trial, inverse] {
             v.resize(n, 0.0);
         }
+        Ok(())
     }
 
     /// Gaussian elimination with complete pivoting of the matrix, its rows and columns scaled to a largest entry of 1.
@@ -133,7 +134,7 @@ impl Algebraic {
                 self.matrix[a + m * b] = l.iter().zip(&self.step).map(|(l, v)| l * v).sum();
             }
         }
-        self.lu.decompose(|p| self.matrix[p])
+        self.lu.decompose(|p, _| self.matrix[p])
     }
 
     /// Makes Newton's step of the residuals; the largest share of a tolerance by which it moves a state.
@@ -259,7 +260,7 @@ mod tests {
     fn split<const N: usize>(m: [[f64; N]; N]) -> (Vec<usize>, Vec<f64>, Vec<f64>) {
         let mut a = Algebraic::default();
         let by_columns: Vec<f64> = (0..N * N).map(|p| m[p % N][p / N]).collect();
-        a.begin(N, &by_columns);
+        a.begin(N, &by_columns).unwrap();
         (a.names, a.rows, a.columns)
     }
 
