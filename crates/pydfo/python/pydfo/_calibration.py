@@ -45,6 +45,7 @@ class ExperimentFields:
     step_size: float | None
     max_step: float | None
     chattering: str
+    sharing: str
 
 
 class Raced(NamedTuple):
@@ -146,6 +147,12 @@ class Calibration:
         Where simulations start, in s; default: the model's default experiment, else 0.
     kind : {"auto", "ME", "CS"}, optional
         How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
+    sharing : {"copies", "serial", "together"}
+        How simulations that run in parallel share the FMU's library; no cost depends on it. "copies": each worker loads a
+        copy of its own, with static variables of its own; where copies would still share state or no further one can be
+        loaded, simulations run one at a time, and the log says why. "serial": one loaded library, one simulation at a
+        time. "together": one loaded library, in which all workers run at the same time. You say that the FMU is
+        thread-safe then; where it is not, results are wrong or the process ends.
 
     Raises
     ------
@@ -177,6 +184,7 @@ class Calibration:
         start_time: SupportsFloat | None = None,
         kind: str | None = None,
         chattering: Literal["error", "warn", "slide"] = "error",
+        sharing: Literal["copies", "serial", "together"] = "copies",
     ) -> None:
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
@@ -205,6 +213,7 @@ class Calibration:
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
+            sharing=_options.choice("sharing", sharing),
         )
         self._model = _path(model)
         opened = getattr(model, "_fmu", None)
@@ -373,7 +382,7 @@ class Calibration:
             End the fit as soon as the cost is at or below this.
         stop : {"all", "any"}
             Whether both tests must hold, or one ends the fit.
-        batch : {"auto", "serial", "two", "four", "two-ahead", "lee-wiswall"}
+        batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`.
         disp : bool
             Print a line per iteration.
@@ -402,6 +411,9 @@ class Calibration:
             The simulation failed at every starting point; the reasons are counted in its ``failures``.
         Interrupted
             Ctrl-C: a KeyboardInterrupt with the fit so far in ``result``.
+        FmuError
+            No simulation can be made any more: the FMU has answered "fatal" too often, and no further copy of its library can
+            be loaded. The fit so far is in ``partial_result``.
         ValueError, TypeError
             Arguments that cannot be used.
 

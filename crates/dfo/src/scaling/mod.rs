@@ -5,8 +5,11 @@
 //! a logarithmic one. The typical size of a coordinate is taken from the user, else from the width of a finite box,
 //! else from |x0|, else it is 1.
 
+mod angles;
+
 use crate::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
+use crate::termination::Measure;
 use crate::words;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -45,19 +48,22 @@ impl fmt::Display for Kind {
     }
 }
 
-/// How points outside of the box are brought back.
+/// How the search is kept in the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum BoundsHandling {
-    /// Mirrored at the bound, repeatedly if need be.
+    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds, and over a
+    /// hyperbola for one bound (James and Roos, Comput. Phys. Commun. 10, 1975: MINUIT). A cost that goes down towards a
+    /// bound is smooth over the angle, with its minimum where the bound is reached; mirrored it has a kink there, and
+    /// a simplex clamped to bounds becomes flat. Of 126 runs in boxes (`benches/simplex.rs`) 125 are solved with a mean
+    /// of 1169 evaluations; mirrored 94 with 5740, clamped 84 with 5049.
     #[default]
+    Sine,
+    /// Mirrored at the bound, repeatedly if need be.
     Mirror,
     /// Set onto the bound.
     Clamp,
-    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds (over a
-    /// hyperbola for one bound). A start on a bound, where the sine has no slope, is drawn inside by 2 % of the range.
-    Sine,
 }
 
 /// A checked start point with its box, scales and sizes.
@@ -74,8 +80,8 @@ pub struct Space {
     size_given: Vec<bool>,
     /// Whether working coordinates are angles and the like, see [`BoundsHandling::Sine`].
     sine: bool,
-    /// With it: the sizes of the coordinates themselves, the unit of the hyperbola at a single bound.
-    hyperbola: Vec<f64>,
+    /// With it: the sizes of the parameters themselves, also the unit of the hyperbola at a single bound.
+    units: Vec<f64>,
     /// Whether the user's bounds are finite on both sides (in working coordinates).
     boxed: Vec<bool>,
 }
@@ -118,7 +124,7 @@ impl Space {
             sizes: Vec::new(),
             size_given: Vec::new(),
             sine: false,
-            hyperbola: Vec::new(),
+            units: Vec::new(),
             boxed: Vec::new(),
         };
         for index in 0..n {
@@ -274,6 +280,12 @@ impl Space {
         .into()
     }
 
+    /// Whether a point lies strictly between the bounds of all free parameters.
+    pub(crate) fn is_inside(&self, x: &[f64]) -> bool {
+        let (lower, upper) = (self.bounds.lower(), self.bounds.upper());
+        self.free.iter().all(|&i| lower[i] < x[i] && x[i] < upper[i])
+    }
+
     /// The same space with another start point inside of the box.
     pub(crate) fn starting_at(&self, x0: &[f64]) -> Self {
         Self { x0: x0.to_vec(), ..self.clone() }
@@ -359,43 +371,6 @@ impl Space {
         }
     }
 
-    /// The same problem over angles, and the start point drawn inside. Working coordinates of this space have no
-    /// bounds; their sizes are such that a distance in them is at least that of the point, in units of its size.
-    pub(crate) fn with_sine(&self) -> Self {
-        const INSIDE: f64 = 0.02;
-        let mut space = self.clone();
-        let mut u = vec![0.0; self.n_free()];
-        self.to_working(&self.x0, &mut u);
-        for (k, u) in u.iter_mut().enumerate() {
-            let (lower, upper) = self.ends(k);
-            let margin = INSIDE * self.width(k).unwrap_or(self.sizes[k]);
-            // A step inside may lead beyond the other bound, or beyond all numbers.
-            let ends = (self.lower[k].max(f64::MIN), self.upper[k].min(f64::MAX));
-            let inside = u.max(lower + margin).min(upper - margin).clamp(ends.0, ends.1);
-            let i = self.free[k];
-            if inside != *u {
-                (*u, space.x0[i]) = (
-                    inside,
-                    match self.transforms[k] {
-                        Transform::Linear => inside,
-                        Transform::Log => inside.exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
-                    },
-                );
-            }
-            space.sizes[k] = match (self.width(k), lower.is_finite() || upper.is_finite()) {
-                (Some(width), _) if width > 0.0 => 2.0 * self.sizes[k] / width,
-                // No room on a logarithmic scale.
-                (Some(_), _) => 1.0,
-                (None, true) => 1.0,
-                (None, false) => self.sizes[k],
-            };
-            space.size_given[k] = true;
-        }
-        space.hyperbola = self.sizes.clone();
-        space.sine = true;
-        space
-    }
-
     /// The user's bounds in the linear or logarithmic scale of a coordinate; infinite where there is none.
     pub(crate) fn ends(&self, k: usize) -> (f64, f64) {
         let i = self.free[k];
@@ -408,40 +383,27 @@ impl Space {
         (lower, if upper.is_infinite() { f64::INFINITY } else { self.upper[k] })
     }
 
-    /// The coordinate that an angle stands for.
-    fn fold_sine(&self, k: usize, v: f64) -> f64 {
-        let (lower, upper) = self.ends(k);
-        let u = match (lower.is_finite(), upper.is_finite()) {
-            (true, true) if self.boxed[k] => lower + 0.5 * (upper - lower) * (1.0 + v.sin()),
-            // The width is no number.
-            (true, true) => (0.5 * lower + 0.5 * upper) + (0.5 * upper - 0.5 * lower) * v.sin(),
-            (true, false) => lower + self.hyperbola[k] * (v.hypot(1.0) - 1.0),
-            (false, true) => upper - self.hyperbola[k] * (v.hypot(1.0) - 1.0),
-            (false, false) => v,
-        };
-        // Far out on a hyperbola there are no numbers left.
-        u.clamp(self.lower[k].max(f64::MIN), self.upper[k].min(f64::MAX))
-    }
-
-    /// The angle of a coordinate.
-    fn unfold(&self, k: usize, u: f64) -> f64 {
-        let (lower, upper) = self.ends(k);
-        // The root of (d + 1)^2 - 1, which has no square that could overflow.
-        let arc = |distance: f64| {
-            let d = (distance / self.hyperbola[k]).clamp(0.0, f64::MAX);
-            (d.sqrt() * (d + 2.0).sqrt()).min(f64::MAX)
-        };
-        match (lower.is_finite(), upper.is_finite()) {
-            (true, true) if upper == lower => 0.0,
-            (true, true) if self.boxed[k] => {
-                (2.0 * (u - lower) / (upper - lower) - 1.0).clamp(-1.0, 1.0).asin()
-            }
-            (true, true) => {
-                ((u - (0.5 * lower + 0.5 * upper)) / (0.5 * upper - 0.5 * lower)).clamp(-1.0, 1.0).asin()
-            }
-            (true, false) => arc(u - lower),
-            (false, true) => arc(upper - u),
-            (false, false) => u,
+    /// The largest distance from `centre` that coordinate `k` has on the way to any of the `others`, all of them pairs of a
+    /// working coordinate and the user's: over angles the way may lead to a bound and back, and one place has many angles.
+    pub(crate) fn extent<I>(&self, k: usize, centre: (f64, f64), others: I, measure: Measure) -> f64
+    where
+        I: Iterator<Item = (f64, f64)> + Clone,
+    {
+        let logarithmic = measure == Measure::Relative && self.transforms[k] == Transform::Log;
+        let place = |x: f64| if logarithmic { x.ln() } else { x };
+        let here = place(centre.1);
+        let far = |size: f64, x: f64| size.max((place(x) - here).abs());
+        let range =
+            others.clone().fold((centre.0, centre.0), |(low, high), (u, _)| (low.min(u), high.max(u)));
+        let bent = self.bounds_passed(k, range.0, range.1) != [None; 2];
+        let size = others.fold(0.0, |size, (u, x)| {
+            let passed = if bent { self.bounds_passed(k, centre.0, u) } else { [None; 2] };
+            passed.into_iter().flatten().fold(far(size, x), far)
+        });
+        match (measure, self.sine) {
+            (Measure::Absolute, _) => size,
+            (Measure::Relative, true) => size / self.units[k],
+            (Measure::Relative, false) => size / self.sizes[k],
         }
     }
 
@@ -492,25 +454,6 @@ mod tests {
         }
         let half_open = Space::new(&[0.3], Bounds::new(&[0.0], &[10.0])?, &[Transform::Log], &[])?;
         assert_eq!((half_open.width(0), half_open.size(0)), (None, 1.0));
-        Ok(())
-    }
-
-    #[test]
-    fn angles_never_leave_the_box_and_come_back() -> Result<(), Error> {
-        let bounds = Bounds::new(&[-1.0, 0.0, -INF, -INF, 1e-3], &[3.0, INF, 2.0, INF, 1e3])?;
-        let log =
-            [Transform::Linear, Transform::Linear, Transform::Linear, Transform::Linear, Transform::Log];
-        let space = Space::new(&[3.0, 0.0, 2.0, 5.0, 1e-3], bounds, &log, &[])?.with_sine();
-        assert!((space.x0()[0] - 2.92).abs() < 1e-12 && space.x0()[1] == 0.02 && space.x0()[3] == 5.0);
-        assert!((space.x0()[2] - 1.96).abs() < 1e-12 && space.x0()[4] > 1.2e-3);
-        let (mut u, mut x) = ([0.0; 5], [0.0; 5]);
-        space.to_working(space.x0(), &mut u);
-        space.to_user(&u, &mut x);
-        assert!(x.iter().zip(space.x0()).all(|(a, b)| (a - b).abs() <= 1e-12 * b.abs()), "{x:?}");
-        for v in [-1e9, -7.0, -1.0, 0.0, 0.5, 1.6, 100.0, 1e9] {
-            space.to_user(&[v; 5], &mut x);
-            assert!(space.bounds().contains(&x), "{v}: {x:?}");
-        }
         Ok(())
     }
 

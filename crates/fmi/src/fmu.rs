@@ -1,61 +1,52 @@
-//! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
+//! An opened FMU: its folder, its description, the store of its loaded library (found when first needed).
 
-mod reuse;
-
-pub use reuse::{Reuse, Sharing};
-
-use crate::archive::Archive;
-use crate::copies::{CopyStore, PrivateCopy};
+use crate::archive::{Archive, Part};
+use crate::cancel::Cancel;
 use crate::description::{Causality, Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
-use crate::instance::{CoSimulation, Instance, Instantiated};
+use crate::instance::{CoSimulation, Core, Instance, Instantiated};
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::options::{Kind, SimulateOptions};
-use crate::plan::{Setting, SimulationPlan};
+use crate::plan::SimulationPlan;
 use crate::platform;
+use crate::reuse::{
+    CopyLease, CopyRequest, CopyStore, Key, LoadedCopy, Reuse, Sharing, Source, StoreUse, set_again,
+};
+use crate::running::no_instance;
 use crate::simulation::Simulator;
 use crate::source;
-use crate::sys::{FloatEnvironment, InterfaceKind, Library, LogFilter, RawInstance, Request, Sizes};
+use crate::sys::{
+    FloatEnvironment, InterfaceKind, Library, LoadFrom, LogFilter, RawInstance, Request, Sizes,
+};
 use crate::trajectory::Trajectory;
-use reuse::Idle;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated \
                              with it: it is run without";
 
 /// An opened FMU. Clones share everything and are cheap.
 ///
-/// Opening and inspecting run no code of the FMU; the first instance loads its library, which does.
+/// Opening reads the description and no other file of it. The first instance unpacks what the library may look for and
+/// loads the library. Opening and inspecting run no code of the FMU; loading does.
 #[derive(Debug, Clone)]
 pub struct Fmu {
     inner: Arc<Inner>,
+    /// The path it was opened by; other clones may have been opened by others.
+    path: Arc<Path>,
 }
 
-/// Fields are dropped in this order: instances and libraries, folder.
+/// Fields are dropped in this order: idle instances, folder.
 #[derive(Debug)]
 struct Inner {
-    model_exchange: Side,
-    co_simulation: Side,
+    /// The library of each way of running the model; found when first needed.
+    stores: [Mutex<Option<StoreUse>>; 2],
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
     description: ModelDescription,
-    path: PathBuf,
     options: OpenOptions,
-    archive: Archive,
-}
-
-/// One way of running the model. Fields are dropped in this order: instances, library.
-#[derive(Debug, Default)]
-struct Side {
-    idle: Arc<Idle>,
-    /// Ways of bringing instances back that passed their trials, each with what was set in the runs of the trial: that
-    /// hides what such a way leaves behind, so the verdict is one for plans that set all of it.
-    proven: Mutex<Vec<(Reuse, Arc<[Setting]>)>>,
-    /// Private copies of the library; made when first needed.
-    copies: OnceLock<Arc<CopyStore>>,
-    library: Mutex<Option<Arc<Library>>>,
+    archive: Arc<Archive>,
 }
 
 /// How an instance is made.
@@ -87,9 +78,13 @@ impl Fmu {
     /// As [`open`](Self::open).
     pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let path = path.as_ref();
-        let archive = Archive::open_with(path, &options.limits)?;
+        Self::describe(Archive::open_with(path, &options.limits, &options.cancel)?, path, options)
+    }
+
+    /// Reads the description of an archive.
+    pub(crate) fn describe(archive: Archive, path: &Path, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let mut description = ModelDescription::read(&archive)?;
-        if let [first, others @ ..] = archive.repeated() {
+        if let [first, others @ ..] = &archive.repeated()[..] {
             let more = match others.len() {
                 0 => String::new(),
                 n => format!(" and {n} more"),
@@ -98,17 +93,28 @@ impl Fmu {
                 format!("the archive holds \"{first}\"{more} more than once, with the same content");
             description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
         }
-        Ok(Fmu {
-            inner: Arc::new(Inner {
-                model_exchange: Side::default(),
-                co_simulation: Side::default(),
-                real_references: OnceLock::new(),
-                description,
-                path: path.to_owned(),
-                options: options.clone(),
-                archive,
-            }),
-        })
+        let inner = Inner {
+            stores: Default::default(),
+            real_references: OnceLock::new(),
+            description,
+            options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
+            archive: Arc::new(archive),
+        };
+        Ok(Fmu { inner: Arc::new(inner), path: path.into() })
+    }
+
+    /// The same FMU, opened by another path.
+    pub(crate) fn at(&self, path: &Path) -> Fmu {
+        Fmu { inner: Arc::clone(&self.inner), path: path.into() }
+    }
+
+    pub(crate) fn archive(&self) -> &Archive {
+        &self.inner.archive
+    }
+
+    /// Whether both are one: what one of them loads, the other has loaded.
+    pub fn is_same(&self, other: &Fmu) -> bool {
+        Arc::ptr_eq(&self.inner, &other.inner)
     }
 
     /// The model description.
@@ -151,16 +157,28 @@ impl Fmu {
 
     /// The path it was opened by.
     pub fn path(&self) -> &Path {
-        &self.inner.path
+        &self.path
     }
 
-    /// The folder that holds its (unpacked) content.
-    pub fn root(&self) -> &Path {
-        self.inner.archive.root()
+    /// The folder that holds all of its content, unpacked now if it was not before.
+    ///
+    /// # Errors
+    /// As [`Archive::unpack`].
+    pub fn root(&self) -> Result<PathBuf, FmiError> {
+        self.inner.archive.unpack()
     }
 
-    /// SHA-256 of its content, in hexadecimal.
-    pub fn content_hash(&self) -> &str {
+    /// The folder that holds what the library may look for when it runs; unpacked now if it was not before, or if somebody
+    /// has removed it.
+    pub(crate) fn running_root(&self) -> Result<PathBuf, FmiError> {
+        self.inner.archive.unpack_part(Part::Running, &Cancel::default())
+    }
+
+    /// SHA-256 of its content, in hexadecimal; computed when it is first asked for.
+    ///
+    /// # Errors
+    /// As [`Archive::content_hash`].
+    pub fn content_hash(&self) -> Result<&str, FmiError> {
         self.inner.archive.content_hash()
     }
 
@@ -186,8 +204,8 @@ impl Fmu {
     /// # Errors
     /// As [`instantiate`](Self::instantiate).
     pub fn instantiate_with(&self, options: &InstanceOptions) -> Result<Instance<Instantiated>, FmiError> {
-        let raw = self.instantiate_raw(InterfaceKind::ModelExchange, options)?;
-        Ok(Instance::from_raw(raw, self.clone()))
+        let (core, lease) = self.instantiate_by_hand(InterfaceKind::ModelExchange, options)?;
+        Ok(Instance::by_hand(core, lease))
     }
 
     /// Makes a co-simulation instance. **This loads the library and runs its code.**
@@ -198,18 +216,41 @@ impl Fmu {
         &self,
         options: &InstanceOptions,
     ) -> Result<Instance<Instantiated, CoSimulation>, FmiError> {
-        let raw = self.instantiate_raw(InterfaceKind::CoSimulation, options)?;
-        Ok(Instance::from_raw(raw, self.clone()))
+        let (core, lease) = self.instantiate_by_hand(InterfaceKind::CoSimulation, options)?;
+        Ok(Instance::by_hand(core, lease))
     }
 
-    /// Makes an instance of either kind.
-    pub(crate) fn instantiate_raw(
+    /// Makes an instance of either kind in a copy of the library that nobody else uses.
+    pub(crate) fn instantiate_by_hand(
         &self,
         kind: InterfaceKind,
         options: &InstanceOptions,
-    ) -> Result<RawInstance, FmiError> {
-        self.check_interface(kind)?;
-        self.instantiate_in(&self.library(kind)?, kind, options)
+    ) -> Result<(Core, CopyLease), FmiError> {
+        let store = self.store(kind)?;
+        self.running_root()?;
+        let open = |from: LoadFrom<'_>| self.load(from, kind);
+        let request = CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open };
+        let is_new = |copy: &LoadedCopy| copy.record().keys().is_empty();
+        let make = |lease: CopyLease| -> Result<_, FmiError> {
+            lease.copy().free_idle();
+            let raw = self.instantiate_in(lease.library(), kind, options)?;
+            let mut core = Core::new(raw, self.clone(), None);
+            let is_new = set_again(&mut core, kind, &lease);
+            Ok((core, lease, is_new))
+        };
+        let lease = store.lend(&request, &mut || true)?.ok_or_else(no_instance)?;
+        let (core, lease, is_as_new) = make(lease)?;
+        if is_as_new {
+            return Ok((core, lease));
+        }
+        match store.lend_if_free(&request, is_new) {
+            Some(other) => {
+                drop(core);
+                drop(lease);
+                make(other).map(|(core, lease, _)| (core, lease))
+            }
+            None => Ok((core, lease)),
+        }
     }
 
     /// Makes an instance for simulations.
@@ -236,6 +277,7 @@ impl Fmu {
         options: &InstanceOptions,
     ) -> Result<RawInstance, FmiError> {
         let interface = self.check_interface(kind)?;
+        let store = self.store(kind)?;
         let description = self.description();
         let text = |what: &str, text: &str| {
             CString::new(text)
@@ -243,7 +285,8 @@ impl Fmu {
         };
         let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
         let guid = text("guid", &description.guid)?;
-        let resources = self.root().join("resources");
+        // A cleaner of the folder for temporary files may have been there since the library was loaded.
+        let resources = self.running_root()?.join("resources");
         let is_intermediate = |v: &&Variable| {
             v.intermediate_update && v.causality == Causality::Input && v.kind == VariableKind::Real
         };
@@ -256,7 +299,7 @@ impl Fmu {
             guid: &guid,
             resources: &resources,
             kind,
-            event_mode: interface.capabilities.uses_event_mode() && !library.shared().is_event_mode_refused(),
+            event_mode: interface.capabilities.uses_event_mode() && !store.verdicts.is_event_mode_refused(),
             early_return: interface.capabilities.may_return_early(),
             intermediate: &intermediate,
             visible: options.visible,
@@ -264,21 +307,16 @@ impl Fmu {
             log_filter: options.log_filter,
         };
         let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
-        let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
-        if only_one || library.shared().is_dependent() {
-            library.shared().set_dependent();
-            library.shared().free_spares();
-        }
         // The FMU may change the floating-point mode of this thread and shall not.
         let _guard = FloatEnvironment::standard();
-        let refusal = match RawInstance::new(library, &request, sizes, only_one) {
+        let refusal = match RawInstance::new(library, &request, sizes) {
             Err(FmiError::Call(refusal)) if request.event_mode => FmiError::Call(refusal),
             outcome => return outcome,
         };
         // Some models promise an event mode that they do not have.
         request.event_mode = false;
-        let raw = RawInstance::new(library, &request, sizes, only_one).map_err(|_| refusal)?;
-        library.shared().refuse_event_mode();
+        let raw = RawInstance::new(library, &request, sizes).map_err(|_| refusal)?;
+        store.verdicts.refuse_event_mode();
         log::warn!("{}: {NO_EVENT_MODE}", description.model_name);
         Ok(raw)
     }
@@ -286,7 +324,8 @@ impl Fmu {
     /// Departures from the standard that showed when the FMU was run; those of its description are in
     /// [`ModelDescription::quirks`].
     pub fn quirks_seen(&self) -> Vec<Quirk> {
-        let refused = self.shared(InterfaceKind::CoSimulation).is_some_and(|s| s.is_event_mode_refused());
+        let store = self.known_store(InterfaceKind::CoSimulation);
+        let refused = store.is_some_and(|store| store.verdicts.is_event_mode_refused());
         let quirk = || Quirk { kind: QuirkKind::Promise, message: NO_EVENT_MODE.to_owned(), line: 0 };
         refused.then(quirk).into_iter().collect()
     }
@@ -345,7 +384,7 @@ impl Fmu {
         })
     }
 
-    fn interface(&self, kind: InterfaceKind) -> Option<&Interface> {
+    pub(crate) fn interface(&self, kind: InterfaceKind) -> Option<&Interface> {
         match kind {
             InterfaceKind::ModelExchange => self.description().model_exchange.as_ref(),
             InterfaceKind::CoSimulation => self.description().co_simulation.as_ref(),
@@ -370,66 +409,117 @@ impl Fmu {
         Ok(interface)
     }
 
-    /// The library for this platform, loaded at the first call; compiled before that if the FMU brings sources only.
-    pub(crate) fn library(&self, kind: InterfaceKind) -> Result<Arc<Library>, FmiError> {
-        // The lock is held while the library loads: a second thread waits instead of loading it again.
-        let mut slot = self.side(kind).library.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(library) = &*slot {
-            return Ok(Arc::clone(library));
+    /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends early when
+    /// `cancel` asks for it. **This loads the library and runs its code.**
+    ///
+    /// # Errors
+    /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
+    pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<(), FmiError> {
+        let kind = self.choose(kind)?;
+        let store = self.store_unless(kind, cancel)?;
+        let open = |from: LoadFrom<'_>| self.load(from, kind);
+        store
+            .lend(&CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open }, &mut || {
+                false
+            })?;
+        Ok(())
+    }
+
+    /// How instances are reset, for the interface that is used where nothing else is asked for; `None` before it was tried.
+    pub fn reuse(&self) -> Option<Reuse> {
+        self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
+    }
+
+    /// How instances are reset; `None` before it was tried.
+    pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
+        self.known_store(kind)?.verdicts.reuse(kind)
+    }
+
+    /// How simulations that run in parallel share the process where nothing is asked for: with copies of the library, or one at
+    /// a time where these would share state or cannot be loaded. `None` before the library was first needed.
+    pub fn sharing_of(&self, kind: InterfaceKind) -> Option<Sharing> {
+        self.known_store(kind).map(|store| store.sharing())
+    }
+
+    fn slot(&self, kind: InterfaceKind) -> MutexGuard<'_, Option<StoreUse>> {
+        self.inner.stores[kind as usize].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The loaded copies of the library; `None` before they are first needed.
+    fn known_store(&self, kind: InterfaceKind) -> Option<Arc<CopyStore>> {
+        self.slot(kind).as_deref().map(Arc::clone)
+    }
+
+    /// The loaded copies of the library for this platform, which is compiled before that if the FMU brings sources only.
+    pub(crate) fn store(&self, kind: InterfaceKind) -> Result<Arc<CopyStore>, FmiError> {
+        self.store_unless(kind, &Cancel::default())
+    }
+
+    /// As [`store`](Self::store), unless `cancel` asks for an early end.
+    fn store_unless(&self, kind: InterfaceKind, cancel: &Cancel) -> Result<Arc<CopyStore>, FmiError> {
+        // The lock is held meanwhile: a second thread waits instead of compiling it again.
+        let mut slot = self.slot(kind);
+        if let Some(store) = &*slot {
+            return Ok(Arc::clone(store));
         }
-        let interface = self.check_interface(kind)?;
-        let description = self.description();
-        let path = match platform::find_binary(
-            self.root(),
-            &interface.model_identifier,
-            description.fmi_version.folder_names(),
-        ) {
+        let library = self.binary(self.check_interface(kind)?, cancel)?;
+        let archive = &self.inner.archive;
+        let (root, loader) = (archive.unpack_part(Part::Running, cancel)?, self.inner.options.loader);
+        let (key, identity) = match (library.strip_prefix(&root), archive.fingerprint()) {
+            (Ok(place), Some(content)) => (Key::Content(content, place.to_owned(), loader), None),
+            _ => {
+                let metadata = library.metadata().map_err(FmiError::io("open", &library))?;
+                let identity = platform::file_identity(&metadata);
+                (Key::File(identity.place(&library), identity.clone(), loader), Some(identity))
+            }
+        };
+        let source = Source { library, root, identity, home: Some(Arc::clone(archive) as _) };
+        let store = slot.insert(StoreUse::new(key, source));
+        Ok(Arc::clone(store))
+    }
+
+    /// The file of the library for this platform: unpacked, or built from the sources.
+    fn binary(&self, interface: &Interface, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+        let (archive, description) = (&self.inner.archive, self.description());
+        let find = |part| {
+            let root = archive.unpack_part(part, cancel)?;
+            let names = description.fmi_version.folder_names();
+            platform::find_binary(&root, &interface.model_identifier, names)
+        };
+        match find(Part::Running) {
             Ok(found) => {
                 if let Some(note) = &found.note {
                     log::warn!("{}: {note}", self.path().display());
                 }
-                found.path
+                return Ok(found.path);
             }
-            Err(no_binary) => {
-                // A folder may have been edited since it was opened: the library belongs to what is there now.
-                let hash = self.inner.archive.present_hash()?;
-                let check = || match self.inner.archive.present_hash()? {
-                    now if now == hash => Ok(()),
-                    _ => Err(FmiError::BadArchive {
-                        path: self.path().to_owned(),
-                        reason: "its files were changed while its library was built".to_owned(),
-                    }),
-                };
-                match source::build_unchanged(self.root(), description, interface, &hash, check) {
-                    Ok(path) => path,
-                    Err(FmiError::NoSources { .. }) => return Err(self.with_own_path(no_binary)),
-                    Err(error) => return Err(error),
-                }
-            }
+            Err(FmiError::NoBinary { .. }) => {}
+            Err(error) => return Err(error),
+        }
+        let root = archive.unpack_part(Part::Sources, cancel)?;
+        // A folder may have been edited since it was opened: the library belongs to what is there now.
+        let hash = archive.present_hash()?;
+        let check = || match archive.present_hash()? {
+            now if now == hash => Ok(()),
+            _ => Err(FmiError::BadArchive {
+                path: self.path().to_owned(),
+                reason: "its files were changed while its library was built".to_owned(),
+            }),
         };
-        let library = Arc::new(self.load(&path, kind, interface)?);
-        let idle: Weak<Idle> = Arc::downgrade(&self.side(kind).idle);
-        library.shared().add_spares(idle);
-        *slot = Some(Arc::clone(&library));
-        Ok(library)
+        match source::build_unchanged(&root, description, interface, &hash, check) {
+            // With the binaries of other platforms, for the message.
+            Err(FmiError::NoSources { .. }) => find(Part::Binaries)
+                .map(|found| found.path)
+                .map_err(|no_binary| self.with_own_path(no_binary)),
+            outcome => outcome,
+        }
     }
 
-    /// Lends a private copy of the library.
-    ///
-    /// # Errors
-    /// The library cannot be copied, or the copy cannot be loaded: there are too many already, the disk is full, there is
-    /// no room for its thread-local storage.
-    pub(crate) fn private_copy(&self, kind: InterfaceKind) -> Result<PrivateCopy, FmiError> {
+    /// Loads the library. **This runs its constructors.**
+    pub(crate) fn load(&self, from: LoadFrom<'_>, kind: InterfaceKind) -> Result<Library, FmiError> {
         let interface = self.check_interface(kind)?;
-        let library = self.library(kind)?;
-        let make = || CopyStore::new(library.path(), self.root());
-        let store = self.side(kind).copies.get_or_init(|| library.shared().copy_store(make));
-        store.lend(|path| self.load(path, kind, interface))
-    }
-
-    fn load(&self, path: &Path, kind: InterfaceKind, interface: &Interface) -> Result<Library, FmiError> {
         let version = &self.description().fmi_version;
-        Library::open(path, version, kind, &interface.model_identifier, &self.inner.options.loader)
+        Library::open(from, version, kind, &interface.model_identifier, &self.inner.options.loader)
     }
 
     /// Says the path the user knows instead of that of the private folder.
@@ -439,13 +529,6 @@ impl Fmu {
                 FmiError::NoBinary { path: self.path().to_owned(), wanted, present }
             }
             other => other,
-        }
-    }
-
-    fn side(&self, kind: InterfaceKind) -> &Side {
-        match kind {
-            InterfaceKind::ModelExchange => &self.inner.model_exchange,
-            InterfaceKind::CoSimulation => &self.inner.co_simulation,
         }
     }
 }
