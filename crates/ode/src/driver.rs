@@ -109,7 +109,7 @@ impl Driver {
     pub fn new(options: Options) -> Result<Self, OptionsError> {
         options.check()?;
         let method = match options.method {
-            Method::Auto => MethodState::Auto(Box::default()),
+            Method::Auto => MethodState::Auto(Box::new(Auto::new(options.relative_tolerance))),
             Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
             Method::Radau5 => MethodState::Radau5(Box::default()),
             Method::Dop853 => MethodState::Dop853(Box::default()),
@@ -315,7 +315,7 @@ where
                 return Err(ErrorKind::MassMatrixNeedsRadau5.into());
             }
         }
-        self.stepper.begin(&*self.system);
+        self.stepper.begin(&*self.system).map_err(no_retreat)?;
 
         let given = if self.fixed_step.is_some() { self.fixed_step } else { self.options.max_step };
         if let Some(step) = given.filter(|step| start < end && *step <= 4.0 * self.same) {

@@ -74,6 +74,11 @@ pub enum ErrorKind {
         /// States of the model.
         states: usize,
     },
+    /// An implicit method needs dense matrices of as many rows as there are states, and there is no room for them.
+    TooLargeForDense {
+        /// States of the model.
+        states: usize,
+    },
     /// The model has a mass matrix, which this method cannot take.
     MassMatrixNeedsRadau5,
     /// The equations of a singular mass matrix that have no derivative in them do not hold at the start or after an event,
@@ -136,6 +141,7 @@ impl ErrorKind {
             Self::StepBelowRounding { .. } => "the steps asked for are too small".to_owned(),
             Self::NoConvergence => "the equations of the implicit method do not converge".to_owned(),
             Self::MassMatrix { .. } => "the mass matrix cannot be used".to_owned(),
+            Self::TooLargeForDense { .. } => "there is no room for dense matrices".to_owned(),
             Self::MassMatrixNeedsRadau5 => "the mass matrix needs solver radau5".to_owned(),
             Self::Inconsistent { .. } => "the states are not consistent".to_owned(),
             Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
@@ -210,6 +216,33 @@ impl fmt::Display for NotFinite {
     }
 }
 
+/// There is no room for dense matrices of so many rows.
+#[derive(Debug)]
+pub(crate) struct TooLargeForDense {
+    pub(crate) states: usize,
+}
+
+impl fmt::Display for TooLargeForDense {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let n = self.states as f64;
+        let gigabytes = 8e-9 * n * n;
+        write!(
+            f,
+            "an implicit method needs a dense Jacobian of {0} x {0} entries ({gigabytes:.1} GB), and one or three times as \
+             much for its factors: give the sparsity pattern of the Jacobian, or take an explicit method (tsit5, dop853)",
+            self.states
+        )
+    }
+}
+
+impl std::error::Error for TooLargeForDense {}
+
+impl From<TooLargeForDense> for ErrorKind {
+    fn from(TooLargeForDense { states }: TooLargeForDense) -> Self {
+        Self::TooLargeForDense { states }
+    }
+}
+
 /// A run that failed: why, where, and with which numbers.
 #[derive(Debug)]
 pub struct SimulationError {
@@ -278,6 +311,7 @@ impl fmt::Display for SimulationError {
                     "the mass matrix must have {states} x {states} finite entries by columns, {given} were given"
                 );
             }
+            ErrorKind::TooLargeForDense { states } => return TooLargeForDense { states: *states }.fmt(f),
             ErrorKind::MassMatrixNeedsRadau5 => {
                 return write!(f, "a system with a mass matrix can only be integrated by radau5 (or auto)");
             }

@@ -10,7 +10,9 @@ use std::time::Duration;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Method {
-    /// [`Tsit5`](Self::Tsit5), and [`Radau5`](Self::Radau5) where a test made at every step finds the system stiff.
+    /// [`Tsit5`](Self::Tsit5), below a relative tolerance of 1e-7 [`Dop853`](Self::Dop853); where steps of an implicit method, made on
+    /// trial, advance more per right-hand side, [`Radau5`](Self::Radau5), or, for nonlinear systems of 16 states and more whose
+    /// largest eigenvalue is real, [`Bdf`](Self::Bdf).
     #[default]
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.

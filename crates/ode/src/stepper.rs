@@ -80,8 +80,8 @@ pub(crate) trait Stepper {
         false
     }
 
-    /// Starts a run: makes room, forgets everything.
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S);
+    /// Starts a run: makes room, forgets everything. It fails where there is no room for its matrices.
+    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()>;
 
     /// Takes `(t, x)` as the current point and evaluates the right-hand side there; the step sizes and the slow parts of
     /// the past (Jacobians, differences) are kept.

@@ -9,7 +9,7 @@ use ode::{
     AbsoluteTolerance, Direction, Driver, ErrorKind, Evaluated, JacobianPattern, Limits, Method, Number, Observer,
     Options, OptionsError, Report, Sample, SimulationError, StepView, Termination,
 };
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::ops::ControlFlow;
@@ -189,6 +189,11 @@ pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bou
         && is_misuse(&e.kind)
     {
         return Err(PyValueError::new_err(e.to_string()));
+    }
+    if let Err(e) = &outcome
+        && matches!(e.kind, ErrorKind::TooLargeForDense { .. })
+    {
+        return Err(PyMemoryError::new_err(e.to_string()));
     }
     let raised = system.raised.take();
     let result = result(py, system, keeper, &outcome)?;

@@ -445,3 +445,13 @@ def test_simulations_inside_an_objective():
     cost = lambda p: float(((ode.solve(lambda t, y: -p[0] * y, (0, 2), [1.0], t_eval=t).y - measured) ** 2).sum())  # noqa: E731
     res = pydfo.fmin(cost, [0.5], lb=[0], ub=[5], x_tol=1e-7, f_tol=1e-14, stop="all", disp=False)
     assert abs(res.x[0] - 1.3) < 1e-5
+
+
+def test_many_states_take_no_matrix_where_none_is_needed() -> None:
+    n = 100_000
+    solution = ode.solve(lambda t, y: -y, (0, 1), np.ones(n), t_eval=[1.0])
+    assert solution.success and solution.njev == 0
+    assert np.allclose(solution.y[..., -1] if solution.y.shape[0] == n else solution.y[-1], np.exp(-1.0), rtol=1e-4)
+    for method in ("radau5", "bdf"):
+        with pytest.raises(MemoryError, match=r"100000 x 100000 entries \(80.0 GB\).*sparsity pattern"):
+            ode.solve(lambda t, y: -y, (0, 1), np.ones(n), method, t_eval=[1.0])

@@ -45,22 +45,23 @@ pub(super) struct Algebraic {
 
 impl Algebraic {
     /// For a mass matrix of `n` states, by columns.
-    pub(super) fn begin(&mut self, n: usize, mass: &[f64]) {
+    pub(super) fn begin(&mut self, n: usize, mass: &[f64]) -> CallResult<()> {
         if self.n == n && self.mass == mass {
-            return;
+            return Ok(());
         }
         self.n = n;
         self.mass.clear();
         self.mass.extend_from_slice(mass);
         self.split();
         let m = self.names.len();
-        self.lu.begin(m, None);
+        self.lu.begin(m, None)?;
         self.matrix.resize(m * m, 0.0);
         self.residual.resize(m, 0.0);
         let Self { step, start, along, trial, inverse, .. } = self;
         for v in [step, start, along, trial, inverse] {
             v.resize(n, 0.0);
         }
+        Ok(())
     }
 
     /// Gaussian elimination with complete pivoting of the matrix, its rows and columns scaled to a largest entry of 1.
@@ -128,7 +129,7 @@ impl Algebraic {
     /// `false`: they do not decide the states, by this Jacobian.
     fn decompose(&mut self, jacobian: &Jacobian) -> bool {
         self.fill_matrix(jacobian);
-        self.lu.decompose(|p| self.matrix[p])
+        self.lu.decompose(|p, _| self.matrix[p])
     }
 
     /// `l J z` over all `l` and `z`.
@@ -328,7 +329,7 @@ mod tests {
     fn split<const N: usize>(m: [[f64; N]; N]) -> (Vec<usize>, Vec<f64>, Vec<f64>) {
         let mut a = Algebraic::default();
         let by_columns: Vec<f64> = (0..N * N).map(|p| m[p % N][p / N]).collect();
-        a.begin(N, &by_columns);
+        a.begin(N, &by_columns).unwrap();
         (a.names, a.rows, a.columns)
     }
 

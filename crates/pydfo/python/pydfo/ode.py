@@ -213,9 +213,11 @@ def solve(
     x0 : array_like, shape (n,)
         States at the start.
     method : str
-        "auto" (Tsit5, and Radau5 where a test made at every step finds the system stiff), "tsit5", "dop853" (for tight
-        tolerances), "radau5" (stiff), "bdf" (stiff, expensive right-hand side, few events); with a fixed `step`, "rk4"
-        and "euler". SciPy's names "RK45", "Radau" and "LSODA" stand for "tsit5", "radau5" and "auto".
+        "auto" (Tsit5, below rtol 1e-7 DOP853; where an implicit method advances more per right-hand side Radau5, or BDF for
+        nonlinear systems of 16 states and more), "tsit5", "dop853" (for tight tolerances), "radau5" (stiff), "bdf" (stiff,
+        expensive right-hand side, few events); with a fixed `step`, "rk4" and "euler". SciPy's names "RK45", "Radau" and
+        "LSODA" stand for "tsit5", "radau5" and "auto". "radau5" and "bdf" take dense matrices of n x n entries unless
+        `jac_sparsity` tells otherwise; a MemoryError says so before they are too large.
     t_eval : array_like, shape (m,), optional
         When to store the solution: ascending, within the span. A time at which `on_event` changes the state holds the
         value after it; listed twice, the values before and after. By default the ends of the steps are stored.
