@@ -1,6 +1,7 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
+use crate::effect::BoundSide;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
@@ -10,10 +11,12 @@ use dfo::{
 };
 use ode::Number;
 use ode::Stats;
+use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
+use std::time::Instant;
 
 /// Called after each iteration; `Break` ends the fit.
 pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
@@ -97,6 +100,15 @@ pub struct Fit {
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
+    /// Parameters that ended at a bound, by number, in their order.
+    pub at_bound: Vec<(usize, BoundSide)>,
+    /// Parameters that did not change the cost (by less than the relative tolerance of the simulations), by number. Where
+    /// evaluations of the run differ in one parameter alone, as those of a first simplex do, they show it; what they leave
+    /// open is tested by one simulation for each such parameter, at the best point, after the run.
+    pub without_effect: Vec<usize>,
+    /// Simulations of these tests. They are none of the run's evaluations, are not made where they would exceed its limits
+    /// or somebody ended it early, and are part of `stats`.
+    pub n_checks: usize,
     /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
     /// Those that failed or were given up count, those of a resumed fit from before do not.
     pub stats: Stats,
@@ -167,7 +179,8 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit(&self, options: FitOptions<'_>) -> Result<Fit, CalibrationError> {
-        let FitOptions { method, workers, start, tolerances, limits, observer, mut poll, .. } = options;
+        let FitOptions { method, workers, start, tolerances, limits, observer, poll, .. } = options;
+        let poll = RefCell::new(poll);
         let workers = workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
@@ -187,8 +200,9 @@ impl Calibration {
             self.adopt_solver(checkpoint)?;
         }
         // The race and the model's first-use test are not part of the time that the fit is given.
-        let solver = self.find_solver(poll.as_deref_mut())?;
+        let solver = self.find_solver(poll.borrow_mut().as_deref_mut())?;
         self.prepare()?;
+        let late = limits.max_time.and_then(|limit| Instant::now().checked_add(limit));
         let counted = Counted { calibration: self, cutoffs: options.cutoffs, stats: Mutex::default() };
         let mut run = dfo::minimize(ByRef(&counted))
             .start(&start)
@@ -217,21 +231,30 @@ impl Calibration {
         if let Some(observer) = observer {
             run = run.observer(observer);
         }
-        if let Some(poll) = poll {
-            run = run.poll(poll);
+        if poll.borrow().is_some() {
+            run = run.poll(|| poll.borrow_mut().as_mut().is_some_and(|poll| poll()));
         }
-        let report = run.run().map_err(|e| self.name_parameter(e))?;
+        let mut report = run.run().map_err(|e| self.name_parameter(e))?;
+        let mut stats = *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
+        let is_late = || late.is_some_and(|late| Instant::now() >= late);
+        let cancelled = || is_late() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
+        let at_bound = self.at_bound(&report);
+        let (without_effect, n_checks) =
+            self.without_effect(&start, &report, limits.max_evaluations, &cancelled, &mut stats);
+        report.message += &self.remarks(&at_bound, &without_effect);
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let rms = (report.fun / self.n_residuals() as f64).sqrt();
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
-        let stats = *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
         Ok(Fit {
             x: report.x.clone(),
             names,
             cost: report.fun,
             rms,
             start_cost,
+            at_bound,
+            without_effect,
+            n_checks,
             stats,
             solver: solver.clone(),
             report,
@@ -271,7 +294,7 @@ impl Calibration {
 
     /// Typical size of a parameter: what the user said, else the model's nominal value, else the width of its box,
     /// else its start value, else 1. On a log scale: of its logarithm.
-    fn size_of(&self, parameter: &Parameter, start: f64) -> f64 {
+    pub(crate) fn size_of(&self, parameter: &Parameter, start: f64) -> f64 {
         let (lower, upper) = (parameter.lower(), parameter.upper());
         let usable = |size: f64| (size.is_finite() && size > 0.0).then_some(size);
         match parameter.scale_kind() {

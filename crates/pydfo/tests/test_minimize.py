@@ -252,7 +252,7 @@ def test_integer_and_categorical_parameters():
     assert whole.method == "de" and whole.x[1] == 4.0 and whole.fun < 1e-9 and whole.success
     with pytest.raises(ValueError, match="parameter 2, which is categorical"):
         minimize(cost, None, box, "de", options={"kinds": kinds})
-    with pytest.raises(ValueError, match="nelder-mead cannot search over parameter 1"):
+    with pytest.raises(ValueError, match=r"nelder-mead cannot search over x\[1\]"):
         minimize(cost, [0, 0, 0], box, "nelder-mead", options={"kinds": kinds})
 
 

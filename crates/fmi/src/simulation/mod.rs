@@ -17,6 +17,7 @@ use crate::sys::{FloatEnvironment, Library, RawInstance, Shared};
 use crate::trajectory::{Recorder, Trajectory};
 use engine::Engine;
 use ode::{Observer, Report, Seconds};
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -165,11 +166,24 @@ impl Simulator {
     /// # Errors
     /// As [`run`](Self::run).
     pub fn trajectory(&mut self, parameters: &[f64]) -> Result<Trajectory, FmiError> {
-        let mut recorder = Recorder::new(&self.plan);
+        self.trajectory_with(parameters, &mut || ControlFlow::Continue(()))
+    }
+
+    /// As [`trajectory`](Self::trajectory); `poll` is asked before every step, and `Break` ends the simulation there.
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub fn trajectory_with(
+        &mut self,
+        parameters: &[f64],
+        poll: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Trajectory, FmiError> {
+        let plan = Arc::clone(&self.plan);
+        let mut recorder = Recorder::new(&plan, poll);
         let report = self.run(parameters, &mut recorder)?;
         let running = self.engine.running();
         let ticks = running.take_ticks();
-        Ok(recorder.finish(&self.plan, &running.buffers.table, ticks, report))
+        Ok(recorder.finish(&plan, &running.buffers.table, ticks, report))
     }
 
     /// Value of a variable, or of an element of an array (`name[2,1]`), where the last run ended (after a step inside of which it was stopped: at the end of the

@@ -39,6 +39,15 @@ class Fit(OptimizeResult):
         The methods that were compared, if there was a race.
     start_cost, start_rms : float or None
         The same as `cost` and `rms` at the start; None if the simulation failed there.
+    at_bound : dict of str to {"lower", "upper"}
+        Parameters that ended at one of their bounds (as near as the final simplex or population is wide, at most a thousandth
+        of the parameter's size); the best values may lie beyond.
+    without_effect : list of str
+        Parameters that did not change the cost, by less than the relative tolerance of the simulations; their values say
+        nothing. Where evaluations of the run differ in one parameter alone, as those of a first simplex do, they show it; for
+        the others one simulation each is made after a run that nobody ended early, if all of these fit into its budget.
+    n_checks : int
+        These simulations: they do not count in ``nfev``, but in `stats`.
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
@@ -48,6 +57,11 @@ class Fit(OptimizeResult):
         vars(self).update(vars(result))
         counts = vars(self).pop("stats", None)
         self.stats = None if counts is None else SimulationStats(**counts)
+        if "at_bound" not in vars(self):
+            # Interrupted twice.
+            self.at_bound: dict[str, str] = {}
+            self.without_effect: list[str] = []
+            self.n_checks = 0
         self._calibration = calibration
         self.start = start
         self.solver = solver
