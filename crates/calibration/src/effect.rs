@@ -2,7 +2,7 @@
 
 use crate::calibration::{Calibration, NoCost};
 use crate::parameter::{Parameter, Scale};
-use dfo::{Kind, Outcome, Report, Termination};
+use dfo::{Kind, Measure, Outcome, Report, Termination, Tolerances};
 use ode::{Number, Stats};
 
 /// One of the two bounds of a parameter.
@@ -22,15 +22,43 @@ impl BoundSide {
             Self::Upper => "upper",
         }
     }
+
+    fn of(self, parameter: &Parameter) -> f64 {
+        match self {
+            Self::Lower => parameter.lower(),
+            Self::Upper => parameter.upper(),
+        }
+    }
 }
 
-/// A parameter counts as at its bound if it is nearer than the final simplex or population is wide, but within these shares
-/// of the parameter's size: a search that has not narrowed down says nothing about the bound, and one that has collapsed
-/// leaves the rounding of its scaling.
-const NEAR: (f64, f64) = (1e-9, 1e-3);
+/// What the parameters of a fit turned out to be.
+#[derive(Default)]
+pub(crate) struct Findings {
+    /// Parameters that ended at a bound, by number.
+    pub(crate) at_bound: Vec<(usize, BoundSide)>,
+    /// Parameters that did not change the cost, by number.
+    pub(crate) without_effect: Vec<usize>,
+    /// Simulations that were made to find out.
+    pub(crate) n_checks: usize,
+}
+
+/// Nearer to its bound than this share of its size a parameter is at it: the optimiser's scaling rounds.
+const AT: f64 = 1e-9;
+
+/// Farther than this share of its size it is not, however wide the search still is.
+const NEAR: f64 = 1e-3;
 
 /// A parameter is moved by this share of its size to see whether it changes the cost.
 const MOVE: f64 = 0.1;
+
+/// A parameter that may be at its bound, by number.
+struct Candidate {
+    index: usize,
+    side: BoundSide,
+    /// The final simplex or population is no narrower than the bound is near.
+    is_likely: bool,
+    is_sure: bool,
+}
 
 /// A parameter that may be without effect, by number; whether an evaluation of the fit has shown it.
 struct Suspect {
@@ -39,25 +67,91 @@ struct Suspect {
 }
 
 impl Calibration {
-    /// Parameters that ended at a bound, by number.
-    pub(crate) fn at_bound(&self, report: &Report) -> Vec<(usize, BoundSide)> {
+    /// Looks at the parameters of a run. Where its evaluations leave something open, it makes simulations of its own, if
+    /// nobody ended the run early and all of them fit into its budget: one at the bound for each parameter that ended as near
+    /// to it as the tolerance of the run, one with each parameter moved that no evaluation has shown to change the cost.
+    pub(crate) fn findings(
+        &self,
+        (start, report): (&[f64], &Report),
+        tolerances: &Tolerances,
+        budget: Option<usize>,
+        cancelled: &dyn Fn() -> bool,
+        stats: &mut Stats,
+    ) -> Findings {
+        let candidates = self.near_bound(report, tolerances);
+        let suspects = self.suspects(start, report);
+        let mut found = Findings {
+            at_bound: candidates.iter().filter(|c| c.is_likely).map(|c| (c.index, c.side)).collect(),
+            without_effect: suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect(),
+            n_checks: 0,
+        };
+        let open = candidates.iter().filter(|c| !c.is_sure).count() + suspects.len();
+        let is_over = matches!(report.termination, Termination::MaxEvaluations | Termination::MaxIterations);
+        let is_in_budget = budget.is_none_or(|most| report.n_evaluations + open <= most);
+        if !(report.is_success() || is_over) || !is_in_budget {
+            return found;
+        }
+        let mut checked = Findings::default();
+        let mut cost_with = |index: usize, value: f64| {
+            checked.n_checks += 1;
+            let mut x = report.x.clone();
+            x[index] = value;
+            self.evaluate_into(&x, (f64::INFINITY, cancelled), None, stats)
+        };
+        for Candidate { index, side, is_sure, .. } in candidates {
+            let is_at = is_sure || {
+                let parameter = &self.parameters()[index];
+                match cost_with(index, side.of(parameter)) {
+                    Ok(cost) => cost <= report.fun || self.is_equal_cost(report.fun, cost),
+                    Err(NoCost::Cancelled) => break,
+                    Err(_) => false,
+                }
+            };
+            if is_at {
+                checked.at_bound.push((index, side));
+            }
+        }
+        for Suspect { index, .. } in suspects {
+            match cost_with(index, self.moved(&self.parameters()[index], report.x[index])) {
+                Ok(cost) if self.is_equal_cost(report.fun, cost) => checked.without_effect.push(index),
+                Err(NoCost::Cancelled) => break,
+                _ => {}
+            }
+        }
+        if cancelled() {
+            found.n_checks = checked.n_checks;
+            return found;
+        }
+        checked
+    }
+
+    /// Parameters that ended near a bound.
+    fn near_bound(&self, report: &Report, tolerances: &Tolerances) -> Vec<Candidate> {
         let vertices =
             report.final_simplex.as_ref().or(report.final_population.as_ref()).map(|s| &s.vertices);
-        let side = |(i, p): (usize, &Parameter)| {
-            let x = inner(p, report.x[i]);
+        let candidate = |(index, p): (usize, &Parameter)| {
+            let x = inner(p, report.x[index]);
             let (lower, upper) = (inner(p, p.lower()), inner(p, p.upper()));
-            let of = vertices.into_iter().flatten().map(|v| inner(p, v[i]));
-            let (low, high) = of.fold((x, x), |(low, high), v| (low.min(v), high.max(v)));
-            let size = self.size_of(p, report.x[i]);
-            let near = (high - low).clamp(NEAR.0 * size, NEAR.1 * size);
-            match () {
-                () if p.is_fixed() || lower == upper => None,
-                () if x - lower <= near => Some((i, BoundSide::Lower)),
-                () if upper - x <= near => Some((i, BoundSide::Upper)),
-                () => None,
+            if p.is_fixed() || lower == upper {
+                return None;
             }
+            let (side, distance) = match x - lower <= upper - x {
+                true => (BoundSide::Lower, x - lower),
+                false => (BoundSide::Upper, upper - x),
+            };
+            let of = vertices.into_iter().flatten().map(|v| inner(p, v[index]));
+            let (low, high) = of.fold((x, x), |(low, high), v| (low.min(v), high.max(v)));
+            let size = self.size_of(p, report.x[index]);
+            let resolved = match tolerances.measure {
+                Measure::Relative => tolerances.x_tol * size,
+                Measure::Absolute => tolerances.x_tol,
+            };
+            let is_sure = distance <= AT * size;
+            let is_likely = is_sure || distance <= (high - low).min(NEAR * size);
+            let is_near = is_likely || distance <= resolved.min(NEAR * size);
+            is_near.then_some(Candidate { index, side, is_likely, is_sure })
         };
-        self.parameters().iter().enumerate().filter_map(side).collect()
+        self.parameters().iter().enumerate().filter_map(candidate).collect()
     }
 
     /// Parameters of which no evaluation shows that they change the cost, as far as two evaluations differ from each other
@@ -88,49 +182,14 @@ impl Calibration {
         (a - b).abs() <= self.pool_of_settings(0).plan().relative_tolerance() * a
     }
 
-    /// Parameters that did not change the cost, by number, and how many simulations were made to see it: one for each
-    /// suspect, if nobody ended the run early and all of them fit into its budget.
-    pub(crate) fn without_effect(
-        &self,
-        start: &[f64],
-        report: &Report,
-        budget: Option<usize>,
-        cancelled: &dyn Fn() -> bool,
-        stats: &mut Stats,
-    ) -> (Vec<usize>, usize) {
-        let suspects = self.suspects(start, report);
-        let is_in_budget = budget.is_none_or(|most| report.n_evaluations + suspects.len() <= most);
-        let seen = suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect();
-        let is_over = matches!(report.termination, Termination::MaxEvaluations | Termination::MaxIterations);
-        if !(report.is_success() || is_over) || !is_in_budget {
-            return (seen, 0);
-        }
-        let (mut inert, mut n_checks) = (Vec::new(), 0);
-        for Suspect { index, .. } in suspects {
-            if cancelled() {
-                return (seen, n_checks);
-            }
-            n_checks += 1;
-            let mut x = report.x.clone();
-            x[index] = self.moved(&self.parameters()[index], x[index]);
-            match self.evaluate_into(&x, (f64::INFINITY, cancelled), None, stats) {
-                Ok(cost) if self.is_equal_cost(report.fun, cost) => inert.push(index),
-                Err(NoCost::Cancelled) => return (seen, n_checks),
-                _ => {}
-            }
-        }
-        (inert, n_checks)
-    }
-
     /// What is to be said about them behind the message of a fit.
-    pub(crate) fn remarks(&self, at_bound: &[(usize, BoundSide)], without_effect: &[usize]) -> String {
-        let name = |i: &usize| self.parameters()[*i].name();
+    pub(crate) fn remarks(&self, findings: &Findings) -> String {
         let bound = |(i, side): &(usize, BoundSide)| {
             let p = &self.parameters()[*i];
-            let value = if *side == BoundSide::Lower { p.lower() } else { p.upper() };
-            format!("; {} is at its {} bound {}", name(i), side.name(), Number(value))
+            format!("; {} is at its {} bound {}", p.name(), side.name(), Number(side.of(p)))
         };
-        let inert = |i: &usize| format!("; {} did not change the cost", name(i));
+        let inert = |i: &usize| format!("; {} did not change the cost", self.parameters()[*i].name());
+        let Findings { at_bound, without_effect, .. } = findings;
         at_bound.iter().map(bound).chain(without_effect.iter().map(inert)).collect()
     }
 

@@ -100,14 +100,15 @@ pub struct Fit {
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
-    /// Parameters that ended at a bound, by number, in their order.
+    /// Parameters that ended at a bound, by number: the best values may lie beyond.
     pub at_bound: Vec<(usize, BoundSide)>,
-    /// Parameters that did not change the cost (by less than the relative tolerance of the simulations), by number. Where
-    /// evaluations of the run differ in one parameter alone, as those of a first simplex do, they show it; what they leave
-    /// open is tested by one simulation for each such parameter, at the best point, after the run.
+    /// Parameters that did not change the cost (by more than the relative tolerance of the simulations), by number: their
+    /// values say nothing.
     pub without_effect: Vec<usize>,
-    /// Simulations of these tests. They are none of the run's evaluations, are not made where they would exceed its limits
-    /// or somebody ended it early, and are part of `stats`.
+    /// Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
+    /// `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
+    /// show it, because they differ in one parameter alone). They are none of the run's evaluations, are not made where they
+    /// would exceed its budget or somebody ended it early, and are part of `stats`.
     pub n_checks: usize,
     /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
     /// Those that failed or were given up count, those of a resumed fit from before do not.
@@ -238,10 +239,9 @@ impl Calibration {
         let mut stats = *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
         let is_late = || late.is_some_and(|late| Instant::now() >= late);
         let cancelled = || is_late() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
-        let at_bound = self.at_bound(&report);
-        let (without_effect, n_checks) =
-            self.without_effect(&start, &report, limits.max_evaluations, &cancelled, &mut stats);
-        report.message += &self.remarks(&at_bound, &without_effect);
+        let run = (start.as_slice(), &report);
+        let found = self.findings(run, &tolerances, limits.max_evaluations, &cancelled, &mut stats);
+        report.message += &self.remarks(&found);
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let rms = (report.fun / self.n_residuals() as f64).sqrt();
@@ -252,9 +252,9 @@ impl Calibration {
             cost: report.fun,
             rms,
             start_cost,
-            at_bound,
-            without_effect,
-            n_checks,
+            at_bound: found.at_bound,
+            without_effect: found.without_effect,
+            n_checks: found.n_checks,
             stats,
             solver: solver.clone(),
             report,

@@ -40,14 +40,15 @@ class Fit(OptimizeResult):
     start_cost, start_rms : float or None
         The same as `cost` and `rms` at the start; None if the simulation failed there.
     at_bound : dict of str to {"lower", "upper"}
-        Parameters that ended at one of their bounds (as near as the final simplex or population is wide, at most a thousandth
-        of the parameter's size); the best values may lie beyond.
+        Parameters that ended at one of their bounds: the best values may lie beyond.
     without_effect : list of str
-        Parameters that did not change the cost, by less than the relative tolerance of the simulations; their values say
-        nothing. Where evaluations of the run differ in one parameter alone, as those of a first simplex do, they show it; for
-        the others one simulation each is made after a run that nobody ended early, if all of these fit into its budget.
+        Parameters that did not change the cost, by more than the relative tolerance of the simulations: their values say
+        nothing.
     n_checks : int
-        These simulations: they do not count in ``nfev``, but in `stats`.
+        Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
+        `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
+        show it, because they differ in one parameter alone). They do not count in ``nfev``, are not made where they would
+        exceed its limit or somebody ended the fit early, and are part of `stats`.
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
