@@ -127,7 +127,7 @@ impl CalibrationBuilder {
             check_start_values(&fmu, experiment, &parameters)?;
             warnings.extend(unused_columns(fmu.description(), experiment));
         }
-        let identity = identity(&fmu, &experiments, &parameters, &settings);
+        let identity = identity(&fmu, &experiments, &parameters, &settings)?;
         let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
         let experiments = experiments

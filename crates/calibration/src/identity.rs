@@ -2,7 +2,7 @@
 
 use crate::experiment::{Experiment, Measured, SimulationSettings};
 use crate::parameter::Parameter;
-use fmi::{Fmu, Kind};
+use fmi::{FmiError, Fmu, Kind};
 
 /// What tells a calibration from another, as far as its costs go.
 pub(crate) fn identity(
@@ -10,10 +10,10 @@ pub(crate) fn identity(
     experiments: &[Experiment],
     parameters: &[Parameter],
     settings: &SimulationSettings,
-) -> Vec<(String, String)> {
+) -> Result<Vec<(String, String)>, FmiError> {
     let names: Vec<&str> = parameters.iter().map(Parameter::name).collect();
     let mut all = vec![
-        ("model".to_owned(), fmu.content_hash().to_owned()),
+        ("model".to_owned(), fmu.content_hash()?.to_owned()),
         ("parameter names".to_owned(), names.join(", ")),
     ];
     let SimulationSettings { kind, method, relative_tolerance, step_size, max_step, chattering, timeout } =
@@ -50,7 +50,7 @@ pub(crate) fn identity(
             .map(|(name, value)| (format!("{name} of experiment {k}"), value)),
         );
     }
-    all
+    Ok(all)
 }
 
 /// A value with all of its elements and bytes.

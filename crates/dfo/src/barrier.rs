@@ -215,11 +215,12 @@ pub struct BarrierState {
 impl BarrierState {
     fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
+        let inner = inner_setup(&self.setup, &self.stage_start, self.schedule.len());
         self.setup.space == *space
             && self.working.len() == space.n_free()
             && self.stage_start.len() == space.n()
             && self.best.as_ref().is_none_or(|(x, _)| x.len() == space.n())
-            && self.inner.is_sound(&inner_setup(&self.setup, &self.stage_start, self.schedule.len()))
+            && self.inner.is_sound(&NelderMead::default().prepared(&inner))
     }
 
     /// `B(x)`; positive, finite inside of the bounds.

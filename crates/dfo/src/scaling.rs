@@ -7,8 +7,10 @@
 
 use crate::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
+use crate::termination::Measure;
 use crate::words;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
 use std::fmt;
 
 /// The scale on which a parameter is searched.
@@ -45,19 +47,22 @@ impl fmt::Display for Kind {
     }
 }
 
-/// How points outside of the box are brought back.
+/// How the search is kept in the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum BoundsHandling {
-    /// Mirrored at the bound, repeatedly if need be.
+    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds, and over a
+    /// hyperbola for one bound (James and Roos, Comput. Phys. Commun. 10, 1975: MINUIT). A cost that goes down towards a
+    /// bound is smooth over the angle, with its minimum where the bound is reached; mirrored it has a kink there, and
+    /// a simplex clamped to bounds becomes flat. Of 126 runs in boxes (`benches/simplex.rs`) 125 are solved with a mean
+    /// of 1169 evaluations; mirrored 94 with 5740, clamped 84 with 5049.
     #[default]
+    Sine,
+    /// Mirrored at the bound, repeatedly if need be.
     Mirror,
     /// Set onto the bound.
     Clamp,
-    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds (over a
-    /// hyperbola for one bound). A start on a bound, where the sine has no slope, is drawn inside by 2 % of the range.
-    Sine,
 }
 
 /// A checked start point with its box, scales and sizes.
@@ -74,8 +79,8 @@ pub struct Space {
     size_given: Vec<bool>,
     /// Whether working coordinates are angles and the like, see [`BoundsHandling::Sine`].
     sine: bool,
-    /// With it: the sizes of the coordinates themselves, the unit of the hyperbola at a single bound.
-    hyperbola: Vec<f64>,
+    /// With it: the sizes of the parameters themselves, also the unit of the hyperbola at a single bound.
+    units: Vec<f64>,
     /// Whether the user's bounds are finite on both sides (in working coordinates).
     boxed: Vec<bool>,
 }
@@ -118,7 +123,7 @@ impl Space {
             sizes: Vec::new(),
             size_given: Vec::new(),
             sine: false,
-            hyperbola: Vec::new(),
+            units: Vec::new(),
             boxed: Vec::new(),
         };
         for index in 0..n {
@@ -356,39 +361,22 @@ impl Space {
         }
     }
 
-    /// The same problem over angles, and the start point drawn inside. Working coordinates of this space have no
-    /// bounds; their sizes are such that a distance in them is at least that of the point, in units of its size.
+    /// The same problem over angles. Working coordinates of this space have no bounds; their sizes are such that a distance
+    /// in them is at least that of the point, in units of its size.
     pub(crate) fn with_sine(&self) -> Self {
-        const INSIDE: f64 = 0.02;
         let mut space = self.clone();
-        let mut u = vec![0.0; self.n_free()];
-        self.to_working(&self.x0, &mut u);
-        for (k, u) in u.iter_mut().enumerate() {
+        for k in 0..self.n_free() {
             let (lower, upper) = self.ends(k);
-            let margin = INSIDE * self.width(k).unwrap_or(self.sizes[k]);
-            // A step inside may lead beyond the other bound, or beyond all numbers.
-            let ends = (self.lower[k].max(f64::MIN), self.upper[k].min(f64::MAX));
-            let inside = u.max(lower + margin).min(upper - margin).clamp(ends.0, ends.1);
-            let i = self.free[k];
-            if inside != *u {
-                (*u, space.x0[i]) = (
-                    inside,
-                    match self.transforms[k] {
-                        Transform::Linear => inside,
-                        Transform::Log => inside.exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
-                    },
-                );
-            }
-            space.sizes[k] = match (self.width(k), lower.is_finite() || upper.is_finite()) {
-                (Some(width), _) if width > 0.0 => 2.0 * self.sizes[k] / width,
-                // No room on a logarithmic scale.
-                (Some(_), _) => 1.0,
-                (None, true) => 1.0,
-                (None, false) => self.sizes[k],
+            space.sizes[k] = match self.width(k) {
+                Some(width) if width > 0.0 => 2.0 * self.sizes[k] / width,
+                // No room on a logarithmic scale, or one bound.
+                Some(_) => 1.0,
+                None if lower.is_finite() || upper.is_finite() => 1.0,
+                None => self.sizes[k],
             };
             space.size_given[k] = true;
         }
-        space.hyperbola = self.sizes.clone();
+        space.units = self.sizes.clone();
         space.sine = true;
         space
     }
@@ -412,8 +400,8 @@ impl Space {
             (true, true) if self.boxed[k] => lower + 0.5 * (upper - lower) * (1.0 + v.sin()),
             // The width is no number.
             (true, true) => (0.5 * lower + 0.5 * upper) + (0.5 * upper - 0.5 * lower) * v.sin(),
-            (true, false) => lower + self.hyperbola[k] * (v.hypot(1.0) - 1.0),
-            (false, true) => upper - self.hyperbola[k] * (v.hypot(1.0) - 1.0),
+            (true, false) => lower + self.units[k] * (v.hypot(1.0) - 1.0),
+            (false, true) => upper - self.units[k] * (v.hypot(1.0) - 1.0),
             (false, false) => v,
         };
         // Far out on a hyperbola there are no numbers left.
@@ -425,7 +413,7 @@ impl Space {
         let (lower, upper) = self.ends(k);
         // The root of (d + 1)^2 - 1, which has no square that could overflow.
         let arc = |distance: f64| {
-            let d = (distance / self.hyperbola[k]).clamp(0.0, f64::MAX);
+            let d = (distance / self.units[k]).clamp(0.0, f64::MAX);
             (d.sqrt() * (d + 2.0).sqrt()).min(f64::MAX)
         };
         match (lower.is_finite(), upper.is_finite()) {
@@ -439,6 +427,53 @@ impl Space {
             (true, false) => arc(u - lower),
             (false, true) => arc(upper - u),
             (false, false) => u,
+        }
+    }
+
+    /// The largest distance from a point that coordinate `k` has on the way to another, both given in working coordinates and
+    /// in the user's units: over angles the way may lead to a bound and back, and one place has many angles.
+    pub(crate) fn distance(
+        &self,
+        k: usize,
+        from: (&[f64], &[f64]),
+        to: (&[f64], &[f64]),
+        measure: Measure,
+    ) -> f64 {
+        let i = self.free[k];
+        let place = |x: f64| match (measure, self.transforms[k]) {
+            (Measure::Relative, Transform::Log) => x.ln(),
+            _ => x,
+        };
+        let here = place(from.1[i]);
+        let bounds = self.bounds_passed(k, from.0[k], to.0[k]).into_iter().flatten();
+        let distance = bounds.chain([to.1[i]]).map(|x| (place(x) - here).abs()).fold(0.0, f64::max);
+        match (measure, self.sine) {
+            (Measure::Absolute, _) => distance,
+            (Measure::Relative, true) => distance / self.units[k],
+            (Measure::Relative, false) => distance / self.sizes[k],
+        }
+    }
+
+    /// The user's bounds that lie between two values of a coordinate: none unless it is an angle.
+    fn bounds_passed(&self, k: usize, from: f64, to: f64) -> [Option<f64>; 2] {
+        let (low, high) = self.ends(k);
+        let (lower, upper) = (self.bounds.lower()[self.free[k]], self.bounds.upper()[self.free[k]]);
+        match (low.is_finite(), high.is_finite()) {
+            _ if !self.sine => [None; 2],
+            (true, true) => {
+                // Arcs from bound to bound are numbered; the even ones begin at the lower bound.
+                let arc = |v: f64| (v / PI + 0.5).floor();
+                let (first, last) = (arc(from.min(to)), arc(from.max(to)));
+                match last - first {
+                    0.0 => [None; 2],
+                    1.0 if last.rem_euclid(2.0) == 0.0 => [Some(lower), None],
+                    1.0 => [None, Some(upper)],
+                    _ => [Some(lower), Some(upper)],
+                }
+            }
+            (true, false) if from * to < 0.0 => [Some(lower), None],
+            (false, true) if from * to < 0.0 => [None, Some(upper)],
+            _ => [None; 2],
         }
     }
 
@@ -498,12 +533,11 @@ mod tests {
         let log =
             [Transform::Linear, Transform::Linear, Transform::Linear, Transform::Linear, Transform::Log];
         let space = Space::new(&[3.0, 0.0, 2.0, 5.0, 1e-3], bounds, &log, &[])?.with_sine();
-        assert!((space.x0()[0] - 2.92).abs() < 1e-12 && space.x0()[1] == 0.02 && space.x0()[3] == 5.0);
-        assert!((space.x0()[2] - 1.96).abs() < 1e-12 && space.x0()[4] > 1.2e-3);
         let (mut u, mut x) = ([0.0; 5], [0.0; 5]);
         space.to_working(space.x0(), &mut u);
         space.to_user(&u, &mut x);
-        assert!(x.iter().zip(space.x0()).all(|(a, b)| (a - b).abs() <= 1e-12 * b.abs()), "{x:?}");
+        assert_eq!(x[..4], space.x0()[..4]);
+        assert!((x[4] - 1e-3).abs() < 1e-18, "{x:?}");
         for v in [-1e9, -7.0, -1.0, 0.0, 0.5, 1.6, 100.0, 1e9] {
             space.to_user(&[v; 5], &mut x);
             assert!(space.bounds().contains(&x), "{v}: {x:?}");

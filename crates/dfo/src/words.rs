@@ -67,7 +67,7 @@ mod tests {
             told,
             [
                 "batch: two-ahead",
-                "bounds_handling: mirror",
+                "bounds_handling: sine",
                 "coefficients: custom (contraction 0.5, expansion 1.5, reflection 1.0, shrink 0.9)",
                 "initial_simplex: steps [0.1, 2.0]",
                 "restarts: 2",

@@ -104,7 +104,7 @@ fn options_of_the_method() {
 
 #[test]
 fn an_objective_that_always_fails_is_a_named_error_with_reasons() {
-    let cost = fallible(|x: &[f64]| match x[0] > 1.3 {
+    let cost = fallible(|x: &[f64]| match x[0] > 1.2 {
         true => Err("too large"),
         false => Ok(f64::NAN),
     });

@@ -4,7 +4,9 @@
 mod common;
 
 use common::{PLANS, plan, probe, problems, quiet_panics_on_purpose, rosenbrock};
-use dfo::{BatchPlan, Error, Evaluation, Outcome, Termination, minimize, with_evaluation};
+use dfo::{
+    BatchPlan, BoundsHandling, Error, Evaluation, NelderMead, Outcome, Termination, minimize, with_evaluation,
+};
 use std::ops::ControlFlow;
 use std::time::Duration;
 
@@ -76,7 +78,9 @@ fn iteration_budgets_are_exact_and_the_same_for_every_plan() {
 fn setting_one_limit_lifts_the_default_of_the_other() {
     // A cost that falls with every evaluation never converges: only limits end it.
     let falling = |_: &[f64], e: &Evaluation<'_>| Outcome::Value(-(e.id as f64));
-    let run = || minimize(with_evaluation(falling)).start(&[0.5]).bounds(&[0.0], &[1.0]).unwrap();
+    let mirrored = NelderMead::default().bounds_handling(BoundsHandling::Mirror);
+    let problem = || minimize(with_evaluation(falling)).start(&[0.5]).bounds(&[0.0], &[1.0]).unwrap();
+    let run = || problem().method(mirrored.clone());
     let by_default = run().run().unwrap();
     assert_eq!((by_default.termination, by_default.n_iterations), (Termination::MaxIterations, 2000));
     let more = run().max_evaluations(15_000).run().unwrap();

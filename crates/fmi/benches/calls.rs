@@ -51,10 +51,13 @@ fn main() {
     let fmu = Fmu::open(example_fmu("van_der_pol").unwrap()).unwrap();
     let description = fmu.description();
     let interface = description.model_exchange.as_ref().unwrap();
-    let library =
-        platform::find_binary(fmu.root(), &interface.model_identifier, platform::FolderNames::SystemAndBits)
-            .unwrap()
-            .path;
+    let library = platform::find_binary(
+        &fmu.root().unwrap(),
+        &interface.model_identifier,
+        platform::FolderNames::SystemAndBits,
+    )
+    .unwrap()
+    .path;
     let raw = raw(&library, &description.guid, description.n_states());
 
     let instance = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();

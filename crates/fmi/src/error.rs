@@ -10,6 +10,9 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FmiError {
+    /// Opening, unpacking or compiling was ended from outside.
+    #[error("cancelled")]
+    Cancelled,
     /// The operating system refused something.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
@@ -28,7 +31,7 @@ pub enum FmiError {
         /// What is wrong with it.
         reason: String,
     },
-    /// An entry of the archive is not what an honest FMU contains; nothing was unpacked.
+    /// An entry of the archive is not what an honest FMU contains; nothing of it was unpacked.
     #[error("{}: entry \"{}\" {problem}", path.display(), entry.escape_debug())]
     BadEntry {
         /// The archive.

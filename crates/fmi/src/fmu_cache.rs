@@ -1,5 +1,7 @@
-//! A cache of opened FMUs, by file.
+//! A cache of opened FMUs, by file and by content.
 
+use crate::archive::Archive;
+use crate::cancel::Cancel;
 use crate::error::FmiError;
 use crate::fmu::Fmu;
 use crate::open_options::OpenOptions;
@@ -7,11 +9,12 @@ use crate::platform;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Opens each file once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`] for the same
-/// options.
+/// Opens each content once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`] for the same
+/// options, and so it does for files of the same content.
 ///
 /// A file counts as unchanged while its path, identity on the disk, size and time of modification are the same; it is
-/// not read for that. Of a folder, `modelDescription.xml` and the folder itself are looked at.
+/// not read for that. Of a folder, `modelDescription.xml` and the folder itself are looked at. Another file is compared by
+/// the directory of the archive, and where that is the same by the SHA-256 of its bytes.
 #[derive(Debug)]
 pub struct FmuCache {
     capacity: usize,
@@ -56,7 +59,12 @@ impl FmuCache {
         }
         // Not under the lock: opening one file does not keep others waiting. Two threads may both open a new file;
         // the first to finish is kept.
-        let fmu = Fmu::open_with(path, options)?;
+        let archive = Archive::open_with(path, &options.limits, &options.cancel)?;
+        let twin = self.candidates(options).into_iter().find(|known| archive.has_content_of(known.archive()));
+        let fmu = match twin {
+            Some(twin) => twin.at(path),
+            None => Fmu::describe(archive, path, options)?,
+        };
         if let Some(first) = self.find(&key, options) {
             return Ok(first);
         }
@@ -68,7 +76,8 @@ impl FmuCache {
             if entries.len() >= self.capacity {
                 dropped.push(entries.remove(0));
             }
-            entries.push(Entry { key, options: options.clone(), fmu: fmu.clone() });
+            let options = OpenOptions { cancel: Cancel::default(), ..options.clone() };
+            entries.push(Entry { key, options, fmu: fmu.clone() });
             dropped
         };
         drop(dropped);
@@ -79,6 +88,23 @@ impl FmuCache {
     pub fn clear(&self) {
         let entries = std::mem::take(&mut *self.entries());
         drop(entries);
+    }
+
+    /// Returns the FMU at `path` if it is open already; nothing is read.
+    ///
+    /// # Errors
+    /// There is no such file.
+    pub fn find_open(&self, path: impl AsRef<Path>, options: &OpenOptions) -> Result<Option<Fmu>, FmiError> {
+        Ok(self.find(&key_of(path.as_ref())?, options))
+    }
+
+    /// The FMUs that were opened with these options.
+    fn candidates(&self, options: &OpenOptions) -> Vec<Fmu> {
+        self.entries()
+            .iter()
+            .filter(|known| known.options == *options)
+            .map(|known| known.fmu.clone())
+            .collect()
     }
 
     fn find(&self, key: &Key, options: &OpenOptions) -> Option<Fmu> {

@@ -5,6 +5,7 @@ pub mod archive;
 mod assign;
 mod beginning;
 mod binary;
+mod cancel;
 mod clocks;
 mod co_simulation;
 mod column;
@@ -47,6 +48,7 @@ mod trajectory;
 mod trial;
 
 pub use archive::{Archive, ArchiveLimits};
+pub use cancel::Cancel;
 pub use clocks::Tick;
 pub use co_simulation::StepOutcome;
 pub use description::{ModelDescription, Value, Variable};

@@ -1,6 +1,7 @@
 //! What opening an FMU may be told.
 
 use crate::archive::ArchiveLimits;
+use crate::cancel::Cancel;
 use crate::sys::LogFilter;
 
 /// Options of [`Fmu::open_with`](crate::Fmu::open_with); the default is what [`Fmu::open`](crate::Fmu::open) does.
@@ -20,6 +21,8 @@ pub struct OpenOptions {
     pub tool_is_present: bool,
     /// What is done with the logs of the instances that simulations use.
     pub logging: LogOptions,
+    /// Ends the opening early. It is not looked at any more when the FMU is open.
+    pub cancel: Cancel,
 }
 
 /// What is done with the log of an FMU. Its lines are kept per instance, not for ever, and the last of them are part of

@@ -307,6 +307,19 @@ pub(crate) fn link_folder(folder: &Path, link: &Path) -> io::Result<()> {
     Ok(())
 }
 
+/// Reads from a place in a file; where systems can do so, without moving the position of the file.
+pub(crate) fn read_at(file: &File, buffer: &mut [u8], position: u64) -> io::Result<usize> {
+    #[cfg(unix)]
+    return std::os::unix::fs::FileExt::read_at(file, buffer, position);
+    #[cfg(not(unix))]
+    {
+        use std::io::{Read, Seek};
+        let mut file = file;
+        file.seek(io::SeekFrom::Start(position))?;
+        file.read(buffer)
+    }
+}
+
 /// What tells a file from another, and from what it was before it was changed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct FileIdentity {

@@ -195,7 +195,7 @@ impl Pool {
         }
         let _loan = shared.is_dependent().then(|| shared.borrow_alone());
         let _turn = shared.turn();
-        let resources = Snapshot::of(&self.plan.fmu().root().join("resources"));
+        let resources = Snapshot::of(&self.plan.fmu().running_root()?.join("resources"));
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
         let examined = self.examine(&mut simulator)?;
         state.written = resources.first_change();

@@ -7,7 +7,7 @@ mod promises;
 mod zip_bytes;
 
 use fmi::description::QuirkKind;
-use fmi::{Archive, ArchiveLimits, EntryProblem, FmiError, Fmu};
+use fmi::{Archive, ArchiveLimits, Cancel, EntryProblem, FmiError, Fmu};
 use proptest::prelude::*;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,12 +21,15 @@ fn file(bytes: &[u8]) -> tempfile::NamedTempFile {
     file
 }
 
+/// Opens an archive and unpacks all of it.
 fn open(bytes: &[u8]) -> Result<Archive, FmiError> {
-    Archive::open(file(bytes).path())
+    open_with(bytes, &ArchiveLimits::default())
 }
 
 fn open_with(bytes: &[u8], limits: &ArchiveLimits) -> Result<Archive, FmiError> {
-    Archive::open_with(file(bytes).path(), limits)
+    let archive = Archive::open_with(file(bytes).path(), limits, &Cancel::default())?;
+    archive.unpack()?;
+    Ok(archive)
 }
 
 /// The problem with the last entry of an archive that starts well.
@@ -59,7 +62,7 @@ fn an_honest_archive_is_unpacked_and_its_folder_goes_with_it() {
         Entry::stored("documentation/\u{e4} b.html", b"").with(|entry| entry.mode = 0),
     ]))
     .unwrap();
-    let root = archive.root().to_owned();
+    let root = archive.unpack().unwrap();
     assert!(root.is_absolute() && archive.is_private());
     let own = root.strip_prefix(std::env::temp_dir()).unwrap();
     assert!(own.to_str().unwrap().starts_with("fmufit-"), "{}", root.display());
@@ -82,11 +85,11 @@ fn an_honest_archive_is_unpacked_and_its_folder_goes_with_it() {
 fn the_hash_is_that_of_the_bytes() {
     let bytes = zip(&[description()]);
     let (one, two) = (open(&bytes).unwrap(), open(&bytes).unwrap());
-    assert_eq!(one.content_hash(), two.content_hash());
-    assert_ne!(one.root(), two.root());
+    assert_eq!(one.content_hash().unwrap(), two.content_hash().unwrap());
+    assert_ne!(one.unpack().unwrap(), two.unpack().unwrap());
     let other = open(&zip(&[description(), Entry::stored("a", b"")])).unwrap();
-    assert_ne!(one.content_hash(), other.content_hash());
-    assert_eq!(one.content_hash().len(), 64);
+    assert_ne!(one.content_hash().unwrap(), other.content_hash().unwrap());
+    assert_eq!(one.content_hash().unwrap().len(), 64);
 }
 
 #[test]
@@ -96,7 +99,7 @@ fn an_unpacked_folder_is_used_as_it_is() {
     assert!(matches!(error, FmiError::NoModelDescription { .. }), "{error}");
     fs::write(folder.path().join("modelDescription.xml"), zip_bytes::DESCRIPTION).unwrap();
     let archive = Archive::open(folder.path()).unwrap();
-    assert_eq!(archive.root(), folder.path());
+    assert_eq!(archive.unpack().unwrap(), folder.path());
     assert!(!archive.is_private());
     drop(archive);
     assert!(folder.path().join("modelDescription.xml").exists());
@@ -189,7 +192,7 @@ fn a_file_may_be_packed_twice_if_it_is_the_same() {
     ]);
     let archive = open(&bytes).unwrap();
     assert_eq!(archive.repeated(), ["resources/a.txt", "modelDescription.xml"]);
-    assert_eq!(fs::read(archive.root().join("resources/a.txt")).unwrap(), text);
+    assert_eq!(fs::read(archive.unpack().unwrap().join("resources/a.txt")).unwrap(), text);
     let fmu = Fmu::open(file(&bytes).path()).unwrap();
     let quirk = &fmu.description().quirks[0];
     assert!(
@@ -405,7 +408,7 @@ fn many_entries_are_no_trouble() {
     let mut entries = vec![description()];
     entries.extend((0..20_000).map(|i| Entry::stored(&format!("resources/{}/{i}.txt", i % 100), b"x")));
     let archive = open(&zip(&entries)).unwrap();
-    assert!(archive.root().join("resources/99/19999.txt").is_file());
+    assert!(archive.unpack().unwrap().join("resources/99/19999.txt").is_file());
 }
 
 #[test]
@@ -451,13 +454,17 @@ fn nothing_is_left_behind() {
 fn opens_and_looks_around() {
     for bytes in refused_while_unpacking() {
         let file = file(&bytes);
-        assert!(matches!(Archive::open(file.path()), Err(FmiError::BadEntry { .. })));
+        let archive = Archive::open(file.path()).unwrap();
+        for _ in 0..2 {
+            assert!(matches!(archive.unpack(), Err(FmiError::BadEntry { .. })));
+        }
         assert_eq!(names_in(&std::env::temp_dir()), [file.path()]);
     }
     let file = file(&zip(&[description()]));
     let archive = Archive::open(file.path()).unwrap();
+    assert_eq!(names_in(&std::env::temp_dir()).len(), 1);
+    assert!(archive.unpack().unwrap().starts_with(std::env::temp_dir()));
     assert_eq!(names_in(&std::env::temp_dir()).len(), 2);
-    assert!(archive.root().starts_with(std::env::temp_dir()));
 }
 
 proptest! {

@@ -300,8 +300,10 @@ fn paths_that_are_not_there_are_named() {
     for outcome in [
         Fmu::open(&nowhere).map(|_| ()),
         FmuCache::new(0).open(&nowhere).map(|_| ()),
-        fmi::Archive::open_with(&nowhere, &limits).map(|_| ()),
-        fmi::ModelDescription::read(folder.path()).map(|_| ()),
+        fmi::Archive::open_with(&nowhere, &limits, &fmi::Cancel::default()).map(|_| ()),
+        fmi::Archive::open(folder.path())
+            .and_then(|archive| fmi::ModelDescription::read(&archive))
+            .map(|_| ()),
         fmi::pack(&nowhere, &folder.path().join("out.fmu")),
     ] {
         let error = outcome.unwrap_err();

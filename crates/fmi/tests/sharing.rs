@@ -344,7 +344,7 @@ fn writing_into_the_resources_is_detected() {
     let folder = evil(&["WRITES_RESOURCES"]);
     std::fs::create_dir(folder.path().join("resources")).unwrap();
     let fmu = folder.open();
-    let trace = fmu.root().join("resources/trace.txt");
+    let trace = fmu.root().unwrap().join("resources/trace.txt");
     let first = pool(&fmu, &with_k());
     assert_eq!(first.written_resource().unwrap(), Some(trace));
     assert_eq!(first.sharing().unwrap(), Sharing::OneAtATime);

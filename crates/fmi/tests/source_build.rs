@@ -36,7 +36,7 @@ fn source_folder() -> tempfile::TempDir {
 fn build(root: &Path) -> Result<PathBuf, FmiError> {
     let archive = Archive::open(root)?;
     let model = ModelDescription::read(&archive)?;
-    build_library(archive.root(), &model, model.model_exchange.as_ref().unwrap(), archive.content_hash())
+    build_library(&archive.unpack()?, &model, model.model_exchange.as_ref().unwrap(), archive.content_hash()?)
 }
 
 /// Runs the body of a test in a process of its own, with a cache folder of its own and more variables: starts this
@@ -263,14 +263,12 @@ fn packs_reproducibly() {
     assert_eq!(fs::read_dir(out.path()).unwrap().count(), 2);
 
     let archive = Archive::open(&one).unwrap();
-    assert_eq!(fs::read_to_string(archive.root().join("sources/model.c")).unwrap(), MODEL);
-    assert_eq!(fs::read_to_string(archive.root().join("resources/table.txt")).unwrap(), "1 2 3\n");
-    let found = find_binary(archive.root(), "tiny", FolderNames::SystemAndBits).unwrap();
-    assert!(
-        found.path.starts_with(
-            archive.root().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0])
-        )
-    );
+    assert_eq!(fs::read_to_string(archive.unpack().unwrap().join("sources/model.c")).unwrap(), MODEL);
+    assert_eq!(fs::read_to_string(archive.unpack().unwrap().join("resources/table.txt")).unwrap(), "1 2 3\n");
+    let found = find_binary(&archive.unpack().unwrap(), "tiny", FolderNames::SystemAndBits).unwrap();
+    assert!(found.path.starts_with(
+        archive.unpack().unwrap().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0])
+    ));
     assert_eq!(found.note, None);
 
     // Packing into the folder itself does not pack the result of the last time.
@@ -279,10 +277,10 @@ fn packs_reproducibly() {
     let before = fs::read(&inside).unwrap();
     assert_eq!(before, fs::read(&one).unwrap());
     pack(root.path(), &inside).unwrap();
-    let names: Vec<_> = fs::read_dir(Archive::open(&inside).unwrap().root())
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name())
-        .collect();
+    // The folder goes with the archive.
+    let archive = Archive::open(&inside).unwrap();
+    let packed = fs::read_dir(archive.unpack().unwrap()).unwrap();
+    let names: Vec<_> = packed.map(|entry| entry.unwrap().file_name()).collect();
     assert!(!names.contains(&"out.fmu".into()));
 }
 

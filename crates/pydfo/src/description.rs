@@ -104,8 +104,8 @@ impl Fmu {
     }
 
     #[getter]
-    fn content_hash(&self) -> &str {
-        self.fmu.content_hash()
+    fn content_hash(&self, py: Python<'_>) -> PyResult<&str> {
+        py.detach(|| self.fmu.content_hash()).map_err(|e| fmu_error::raise(py, &e))
     }
 
     #[getter]

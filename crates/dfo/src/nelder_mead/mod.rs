@@ -3,7 +3,7 @@
 //!
 //! The rules are those of Lagarias, Reeds, Wright and Wright (SIAM J. Optim. 9, 1998, section 2), ties included: a
 //! vertex that comes later ranks behind older ones of the same cost. For five and more dimensions the coefficients
-//! are those of Gao and Han (Comput. Optim. Appl. 51, 2012). Points outside of the box are mirrored in.
+//! are those of Gao and Han (Comput. Optim. Appl. 51, 2012). Bounds: see [`BoundsHandling`](crate::BoundsHandling).
 //!
 //! **Failures.** A failed vertex ranks behind every vertex with a cost; among failed ones the youngest ranks last.
 //! The last vertex is replaced as always, but the centroid is that of the finite ones among the other vertices

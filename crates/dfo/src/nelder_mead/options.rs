@@ -4,7 +4,7 @@ use super::initial;
 use super::state::NelderMeadState;
 use crate::error::Error;
 use crate::method::{MethodOptions, Setup, restored};
-use crate::scaling::{BoundsHandling, Space};
+use crate::scaling::BoundsHandling;
 use crate::words;
 use serde::{Deserialize, Serialize};
 
@@ -139,10 +139,11 @@ impl Coefficients {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum InitialSimplex {
-    /// Without any bound, size or logarithm: a regular simplex with edges of `0.3 * max(1, |x0|)` (Euclidean norm). Else
-    /// one step along each free parameter. Its length: a tenth of the width of the box where that is finite, else
-    /// `0.3 * size` where the user gave a size, else 0.3 on a logarithmic scale, else `0.3 * max(1, |x0|)` with the
-    /// Euclidean norm over the parameters to which this last rule applies.
+    /// From the sizes of the parameters: the nominal value where one was given, else the width of the box, else |x0|, else
+    /// (where x0 is zero and nothing else is known) 1, the nominal value that FMI assumes. Without any bound: a regular
+    /// simplex with edges of `0.3 * size`, away from zero, so that multiplying a parameter by a constant changes nothing.
+    /// Else one step along each free parameter: a tenth of the width of the box where that is finite, else `0.3 * size`
+    /// (a logarithmic parameter has the size 1 of its logarithm).
     #[default]
     Auto,
     /// These steps, one per parameter in the user's order; a step of a logarithmic parameter is one of `ln x`, one of
@@ -167,7 +168,7 @@ pub struct NelderMead {
     pub batch: BatchPlan,
     /// Coefficients; default standard below five parameters, adaptive from there on.
     pub coefficients: Coefficients,
-    /// How points outside of the box are brought back; default mirrored.
+    /// How the search is kept in the box; default [`BoundsHandling::Sine`].
     #[serde(rename = "bounds_handling")]
     pub bounds: BoundsHandling,
     /// The starting simplex.
@@ -183,7 +184,7 @@ impl Default for NelderMead {
         Self {
             batch: BatchPlan::Auto,
             coefficients: Coefficients::Auto,
-            bounds: BoundsHandling::Mirror,
+            bounds: BoundsHandling::default(),
             initial: InitialSimplex::Auto,
             restarts: 2,
         }
@@ -205,7 +206,7 @@ impl NelderMead {
         self
     }
 
-    /// Sets how points outside of the box are brought back.
+    /// Sets how the search is kept in the box.
     #[must_use]
     pub fn bounds_handling(mut self, handling: BoundsHandling) -> Self {
         self.bounds = handling;
@@ -235,13 +236,13 @@ impl NelderMead {
 }
 
 impl NelderMead {
-    /// For the sine: the start drawn inside, and the space of angles.
-    fn prepared(&self, setup: &Setup) -> (Setup, Option<Space>) {
-        if self.bounds != BoundsHandling::Sine {
-            return (setup.clone(), None);
+    /// The problem as the search sees it: over angles, if so wished.
+    pub(crate) fn prepared(&self, setup: &Setup) -> Setup {
+        let mut setup = setup.clone();
+        if self.bounds == BoundsHandling::Sine {
+            setup.space = setup.space.with_sine();
         }
-        let sine = setup.space.with_sine();
-        (Setup { space: setup.space.starting_at(sine.x0()), ..setup.clone() }, Some(sine))
+        setup
     }
 }
 
@@ -252,15 +253,9 @@ impl MethodOptions for NelderMead {
         setup.tolerances.check()?;
         setup.space.require_continuous("nelder-mead")?;
         let numbers = self.coefficients.resolve(setup.space.n_free())?;
-        let (setup, sine) = self.prepared(setup);
         let mut simplex = initial::simplex(&setup.space, &self.initial)?;
-        let setup = match sine {
-            None => setup,
-            Some(space) => {
-                simplex.rewrite(&space);
-                Setup { space, ..setup }
-            }
-        };
+        let setup = self.prepared(setup);
+        simplex.rewrite(&setup.space);
         let plan = self.batch.resolve(setup.workers);
         Ok(NelderMeadState::new(setup, plan, numbers, self.bounds, simplex, self.restarts))
     }
@@ -270,8 +265,7 @@ impl MethodOptions for NelderMead {
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<NelderMeadState, Error> {
-        let (setup, sine) = self.prepared(setup);
-        let setup = Setup { space: sine.unwrap_or(setup.space), ..setup };
+        let setup = self.prepared(setup);
         restored(state, |s: &NelderMeadState| s.is_sound(&setup))
     }
 }

@@ -183,23 +183,22 @@ impl SimplexData {
         }
     }
 
-    /// Largest distance of a vertex from the best along any coordinate.
+    /// Largest distance of a vertex from the best along any coordinate, as the x test measures it.
     pub(super) fn x_size(&self, space: &Space, measure: Measure) -> f64 {
-        let mut size = 0.0f64;
-        for &slot in &self.order[1..] {
-            for (k, &i) in space.free().iter().enumerate() {
-                size = size.max(match measure {
-                    Measure::Absolute => (self.x(slot)[i] - self.x(self.best())[i]).abs(),
-                    Measure::Relative => (self.u(slot)[k] - self.u(self.best())[k]).abs() / space.size(k),
-                });
-            }
-        }
-        size
+        let point = |slot: usize| (self.u(slot), self.x(slot));
+        let best = point(self.best());
+        self.largest(|k, slot| space.distance(k, best, point(slot), measure))
     }
 
-    /// The same, always in units of the sizes.
+    /// The same in units of the sizes of the working coordinates.
     pub(super) fn relative_size(&self, space: &Space) -> f64 {
-        self.x_size(space, Measure::Relative)
+        let best = self.u(self.best());
+        self.largest(|k, slot| (self.u(slot)[k] - best[k]).abs() / space.size(k))
+    }
+
+    fn largest(&self, distance: impl Fn(usize, usize) -> f64) -> f64 {
+        let of_vertex = |slot: &usize| (0..self.n).map(|k| distance(k, *slot)).fold(0.0, f64::max);
+        self.order[1..].iter().map(of_vertex).fold(0.0, f64::max)
     }
 
     /// Worst minus best cost; `None` while a vertex has none.

@@ -563,7 +563,9 @@ mod tests {
     /// The reflection that a given simplex (best, second, worst) in the unit square leads to.
     fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {
         let space = Space::new(&vertices[0], Bounds::new(&[0.0; 2], &[1.0; 2]).unwrap(), &[], &[]).unwrap();
-        let options = NelderMead::default().initial_simplex(vertices.iter().map(|v| v.to_vec()).collect());
+        let options = NelderMead::default()
+            .bounds_handling(BoundsHandling::Mirror)
+            .initial_simplex(vertices.iter().map(|v| v.to_vec()).collect());
         let mut search = options.begin(&Setup::new(space)).unwrap();
         let mut batch = Batch::new();
         search.ask(&mut batch);

@@ -3,6 +3,8 @@
 //! Heart8.
 #![allow(dead_code, unreachable_pub, clippy::unwrap_used)]
 
+pub mod boxes;
+pub mod calibration;
 pub mod solve;
 
 /// An instance: number of the function, parameters, residuals, exponent of the start's scale, best known sum of squares.

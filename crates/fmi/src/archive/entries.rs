@@ -3,6 +3,7 @@
 use super::directory::{Directory, Fields, Record, Unreadable};
 use super::names::{self, Names};
 use super::{ArchiveLimits, MODEL_DESCRIPTION};
+use crate::cancel::Cancel;
 use crate::error::{EntryProblem, FmiError};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -43,6 +44,7 @@ pub(super) fn list(
     path: &Path,
     archive: impl Read + Seek,
     limits: &ArchiveLimits,
+    cancel: &Cancel,
 ) -> Result<Vec<Listed>, FmiError> {
     let mut archive = BufReader::new(archive);
     let unreadable = |error| unreadable_at(path, error);
@@ -52,13 +54,15 @@ pub(super) fn list(
     let mut names = Names::default();
     let mut listed = Vec::with_capacity(records.len());
     for record in &records {
+        cancel.check()?;
         let checked = check_record(record, &mut names, &listed, limits);
         listed.push(checked.map_err(|problem| refused(path, &record.name, problem))?);
         check_limit(path, "files and folders", names.count(), limits.entries)?;
+        check_limit(path, "folders", names.n_folders(), limits.folders)?;
     }
     check_root(path, &listed)?;
     check_totals(path, &listed, limits)?;
-    check_local_headers(path, &mut archive, directory, &records, &mut listed)?;
+    check_local_headers(path, &mut archive, directory, &records, &mut listed, cancel)?;
     Ok(listed)
 }
 
@@ -196,9 +200,11 @@ fn check_local_headers(
     directory: Directory,
     records: &[Record],
     listed: &mut [Listed],
+    cancel: &Cancel,
 ) -> Result<(), FmiError> {
     let mut extents = Vec::with_capacity(records.len());
     for (position, record) in records.iter().enumerate() {
+        cancel.check()?;
         let data_start =
             check_local_header(archive, record).map_err(|problem| refused(path, &record.name, problem))?;
         listed[position].data_start = data_start;

@@ -7,36 +7,71 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-/// Hash of a file from its beginning.
-pub(super) fn of_file(path: &Path, file: &mut File) -> Result<String, FmiError> {
-    let mut hasher = Sha256::new();
-    io::Seek::rewind(file).map_err(FmiError::io("read", path))?;
-    feed(&mut hasher, file).map_err(FmiError::io("read", path))?;
-    Ok(hex(hasher))
+/// A hash in the making.
+#[derive(Default)]
+pub(super) struct Hashing(Sha256);
+
+impl Hashing {
+    /// Takes everything in that is left of a stream.
+    pub(super) fn feed(&mut self, source: &mut impl Read) -> io::Result<()> {
+        let mut buffer = vec![0; 1 << 16];
+        loop {
+            match source.read(&mut buffer) {
+                Ok(0) => return Ok(()),
+                Ok(n) => self.0.update(&buffer[..n]),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// A text after its length.
+    fn text(&mut self, text: &str) {
+        self.0.update((text.len() as u64).to_le_bytes());
+        self.0.update(text.as_bytes());
+    }
+
+    /// The hash in hexadecimal digits.
+    pub(super) fn finish(self) -> String {
+        use std::fmt::Write;
+        self.0.finalize().iter().fold(String::with_capacity(64), |mut text, byte| {
+            let _ = write!(text, "{byte:02x}");
+            text
+        })
+    }
+}
+
+impl io::Write for Hashing {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 /// Hash of all files below a folder: for each, in the order of the paths, path and content, each after its length.
 pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String, FmiError> {
-    let mut hasher = Sha256::new();
+    let mut hashing = Hashing::default();
     for (name, path) in files_below(root, limits.entries)? {
         let mut file = File::open(&path).map_err(FmiError::io("open", &path))?;
         let size = file.metadata().map_err(FmiError::io("read", &path))?.len();
-        hasher.update((name.len() as u64).to_le_bytes());
-        hasher.update(name.as_bytes());
-        hasher.update(size.to_le_bytes());
-        feed(&mut hasher, &mut file).map_err(FmiError::io("read", &path))?;
+        hashing.text(&name);
+        hashing.0.update(size.to_le_bytes());
+        hashing.feed(&mut file).map_err(FmiError::io("read", &path))?;
     }
-    Ok(hex(hasher))
+    Ok(hashing.finish())
 }
 
 /// Hash of a few texts, each after its length.
-pub(crate) fn of_texts<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
-    let mut hasher = Sha256::new();
+pub(crate) fn of_texts(texts: impl IntoIterator<Item: AsRef<str>>) -> String {
+    let mut hashing = Hashing::default();
     for text in texts {
-        hasher.update((text.len() as u64).to_le_bytes());
-        hasher.update(text.as_bytes());
+        hashing.text(text.as_ref());
     }
-    hex(hasher)
+    hashing.finish()
 }
 
 /// Files below a folder as (path with slashes relative to it, path), sorted by the former.
@@ -74,26 +109,6 @@ pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBu
     Ok(files)
 }
 
-fn feed(hasher: &mut Sha256, source: &mut impl Read) -> io::Result<()> {
-    let mut buffer = vec![0; 1 << 16];
-    loop {
-        match source.read(&mut buffer) {
-            Ok(0) => return Ok(()),
-            Ok(n) => hasher.update(&buffer[..n]),
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
-}
-
-fn hex(hasher: Sha256) -> String {
-    use std::fmt::Write;
-    hasher.finalize().iter().fold(String::with_capacity(64), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -113,11 +128,11 @@ mod tests {
     }
 
     #[test]
-    fn a_file_has_the_hash_of_the_standard() {
-        let root = folder(&[("a", "abc")]);
-        let path = root.path().join("a");
+    fn a_stream_has_the_hash_of_the_standard() {
+        let mut hashing = Hashing::default();
+        hashing.feed(&mut &b"abc"[..]).unwrap();
         let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"; // FIPS 180-4, "abc"
-        assert_eq!(of_file(&path, &mut File::open(&path).unwrap()).unwrap(), expected);
+        assert_eq!(hashing.finish(), expected);
     }
 
     #[test]

@@ -1,21 +1,28 @@
-//! An FMU as a folder: a `.fmu` archive unpacked into a private folder that goes when the value goes,
+//! The files of an FMU: a `.fmu` archive, unpacked part by part into a private folder that goes when the value goes,
 //! or an unpacked folder as it is. Archives that are not honest are refused before anything is written.
 
 mod directory;
 mod entries;
 mod hash;
 mod names;
+mod packed;
+mod positioned;
 mod private;
 mod snapshot;
 mod unpack;
 
 pub(crate) use hash::{files_below, of_texts as hash_of_texts};
+pub(crate) use packed::Part;
 pub(crate) use private::PrivateFolder;
 pub(crate) use snapshot::Snapshot;
 
+use crate::cancel::Cancel;
 use crate::error::{EntryProblem, FmiError};
+use packed::Packed;
 use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 /// Name of the file every FMU has at its root.
 pub(crate) const MODEL_DESCRIPTION: &str = "modelDescription.xml";
@@ -43,6 +50,8 @@ pub(crate) fn is_inside(path: &str) -> bool {
 pub struct ArchiveLimits {
     /// Files and folders (default 100 000).
     pub entries: u64,
+    /// Folders, those included that have no entry of their own (default 10 000).
+    pub folders: u64,
     /// Unpacked bytes of one file (default 2 GiB).
     pub file_bytes: u64,
     /// Unpacked bytes of all files (default 4 GiB).
@@ -58,6 +67,7 @@ impl Default for ArchiveLimits {
     fn default() -> Self {
         ArchiveLimits {
             entries: 100_000,
+            folders: 10_000,
             file_bytes: 2 << 30,
             total_bytes: 4 << 30,
             ratio: 200,
@@ -66,85 +76,143 @@ impl Default for ArchiveLimits {
     }
 }
 
-/// An opened FMU: a folder with `modelDescription.xml` at its root, and the hash of its content.
+/// An opened FMU: a `.fmu` file or a folder with `modelDescription.xml` at its root.
+///
+/// Of a file, the directory is read and checked when it is opened. Its contents are unpacked, and checked against their
+/// sizes and checksums, when they are needed.
 #[derive(Debug)]
 pub struct Archive {
-    root: PathBuf,
-    content_hash: String,
-    /// Names of files that the archive holds more than once, with the same content each time.
-    repeated: Vec<String>,
-    /// Removes the folder on drop.
-    private: Option<PrivateFolder>,
+    content: Content,
+    content_hash: OnceLock<String>,
+}
+
+#[derive(Debug)]
+enum Content {
+    /// An absolute path, and how many files there may be.
+    Folder(PathBuf, ArchiveLimits),
+    Packed(Packed),
 }
 
 impl Archive {
     /// Opens a `.fmu` file or an unpacked folder with the default limits.
+    ///
+    /// # Errors
+    /// As [`open_with`](Self::open_with).
     pub fn open(path: impl AsRef<Path>) -> Result<Archive, FmiError> {
-        Archive::open_with(path, &ArchiveLimits::default())
+        Archive::open_with(path, &ArchiveLimits::default(), &Cancel::default())
     }
 
     /// Opens a `.fmu` file or an unpacked folder.
     ///
-    /// Errors: [`FmiError::Io`] for what the system refuses; [`FmiError::BadArchive`], [`FmiError::BadEntry`]
+    /// # Errors
+    /// [`FmiError::Io`] for what the system refuses; [`FmiError::BadArchive`], [`FmiError::BadEntry`]
     /// and [`FmiError::ArchiveLimit`] for archives that are damaged, dishonest or too large;
-    /// [`FmiError::NoModelDescription`] for other archives and folders. Nothing is left behind.
-    pub fn open_with(path: impl AsRef<Path>, limits: &ArchiveLimits) -> Result<Archive, FmiError> {
+    /// [`FmiError::NoModelDescription`] for other archives and folders; [`FmiError::Cancelled`].
+    pub fn open_with(
+        path: impl AsRef<Path>,
+        limits: &ArchiveLimits,
+        cancel: &Cancel,
+    ) -> Result<Archive, FmiError> {
         let path = path.as_ref();
         let metadata = path.metadata().map_err(FmiError::io("open", path))?;
-        if metadata.is_dir() { Archive::open_folder(path, limits) } else { Archive::unpack(path, limits) }
+        let content = match metadata.is_dir() {
+            true => Content::Folder(open_folder(path, limits)?, limits.clone()),
+            false => Content::Packed(Packed::open(path, limits, cancel)?),
+        };
+        Ok(Archive { content, content_hash: OnceLock::new() })
     }
 
-    fn open_folder(path: &Path, limits: &ArchiveLimits) -> Result<Archive, FmiError> {
-        let root = std::path::absolute(path).map_err(FmiError::io("find", path))?;
-        if !root.join(MODEL_DESCRIPTION).is_file() {
-            return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: None });
+    /// Unpacks all of it into a private folder, which goes with this value; returns the folder that holds
+    /// `modelDescription.xml`, an absolute path. An unpacked folder is returned as it is.
+    ///
+    /// # Errors
+    /// [`FmiError::BadEntry`] for contents that are not what the directory of the archive says, [`FmiError::Io`];
+    /// [`FmiError::BadArchive`] if the file was written over since it was opened. Nothing is left behind.
+    pub fn unpack(&self) -> Result<PathBuf, FmiError> {
+        self.unpack_part(Part::All, &Cancel::default())
+    }
+
+    /// Unpacks a part of it; what is there already stays, and what somebody has removed is unpacked again.
+    pub(crate) fn unpack_part(&self, part: Part, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+        match &self.content {
+            Content::Packed(packed) => packed.unpack(part, cancel),
+            Content::Folder(root, _) => {
+                root.metadata().map_err(FmiError::io("open", root))?;
+                Ok(root.clone())
+            }
         }
-        let content_hash = hash::of_folder(&root, limits)?;
-        Ok(Archive { root, content_hash, repeated: Vec::new(), private: None })
     }
 
-    fn unpack(path: &Path, limits: &ArchiveLimits) -> Result<Archive, FmiError> {
-        let mut file = File::open(path).map_err(FmiError::io("open", path))?;
-        let listing = entries::list(path, &file, limits)?;
-        let content_hash = hash::of_file(path, &mut file)?;
-        let private = PrivateFolder::create()?;
-        unpack::all(path, &file, &listing, private.path())?;
-        let repeated =
-            listing.into_iter().filter(|entry| entry.is_repeated).map(|entry| entry.name).collect();
-        Ok(Archive { root: private.path().to_owned(), content_hash, repeated, private: Some(private) })
+    /// The bytes of `modelDescription.xml`.
+    pub(crate) fn description(&self, limit: u64, cancel: &Cancel) -> Result<Vec<u8>, FmiError> {
+        match &self.content {
+            Content::Packed(packed) => packed.read(MODEL_DESCRIPTION, limit, cancel),
+            Content::Folder(root, _) => {
+                let path = root.join(MODEL_DESCRIPTION);
+                let file = File::open(&path).map_err(FmiError::io("open", &path))?;
+                let mut bytes = Vec::new();
+                file.take(limit.saturating_add(1))
+                    .read_to_end(&mut bytes)
+                    .map_err(FmiError::io("read", &path))?;
+                Ok(bytes)
+            }
+        }
     }
 
-    /// The folder that holds `modelDescription.xml`; an absolute path.
-    pub fn root(&self) -> &Path {
-        &self.root
+    /// SHA-256 of the archive file, or of all names and contents of a folder, in hexadecimal digits; computed when it is
+    /// first asked for.
+    ///
+    /// # Errors
+    /// The files cannot be read any more, or the archive was written over since it was opened.
+    pub fn content_hash(&self) -> Result<&str, FmiError> {
+        if let Some(known) = self.content_hash.get() {
+            return Ok(known);
+        }
+        let hash = match &self.content {
+            Content::Packed(packed) => packed.hash()?,
+            Content::Folder(root, limits) => hash::of_folder(root, limits)?,
+        };
+        Ok(self.content_hash.get_or_init(|| hash))
     }
 
-    /// SHA-256 of the archive file, or of all names and contents of a folder, in hexadecimal digits.
-    pub fn content_hash(&self) -> &str {
-        &self.content_hash
+    /// Whether another archive has the same content, byte for byte. Folders are compared with nothing: they can be edited
+    /// at any time.
+    pub(crate) fn has_content_of(&self, other: &Archive) -> bool {
+        let (Content::Packed(one), Content::Packed(two)) = (&self.content, &other.content) else {
+            return false;
+        };
+        let same_hash = || matches!((self.content_hash(), other.content_hash()), (Ok(a), Ok(b)) if a == b);
+        one.fingerprint() == two.fingerprint() && same_hash()
     }
 
     /// Names of files that the archive holds more than once, with the same content each time.
-    pub fn repeated(&self) -> &[String] {
-        &self.repeated
+    pub fn repeated(&self) -> Vec<&str> {
+        match &self.content {
+            Content::Packed(packed) => packed.repeated().collect(),
+            Content::Folder(..) => Vec::new(),
+        }
     }
 
     /// The hash of the content as it is at present: a folder that is not private may have been edited.
     pub(crate) fn present_hash(&self) -> Result<String, FmiError> {
-        match self.private {
-            Some(_) => Ok(self.content_hash.clone()),
-            None => hash::of_folder(&self.root, &ArchiveLimits::default()),
+        match &self.content {
+            Content::Packed(_) => self.content_hash().map(str::to_owned),
+            Content::Folder(root, limits) => hash::of_folder(root, limits),
         }
     }
 
-    /// Whether the folder is a private one that goes with this value.
+    /// Whether it is a file, which is unpacked into a private folder that goes with this value.
     pub fn is_private(&self) -> bool {
-        self.private.is_some()
+        matches!(self.content, Content::Packed(_))
     }
 }
 
-impl AsRef<Path> for Archive {
-    fn as_ref(&self) -> &Path {
-        &self.root
+/// The absolute path of a folder whose files are fit to be those of an FMU.
+fn open_folder(path: &Path, limits: &ArchiveLimits) -> Result<PathBuf, FmiError> {
+    let root = std::path::absolute(path).map_err(FmiError::io("find", path))?;
+    if !root.join(MODEL_DESCRIPTION).is_file() {
+        return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: None });
     }
+    files_below(&root, limits.entries)?;
+    Ok(root)
 }

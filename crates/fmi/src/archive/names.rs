@@ -51,6 +51,7 @@ pub(super) struct Names {
     seen: HashMap<String, Seen>,
     /// Names added.
     added: usize,
+    folders: u64,
 }
 
 struct Seen {
@@ -72,10 +73,19 @@ impl Names {
     pub(super) fn add(&mut self, name: &str, is_folder: bool) -> Result<(), EntryProblem> {
         let path = name.strip_suffix('/').unwrap_or(name);
         self.added += 1;
-        for (end, _) in path.match_indices('/') {
+        // Up to the first folder that is known: so are those it lies in.
+        let above: Vec<usize> = path.rmatch_indices('/').map(|(end, _)| end).collect();
+        let is_unknown = |end: &&usize| !self.is_folder(&path[..**end]);
+        let n_unknown = above.iter().take_while(is_unknown).count();
+        for &end in above[..n_unknown].iter().rev() {
             self.add_one(&path[..end], Kind::Folder)?;
         }
         self.add_one(path, if is_folder { Kind::Folder } else { Kind::File })
+    }
+
+    /// Whether a folder of exactly this name was added.
+    fn is_folder(&self, name: &str) -> bool {
+        self.seen.get(&fold(name)).is_some_and(|seen| seen.name == name && seen.kind == Kind::Folder)
     }
 
     /// Which of the names added, counted from 0, was the first with this one (or with a part of this name).
@@ -88,12 +98,18 @@ impl Names {
         self.seen.len() as u64
     }
 
+    /// How many of them are folders.
+    pub(super) fn n_folders(&self) -> u64 {
+        self.folders
+    }
+
     /// Adds a name or a leading part of one.
     fn add_one(&mut self, part: &str, kind: Kind) -> Result<(), EntryProblem> {
         let position = self.added - 1;
         let seen = match self.seen.entry(fold(part)) {
             Entry::Vacant(vacant) => {
                 vacant.insert(Seen { name: part.to_owned(), position, kind });
+                self.folders += u64::from(kind == Kind::Folder);
                 return Ok(());
             }
             Entry::Occupied(occupied) => occupied.into_mut(),

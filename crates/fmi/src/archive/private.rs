@@ -48,6 +48,24 @@ impl PrivateFolder {
     pub(crate) fn path(&self) -> &Path {
         &self.inside
     }
+
+    /// Makes the folder again at the same place where somebody has removed it, or parts of it.
+    pub(crate) fn restore(&mut self) -> Result<(), FmiError> {
+        let Some(folder) = &self.folder else { return Ok(()) };
+        let outer = folder.path();
+        // In a place that is open to everybody, another folder may have taken the name: that is refused.
+        platform::create_private_folder(outer).map_err(FmiError::io("create", outer))?;
+        if !self.inside.is_dir() {
+            fs::create_dir(&self.inside).map_err(FmiError::io("create", &self.inside))?;
+            // Whoever makes it anew removes it.
+            self.owner = std::process::id();
+        }
+        let lock = outer.join(LOCK);
+        if !lock.exists() {
+            self.lock = take_lock(&lock);
+        }
+        Ok(())
+    }
 }
 
 impl Drop for PrivateFolder {

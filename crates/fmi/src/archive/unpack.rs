@@ -1,122 +1,114 @@
-//! Writing the entries of a checked archive into a folder, counting every byte.
+//! Writing entries of a checked archive into a folder, or anywhere else, counting every byte.
 
 use super::entries::{Listed, refused};
+use super::hash::Hashing;
+use super::positioned::Positioned;
+use crate::cancel::Cancel;
 use crate::error::{EntryProblem, FmiError};
 use flate2::bufread::DeflateDecoder;
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::fs::{self, File};
-use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
-use std::path::Path;
+use std::io::{self, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
 
-/// Unpacks all entries of the archive at `path` below `root`, an empty folder.
-pub(super) fn all(path: &Path, archive: &File, listed: &[Listed], root: &Path) -> Result<(), FmiError> {
-    let mut archive = BufReader::with_capacity(1 << 16, archive);
-    let mut buffer = vec![0; 1 << 16];
-    let mut made = HashSet::new();
-    for entry in listed {
+/// Bytes read, inflated and written at a time.
+const BUFFER: usize = 1 << 16;
+
+/// Where entries are read from.
+#[derive(Clone, Copy)]
+pub(super) struct Source<'a> {
+    pub(super) path: &'a Path,
+    pub(super) file: &'a File,
+    pub(super) cancel: &'a Cancel,
+}
+
+impl Source<'_> {
+    /// Unpacks an entry below `root`, and notes the folder that holds it. A file that cannot be unpacked whole does not
+    /// stay.
+    pub(super) fn unpack<T: Default>(
+        self,
+        entry: &Listed,
+        root: &Path,
+        folders: &mut HashMap<PathBuf, T>,
+    ) -> Result<(), FmiError> {
         let target = root.join(&entry.name);
         let folder = if entry.is_folder { &target } else { target.parent().unwrap_or(root) };
-        if made.insert(folder.to_owned()) {
+        if !folders.contains_key(folder) {
             fs::create_dir_all(folder).map_err(FmiError::io("create", folder))?;
+            folders.insert(folder.to_owned(), T::default());
         }
-        if entry.is_repeated {
-            again(path, &mut archive, entry, &target, &mut buffer)?;
-        } else if !entry.is_folder {
-            one(path, &mut archive, entry, &target, &mut buffer)?;
-        }
-    }
-    Ok(())
-}
-
-fn one(
-    path: &Path,
-    archive: &mut BufReader<&File>,
-    entry: &Listed,
-    target: &Path,
-    buffer: &mut [u8],
-) -> Result<(), FmiError> {
-    // Refuses to write where something is already: names may collide in ways only the file system knows.
-    let mut out = File::create_new(target).map_err(FmiError::io("create", target))?;
-    if entry.is_executable {
-        crate::platform::make_executable(&out).map_err(FmiError::io("mark as executable", target))?;
-    }
-    contents(path, archive, entry, target, &mut out, buffer)
-}
-
-/// Compares an entry with the file that an earlier one has made.
-fn again(
-    path: &Path,
-    archive: &mut BufReader<&File>,
-    entry: &Listed,
-    target: &Path,
-    buffer: &mut [u8],
-) -> Result<(), FmiError> {
-    let file = File::open(target).map_err(FmiError::io("open", target))?;
-    let mut compared =
-        Compared { first: BufReader::with_capacity(1 << 16, file), same: true, bytes: Vec::new() };
-    contents(path, archive, entry, target, &mut compared, buffer)?;
-    if compared.same { Ok(()) } else { Err(refused(path, &entry.name, EntryProblem::Duplicate)) }
-}
-
-/// Takes bytes and tells whether they are those of a file.
-struct Compared {
-    first: BufReader<File>,
-    same: bool,
-    bytes: Vec<u8>,
-}
-
-impl Write for Compared {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.bytes.resize(bytes.len(), 0);
-        self.first.read_exact(&mut self.bytes)?;
-        self.same &= self.bytes == bytes;
-        Ok(bytes.len())
+        if entry.is_folder { Ok(()) } else { self.unpack_file(entry, &target) }
     }
 
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
+    fn unpack_file(self, entry: &Listed, target: &Path) -> Result<(), FmiError> {
+        // Refuses to write where something is already: names may collide in ways only the file system knows.
+        let mut out = File::create_new(target).map_err(FmiError::io("create", target))?;
+        let written = match entry.is_executable {
+            true => {
+                crate::platform::make_executable(&out).map_err(FmiError::io("mark as executable", target))
+            }
+            false => Ok(()),
+        };
+        written.and_then(|()| self.copy(entry, &mut out, target)).inspect_err(|_| {
+            // Nothing more can be done about half a file that does not go.
+            let _ = fs::remove_file(target);
+        })
     }
-}
 
-/// Copies the contents of an entry to `out`, which is or stands for the file `target`.
-fn contents(
-    path: &Path,
-    archive: &mut BufReader<&File>,
-    entry: &Listed,
-    target: &Path,
-    out: &mut dyn Write,
-    buffer: &mut [u8],
-) -> Result<(), FmiError> {
-    archive.seek(SeekFrom::Start(entry.data_start)).map_err(FmiError::io("read", path))?;
-    let mut packed = archive.take(entry.compressed_size);
-    let copied = if entry.is_deflated {
-        let mut inflated = DeflateDecoder::new(&mut packed);
-        copy(&mut inflated, entry, out, buffer)
-    } else {
-        copy(&mut packed, entry, out, buffer)
-    };
-    copied.and_then(|()| check_all_used(packed.limit(), entry)).map_err(|failure| match failure {
-        Failure::Entry(problem) => refused(path, &entry.name, problem),
-        Failure::Write(error) => FmiError::io("write", target)(error),
-    })
+    /// The contents of an entry, which its header says are not too long to be held in memory.
+    pub(super) fn read(self, entry: &Listed) -> Result<Vec<u8>, FmiError> {
+        let mut bytes = Vec::new();
+        let size = usize::try_from(entry.size).unwrap_or(usize::MAX);
+        bytes
+            .try_reserve_exact(size)
+            .map_err(|_| FmiError::io("read", self.path)(io::Error::from(io::ErrorKind::OutOfMemory)))?;
+        self.copy(entry, &mut bytes, self.path)?;
+        Ok(bytes)
+    }
+
+    /// Whether two entries have the same contents.
+    pub(super) fn are_same(self, one: &Listed, other: &Listed) -> Result<bool, FmiError> {
+        let hash = |entry: &Listed| {
+            let mut hashing = Hashing::default();
+            self.copy(entry, &mut hashing, self.path)?;
+            Ok::<String, FmiError>(hashing.finish())
+        };
+        Ok(hash(one)? == hash(other)?)
+    }
+
+    /// Copies the contents of an entry to `out`, which is or stands for the file `target`.
+    fn copy(self, entry: &Listed, out: &mut dyn Write, target: &Path) -> Result<(), FmiError> {
+        let file = BufReader::with_capacity(BUFFER, Positioned::new(self.file, entry.data_start));
+        let mut packed = file.take(entry.compressed_size);
+        let copied = if entry.is_deflated {
+            copy(&mut DeflateDecoder::new(&mut packed), entry, out, self.cancel)
+        } else {
+            copy(&mut packed, entry, out, self.cancel)
+        };
+        copied.and_then(|()| check_all_used(packed.limit(), entry)).map_err(|failure| match failure {
+            Failure::Entry(problem) => refused(self.path, &entry.name, problem),
+            Failure::Write(error) => FmiError::io("write", target)(error),
+            Failure::Cancelled => FmiError::Cancelled,
+        })
+    }
 }
 
 enum Failure {
     Entry(EntryProblem),
     Write(io::Error),
+    Cancelled,
 }
 
 /// Copies the contents of an entry; stops as soon as there are more bytes than declared.
-fn copy(
-    source: &mut impl Read,
-    entry: &Listed,
-    out: &mut dyn Write,
-    buffer: &mut [u8],
-) -> Result<(), Failure> {
+fn copy(source: &mut impl Read, entry: &Listed, out: &mut dyn Write, cancel: &Cancel) -> Result<(), Failure> {
+    let mut buffer = vec![0; BUFFER];
     let mut found = 0;
     let mut checksum = crc32fast::Hasher::new();
     loop {
-        let n = match source.read(buffer) {
+        if cancel.is_asked() {
+            return Err(Failure::Cancelled);
+        }
+        let n = match source.read(&mut buffer) {
             Ok(0) => break,
             Ok(n) => n,
             Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,

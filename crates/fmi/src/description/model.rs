@@ -6,13 +6,11 @@ use super::unit::Unit;
 use super::variable::{TypeDefinition, Variable};
 use super::version::FmiVersion;
 use super::{checks, names, parse};
-use crate::archive::MODEL_DESCRIPTION;
+use crate::archive::Archive;
+use crate::cancel::Cancel;
 use crate::error::FmiError;
 use std::collections::HashMap;
 use std::fmt;
-use std::fs::File;
-use std::io::Read;
-use std::path::Path;
 
 /// What `modelDescription.xml` says about a model.
 #[derive(Debug, Clone, PartialEq)]
@@ -117,14 +115,12 @@ impl ModelDescription {
         parse::parse(bytes)
     }
 
-    /// Reads and parses `modelDescription.xml` in the folder `root` (also an [`Archive`](crate::Archive)).
-    pub fn read(root: impl AsRef<Path>) -> Result<ModelDescription, FmiError> {
-        let path = root.as_ref().join(MODEL_DESCRIPTION);
-        let file = File::open(&path).map_err(FmiError::io("open", &path))?;
-        let mut bytes = Vec::new();
-        file.take(parse::LARGEST_DOCUMENT + 1)
-            .read_to_end(&mut bytes)
-            .map_err(FmiError::io("read", &path))?;
+    /// Reads and parses `modelDescription.xml` of an archive; nothing else of it is read.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse), and those of reading.
+    pub fn read(archive: &Archive) -> Result<ModelDescription, FmiError> {
+        let bytes = archive.description(parse::LARGEST_DOCUMENT, &Cancel::default())?;
         ModelDescription::parse(&bytes)
     }
 

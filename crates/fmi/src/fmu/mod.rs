@@ -4,7 +4,8 @@ mod reuse;
 
 pub use reuse::{Reuse, Sharing};
 
-use crate::archive::Archive;
+use crate::archive::{Archive, Part};
+use crate::cancel::Cancel;
 use crate::copies::{CopyStore, PrivateCopy};
 use crate::description::{Causality, Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
@@ -30,10 +31,13 @@ const NO_EVENT_MODE: &str = "the description promises an event mode in co-simula
 
 /// An opened FMU. Clones share everything and are cheap.
 ///
-/// Opening and inspecting run no code of the FMU; the first instance loads its library, which does.
+/// Opening reads the description and no other file of it. The first instance unpacks what the library may look for and
+/// loads the library. Opening and inspecting run no code of the FMU; loading does.
 #[derive(Debug, Clone)]
 pub struct Fmu {
     inner: Arc<Inner>,
+    /// The path it was opened by; other clones may have been opened by others.
+    path: Arc<Path>,
 }
 
 /// Fields are dropped in this order: instances and libraries, folder.
@@ -44,7 +48,6 @@ struct Inner {
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
     description: ModelDescription,
-    path: PathBuf,
     options: OpenOptions,
     archive: Archive,
 }
@@ -92,9 +95,13 @@ impl Fmu {
     /// As [`open`](Self::open).
     pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let path = path.as_ref();
-        let archive = Archive::open_with(path, &options.limits)?;
+        Self::describe(Archive::open_with(path, &options.limits, &options.cancel)?, path, options)
+    }
+
+    /// Reads the description of an archive.
+    pub(crate) fn describe(archive: Archive, path: &Path, options: &OpenOptions) -> Result<Fmu, FmiError> {
         let mut description = ModelDescription::read(&archive)?;
-        if let [first, others @ ..] = archive.repeated() {
+        if let [first, others @ ..] = &archive.repeated()[..] {
             let more = match others.len() {
                 0 => String::new(),
                 n => format!(" and {n} more"),
@@ -103,17 +110,29 @@ impl Fmu {
                 format!("the archive holds \"{first}\"{more} more than once, with the same content");
             description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
         }
-        Ok(Fmu {
-            inner: Arc::new(Inner {
-                model_exchange: Side::default(),
-                co_simulation: Side::default(),
-                real_references: OnceLock::new(),
-                description,
-                path: path.to_owned(),
-                options: options.clone(),
-                archive,
-            }),
-        })
+        let inner = Inner {
+            model_exchange: Side::default(),
+            co_simulation: Side::default(),
+            real_references: OnceLock::new(),
+            description,
+            options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
+            archive,
+        };
+        Ok(Fmu { inner: Arc::new(inner), path: path.into() })
+    }
+
+    /// The same FMU, opened by another path.
+    pub(crate) fn at(&self, path: &Path) -> Fmu {
+        Fmu { inner: Arc::clone(&self.inner), path: path.into() }
+    }
+
+    pub(crate) fn archive(&self) -> &Archive {
+        &self.inner.archive
+    }
+
+    /// Whether both are one: what one of them loads, the other has loaded.
+    pub fn is_same(&self, other: &Fmu) -> bool {
+        Arc::ptr_eq(&self.inner, &other.inner)
     }
 
     /// The model description.
@@ -156,16 +175,28 @@ impl Fmu {
 
     /// The path it was opened by.
     pub fn path(&self) -> &Path {
-        &self.inner.path
+        &self.path
     }
 
-    /// The folder that holds its (unpacked) content.
-    pub fn root(&self) -> &Path {
-        self.inner.archive.root()
+    /// The folder that holds all of its content, unpacked now if it was not before.
+    ///
+    /// # Errors
+    /// As [`Archive::unpack`].
+    pub fn root(&self) -> Result<PathBuf, FmiError> {
+        self.inner.archive.unpack()
     }
 
-    /// SHA-256 of its content, in hexadecimal.
-    pub fn content_hash(&self) -> &str {
+    /// The folder that holds what the library may look for when it runs; unpacked now if it was not before, or if somebody
+    /// has removed it.
+    pub(crate) fn running_root(&self) -> Result<PathBuf, FmiError> {
+        self.inner.archive.unpack_part(Part::Running, &Cancel::default())
+    }
+
+    /// SHA-256 of its content, in hexadecimal; computed when it is first asked for.
+    ///
+    /// # Errors
+    /// As [`Archive::content_hash`].
+    pub fn content_hash(&self) -> Result<&str, FmiError> {
         self.inner.archive.content_hash()
     }
 
@@ -272,7 +303,8 @@ impl Fmu {
         };
         let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
         let guid = text("guid", &description.guid)?;
-        let resources = self.root().join("resources");
+        // A cleaner of the folder for temporary files may have been there since the library was loaded.
+        let resources = self.running_root()?.join("resources");
         let is_intermediate = |v: &&Variable| {
             v.intermediate_update && v.causality == Causality::Input && v.kind == VariableKind::Real
         };
@@ -399,48 +431,75 @@ impl Fmu {
         Ok(interface)
     }
 
+    /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends early when
+    /// `cancel` asks for it. **This loads the library and runs its code.**
+    ///
+    /// # Errors
+    /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
+    pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<(), FmiError> {
+        self.library_unless(self.choose(kind)?, cancel).map(drop)
+    }
+
     /// The library for this platform, loaded at the first call; compiled before that if the FMU brings sources only.
     pub(crate) fn library(&self, kind: InterfaceKind) -> Result<Arc<Library>, FmiError> {
+        self.library_unless(kind, &Cancel::default())
+    }
+
+    /// As [`library`](Self::library), unless `cancel` asks for an early end.
+    pub(crate) fn library_unless(
+        &self,
+        kind: InterfaceKind,
+        cancel: &Cancel,
+    ) -> Result<Arc<Library>, FmiError> {
         // The lock is held while the library loads: a second thread waits instead of loading it again.
         let mut slot = self.side(kind).library.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(library) = &*slot {
             return Ok(Arc::clone(library));
         }
         let interface = self.check_interface(kind)?;
-        let description = self.description();
-        let path = match platform::find_binary(
-            self.root(),
-            &interface.model_identifier,
-            description.fmi_version.folder_names(),
-        ) {
-            Ok(found) => {
-                if let Some(note) = &found.note {
-                    log::warn!("{}: {note}", self.path().display());
-                }
-                found.path
-            }
-            Err(no_binary) => {
-                // A folder may have been edited since it was opened: the library belongs to what is there now.
-                let hash = self.inner.archive.present_hash()?;
-                let check = || match self.inner.archive.present_hash()? {
-                    now if now == hash => Ok(()),
-                    _ => Err(FmiError::BadArchive {
-                        path: self.path().to_owned(),
-                        reason: "its files were changed while its library was built".to_owned(),
-                    }),
-                };
-                match source::build_unchanged(self.root(), description, interface, &hash, check) {
-                    Ok(path) => path,
-                    Err(FmiError::NoSources { .. }) => return Err(self.with_own_path(no_binary)),
-                    Err(error) => return Err(error),
-                }
-            }
-        };
+        let path = self.binary(interface, cancel)?;
         let library = Arc::new(self.load(&path, kind, interface)?);
         let idle: Weak<Idle> = Arc::downgrade(&self.side(kind).idle);
         library.shared().add_spares(idle);
         *slot = Some(Arc::clone(&library));
         Ok(library)
+    }
+
+    /// The file of the library for this platform: unpacked, or built from the sources.
+    fn binary(&self, interface: &Interface, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+        let (archive, description) = (&self.inner.archive, self.description());
+        let find = |part| {
+            let root = archive.unpack_part(part, cancel)?;
+            let names = description.fmi_version.folder_names();
+            platform::find_binary(&root, &interface.model_identifier, names)
+        };
+        match find(Part::Running) {
+            Ok(found) => {
+                if let Some(note) = &found.note {
+                    log::warn!("{}: {note}", self.path().display());
+                }
+                return Ok(found.path);
+            }
+            Err(FmiError::NoBinary { .. }) => {}
+            Err(error) => return Err(error),
+        }
+        let root = archive.unpack_part(Part::Sources, cancel)?;
+        // A folder may have been edited since it was opened: the library belongs to what is there now.
+        let hash = archive.present_hash()?;
+        let check = || match archive.present_hash()? {
+            now if now == hash => Ok(()),
+            _ => Err(FmiError::BadArchive {
+                path: self.path().to_owned(),
+                reason: "its files were changed while its library was built".to_owned(),
+            }),
+        };
+        match source::build_unchanged(&root, description, interface, &hash, check) {
+            // With the binaries of other platforms, for the message.
+            Err(FmiError::NoSources { .. }) => find(Part::Binaries)
+                .map(|found| found.path)
+                .map_err(|no_binary| self.with_own_path(no_binary)),
+            outcome => outcome,
+        }
     }
 
     /// Lends a private copy of the library.
@@ -451,7 +510,8 @@ impl Fmu {
     pub(crate) fn private_copy(&self, kind: InterfaceKind) -> Result<PrivateCopy, FmiError> {
         let interface = self.check_interface(kind)?;
         let library = self.library(kind)?;
-        let make = || CopyStore::new(library.path(), self.root());
+        let root = self.running_root()?;
+        let make = || CopyStore::new(library.path(), &root);
         let store = self.side(kind).copies.get_or_init(|| library.shared().copy_store(make));
         store.lend(|path| self.load(path, kind, interface))
     }

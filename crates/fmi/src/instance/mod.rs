@@ -225,7 +225,7 @@ impl<P, K> Instance<P, K> {
     pub fn serialize(&mut self, state: &SavedState) -> Result<SerializedState, FmiError> {
         self.check_own(state)?;
         let bytes = self.core.call(|raw| raw.serialize(&state.slot))?;
-        let fmu = self.core.fmu.content_hash().to_owned();
+        let fmu = self.core.fmu.content_hash()?.to_owned();
         let (kind, structure) = (std::any::type_name::<K>(), state.structure.clone());
         Ok(SerializedState { bytes, fmu, kind, phase: state.phase, structure })
     }
@@ -235,7 +235,7 @@ impl<P, K> Instance<P, K> {
     /// # Errors
     /// [`FmiError::ForeignState`] for a state of another FMU, or of the other kind of instance; the FMU cannot, or refuses.
     pub fn deserialize(&mut self, state: &SerializedState) -> Result<SavedState, FmiError> {
-        if state.fmu != self.core.fmu.content_hash() || state.kind != std::any::type_name::<K>() {
+        if state.fmu != self.core.fmu.content_hash()? || state.kind != std::any::type_name::<K>() {
             return Err(FmiError::ForeignState);
         }
         let slot = self.core.call(|raw| raw.deserialize(&state.bytes))?;

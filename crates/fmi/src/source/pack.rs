@@ -21,10 +21,11 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 pub fn pack(folder: &Path, out: &Path) -> Result<(), FmiError> {
     let source = Archive::open(folder)?;
     let description = ModelDescription::read(&source)?;
-    let mut files = files_to_pack(source.root(), out)?;
+    let root = source.unpack()?;
+    let mut files = files_to_pack(&root, out)?;
     for interface in distinct_interfaces(&description) {
-        if source.root().join("sources").is_dir() {
-            let library = build_library(source.root(), &description, interface, source.content_hash())?;
+        if root.join("sources").is_dir() {
+            let library = build_library(&root, &description, interface, source.content_hash()?)?;
             files.insert(library_name(&description, interface), library);
         }
     }
@@ -108,15 +109,15 @@ fn write_archive(out: &File, files: &BTreeMap<String, PathBuf>) -> Result<(), Wr
     out.sync_all().map_err(WriteError::Write)
 }
 
-/// Opens the archive as a user would.
+/// Opens the archive as a user would, and unpacks it.
 fn check_result(path: &Path, source: &Archive, folder: &Path) -> Result<(), FmiError> {
     let archive = Archive::open(path)?;
     ModelDescription::read(&archive)?;
-    let text = |root: &Path| {
-        let path = root.join(MODEL_DESCRIPTION);
+    let text = |archive: &Archive| {
+        let path = archive.unpack()?.join(MODEL_DESCRIPTION);
         fs::read(&path).map_err(FmiError::io("read", path))
     };
-    if text(archive.root())? == text(source.root())? {
+    if text(&archive)? == text(source)? {
         return Ok(());
     }
     let reason = "its model description changed while it was packed".to_owned();

@@ -3,34 +3,40 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, unreachable_pub, dead_code)]
 
 use fmi::description::QuirkKind;
-use fmi::{Archive, ArchiveLimits, FmiError, ModelDescription};
+use fmi::{Archive, ArchiveLimits, Cancel, FmiError, ModelDescription};
 use std::fs;
 use std::path::Path;
 
 /// Small enough that an honest reading of any input needs little memory and time.
 pub const SMALL: ArchiveLimits = ArchiveLimits {
     entries: 200,
+    folders: 100,
     file_bytes: 4 << 20,
     total_bytes: 8 << 20,
     ratio: 200,
     ratio_free_bytes: 1 << 20,
 };
 
-/// Opens the archive at `path` under [`SMALL`] limits: an error that says something, or a folder within the limits
-/// with a model description in it and nothing but files and folders, gone with the archive.
+/// Opens the archive at `path` under [`SMALL`] limits and unpacks it: an error that says something, or a folder within the
+/// limits with a model description in it and nothing but files and folders, gone with the archive.
 pub fn hold_for_archive(path: &Path) {
-    match Archive::open_with(path, &SMALL) {
+    match Archive::open_with(path, &SMALL, &Cancel::default()) {
         Err(error) => assert_says_something(&error),
         Ok(archive) => {
-            let root = archive.root().to_owned();
-            assert!(root.join("modelDescription.xml").is_file());
-            assert!(size_below(&root) <= SMALL.total_bytes);
+            let root = archive.unpack();
+            match &root {
+                Err(error) => assert_says_something(error),
+                Ok(root) => {
+                    assert!(root.join("modelDescription.xml").is_file());
+                    assert!(size_below(root) <= SMALL.total_bytes);
+                }
+            }
             match ModelDescription::read(&archive) {
                 Err(error) => assert_says_something(&error),
                 Ok(description) => hold_for_description(&description),
             }
             drop(archive);
-            assert!(!root.exists());
+            assert!(root.is_err() || !root.unwrap().exists());
         }
     }
 }

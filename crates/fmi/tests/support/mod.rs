@@ -81,9 +81,9 @@ pub(crate) fn model_as(
 ) -> Folder {
     let folder = tempfile::tempdir().unwrap();
     let packed = Fmu::open(fmi::example_fmu_as(name, kind).unwrap()).unwrap();
-    let xml = std::fs::read_to_string(packed.root().join("modelDescription.xml")).unwrap();
+    let xml = std::fs::read_to_string(packed.root().unwrap().join("modelDescription.xml")).unwrap();
     std::fs::write(folder.path().join("modelDescription.xml"), edit(xml)).unwrap();
-    let mut sources: Vec<PathBuf> = std::fs::read_dir(packed.root().join("sources"))
+    let mut sources: Vec<PathBuf> = std::fs::read_dir(packed.root().unwrap().join("sources"))
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .filter(|path| path.extension().is_some_and(|extension| extension == "c"))
@@ -146,7 +146,7 @@ pub(crate) fn evil_with_sibling(faults: &[&str], name: &str) -> Folder {
 pub(crate) fn faulty(kind: ExampleKind, defines: &[&str]) -> Folder {
     let folder = tempfile::tempdir().unwrap();
     let packed = Fmu::open(fmi::example_fmu_as("dahlquist", kind).unwrap()).unwrap();
-    let xml = std::fs::read_to_string(packed.root().join("modelDescription.xml")).unwrap();
+    let xml = std::fs::read_to_string(packed.root().unwrap().join("modelDescription.xml")).unwrap();
     let xml = match kind {
         ExampleKind::Fmi3 => {
             // An indicator is a variable there.
@@ -160,7 +160,7 @@ pub(crate) fn faulty(kind: ExampleKind, defines: &[&str]) -> Folder {
         }
     };
     std::fs::write(folder.path().join("modelDescription.xml"), xml).unwrap();
-    let mut sources: Vec<PathBuf> = std::fs::read_dir(packed.root().join("sources"))
+    let mut sources: Vec<PathBuf> = std::fs::read_dir(packed.root().unwrap().join("sources"))
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .filter(|path| path.extension().is_some_and(|extension| extension == "c"))

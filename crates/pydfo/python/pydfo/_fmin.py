@@ -147,8 +147,8 @@ def fmin(
         Methods 1 and 2: how many trial points are evaluated at once in an iteration, ahead of need; "auto" follows
         `nbr_cores`. The simplices are the same for all but the last; unneeded evaluations count.
     initial_simplex : array_like, optional
-        Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default a tenth of the width
-        of the box, or 0.3 max(1, norm(xstart)) where there is none.
+        Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default each parameter has a
+        step of its own: a tenth of the width of its box, else 0.3 abs(xstart) (0.3 where that is 0).
     target : float, optional
         End the run as soon as the cost is at or below this.
     max_time : float, optional

@@ -1,0 +1,132 @@
+//! What Nelder-Mead must reach on problems that did not tune it: the odd halves of the fits and of the boxes.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod problems;
+
+use dfo::{Bounds, Transform, minimize};
+use problems::boxes::{Boxed, Place, boxes, quadratic};
+use problems::calibration::{Fit, fits};
+
+fn judging() -> impl Iterator<Item = Fit> {
+    fits().into_iter().skip(1).step_by(2)
+}
+
+#[test]
+fn fits_without_bounds_are_solved() {
+    let (mut solved, mut all, mut evaluations) = (0, 0, Vec::new());
+    for fit in judging() {
+        for start in fit.starts() {
+            let report = minimize(|p: &[f64]| fit.cost(p)).start(&start).run().unwrap();
+            let good = report.fun <= 1e-6;
+            (solved, all) = (solved + usize::from(good), all + 1);
+            evaluations.push(report.n_evaluations);
+            if !good {
+                println!("{} from {start:?}: {:e} at {:?}", fit.name, report.fun, report.x);
+            }
+        }
+    }
+    evaluations.sort_unstable();
+    println!("{solved} of {all} fits, median {} evaluations", evaluations[all / 2]);
+    assert!(solved * 100 >= 90 * all && evaluations[all / 2] <= 350, "{solved} of {all}");
+}
+
+#[test]
+fn units_do_not_change_the_path() {
+    for (number, fit) in judging().enumerate() {
+        let start = &fit.starts()[number % 3];
+        // Powers of two, so that the products are exact; a negative one turns the axis.
+        let units: Vec<f64> =
+            (0..start.len()).map(|k| [1048576.0, -0.125, 2f64.powi(-30)][(k + number) % 3]).collect();
+        let run = |units: &[f64]| {
+            let x0: Vec<f64> = start.iter().zip(units).map(|(x, c)| x / c).collect();
+            let cost = |x: &[f64]| fit.cost(&x.iter().zip(units).map(|(x, c)| x * c).collect::<Vec<_>>());
+            let report = minimize(cost).start(&x0).run().unwrap();
+            let x: Vec<f64> = report.x.iter().zip(units).map(|(x, c)| x * c).collect();
+            (x, report.fun, report.n_evaluations, report.termination)
+        };
+        assert_eq!(run(&vec![1.0; start.len()]), run(&units), "{}", fit.name);
+    }
+}
+
+fn run(p: &Boxed, start: &[f64]) -> dfo::Report {
+    let cost = |x: &[f64]| {
+        assert!(x.iter().zip(p.lower.iter().zip(&p.upper)).all(|(x, (l, u))| l <= x && x <= u), "{x:?}");
+        (p.cost)(x)
+    };
+    minimize(cost).start(start).bounds(&p.lower, &p.upper).unwrap().run().unwrap()
+}
+
+#[test]
+fn minima_on_bounds_are_found_from_anywhere() {
+    let (mut solved, mut all, mut evaluations) = (0, 0, Vec::new());
+    for p in boxes(true) {
+        for start in p.starts() {
+            let report = run(&p, &start);
+            assert_eq!(report.trace.iter().next().unwrap().x, start);
+            let first = (p.cost)(&p.start) - p.best;
+            let good = report.fun - p.best <= 1e-6 * first;
+            (solved, all) = (solved + usize::from(good), all + 1);
+            evaluations.push(report.n_evaluations);
+            if !good {
+                println!(
+                    "{} from {start:?}: {:e} of {first:e}: {}",
+                    p.name,
+                    report.fun - p.best,
+                    report.message
+                );
+            }
+        }
+    }
+    evaluations.sort_unstable();
+    let mean = evaluations.iter().sum::<usize>() / all;
+    println!("{solved} of {all} in boxes, median {} evaluations, mean {mean}", evaluations[all / 2]);
+    assert!(
+        solved * 100 >= 92 * all && evaluations[all / 2] <= 800 && mean <= 1500,
+        "{solved} of {all}, {mean}"
+    );
+}
+
+/// A minimum in a corner costs no more than one inside, and the corner itself is found.
+#[test]
+fn a_corner_is_no_dearer_than_the_interior() {
+    for (n, seed) in [(3, 11), (5, 12), (10, 13)] {
+        let [corner, interior] = [Place::Corner, Place::Interior].map(|place| {
+            let p = quadratic(n, place, 1e3, seed);
+            let report = run(&p, &p.start);
+            assert!(report.fun <= 1e-6 * (p.cost)(&p.start) && report.is_success(), "{report}");
+            let on_bound = |k: usize| report.x[k] == p.lower[k] || report.x[k] == p.upper[k];
+            assert!(place == Place::Interior || (0..n).filter(|k| on_bound(*k)).count() * 2 >= n, "{report}");
+            report.n_evaluations
+        });
+        println!("n = {n}: corner {corner}, interior {interior}");
+        assert!(corner <= 2 * interior, "n = {n}: {corner} against {interior}");
+    }
+}
+
+#[test]
+fn one_bound_and_logarithms_are_no_exception() {
+    // x0 >= 0 and active, x1 in a logarithmic box and at its end, x2 on a logarithm without bounds, x3 <= 2 and active.
+    let lower = [0.0, 1e-3, 0.0, f64::NEG_INFINITY];
+    let upper = [f64::INFINITY, 1e3, f64::INFINITY, 2.0];
+    let cost = |x: &[f64]| {
+        let d = [x[0] + 1.0, x[1].log10() + 5.0, x[2].ln() - 2.0, x[3] - 3.0 + 0.1 * x[0]];
+        d.iter().map(|d| d * d).sum::<f64>() - 1.0 - 4.0 - 1.0
+    };
+    let scales = [Transform::Linear, Transform::Log, Transform::Log, Transform::Linear];
+    for start in [[1.0, 1.0, 1.0, 0.0], [0.0, 1e-3, 1e4, 2.0], [50.0, 1e3, 1e-3, -400.0]] {
+        let report =
+            minimize(cost).start(&start).bounds(&lower, &upper).unwrap().transforms(&scales).run().unwrap();
+        assert!(report.is_success() && report.fun < 1e-7, "{report}");
+        assert!(Bounds::new(&lower, &upper).unwrap().contains(&report.x));
+        assert!(report.x[0] < 1e-6 && report.x[1] < 1.0001e-3 && report.x[3] > 2.0 - 1e-6, "{report}");
+    }
+}
+
+/// A start that is the best point there is stays the result, also where all of its bounds are active.
+#[test]
+fn nothing_is_worse_than_the_start() {
+    let cost = |x: &[f64]| x[0] - x[1] + 0.1 * (x[2] - 0.3).abs();
+    let start = [0.0, 1.0, 0.3];
+    let report = minimize(cost).start(&start).bounds(&[0.0; 3], &[1.0; 3]).unwrap().run().unwrap();
+    assert_eq!((report.fun, report.x), (-1.0, start.to_vec()));
+}

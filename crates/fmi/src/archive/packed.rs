@@ -1,0 +1,224 @@
+//! A `.fmu` file: listed and checked when it is opened, unpacked into a private folder part by part when a part is
+//! needed, and again where somebody has removed it.
+
+use super::ArchiveLimits;
+use super::entries::{self, Listed, refused};
+use super::hash::{self, Hashing};
+use super::positioned::Positioned;
+use super::private::PrivateFolder;
+use super::unpack::Source;
+use crate::cancel::Cancel;
+use crate::error::{EntryProblem, FmiError};
+use crate::platform::{self, FileIdentity, FolderNames};
+use std::collections::HashMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// Folders at the root that no running FMU needs.
+const NOT_FOR_RUNNING: &[&str] = &["documentation", "sources", "terminalsAndIcons"];
+
+/// What is unpacked together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// What the library may look for when it runs: everything but documentation, sources and the binaries of other
+    /// platforms.
+    Running,
+    /// `sources/`.
+    Sources,
+    /// The binaries of all platforms.
+    Binaries,
+    /// All of it.
+    All,
+}
+
+impl Part {
+    fn holds(self, entry: &Listed, platform: &[String]) -> bool {
+        let (top, below) = entry.name.split_once('/').unwrap_or((&entry.name, ""));
+        let second = below.split('/').next().unwrap_or_default();
+        match self {
+            Part::All => true,
+            Part::Sources => top == "sources",
+            Part::Binaries => top == "binaries",
+            Part::Running if NOT_FOR_RUNNING.contains(&top) => false,
+            Part::Running if top != "binaries" || below.is_empty() => true,
+            Part::Running => {
+                let is_file_of_all = second == below && !entry.is_folder;
+                is_file_of_all || platform.iter().any(|folder| folder == second)
+            }
+        }
+    }
+}
+
+/// An archive that has been listed.
+#[derive(Debug)]
+pub(super) struct Packed {
+    path: PathBuf,
+    /// Stays open: a file that takes the name of this one does not take its place.
+    file: File,
+    /// What the file was when it was listed.
+    identity: FileIdentity,
+    entries: Vec<Listed>,
+    unpacked: Mutex<Unpacked>,
+}
+
+/// What is on the disk at present.
+#[derive(Debug, Default)]
+struct Unpacked {
+    folder: Option<PrivateFolder>,
+    /// For each entry whether it was unpacked.
+    done: Vec<bool>,
+    /// The folders made, with what changes when a file in them is removed.
+    folders: HashMap<PathBuf, Option<FileIdentity>>,
+}
+
+impl Packed {
+    pub(super) fn open(path: &Path, limits: &ArchiveLimits, cancel: &Cancel) -> Result<Self, FmiError> {
+        let file = File::open(path).map_err(FmiError::io("open", path))?;
+        let identity = platform::file_identity(&file.metadata().map_err(FmiError::io("open", path))?);
+        let entries = entries::list(path, Positioned::new(&file, 0), limits, cancel)?;
+        let source = Source { path, file: &file, cancel };
+        let mut first = HashMap::new();
+        for entry in &entries {
+            let known: &Listed = first.entry(entry.name.as_str()).or_insert(entry);
+            if entry.is_repeated && !source.are_same(known, entry)? {
+                return Err(refused(path, &entry.name, EntryProblem::Duplicate));
+            }
+        }
+        Ok(Self { path: path.to_owned(), file, identity, entries, unpacked: Mutex::default() })
+    }
+
+    /// Names of files that are there more than once.
+    pub(super) fn repeated(&self) -> impl Iterator<Item = &str> {
+        self.entries.iter().filter(|entry| entry.is_repeated).map(|entry| entry.name.as_str())
+    }
+
+    /// A hash of what the directory of the archive says about its entries, their checksums included: archives of the same
+    /// content have the same.
+    pub(super) fn fingerprint(&self) -> String {
+        hash::of_texts(self.entries.iter().map(|entry| {
+            format!("{}\0{} {} {:x}", entry.name, entry.size, entry.compressed_size, entry.crc32)
+        }))
+    }
+
+    pub(super) fn hash(&self) -> Result<String, FmiError> {
+        let mut hashing = Hashing::default();
+        let mut file = Positioned::new(&self.file, 0);
+        hashing.feed(&mut file).map_err(FmiError::io("read", &self.path))?;
+        self.check_unchanged()?;
+        Ok(hashing.finish())
+    }
+
+    /// The bytes of a file at the root of the archive, if it is not larger than `limit`.
+    pub(super) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Vec<u8>, FmiError> {
+        let is_meant = |entry: &&Listed| entry.name == name && !entry.is_folder;
+        let Some(entry) = self.entries.iter().find(is_meant) else {
+            return Err(FmiError::NoModelDescription { path: self.path.clone(), hint: None });
+        };
+        if entry.size > limit {
+            let problem = EntryProblem::TooLarge { found: entry.size, limit };
+            return Err(refused(&self.path, name, problem));
+        }
+        self.source(cancel).read(entry)
+    }
+
+    /// The folder to which `part` of the archive has been unpacked, now or before.
+    pub(super) fn unpack(&self, part: Part, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+        let mut unpacked = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_first = unpacked.folder.is_none();
+        let outcome = self.complete(&mut unpacked, part, cancel);
+        if is_first && outcome.is_err() {
+            // Nothing stays of an archive that lies.
+            *unpacked = Unpacked::default();
+        }
+        outcome
+    }
+
+    fn complete(&self, unpacked: &mut Unpacked, part: Part, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+        let is_cleaned = unpacked.look_after(&self.entries)?;
+        let folder = match &mut unpacked.folder {
+            Some(folder) => folder,
+            none => none.insert(PrivateFolder::create()?),
+        };
+        let root = folder.path().to_owned();
+        unpacked.done.resize(self.entries.len(), false);
+        let platform = platform::binary_folders(FolderNames::SystemAndBits);
+        let is_missing = |&k: &usize| {
+            let entry = &self.entries[k];
+            !unpacked.done[k] && !entry.is_repeated && part.holds(entry, &platform)
+        };
+        let missing: Vec<usize> = (0..self.entries.len()).filter(is_missing).collect();
+        if missing.is_empty() {
+            return Ok(root);
+        }
+        if is_cleaned {
+            let (path, n) = (self.path.display(), missing.len());
+            log::warn!("{path}: {n} files were removed from {}; they are unpacked again", root.display());
+        }
+        let again = |error: FmiError| match is_cleaned {
+            true => FmiError::BadArchive {
+                path: self.path.clone(),
+                reason: format!(
+                    "files were removed from {}, and unpacking them again failed: {error}",
+                    root.display()
+                ),
+            },
+            false => error,
+        };
+        self.check_unchanged().map_err(again)?;
+        for k in missing {
+            cancel.check()?;
+            let unpack = self.source(cancel).unpack(&self.entries[k], &root, &mut unpacked.folders);
+            unpack.map_err(again)?;
+            unpacked.done[k] = true;
+        }
+        unpacked.note_folders();
+        Ok(root)
+    }
+
+    fn source<'a>(&'a self, cancel: &'a Cancel) -> Source<'a> {
+        Source { path: &self.path, file: &self.file, cancel }
+    }
+
+    /// Refuses a file that was written over: what is read from now on is another archive.
+    fn check_unchanged(&self) -> Result<(), FmiError> {
+        let now = self.file.metadata().map_err(FmiError::io("read", &self.path))?;
+        if platform::file_identity(&now).same_content(&self.identity) {
+            return Ok(());
+        }
+        let reason = "it was written over after it had been opened; open it again".to_owned();
+        Err(FmiError::BadArchive { path: self.path.clone(), reason })
+    }
+}
+
+impl Unpacked {
+    /// Looks whether files were removed, as programs that clean folders for temporary files do, and marks those as not
+    /// unpacked; makes the private folder again where it is gone. Whether anything is missing.
+    fn look_after(&mut self, entries: &[Listed]) -> Result<bool, FmiError> {
+        let Some(folder) = &mut self.folder else { return Ok(false) };
+        if self.folders.iter().all(|(folder, known)| known.is_some() && *known == identity(folder)) {
+            return Ok(false);
+        }
+        folder.restore()?;
+        self.folders.retain(|folder, _| folder.is_dir());
+        let mut is_cleaned = false;
+        for (entry, done) in entries.iter().zip(&mut self.done) {
+            if *done && !folder.path().join(&entry.name).exists() {
+                *done = false;
+                is_cleaned = true;
+            }
+        }
+        self.note_folders();
+        Ok(is_cleaned)
+    }
+
+    fn note_folders(&mut self) {
+        for (folder, known) in &mut self.folders {
+            *known = identity(folder);
+        }
+    }
+}
+
+fn identity(folder: &Path) -> Option<FileIdentity> {
+    folder.metadata().ok().map(|found| platform::file_identity(&found))
+}
