@@ -9,7 +9,7 @@ use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, unused_columns};
 use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
-use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Trajectory};
+use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan, Trajectory};
 use ode::{ErrorKind, Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -33,9 +33,6 @@ pub struct Calibration {
     /// What a fit is made from, by name and in words or as a hash.
     identity: Vec<(String, String)>,
 }
-
-/// Where no start time is given, a recording may begin so many of its sampling intervals after the model's.
-const MOST_BEFORE: f64 = 10.0;
 
 /// An experiment with everything looked up.
 #[derive(Debug)]
@@ -124,7 +121,7 @@ impl CalibrationBuilder {
         }
         let mut warnings = Vec::new();
         for experiment in &experiments {
-            check_start_values(&fmu, experiment, &parameters)?;
+            experiment.check_start_values(fmu.description(), &parameters)?;
             warnings.extend(unused_columns(fmu.description(), experiment));
         }
         let identity = identity(&fmu, &experiments, &parameters, &settings)?;
@@ -166,9 +163,7 @@ impl Prepared {
                 experiment.data.source()
             )));
         }
-        if experiment.start_time.is_none() {
-            check_begin(&experiment.data, start_time)?;
-        }
+        experiment.check_begin(start_time)?;
         warnings.extend(held_inputs(&experiment, (start_time, times[times.len() - 1])));
         let options = SimulateOptions {
             start_time: Some(start_time),
@@ -177,7 +172,7 @@ impl Prepared {
             start_values: experiment.start_values.clone(),
             parameters: parameters.to_vec(),
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
-            inputs: inputs(&experiment)?,
+            inputs: experiment.input_table()?,
             relative_tolerance: settings.relative_tolerance,
             kind: settings.kind,
             method: settings.method,
@@ -193,65 +188,6 @@ impl Prepared {
         let outputs = experiment.outputs.into_iter().map(|o| (o.variable, o.column)).collect();
         Ok(Self { pool, comparison, options, data: experiment.data, outputs })
     }
-}
-
-/// Refuses a value for something that is fitted.
-fn check_start_values(
-    fmu: &Fmu,
-    experiment: &Experiment,
-    parameters: &[Parameter],
-) -> Result<(), CalibrationError> {
-    let reference = |name: &str| fmu.description().variable(name).map(|v| (v.kind, v.value_reference));
-    for (given, value) in &experiment.start_values {
-        let is_it = |p: &&Parameter| {
-            p.name() == given || reference(given).is_some_and(|of| reference(p.name()) == Some(of))
-        };
-        if let Some(parameter) = parameters.iter().find(is_it) {
-            let name = parameter.name().to_owned();
-            let alias = if *given == name { String::new() } else { format!(" (as '{given}')") };
-            let message = format!(
-                "it is fitted, and start_values gives it the value {value}{alias}: one of both counts"
-            );
-            return Err(CalibrationError::Parameter { name, message });
-        }
-    }
-    Ok(())
-}
-
-/// Refuses to simulate a long time before a recording that nobody may have thought of.
-fn check_begin(data: &Data, start_time: f64) -> Result<(), CalibrationError> {
-    let begin = data.time()[0];
-    match data.sampling_interval() {
-        Some(interval) if begin - start_time > MOST_BEFORE * interval => {
-            let [begin, start, before] = [begin, start_time, begin - start_time].map(Number);
-            Err(CalibrationError::Setup(format!(
-                "{}: the recording begins at {begin} s, the simulation at {start} s. Give start_time = {begin} to start with \
-                 the recording, or start_time = {start} to simulate the {before} s before it as well",
-                data.source()
-            )))
-        }
-        _ => Ok(()),
-    }
-}
-
-/// The input table of an experiment: each input keeps the rows where it has a value.
-fn inputs(experiment: &Experiment) -> Result<Option<Inputs>, CalibrationError> {
-    if experiment.inputs.is_empty() {
-        return Ok(None);
-    }
-    let mut inputs = Inputs::new();
-    for (variable, column) in &experiment.inputs {
-        let values = experiment.data.column(column)?;
-        let rows = || experiment.data.time().iter().zip(values).filter(|(_, v)| !v.is_nan());
-        if rows().next().is_none() {
-            return Err(CalibrationError::Setup(format!(
-                "all values of input column '{column}' are missing"
-            )));
-        }
-        let (times, values): (Vec<f64>, Vec<f64>) = rows().unzip();
-        inputs = inputs.series(variable, times, values);
-    }
-    Ok(Some(inputs))
 }
 
 impl Calibration {

@@ -68,8 +68,9 @@ def _columns(data: Any) -> dict[str, Any]:
     if hasattr(data, "columns") and hasattr(data, "__getitem__"):
         table = {str(name): data[name] for name in data.columns}
         index = getattr(data, "index", None)
-        if isinstance(getattr(index, "name", None), str):
-            table.setdefault(index.name, index)
+        name = getattr(index, "name", None)
+        if isinstance(name, str):
+            table.setdefault(name, index)
         return table
     raise TypeError(
         f"data must be the path of a CSV file, a dict of arrays, a DataFrame or a structured array, not {type(data).__name__}"

@@ -74,8 +74,9 @@ def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
 def _frame(given: Any) -> Table:
     columns: dict[str, Any] = {str(name): given[name] for name in given.columns}
     index = getattr(given, "index", None)
-    if isinstance(getattr(index, "name", None), str):
-        columns.setdefault(index.name, index)
+    name = getattr(index, "name", None)
+    if isinstance(name, str):
+        columns.setdefault(name, index)
     return _table(list(columns), lambda name: columns[name].to_numpy(), "the DataFrame")
 
 
