@@ -16,8 +16,17 @@ pub(crate) fn identity(
         ("model".to_owned(), fmu.content_hash()?.to_owned()),
         ("parameter names".to_owned(), names.join(", ")),
     ];
-    let SimulationSettings { kind, method, relative_tolerance, step_size, max_step, chattering, timeout } =
-        settings;
+    // Costs do not depend on how simulations share the library.
+    let SimulationSettings {
+        kind,
+        method,
+        relative_tolerance,
+        step_size,
+        max_step,
+        chattering,
+        timeout,
+        sharing: _,
+    } = settings;
     let number = |value: Option<f64>| value.map_or_else(|| "by default".to_owned(), |v| format!("{v:?}"));
     all.extend(
         [

@@ -175,6 +175,7 @@ impl Calibration {
                     Err(error) => {
                         return match no_cost(error) {
                             NoCost::Failed { reason, .. } => Ok(Lap::Failed(reason)),
+                            NoCost::Over(error) => Err(CalibrationError::Model(*error)),
                             NoCost::Above | NoCost::Cancelled => Err(CalibrationError::Cancelled),
                         };
                     }

@@ -8,7 +8,7 @@ use crate::objective::Outcome;
 use crate::population::Population;
 use crate::rounds::Rounds;
 use crate::sampling::Sampling;
-use crate::termination::{Termination, Tests};
+use crate::termination::{Extent, Termination, Tests};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +31,11 @@ pub trait Breeder: Serialize + DeserializeOwned {
 
     /// Why the run is over after a generation whose tests did not pass, if it is. `best`: the smallest cost so far.
     fn ended(&mut self, pool: &Pool, best: f64) -> Option<Termination>;
+
+    /// How much of the population the tolerance tests measure.
+    fn extent(&self) -> Extent {
+        Extent::Population
+    }
 
     /// Whether this fits to a problem and to its pool: what comes from a file may not.
     fn is_sound(&self, pool: &Pool) -> bool;
@@ -106,7 +111,7 @@ impl<B: Breeder> Generations<B> {
         let Pool { population, setup, .. } = &mut self.pool;
         population.rank();
         self.n_iterations += 1;
-        let tests = population.judge(&setup.space, &setup.tolerances, self.f_0);
+        let tests = population.judge(self.breeder.extent(), &setup.space, &setup.tolerances, self.f_0);
         self.tests = Some(tests);
         let best = self.rounds.best().map_or(f64::INFINITY, |(_, f)| f);
         let ended = self.breeder.ended(&self.pool, best);

@@ -257,9 +257,9 @@ impl Optimizer {
     }
 
     /// Why the run is over; `None` while it is not. A run whose starting points all failed counts as
-    /// [`Termination::Collapsed`] here; its [`report`](Self::report) is an error.
+    /// [`Termination::AllFailed`] here; its [`report`](Self::report) is an error.
     pub fn termination(&self) -> Option<Termination> {
-        self.ended.as_ref().map(|t| t.clone().unwrap_or(Termination::Collapsed))
+        self.ended.as_ref().map(|t| t.clone().unwrap_or(Termination::AllFailed))
     }
 
     /// The method, to look into.

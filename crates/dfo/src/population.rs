@@ -154,11 +154,16 @@ impl Population {
         self.order.extend(0..len);
     }
 
-    /// The tolerance tests: largest distance of a member from the best, largest minus smallest cost.
-    pub(crate) fn judge(&self, space: &Space, tolerances: &Tolerances, f_0: f64) -> Tests {
+    /// The tolerance tests over so much of the population, the best first: largest distance of a member from the best,
+    /// largest minus smallest cost.
+    pub(crate) fn judge(&self, extent: Extent, space: &Space, tolerances: &Tolerances, f_0: f64) -> Tests {
+        let counted = match extent {
+            Extent::BestEighth => &self.order[..self.len().div_ceil(8)],
+            Extent::Population | Extent::Simplex => &self.order[..],
+        };
         let best = self.best();
         let mut size = 0.0f64;
-        for slot in 0..self.len() {
+        for &slot in counted {
             for (k, &i) in space.free().iter().enumerate() {
                 size = size.max(match tolerances.measure {
                     Measure::Absolute => (self.x(slot)[i] - self.x(best)[i]).abs(),
@@ -166,12 +171,12 @@ impl Population {
                 });
             }
         }
-        let spread = match (self.costs[best], self.order.last().map(|worst| self.costs[*worst])) {
+        let spread = match (self.costs[best], counted.last().map(|worst| self.costs[*worst])) {
             (Cost::Value(best), Some(Cost::Value(worst))) => Some(worst - best),
             _ => None,
         };
         let f_best = self.costs[best].value().unwrap_or(f64::NAN);
-        Tests { extent: Extent::Population, ..tolerances.judge(size, spread, f_best, f_0) }
+        Tests { extent, ..tolerances.judge(size, spread, f_best, f_0) }
     }
 
     /// Whether all members are the best one up to rounding.
@@ -237,9 +242,9 @@ mod tests {
         use Cost::{Failed, Value};
         let tolerances = Tolerances::default();
         let (space, p) = population(&[Value(1.0), Failed]);
-        assert_eq!(p.judge(&space, &tolerances, 1.0).f_spread, None);
+        assert_eq!(p.judge(Extent::Population, &space, &tolerances, 1.0).f_spread, None);
         let (space, p) = population(&[Value(1.0), Value(1.5), Value(4.0)]);
-        let tests = p.judge(&space, &tolerances, 1.0);
+        let tests = p.judge(Extent::Population, &space, &tolerances, 1.0);
         assert_eq!((tests.f_spread, tests.x_size, tests.f_best), (Some(3.0), 0.2, 1.0));
         assert!(
             !p.is_collapsed(&space) && tests.to_string().starts_with("x test not passed: population size")

@@ -57,7 +57,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Whether the method came to its own end (or to the target), rather than being stopped.
+    /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search.
     pub fn is_success(&self) -> bool {
         self.termination.is_success()
     }
@@ -134,10 +134,16 @@ fn message<M: Method + ?Sized>(
         Termination::Target => {
             format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
         }
-        Termination::Collapsed => {
-            with_tests("the search has no extent left that floating-point numbers resolve".to_owned())
+        Termination::Collapsed => with_tests(
+            "not converged: the search has no extent left that floating-point numbers resolve".to_owned(),
+        ),
+        Termination::OneFiniteVertex => with_tests(
+            "not converged: only one vertex of the simplex has a cost, all others failed".to_owned(),
+        ),
+        Termination::AllFailed => {
+            with_tests("not converged: every point failed after some that did not".to_owned())
         }
-        Termination::Stalled => with_tests("nothing new was found for long".to_owned()),
+        Termination::Stalled => with_tests("not converged: nothing new was found for long".to_owned()),
         Termination::AllFixed => "all parameters are fixed: their one point was evaluated".to_owned(),
         Termination::MaxEvaluations => {
             with_tests(format!("stopped at the limit of {} evaluations", ledger.n_evaluations))

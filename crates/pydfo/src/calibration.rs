@@ -86,6 +86,7 @@ pub(crate) struct ExperimentFields {
     step_size: Option<f64>,
     max_step: Option<f64>,
     chattering: String,
+    sharing: String,
 }
 
 impl ExperimentFields {
@@ -103,6 +104,7 @@ impl ExperimentFields {
             max_step: self.max_step,
             timeout: timeout.transpose()?,
             chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
+            sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,
         })
     }
 

@@ -43,6 +43,7 @@ const STRATEGIES: Words<Strategy> = &[
 ];
 const CROSSOVERS: Words<Crossover> =
     &[("binomial", Crossover::Binomial), ("exponential", Crossover::Exponential)];
+const COEFFICIENTS: &str = "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)";
 
 /// The entries of a dict, taken one by one.
 struct Given<'a, 'py> {
@@ -187,13 +188,13 @@ pub(crate) fn method(name: &str, entries: &Bound<'_, PyDict>) -> PyResult<AnyMet
         AnyMethod::NelderMead(m) => {
             given.word("batch", &mut m.batch, PLANS)?;
             given.word("bounds_handling", &mut m.bounds, BOUNDS)?;
-            let words = "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)";
-            given.read("coefficients", words, &mut m.coefficients, coefficients)?;
+            given.read("coefficients", COEFFICIENTS, &mut m.coefficients, coefficients)?;
             given.read("initial_simplex", "steps or vertices", &mut m.initial, initial_simplex)?;
             given.count("restarts", &mut m.restarts)?;
         }
         AnyMethod::Barrier(m) => {
             given.word("batch", &mut m.batch, PLANS)?;
+            given.read("coefficients", COEFFICIENTS, &mut m.coefficients, coefficients)?;
             given.number("factor", &mut m.factor)?;
             given.optional_number("mu", &mut m.mu)?;
         }

@@ -58,16 +58,17 @@ impl BatchPlan {
 }
 
 /// The coefficients of the simplex operations.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Coefficients {
     /// [`Standard`](Self::Standard) below five free parameters, [`Adaptive`](Self::Adaptive) from there on.
     #[default]
     Auto,
-    /// 1, 2, 1/2, 1/2.
+    /// Reflection 1, expansion 2, contraction 1/2, shrink 1/2: those of Nelder and Mead (Comput. J. 7, 1965), and of Table 1
+    /// of Gedda et al. (Modelica Conference 2012); Python's `fmin` takes them for any number of parameters.
     Standard,
-    /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n.
+    /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n: those of Gao and Han (Comput. Optim. Appl. 51, 2012).
     Adaptive,
     /// The user's.
     Custom {
@@ -174,8 +175,11 @@ pub struct NelderMead {
     /// The starting simplex.
     #[serde(rename = "initial_simplex")]
     pub initial: InitialSimplex,
-    /// How often a simplex that is flat when the tests pass may be built anew (one that is flat because it lies on a
-    /// bound is not: that is normal); default 2.
+    /// How often a simplex that is flat when the tests pass is built anew around its best vertex, at the size it has then
+    /// (at least 1e-3 of the sizes); default 2. A simplex is flat if its vertices (nearly) lie in a plane: then it may have
+    /// stopped where the cost still falls across that plane. A sound simplex is not restarted, one that lies on a bound
+    /// is not flat, and after a restart that found nothing better there is none. This is no search for other minima: for
+    /// those start from several points, or use differential evolution.
     pub restarts: usize,
 }
 
@@ -213,7 +217,7 @@ impl NelderMead {
         self
     }
 
-    /// Sets how often a flat simplex may be built anew.
+    /// Sets how often a flat simplex may be built anew, see [`NelderMead::restarts`](field@Self::restarts).
     #[must_use]
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = restarts;

@@ -215,6 +215,11 @@ impl SimplexData {
         self.order[1..].iter().all(|&slot| space.is_same(self.u(slot), best))
     }
 
+    /// Number of vertices with a cost.
+    pub(super) fn n_finite(&self) -> usize {
+        self.values.iter().flatten().count()
+    }
+
     /// How large costs are.
     pub(super) fn typical_cost(&self) -> f64 {
         typical(&self.values)

@@ -306,7 +306,8 @@ impl NelderMeadState {
                 self.end(Termination::Converged);
             }
         } else if collapsed {
-            self.end(Termination::Collapsed);
+            let alone = self.simplex.n_finite() == 1;
+            self.end(if alone { Termination::OneFiniteVertex } else { Termination::Collapsed });
         } else {
             self.begin_iteration();
         }

@@ -48,6 +48,7 @@ class ExperimentFields:
     step_size: float | None
     max_step: float | None
     chattering: str
+    sharing: str
 
 
 class Raced(NamedTuple):
@@ -152,6 +153,12 @@ class Calibration:
         begins more than ten of its sampling intervals later.
     kind : {"auto", "ME", "CS"}, optional
         How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
+    sharing : {"copies", "serial", "together"}
+        How simulations that run in parallel share the FMU's library; no cost depends on it. "copies": each worker loads a
+        copy of its own, with static variables of its own; where copies would still share state or no further one can be
+        loaded, simulations run one at a time, and the log says why. "serial": one loaded library, one simulation at a
+        time. "together": one loaded library, in which all workers run at the same time. You say that the FMU is
+        thread-safe then; where it is not, results are wrong or the process ends.
     time : str, optional
         Name of the column of times, where it is not ``time``; its unit may be left out.
 
@@ -191,6 +198,7 @@ class Calibration:
         start_time: SupportsFloat | None = None,
         kind: str | None = None,
         chattering: Literal["error", "warn", "slide"] = "error",
+        sharing: Literal["copies", "serial", "together"] = "copies",
         time: str | None = None,
     ) -> None:
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
@@ -225,6 +233,7 @@ class Calibration:
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
+            sharing=_options.choice("sharing", sharing),
         )
         self._model = _path(model)
         opened = getattr(model, "_fmu", None)

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from . import _options
+
 FloatArray = npt.NDArray[np.float64]
 Batches = Callable[[FloatArray, FloatArray, Callable[[], bool]], list[Any]]
 
@@ -144,3 +146,20 @@ def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -
     if callable(getattr(workers, "map", None)):
         return mapped(fun, workers.map, takes_cutoff)
     return None
+
+
+def plan_width(workers: Any) -> int:
+    """How many points a batch plan may ask for at once: the workers of an executor, else all cores."""
+    known = getattr(workers, "_max_workers", None)
+    return known if isinstance(known, int) and known > 0 else _options.all_cores()
+
+
+def shared_out(
+    fun: Callable[..., Any], name: str, workers: Any, default: int | None, takes_cutoff: bool = False
+) -> tuple[Batches | None, int | None]:
+    """Who evaluates batches, if not threads of our own, and for how many points at once the method may plan. `name` is that
+    of the argument `workers`, `default` the number that None stands for."""
+    batches = None if workers is None else foreign(fun, workers, takes_cutoff)
+    if batches is not None:
+        return batches, plan_width(workers)
+    return None, _options.worker_count(name, workers, default)

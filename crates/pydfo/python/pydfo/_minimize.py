@@ -87,9 +87,13 @@ def minimize(
         ("continuous", "integer" or "categorical", for all or each), ``cache`` (evaluations remembered, so that exact
         repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``warm_start`` (an earlier result or trace,
         or points and costs), ``checkpoint_interval`` (seconds between writes, 0.2).
-        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "lee-wiswall"), ``coefficients`` ("auto",
-        "standard", "adaptive" or four numbers), ``bounds_handling`` ("mirror", "clamp", "sine"), ``initial_simplex``
-        (vertices or steps), ``restarts``. Barrier: ``batch``, ``mu``, ``factor``. DE: ``population``, ``sampling``
+        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "lee-wiswall"), ``coefficients`` ("standard":
+        reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": those of Gao and Han, which depend on n; four
+        numbers; "auto", the default: "standard" below five free parameters, "adaptive" from there on),
+        ``bounds_handling`` ("sine", the default: the search runs over angles, so that bounds are smooth; "mirror";
+        "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (2: how often a simplex that has become flat, all
+        vertices nearly in a plane, is built anew around its best vertex; a sound one is not, so this finds no other
+        minima). Barrier: ``batch``, ``coefficients``, ``mu``, ``factor``. DE: ``population``, ``sampling``
         ("uniform", "latin-hypercube", "sobol"), ``repair`` ("midpoint", "mirror", "clamp", "resample"), ``include_start``;
         L-SHADE also ``budget``, ``p_best``, ``memory``, ``archive``, ``final_population``; classic also ``strategy``
         ("rand1", "best1", "current-to-best1", "rand2"), ``crossover`` ("binomial", "exponential"), ``weight`` (a number,
@@ -142,18 +146,13 @@ def minimize(
     extra = args if isinstance(args, tuple) else (args,)
     called = _evaluate.WithArguments(fun, extra) if extra else fun
     cutoffs = _evaluate.takes_cutoff(fun)
-    batches = None if workers is None else _evaluate.foreign(called, workers, cutoffs)
+    batches, count = _evaluate.shared_out(called, "workers", workers, 1, cutoffs)
     if vectorized and cutoffs:
         raise ValueError("fun has a parameter cutoff, but vectorized=True evaluates many points at once")
     if vectorized:
         if batches is not None:
             raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
         batches = _evaluate.vectorized(called)
-        count = _options.worker_count("workers", workers, 1)
-    elif batches is not None:
-        count = plan_width(workers)
-    else:
-        count = _options.worker_count("workers", workers, 1)
     start, lower, upper, built = describe(
         method, x0, bounds, options, count, rng, (max_evaluations, max_iterations, max_time, target), checkpoint, resume
     )
@@ -170,12 +169,6 @@ def minimize(
     )
     _log.info("minimize: %s; f = %r after %d evaluations", result.message, result.fun, result.nfev)
     return result
-
-
-def plan_width(workers: Any) -> int:
-    """How many points a batch plan may ask for at once: the workers of an executor, else all cores."""
-    known = getattr(workers, "_max_workers", None)
-    return known if isinstance(known, int) and known > 0 else _options.all_cores()
 
 
 def describe(

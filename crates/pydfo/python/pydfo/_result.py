@@ -18,9 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 STATUS: Final[dict[str, int]] = {
     "converged": 0,
     "target": 10,
-    "collapsed": 20,
     "all-fixed": 30,
-    "stalled": 40,
     "max-evaluations": 1,
     "max-iterations": 2,
     "max-time": 3,
@@ -28,6 +26,10 @@ STATUS: Final[dict[str, int]] = {
     "interrupted": 5,
     "aborted": 6,
     "not-saved": 7,
+    "collapsed": 11,
+    "one-finite-vertex": 12,
+    "all-failed": 13,
+    "stalled": 14,
 }
 
 
@@ -165,11 +167,11 @@ class OptimizeResult:
     solve_time : float
         Wall-clock time, in s.
     success : bool
-        Whether the method came to its own end, or reached the target.
+        Whether the tolerance tests passed, or the target was reached, or all parameters are fixed.
     status : int
-        0 converged, 10 target reached, 20 the search collapsed, 30 all parameters fixed, 40 nothing new for long;
-        1 evaluations, 2 iterations, 3 time used up; 4 stopped by a callback, 5 interrupted, 6 ended by an exception,
-        7 the checkpoint could not be written.
+        0 converged, 10 target reached, 30 all parameters fixed; 1 evaluations, 2 iterations, 3 time used up; 4 stopped by
+        a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be written; 11 the simplex or
+        population has no extent left, 12 only one vertex has a cost, 13 every point failed, 14 nothing new for long.
     termination : str
         The same in a word.
     message : str
