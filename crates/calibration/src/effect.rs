@@ -86,9 +86,17 @@ impl Calibration {
             n_checks: 0,
         };
         let open = candidates.iter().filter(|c| !c.is_sure).count() + suspects.len();
-        let is_over = matches!(report.termination, Termination::MaxEvaluations | Termination::MaxIterations);
+        let is_over = matches!(
+            report.termination,
+            Termination::Converged
+                | Termination::Target
+                | Termination::Collapsed
+                | Termination::Stalled
+                | Termination::MaxEvaluations
+                | Termination::MaxIterations
+        );
         let is_in_budget = budget.is_none_or(|most| report.n_evaluations + open <= most);
-        if !(report.is_success() || is_over) || !is_in_budget {
+        if !is_over || !is_in_budget {
             return found;
         }
         let mut checked = Findings::default();

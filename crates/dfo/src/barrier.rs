@@ -10,7 +10,9 @@
 
 use crate::bounds::Bounds;
 use crate::error::Error;
-use crate::method::{Batch, Method, MethodOptions, Operation, Setup, SimplexView, Status, restored, saved};
+use crate::method::{
+    Batch, Lookahead, Method, MethodOptions, Operation, Setup, SimplexView, Status, restored, saved,
+};
 use crate::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
 use crate::objective::Outcome;
 use crate::scaling::Space;
@@ -104,7 +106,7 @@ pub struct BarrierStage {
     pub x: Vec<f64>,
     /// Its `f + mu B`.
     pub value: f64,
-    /// Evaluations of the stage, speculative ones included.
+    /// Evaluations of the stage.
     pub n_evaluations: usize,
 }
 
@@ -152,6 +154,10 @@ impl MethodOptions for Barrier {
             f_0: 0.0,
             ended: None,
         })
+    }
+
+    fn starts_inside(&self) -> bool {
+        true
     }
 
     fn describe(&self) -> Vec<(String, String)> {
@@ -252,6 +258,22 @@ impl BarrierState {
         sum
     }
 
+    /// From cutoffs of the cost with its barrier, of the points from `first` on, to cutoffs of the cost.
+    fn translate_cutoffs(&mut self, batch: &mut Batch, first: usize) {
+        let mu = self.mu.unwrap_or(0.0);
+        // A cost below the best so far is wanted, even where its barrier makes it of no use to the search.
+        let best = self.best.as_ref().map_or(f64::NEG_INFINITY, |(_, best)| *best);
+        for k in first..batch.len() {
+            let cutoff = batch.cutoff(k);
+            if cutoff < f64::INFINITY {
+                let barrier = mu * self.barrier(batch.point(k));
+                // Widened by what rounding may take away: giving up must imply that the sum is not accepted.
+                let slack = 4.0 * f64::EPSILON * (cutoff.abs() + barrier);
+                batch.set_cutoff(k, (cutoff - barrier + slack).max(best));
+            }
+        }
+    }
+
     /// The first barrier parameter, from the first cost that is known.
     fn settle_mu(&mut self, outcomes: &[Outcome]) {
         let known = outcomes.iter().position(|o| o.value().is_some());
@@ -331,22 +353,22 @@ impl Method for BarrierState {
         self.inner.ask(batch);
         self.asked.clone_from(batch);
         batch.renumber(self.n_batches + batch.index(), self.n_points);
-        let mu = self.mu.unwrap_or(0.0);
+        self.translate_cutoffs(batch, 0);
         self.cutoffs.clear();
-        for k in 0..self.asked.len() {
-            let cutoff = self.asked.cutoff(k);
-            if cutoff < f64::INFINITY {
-                let asked = std::mem::take(&mut self.asked);
-                let barrier = mu * self.barrier(asked.point(k));
-                self.asked = asked;
-                // Widened by what rounding may take away: giving up must imply that the sum is not accepted.
-                let slack = 4.0 * f64::EPSILON * (cutoff.abs() + barrier);
-                // A cost below the best so far is wanted, even where its barrier makes it of no use to the search.
-                let best = self.best.as_ref().map_or(f64::NEG_INFINITY, |(_, best)| *best);
-                batch.set_cutoff(k, (cutoff - barrier + slack).max(best));
-            }
-            self.cutoffs.push(batch.cutoff(k));
+        self.cutoffs.extend((0..batch.len()).map(|k| batch.cutoff(k)));
+    }
+
+    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+        let first = batch.len();
+        // What follows a stage is not foreseen.
+        if self.ended.is_none() {
+            self.inner.speculate(wanted, known, batch);
+            self.translate_cutoffs(batch, first);
         }
+    }
+
+    fn lookahead(&self) -> Lookahead {
+        self.inner.lookahead()
     }
 
     fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
@@ -374,7 +396,7 @@ impl Method for BarrierState {
         told?;
         for (k, outcome) in outcomes.iter().enumerate() {
             self.n_stage += usize::from(outcome.is_known());
-            let (Some(true), Some(v)) = (self.inner.used().get(k), outcome.value()) else { continue };
+            let Some(v) = outcome.value() else { continue };
             // Above the cutoff it might have been given up; with or without cutoffs the best must be the same.
             if self.cutoffs.get(k).is_some_and(|c| v > *c) {
                 continue;
@@ -398,10 +420,6 @@ impl Method for BarrierState {
             }
             Status::Ended(termination) => self.end_stage(termination),
         }
-    }
-
-    fn used(&self) -> &[bool] {
-        self.inner.used()
     }
 
     fn status(&self) -> Status {

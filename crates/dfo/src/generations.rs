@@ -3,6 +3,7 @@
 
 use crate::cost::Cost;
 use crate::error::Error;
+use crate::memory;
 use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status, restored, saved};
 use crate::objective::Outcome;
 use crate::population::Population;
@@ -153,10 +154,6 @@ impl<B: Breeder> Method for Generations<B> {
         Ok(())
     }
 
-    fn used(&self) -> &[bool] {
-        self.rounds.used()
-    }
-
     fn status(&self) -> Status {
         match &self.phase {
             Phase::NoStart => Status::NoStart,
@@ -213,6 +210,9 @@ impl Pool {
     ) -> Result<(Self, usize), Error> {
         let space = &setup.space;
         let n = space.n_free();
+        // Both on two scales, the sampled points, and the points of a batch.
+        let rows = 3 * members + 2 * candidates;
+        memory::check("a population of so many members and parameters", &[rows, space.n() + n])?;
         let mut population = Population::new(space, members);
         let mut points = Vec::new();
         sampling.fill(space, seed, members, &mut points)?;

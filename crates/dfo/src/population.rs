@@ -79,7 +79,7 @@ impl Population {
             self.place_exactly(0, space.x0(), space);
             next = 1;
         }
-        for (x, _) in &setup.prior {
+        for x in &setup.prior {
             if next < self.len().div_ceil(2) && (0..next).all(|slot| self.x(slot) != x) {
                 self.place_exactly(next, x, space);
                 next += 1;
@@ -134,14 +134,25 @@ impl Population {
 
     /// Keeps the `len` best members, in the order of their slots. Needs up-to-date ranks, and leaves them.
     pub(crate) fn keep_best(&mut self, len: usize) {
-        while self.order.len() > len {
-            let Some(slot) = self.order.pop() else { return };
-            self.u.drain(slot * self.n..(slot + 1) * self.n);
-            self.x.drain(slot * self.n_user..(slot + 1) * self.n_user);
-            self.costs.remove(slot);
-            self.values.remove(slot);
-            self.order.iter_mut().filter(|s| **s > slot).for_each(|s| *s -= 1);
+        if self.order.len() <= len {
+            return;
         }
+        // Pending stands for members that go; the others move up.
+        for &slot in &self.order[len..] {
+            self.costs[slot] = Cost::Pending;
+        }
+        let mut kept = 0;
+        for slot in 0..self.costs.len() {
+            if self.costs[slot] != Cost::Pending {
+                self.u.copy_within(slot * self.n..(slot + 1) * self.n, kept * self.n);
+                self.x.copy_within(slot * self.n_user..(slot + 1) * self.n_user, kept * self.n_user);
+                self.costs[kept] = self.costs[slot];
+                self.values[kept] = self.values[slot];
+                kept += 1;
+            }
+        }
+        self.resize(kept);
+        self.rank();
     }
 
     /// Changes the number of members without looking at them; new ones are not placed.

@@ -80,22 +80,21 @@ impl fmt::Display for Termination {
 /// What ends a run from outside of the method; `None` means no limit.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Limits {
-    /// Calls of the objective; every one counts.
+    /// Evaluations of the path of the method: those of a run with one point at a time.
     pub max_evaluations: Option<usize>,
     /// Iterations of the method.
     pub max_iterations: Option<usize>,
     /// Wall-clock time: no evaluation starts after it.
     pub max_time: Option<Duration>,
-    /// The run ends with the first batch that has a used point with a cost at or below this.
+    /// The run ends with the first batch of the path that has a point with a cost at or below this.
     pub target: Option<f64>,
 }
 
 impl Limits {
     /// Sets evaluations and iterations where there is no limit of any kind but the target.
-    pub(crate) fn fill(&mut self, (evaluations, iterations): (usize, usize)) {
+    pub(crate) fn fill(&mut self, (evaluations, iterations): (Option<usize>, Option<usize>)) {
         if (self.max_evaluations, self.max_iterations, self.max_time) == (None, None, None) {
-            self.max_evaluations = Some(evaluations);
-            self.max_iterations = Some(iterations);
+            (self.max_evaluations, self.max_iterations) = (evaluations, iterations);
         }
     }
 

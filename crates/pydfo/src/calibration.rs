@@ -13,7 +13,7 @@ use crate::values;
 use calibration::{
     CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings, TimeColumn,
 };
-use dfo::Progress;
+use dfo::{Progress, Termination};
 use fmi::FmiError;
 use fmi::OpenOptions;
 use numpy::PyArray1;
@@ -329,7 +329,17 @@ impl PyCalibration {
         observer: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let Settings {
-            method, tolerances, limits, workers, seed, known, cache, trace_limit, checkpoint, ..
+            method,
+            tolerances,
+            limits,
+            workers,
+            seed,
+            known,
+            known_problem,
+            cache,
+            trace_limit,
+            checkpoint,
+            ..
         } = options.check(py)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
@@ -346,13 +356,15 @@ impl PyCalibration {
                 limits,
                 seed,
                 known,
+                known_problem,
                 cache,
                 trace_limit,
                 checkpoint,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
                     seen.pass_on(progress, desk, hearing.as_ref())
                 })),
-                poll: Some(Box::new(move || asked.is_asked())),
+                cancel: Some(asked.flag()),
+                poll: asked.has_parent().then(|| Box::new(|| asked.is_asked()) as Box<dyn FnMut() -> bool>),
                 ..FitOptions::default()
             })
         })?;
@@ -360,9 +372,13 @@ impl PyCalibration {
         let Some(outcome) = outcome else {
             return Err(error::interrupted(py, last_seen.result(py)?.as_ref(), None));
         };
-        let raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
+        let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
         let result = match outcome {
             Ok(fit) => {
+                // No simulation can be made any more.
+                if let (None, Termination::Aborted(reason)) = (&raised, &fit.report.termination) {
+                    raised = Some(fmu_error::unusable(reason));
+                }
                 let result = report::to_python(py, &fit.report)?;
                 result.setattr("stats", Counts::new(&fit.stats))?;
                 let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));

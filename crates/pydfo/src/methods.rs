@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict};
 
 /// What can be said to every method; read in `pydfo/_options.py`.
-const COMMON: &str = "cache, checkpoint_interval, f_tol, kinds, nominal, scale, stop, tolerances, trace_limit, warm_start, x_tol";
+const COMMON: &str = "cache, checkpoint_interval, f_tol, kinds, nominal, problem, scale, stop, tolerances, trace_limit, warm_start, x_tol";
 
 /// The words for an option with a fixed set of values.
 type Words<T> = &'static [(&'static str, T)];
@@ -20,6 +20,7 @@ const PLANS: Words<BatchPlan> = &[
     ("two", BatchPlan::Two),
     ("four", BatchPlan::Four),
     ("two-ahead", BatchPlan::TwoAhead),
+    ("ahead", BatchPlan::Ahead),
     ("lee-wiswall", BatchPlan::LeeWiswall),
 ];
 const BOUNDS: Words<BoundsHandling> =

@@ -60,7 +60,7 @@ def test_every_method_finds_the_minimum(method):
     assert (res.final_simplex is None) == (method not in ("nelder-mead", "barrier"))
     if method in ("de", "de-classic", "ga"):
         members, costs = res.final_population
-        assert res.seed == 7 and members.shape[1] == 2 and np.all(np.diff(costs) >= 0) and costs[0] == res.fun
+        assert res.seed == 1 and members.shape[1] == 2 and np.all(np.diff(costs) >= 0) and costs[0] == res.fun
     else:
         assert res.seed is None and res.final_population is None
     mus = [stage.mu for stage in res.schedule]

@@ -213,8 +213,8 @@ impl MethodOptions for Genetic {
         words::fields(self)
     }
 
-    fn default_limits(&self, n: usize) -> (usize, usize) {
-        (5000usize.saturating_mul(n + 1), usize::MAX)
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
+        (Some(5000usize.saturating_mul(n + 1)), None)
     }
 
     /// Children that are like a parent are common.

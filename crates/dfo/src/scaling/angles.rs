@@ -64,10 +64,12 @@ impl Space {
 
     /// The user's bounds that lie between two values of a coordinate: none unless it is an angle.
     pub(super) fn bounds_passed(&self, k: usize, from: f64, to: f64) -> [Option<f64>; 2] {
+        if !self.sine {
+            return [None; 2];
+        }
         let (low, high) = self.ends(k);
         let (lower, upper) = (self.bounds.lower()[self.free[k]], self.bounds.upper()[self.free[k]]);
         match (low.is_finite(), high.is_finite()) {
-            _ if !self.sine => [None; 2],
             (true, true) => {
                 // Arcs from bound to bound are numbered; the even ones begin at the lower bound.
                 let arc = |v: f64| (v / PI + 0.5).floor();
@@ -120,12 +122,12 @@ mod tests {
         let space = Space::new(&[2.0, 2.0, 0.0], bounds, &[], &[])?.with_sine();
         let distance = |k: usize, from: f64, to: f64| {
             let at = |v: f64| {
-                let (u, mut x) = ([v; 3], [0.0; 3]);
-                space.to_user(&u, &mut x);
-                (u, x)
+                let mut x = [0.0; 3];
+                space.to_user(&[v; 3], &mut x);
+                (v, x[k])
             };
-            let ((u, x), (v, y)) = (at(from), at(to));
-            [Measure::Absolute, Measure::Relative].map(|m| space.distance(k, (&u, &x), (&v, &y), m))
+            let others = [at(from), at(to)].into_iter();
+            [Measure::Absolute, Measure::Relative].map(|m| space.extent(k, at(from), others.clone(), m))
         };
         // Sizes are 4, 2 and 1. From 2 over the upper bound to 2 again; over both; over the lower one.
         for (k, from, to, expected) in [

@@ -277,6 +277,12 @@ impl Space {
         .into()
     }
 
+    /// Whether a point lies strictly between the bounds of all free parameters.
+    pub(crate) fn is_inside(&self, x: &[f64]) -> bool {
+        let (lower, upper) = (self.bounds.lower(), self.bounds.upper());
+        self.free.iter().all(|&i| lower[i] < x[i] && x[i] < upper[i])
+    }
+
     /// The same space with another start point inside of the box.
     pub(crate) fn starting_at(&self, x0: &[f64]) -> Self {
         Self { x0: x0.to_vec(), ..self.clone() }
@@ -374,27 +380,27 @@ impl Space {
         (lower, if upper.is_infinite() { f64::INFINITY } else { self.upper[k] })
     }
 
-    /// The largest distance from a point that coordinate `k` has on the way to another, both given in working coordinates and
-    /// in the user's units: over angles the way may lead to a bound and back, and one place has many angles.
-    pub(crate) fn distance(
-        &self,
-        k: usize,
-        from: (&[f64], &[f64]),
-        to: (&[f64], &[f64]),
-        measure: Measure,
-    ) -> f64 {
-        let i = self.free[k];
-        let place = |x: f64| match (measure, self.transforms[k]) {
-            (Measure::Relative, Transform::Log) => x.ln(),
-            _ => x,
-        };
-        let here = place(from.1[i]);
-        let bounds = self.bounds_passed(k, from.0[k], to.0[k]).into_iter().flatten();
-        let distance = bounds.chain([to.1[i]]).map(|x| (place(x) - here).abs()).fold(0.0, f64::max);
+    /// The largest distance from `centre` that coordinate `k` has on the way to any of the `others`, all of them pairs of a
+    /// working coordinate and the user's: over angles the way may lead to a bound and back, and one place has many angles.
+    pub(crate) fn extent<I>(&self, k: usize, centre: (f64, f64), others: I, measure: Measure) -> f64
+    where
+        I: Iterator<Item = (f64, f64)> + Clone,
+    {
+        let logarithmic = measure == Measure::Relative && self.transforms[k] == Transform::Log;
+        let place = |x: f64| if logarithmic { x.ln() } else { x };
+        let here = place(centre.1);
+        let far = |size: f64, x: f64| size.max((place(x) - here).abs());
+        let range =
+            others.clone().fold((centre.0, centre.0), |(low, high), (u, _)| (low.min(u), high.max(u)));
+        let bent = self.bounds_passed(k, range.0, range.1) != [None; 2];
+        let size = others.fold(0.0, |size, (u, x)| {
+            let passed = if bent { self.bounds_passed(k, centre.0, u) } else { [None; 2] };
+            passed.into_iter().flatten().fold(far(size, x), far)
+        });
         match (measure, self.sine) {
-            (Measure::Absolute, _) => distance,
-            (Measure::Relative, true) => distance / self.units[k],
-            (Measure::Relative, false) => distance / self.sizes[k],
+            (Measure::Absolute, _) => size,
+            (Measure::Relative, true) => size / self.units[k],
+            (Measure::Relative, false) => size / self.sizes[k],
         }
     }
 

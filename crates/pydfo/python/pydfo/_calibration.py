@@ -415,7 +415,7 @@ class Calibration:
             End the fit as soon as the cost is at or below this.
         stop : {"all", "any"}
             Whether both tests must hold, or one ends the fit.
-        batch : {"auto", "serial", "two", "four", "two-ahead", "lee-wiswall"}
+        batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`.
         disp : bool
             Print a line per iteration.
@@ -444,6 +444,9 @@ class Calibration:
             The simulation failed at every starting point; the reasons are counted in its ``failures``.
         Interrupted
             Ctrl-C: a KeyboardInterrupt with the fit so far in ``result``.
+        FmuError
+            No simulation can be made any more: the FMU has answered "fatal" too often, and no further copy of its library can
+            be loaded. The fit so far is in ``partial_result``.
         ValueError, TypeError
             Arguments that cannot be used.
 

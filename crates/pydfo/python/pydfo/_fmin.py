@@ -148,7 +148,7 @@ def fmin(
     stop : {"any", "all"}
         Whether one of the two tests ends the run (as in the paper), or both must hold. A simplex that has not moved yet
         never passes.
-    batch : {"auto", "serial", "two", "four", "two-ahead", "lee-wiswall"}
+    batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
         Methods 1 and 2: how many trial points are evaluated at once in an iteration, ahead of need; "auto" follows
         `nbr_cores`. The simplices are the same for all but the last; unneeded evaluations count.
     initial_simplex : array_like, optional
@@ -223,7 +223,7 @@ def fmin(
     limits = _options.Limits.check(("max_fevals", max_fevals), ("max_iters", max_iters), max_time, target)
     if limits.max_evaluations is None:
         # No limit is what the user said; the optimiser's own defaults shall not step in.
-        limits = replace(limits, max_evaluations=2**63)
+        limits = replace(limits, unlimited=True)
     built = _options.build(
         method,
         own,

@@ -41,8 +41,9 @@ def minimize(
 ) -> OptimizeResult:
     """Minimise a function of several variables without derivatives.
 
-    The same arguments and the same seed give the same trace, bit for bit, for any number and kind of workers as long as
-    the batch plan is the same, and also if the run is interrupted and continued from a checkpoint.
+    The same arguments and the same seed give the same path, bit for bit, for any number and kind of workers, and also if
+    the run is interrupted and continued from a checkpoint. Points that workers evaluate ahead of need are counted apart
+    (``n_speculative``); what they end with, an exception as well, means nothing unless the path comes to them.
 
     Parameters
     ----------
@@ -86,9 +87,11 @@ def minimize(
         ``nominal`` (typical sizes of the parameters), ``scale`` ("linear" or "log", for all or each), ``kinds``
         ("continuous", "integer" or "categorical", for all or each), ``cache`` (evaluations remembered, so that exact
         repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``warm_start`` (an earlier result or trace,
-        or points and costs), ``checkpoint_interval`` (seconds between writes, 0.2).
-        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "lee-wiswall"), ``coefficients`` ("standard":
-        reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": those of Gao and Han, which depend on n; four
+        or points and costs: where to start), ``problem`` (a word or hash for what `fun` computes, which you vouch for: the
+        costs of a warm start are reused only where it is the same in both runs), ``checkpoint_interval`` (seconds between
+        writes, 0.2).
+        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"), ``coefficients``
+        ("standard": reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": those of Gao and Han, which depend on n; four
         numbers; "auto", the default: "standard" below five free parameters, "adaptive" from there on),
         ``bounds_handling`` ("sine", the default: the search runs over angles, so that bounds are smooth; "mirror";
         "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (2: how often a simplex that has become flat, all

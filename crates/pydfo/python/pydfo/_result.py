@@ -34,7 +34,8 @@ STATUS: Final[dict[str, int]] = {
 
 
 class Trace:
-    """Every evaluation of a run, in request order; ``len(trace)`` is their number.
+    """Every evaluation of a run: first those of its path, in request order, the same for any number of workers; then those
+    that were made ahead of need and not needed.
 
     Attributes
     ----------
@@ -45,16 +46,19 @@ class Trace:
     above : ndarray, shape (m,)
         Where an evaluation was given up: the value that the cost is known to exceed; NaN elsewhere.
     used : ndarray of bool, shape (m,)
-        Whether the path of the method went through the point. False for points evaluated ahead of need that turned
-        out not to be needed; they are never returned as best.
+        Whether the path of the method went through the point. False for points evaluated ahead of need and not needed,
+        and for evaluations that the end of the run cut short; they are never returned as best.
     id, batch : ndarray of int, shape (m,)
-        Running numbers of the point and of the batch it belonged to.
+        Running numbers of the point (from 2**63 on for points evaluated ahead of need) and of the batch it belonged to.
     seconds : ndarray, shape (m,)
-        Wall-clock time of each evaluation, in s.
+        Wall-clock time of each evaluation, in s; an equal share of its batch for a vectorized objective and for a map.
     messages : dict of int to str
         Why evaluations failed, by their position in the trace.
     n_dropped : int
         Evaluations at the beginning of the run that a limit of the trace has dropped.
+    problem : str or None
+        The problem that the costs belong to (``options={"problem": ...}``; a `Calibration` has its own): a warm start
+        reuses costs only where it is the same.
     """
 
     def __init__(
@@ -69,6 +73,7 @@ class Trace:
         seconds: FloatArray,
         messages: dict[int, str],
         n_dropped: int = 0,
+        problem: str | None = None,
     ) -> None:
         self.x = x
         self.fun = fun
@@ -79,6 +84,7 @@ class Trace:
         self.seconds = seconds
         self.messages = messages
         self.n_dropped = n_dropped
+        self.problem = problem
 
     @property
     def failed(self) -> npt.NDArray[np.bool_]:
@@ -155,11 +161,12 @@ class OptimizeResult:
     nit : int
         Complete iterations.
     nfev : int
-        Calls of the objective, every one counted.
+        Evaluations of the path of the method: those of a run with one worker. What budgets count.
     nfail : int
         Calls that failed (an exception where tolerated, NaN, infinities).
     n_speculative : int
-        Calls made ahead of need that turned out not to be needed.
+        Further calls of the objective: made ahead of need, and not needed. May depend on the number of workers and on how
+        long calls take.
     n_cached : int
         Answers that needed no call, because the point was known already.
     n_batches : int
