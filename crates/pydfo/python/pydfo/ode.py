@@ -24,9 +24,6 @@ FloatArray = npt.NDArray[np.float64]
 
 _log = logging.getLogger("pydfo")
 
-#: Names of SciPy's methods and what stands for them here.
-_ALIASES = {"rk45": "tsit5", "radau": "radau5", "lsoda": "auto", "cvode": "auto"}
-
 
 @dataclass(frozen=True)
 class _Problem:
@@ -314,13 +311,12 @@ def solve(
         return (lambda *given: function(*given, *extra)) if extra else function
 
     times = None if t_eval is None else _options.vector("t_eval", t_eval).tolist()
-    name = _options.choice("method", method)
     problem = _Problem(
         rhs=bind(rhs),
         start=start,
         end=end,
         x0=x.tolist(),
-        method=_ALIASES.get(name.lower(), name),
+        method=_options.solver(method, "method"),
         times=times,
         dense_output=bool(dense_output),
         events=[(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(events))],
