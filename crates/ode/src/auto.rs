@@ -332,6 +332,19 @@ impl Stepper for Auto {
         active!(self.repeat());
     }
 
+    fn takes_jacobians(&self) -> bool {
+        active!(self.takes_jacobians())
+    }
+
+    fn undetermined<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &[f64],
+    ) -> Option<usize> {
+        active!(self.undetermined(equations, t, x))
+    }
+
     fn derivative(&self) -> &[f64] {
         active!(self.derivative())
     }

@@ -407,6 +407,10 @@ impl Stepper for Bdf {
         false
     }
 
+    fn takes_jacobians(&self) -> bool {
+        true
+    }
+
     fn derivative(&self) -> &[f64] {
         &self.f
     }

@@ -319,6 +319,21 @@ impl Stepper for Radau5 {
         self.is_repetition = true;
     }
 
+    fn takes_jacobians(&self) -> bool {
+        true
+    }
+
+    fn undetermined<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &[f64],
+    ) -> Option<usize> {
+        self.mass.as_ref()?;
+        self.has_jacobian = false;
+        self.algebraic.undetermined(equations, &mut self.jacobian, t, x)
+    }
+
     fn derivative(&self) -> &[f64] {
         &self.f
     }

@@ -121,6 +121,23 @@ pub(crate) trait Stepper {
         true
     }
 
+    /// Whether it makes use of Jacobians.
+    fn takes_jacobians(&self) -> bool {
+        false
+    }
+
+    /// After a failure at `(t, x)`: an equation without derivatives that does not determine the states it should, neither
+    /// there nor nearby, as in systems of index 2 or higher. `None`: there is none.
+    fn undetermined<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &[f64],
+    ) -> Option<usize> {
+        let _ = (equations, t, x);
+        None
+    }
+
     /// The right-hand side at the current point, or an estimate of it.
     fn derivative(&self) -> &[f64];
 

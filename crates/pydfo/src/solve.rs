@@ -6,8 +6,8 @@ use crate::py_system::{Event, JacobianSource, PySystem, matrix};
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{
-    AbsoluteTolerance, Direction, Driver, ErrorKind, JacobianPattern, Limits, Method, Observer, Options,
-    OptionsError, Report, Sample, SimulationError, StepView, Termination,
+    AbsoluteTolerance, Direction, Driver, ErrorKind, Evaluated, JacobianPattern, Limits, Method, Number, Observer,
+    Options, OptionsError, Report, Sample, SimulationError, StepView, Termination,
 };
 use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
@@ -250,6 +250,22 @@ fn is_misuse(kind: &ErrorKind) -> bool {
     )
 }
 
+/// The error in the words of `pydfo.ode.solve`: what returned a value that is not finite.
+fn message(error: &SimulationError, n: usize) -> String {
+    let message = error.to_string();
+    let Some(value) = &error.not_finite else { return message };
+    let (number, index, time) = (Number(value.value), value.index, Number(value.time));
+    let words = match value.what {
+        Evaluated::Derivative => format!("rhs returned {number} for component {index} at t = {time}"),
+        Evaluated::EventIndicator => format!("event {index} returned {number} at t = {time}"),
+        Evaluated::Jacobian => {
+            format!("jac returned {number} for entry [{}, {}] at t = {time}", index % n, index / n)
+        }
+        _ => return message,
+    };
+    message.replacen(&value.to_string(), &words, 1)
+}
+
 /// `pydfo.ode.OdeResult`
 fn result<'py>(
     py: Python<'py>,
@@ -268,7 +284,7 @@ fn result<'py>(
             };
             (status, message.to_owned(), report.time, &report.stats)
         }
-        Err(e) => (-1, e.to_string(), e.time, &e.stats),
+        Err(e) => (-1, message(e, n), e.time, &e.stats),
     };
     let fields = PyDict::new(py);
     let (times, states) =

@@ -24,9 +24,6 @@ FloatArray = npt.NDArray[np.float64]
 
 _log = logging.getLogger("pydfo")
 
-#: Names of SciPy's methods and what stands for them here.
-_ALIASES = {"rk45": "tsit5", "radau": "radau5", "lsoda": "auto", "cvode": "auto"}
-
 
 @dataclass(frozen=True)
 class _Problem:
@@ -252,9 +249,10 @@ def solve(
     step : float, optional
         Step of "rk4" and "euler"; by default a 500th of the span.
     interior_samples : int, optional
-        At how many points inside each step the events are looked at besides its end, so that a crossing and its return
-        do not hide in one step. By default one where steps are long, or where an event function is next to zero at the
-        start of the first step after an event.
+        At how many points inside each step the events are looked at besides its end, each compared with the one before,
+        so that a crossing and its return do not hide in one step. By default one where steps are long. An event function
+        next to zero after its event, and on its way back, is always followed: its next crossing is found, or the run
+        fails and says so.
     chattering : {"error", "warn", "slide"}
         What to do where events follow each other while time hardly advances (a hundred within 1e-6 of the span, or within
         1e-3 where the span is longer than 1000): fail; go on and log a warning (an error still where time stands still);
@@ -313,13 +311,12 @@ def solve(
         return (lambda *given: function(*given, *extra)) if extra else function
 
     times = None if t_eval is None else _options.vector("t_eval", t_eval).tolist()
-    name = _options.choice("method", method)
     problem = _Problem(
         rhs=bind(rhs),
         start=start,
         end=end,
         x0=x.tolist(),
-        method=_ALIASES.get(name.lower(), name),
+        method=_options.solver(method, "method"),
         times=times,
         dense_output=bool(dense_output),
         events=[(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(events))],
