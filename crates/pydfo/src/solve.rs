@@ -184,6 +184,14 @@ pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bou
         n: problem.x0.len(),
     };
     let times = problem.times.as_deref().unwrap_or_default();
+    let n = problem.x0.len();
+    keeper.states.try_reserve_exact(times.len().saturating_mul(n)).map_err(|_| {
+        let gigabytes = 8e-9 * times.len() as f64 * n as f64;
+        PyMemoryError::new_err(format!(
+            "t_eval: {} times of {n} states take {gigabytes:.1} GB, for which there is no room",
+            times.len()
+        ))
+    })?;
     let outcome = driver.run(&mut system, problem.start, problem.end, times, &mut keeper);
     if let Err(e) = &outcome
         && is_misuse(&e.kind)

@@ -455,3 +455,8 @@ def test_many_states_take_no_matrix_where_none_is_needed() -> None:
     for method in ("radau5", "bdf"):
         with pytest.raises(MemoryError, match=r"100000 x 100000 entries \(80.0 GB\).*sparsity pattern"):
             ode.solve(lambda t, y: -y, (0, 1), np.ones(n), method, t_eval=[1.0])
+
+
+def test_samples_for_which_there_is_no_room_are_refused() -> None:
+    with pytest.raises(MemoryError, match=r"t_eval: 10000000 times of 100000 states take 8000.0 GB"):
+        ode.solve(lambda t, y: -y, (0, 1), np.ones(100_000), t_eval=np.linspace(0, 1, 10_000_000))
