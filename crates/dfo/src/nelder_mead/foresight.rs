@@ -64,7 +64,8 @@ impl Foresight {
         &mut self,
         problem: &Problem<'_>,
         (trial, placed): (Trial, &[TrialPoint; 4]),
-        (wanted, known): (usize, &dyn Fn(&[f64]) -> bool),
+        wanted: usize,
+        known: &dyn Fn(&[f64]) -> bool,
         mut found: impl FnMut(&[f64], bool),
     ) {
         let space = problem.space;
