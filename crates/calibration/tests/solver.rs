@@ -161,6 +161,9 @@ fn table() {
     for method in [Method::Auto, Method::Bdf, Method::Radau5] {
         let fit = calibration(method).fit(few(400)).unwrap();
         let method = if method == Method::Auto { "race" } else { method.name() };
-        println!("{method}: cost {:e} at {:?} after {} evaluations", fit.cost, fit.x, fit.report.n_evaluations);
+        println!(
+            "{method}: cost {:e} at {:?} after {} evaluations",
+            fit.cost, fit.x, fit.report.n_evaluations
+        );
     }
 }

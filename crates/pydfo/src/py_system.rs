@@ -72,7 +72,8 @@ impl<'py> PySystem<'py> {
     fn keep(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         if self.keeps_steps {
             if let Err(full) = self.states.try_reserve(x.len()) {
-                let message = format!("no room for the states of step {}: {full}; give t_eval", self.times.len());
+                let message =
+                    format!("no room for the states of step {}: {full}; give t_eval", self.times.len());
                 self.raised.get_or_insert(PyMemoryError::new_err(message.clone()));
                 return Err(CallError::failed(message));
             }

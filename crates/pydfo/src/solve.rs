@@ -6,8 +6,8 @@ use crate::py_system::{Event, JacobianSource, PySystem, matrix};
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{
-    AbsoluteTolerance, Direction, Driver, ErrorKind, Evaluated, JacobianPattern, Limits, Method, Number, Observer,
-    Options, OptionsError, Report, Sample, SimulationError, StepView, Termination,
+    AbsoluteTolerance, Direction, Driver, ErrorKind, Evaluated, JacobianPattern, Limits, Method, Number,
+    Observer, Options, OptionsError, Report, Sample, SimulationError, StepView, Termination,
 };
 use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
