@@ -167,6 +167,7 @@ impl Prepared {
             max_step: settings.max_step,
             timeout: settings.timeout,
             chattering: settings.chattering,
+            input_derivatives: settings.input_derivatives,
             ..SimulateOptions::default()
         };
         let plan = SimulationPlan::new(fmu, &options)?;

@@ -16,8 +16,17 @@ pub(crate) fn identity(
         ("model".to_owned(), fmu.content_hash()?.to_owned()),
         ("parameter names".to_owned(), names.join(", ")),
     ];
-    let SimulationSettings { kind, method, relative_tolerance, step_size, max_step, chattering, timeout } =
-        settings;
+    let SimulationSettings {
+        kind,
+        method,
+        relative_tolerance,
+        step_size,
+        max_step,
+        input_derivatives,
+        chattering,
+        timeout,
+    } = settings;
+    let held = if *input_derivatives == Some(false) { "not told" } else { "told" };
     let number = |value: Option<f64>| value.map_or_else(|| "by default".to_owned(), |v| format!("{v:?}"));
     all.extend(
         [
@@ -26,6 +35,7 @@ pub(crate) fn identity(
             ("relative tolerance", number(*relative_tolerance)),
             ("step size", number(*step_size)),
             ("largest step", number(*max_step)),
+            ("derivatives of the inputs", held.to_owned()),
             ("chattering", chattering.name().to_owned()),
             ("time limit of a simulation", number(timeout.map(|t| t.as_secs_f64()))),
         ]

@@ -4,7 +4,7 @@ use crate::error::FmiError;
 use crate::fmu::Reuse;
 use crate::instance;
 use crate::plan::SimulationPlan;
-use crate::sys::{FloatEnvironment, Library, RawInstance};
+use crate::sys::{Library, RawInstance};
 use std::sync::Arc;
 
 /// A new instance; where saved states bring instances back, with the state to bring back.
@@ -22,11 +22,7 @@ pub(crate) fn new_with_origin(
 ) -> Result<RawInstance, FmiError> {
     let new = || plan.fmu().instantiate_for_runs(library, plan.kind);
     let mut raw = new()?;
-    let saved = {
-        let _guard = FloatEnvironment::standard();
-        raw.save_origin()
-    };
-    if saved.is_err() {
+    if raw.save_origin().is_err() {
         plan.refuse_restore();
         drop(raw);
         return new();

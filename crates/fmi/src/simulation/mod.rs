@@ -13,7 +13,7 @@ use crate::places::{Place, element_value};
 use crate::plan::SimulationPlan;
 use crate::readback::ReadBackBuffers;
 use crate::renewal::{new_instance, new_with_origin, renew_or_replace};
-use crate::sys::{FloatEnvironment, Library, RawInstance, Shared};
+use crate::sys::{CallEnvironment, Library, RawInstance, Shared};
 use crate::trajectory::{Recorder, Trajectory};
 use engine::Engine;
 use ode::{Observer, Report, Seconds};
@@ -141,12 +141,10 @@ impl Simulator {
         self.leave_broken_copy()?;
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
-        let guard = FloatEnvironment::standard();
+        let _environment = CallEnvironment::enter();
         self.start(parameters)?;
         let (starting, elsewhere) =
             (self.began.elapsed().as_secs_f64(), self.engine.running().seconds_elsewhere());
-        // Instantiating or initializing may have changed the floating-point mode.
-        guard.assert();
         let mut outcome = self.engine.run(&self.plan, None, observer);
         self.engine.running().pass_log_on();
         let stats = match &mut outcome {
@@ -182,7 +180,6 @@ impl Simulator {
         let description = self.plan.fmu().description();
         let place = Place::of_name(description, self.plan.structure(), name)?;
         let _turn = self.shared.turn_if_dependent();
-        let _guard = FloatEnvironment::standard();
         let value = self.engine.value(&description.variables[place.variable])?;
         Ok(element_value(value, place.element))
     }
@@ -202,7 +199,7 @@ impl Simulator {
         self.plan.values.check_parameters(parameters)?;
         let shared = Arc::clone(&self.shared);
         let _turn = shared.turn();
-        let _guard = FloatEnvironment::standard();
+        let _environment = CallEnvironment::enter();
         self.start(parameters)?;
         self.engine.settle()
     }

@@ -44,6 +44,7 @@ class ExperimentFields:
     solver: str
     step_size: float | None
     max_step: float | None
+    input_derivatives: bool
     chattering: str
 
 
@@ -146,6 +147,8 @@ class Calibration:
         Where simulations start, in s; default: the model's default experiment, else 0.
     kind : {"auto", "ME", "CS"}, optional
         How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
+    input_derivatives : bool
+        Whether co-simulations are told the derivatives of their inputs, as in `FMUModel.simulate`.
 
     Raises
     ------
@@ -177,6 +180,7 @@ class Calibration:
         start_time: SupportsFloat | None = None,
         kind: str | None = None,
         chattering: Literal["error", "warn", "slide"] = "error",
+        input_derivatives: bool = True,
     ) -> None:
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
@@ -205,6 +209,7 @@ class Calibration:
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
+            input_derivatives=bool(input_derivatives),
         )
         self._model = _path(model)
         opened = getattr(model, "_fmu", None)
