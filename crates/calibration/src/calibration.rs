@@ -72,6 +72,8 @@ pub(crate) enum NoCost {
     Above,
     /// The run is being ended.
     Cancelled,
+    /// No simulation can be made any more, here or at other points.
+    Over(Box<FmiError>),
     /// The simulation failed: its kind, a reason that is the same for all failures of that sort, and the error in full.
     Failed { kind: FailureKind, reason: String, source: Option<Box<FmiError>> },
 }
@@ -168,6 +170,7 @@ impl Prepared {
             timeout: settings.timeout,
             chattering: settings.chattering,
             input_derivatives: settings.input_derivatives,
+            sharing: settings.sharing,
             ..SimulateOptions::default()
         };
         let plan = SimulationPlan::new(fmu, &options)?;
@@ -365,6 +368,7 @@ impl Calibration {
                 NoCost::Above => {
                     CalibrationError::Simulation { at, message: "infinite cost".to_owned(), source: None }
                 }
+                NoCost::Over(error) => CalibrationError::Model(*error),
                 NoCost::Cancelled => CalibrationError::Cancelled,
             }
         })
@@ -388,6 +392,7 @@ impl Calibration {
             Ok(cost) => Outcome::Value(cost),
             Err(NoCost::Above) => Outcome::Above(evaluation.cutoff),
             Err(NoCost::Cancelled) => Outcome::cancelled(),
+            Err(NoCost::Over(error)) => Outcome::Abort(error.to_string()),
             Err(NoCost::Failed { kind, reason, .. }) => Outcome::Failed(Failure { kind, message: reason }),
         }
     }
@@ -454,6 +459,9 @@ impl Objective for Calibration {
 
 /// Sorts a failed simulation: its kind, and a reason that is the same for all failures of that sort.
 pub(crate) fn no_cost(error: FmiError) -> NoCost {
+    if matches!(error, FmiError::NoCopy { .. }) {
+        return NoCost::Over(Box::new(error));
+    }
     let mut kind = FailureKind::Error;
     let reason = match &error {
         FmiError::Simulation(e) => match &e.kind {

@@ -6,12 +6,13 @@ use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
 use dfo::{
     AnyMethod, ByRef, Checkpoint, Evaluation, Kind, Limits, Measure, NelderMead, Objective, Outcome,
-    Progress, Report, Stop, Tolerances, Transform, WorkerPool,
+    Progress, Report, Stop, Tolerances, Transform,
 };
 use ode::Number;
 use ode::Stats;
 use std::fmt;
 use std::ops::ControlFlow;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
 
@@ -38,6 +39,9 @@ pub struct FitOptions<'a> {
     pub cutoffs: bool,
     /// Points with their costs from an earlier fit, see [`dfo::Minimize::known`].
     pub known: Vec<(Vec<f64>, f64)>,
+    /// The problem that they belong to ([`dfo::Trace::problem`] of that fit). Where it is not that of this fit, the points
+    /// are evaluated again.
+    pub known_problem: Option<String>,
     /// How many evaluations to remember; default: the method's, see [`dfo::Minimize::cache`].
     pub cache: Option<usize>,
     /// Evaluations to keep in the trace; default all.
@@ -49,6 +53,8 @@ pub struct FitOptions<'a> {
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
     pub poll: Option<Box<dyn FnMut() -> bool + 'a>>,
+    /// A flag that interrupts the fit when it is raised, within a step of the simulations that are running.
+    pub cancel: Option<Arc<AtomicBool>>,
 }
 
 impl Default for FitOptions<'_> {
@@ -62,11 +68,13 @@ impl Default for FitOptions<'_> {
             seed: None,
             cutoffs: true,
             known: Vec::new(),
+            known_problem: None,
             cache: None,
             trace_limit: None,
             checkpoint: None,
             observer: None,
             poll: None,
+            cancel: None,
         }
     }
 }
@@ -150,6 +158,10 @@ impl Objective for Counted<'_> {
         self.add(|stats| self.calibration.evaluate_counted(x, &evaluation, None, stats))
     }
 
+    fn uses_cutoff(&self) -> bool {
+        self.cutoffs
+    }
+
     fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
         out.clear();
         out.resize(self.calibration.n_residuals(), 0.0);
@@ -160,8 +172,8 @@ impl Objective for Counted<'_> {
 impl Calibration {
     /// Fits the parameters.
     ///
-    /// Simulations run on threads of their own; the calling thread only observes and polls. Evaluations that can no
-    /// longer matter are given up early (see [`dfo::Outcome::Above`]); this changes no decision.
+    /// Simulations run on threads of their own where they are long enough for that; the calling thread observes and polls.
+    /// Evaluations that can no longer matter are given up early (see [`dfo::Outcome::Above`]); this changes no decision.
     ///
     /// # Errors
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
@@ -199,8 +211,9 @@ impl Calibration {
             .scales(&sizes)
             .tolerances(tolerances)
             .limits(limits)
-            .known(options.known)
-            .pool(Arc::new(WorkerPool::new(workers)?))
+            .problem(self.problem(solver))
+            .known(options.known, options.known_problem)
+            .workers(workers)
             .method(method);
         if let Some(seed) = options.seed {
             run = run.seed(seed);
@@ -219,6 +232,9 @@ impl Calibration {
         }
         if let Some(poll) = poll {
             run = run.poll(poll);
+        }
+        if let Some(flag) = options.cancel {
+            run = run.cancel(flag);
         }
         let report = run.run().map_err(|e| self.name_parameter(e))?;
         let start_cost =

@@ -16,6 +16,7 @@ pub(crate) fn identity(
         ("model".to_owned(), fmu.content_hash()?.to_owned()),
         ("parameter names".to_owned(), names.join(", ")),
     ];
+    // Costs do not depend on how simulations share the library.
     let SimulationSettings {
         kind,
         method,
@@ -25,6 +26,7 @@ pub(crate) fn identity(
         input_derivatives,
         chattering,
         timeout,
+        sharing: _,
     } = settings;
     let held = if *input_derivatives == Some(false) { "not told" } else { "told" };
     let number = |value: Option<f64>| value.map_or_else(|| "by default".to_owned(), |v| format!("{v:?}"));

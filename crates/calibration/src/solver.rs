@@ -5,6 +5,7 @@ use crate::error::CalibrationError;
 use dfo::Checkpoint;
 use fmi::{FmiError, InterfaceKind, Pool, SimulateOptions, SimulationPlan, Simulator};
 use ode::{ErrorKind, Lap, Method, Observer, Race, Sample, Stats};
+use sha2::{Digest, Sha256};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -175,6 +176,7 @@ impl Calibration {
                     Err(error) => {
                         return match no_cost(error) {
                             NoCost::Failed { reason, .. } => Ok(Lap::Failed(reason)),
+                            NoCost::Over(error) => Err(CalibrationError::Model(*error)),
                             NoCost::Above | NoCost::Cancelled => Err(CalibrationError::Cancelled),
                         };
                     }
@@ -228,6 +230,20 @@ impl Calibration {
             self.choose(Solver { method, race: None })?;
         }
         Ok(())
+    }
+
+    /// What a cost depends on but the parameters' values, as a hash: model, data, settings, solver, and what each parameter
+    /// sets; neither bounds nor starts.
+    pub(crate) fn problem(&self, solver: &Solver) -> String {
+        let mut hasher = Sha256::new();
+        let own = self.identity().iter().map(|(name, value)| (name.as_str(), value.as_str()));
+        for (name, value) in own.chain([(TAG, solver.method.name())]) {
+            for text in [name, value] {
+                hasher.update((text.len() as u64).to_le_bytes());
+                hasher.update(text);
+            }
+        }
+        hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
     /// A checkpoint that knows what it belongs to.

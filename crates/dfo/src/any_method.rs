@@ -5,7 +5,7 @@ use crate::barrier::BarrierStage;
 use crate::differential_evolution::DifferentialEvolution;
 use crate::error::Error;
 use crate::genetic::Genetic;
-use crate::method::{Batch, Method, MethodOptions, Operation, Setup, SimplexView, Status};
+use crate::method::{Batch, Lookahead, Method, MethodOptions, Operation, Setup, SimplexView, Status};
 use crate::nelder_mead::NelderMead;
 use crate::objective::Outcome;
 use crate::termination::Tests;
@@ -152,7 +152,11 @@ impl MethodOptions for AnyMethod {
         each!(self, o => o.plans_with_budget())
     }
 
-    fn default_limits(&self, n: usize) -> (usize, usize) {
+    fn starts_inside(&self) -> bool {
+        each!(self, o => o.starts_inside())
+    }
+
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
         each!(self, o => o.default_limits(n))
     }
 
@@ -171,8 +175,11 @@ impl Method for BoxedMethod {
     fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
         self.0.tell(outcomes)
     }
-    fn used(&self) -> &[bool] {
-        self.0.used()
+    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+        self.0.speculate(wanted, known, batch);
+    }
+    fn lookahead(&self) -> Lookahead {
+        self.0.lookahead()
     }
     fn status(&self) -> Status {
         self.0.status()

@@ -10,8 +10,10 @@
 
 use crate::bounds::Bounds;
 use crate::error::Error;
-use crate::method::{Batch, Method, MethodOptions, Operation, Setup, SimplexView, Status, restored, saved};
-use crate::nelder_mead::{BatchPlan, NelderMead, NelderMeadState};
+use crate::method::{
+    Batch, Lookahead, Method, MethodOptions, Operation, Setup, SimplexView, Status, restored, saved,
+};
+use crate::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
 use crate::objective::Outcome;
 use crate::scaling::Space;
 use crate::termination::{Measure, Termination, Tests, Tolerances};
@@ -38,7 +40,7 @@ const MAX_STAGES: usize = 40;
 /// assert!(report.schedule.windows(2).all(|w| w[1].mu < w[0].mu));
 /// # Ok::<(), dfo::Error>(())
 /// ```
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Barrier {
     /// The first barrier parameter, positive and at most 1e200; default: a tenth of the cost at the start is barrier.
@@ -47,11 +49,13 @@ pub struct Barrier {
     pub factor: f64,
     /// Batch plan of Nelder-Mead.
     pub batch: BatchPlan,
+    /// Coefficients of Nelder-Mead.
+    pub coefficients: Coefficients,
 }
 
 impl Default for Barrier {
     fn default() -> Self {
-        Self { mu: None, factor: 0.1, batch: BatchPlan::Auto }
+        Self { mu: None, factor: 0.1, batch: BatchPlan::Auto, coefficients: Coefficients::Auto }
     }
 }
 
@@ -76,6 +80,18 @@ impl Barrier {
         self.batch = plan;
         self
     }
+
+    /// Sets the coefficients of Nelder-Mead.
+    #[must_use]
+    pub fn coefficients(mut self, coefficients: Coefficients) -> Self {
+        self.coefficients = coefficients;
+        self
+    }
+
+    /// The method of the stages.
+    fn inner(&self) -> NelderMead {
+        NelderMead::default().batch(self.batch).coefficients(self.coefficients)
+    }
 }
 
 /// One stage of a sequential barrier search.
@@ -90,7 +106,7 @@ pub struct BarrierStage {
     pub x: Vec<f64>,
     /// Its `f + mu B`.
     pub value: f64,
-    /// Evaluations of the stage, speculative ones included.
+    /// Evaluations of the stage.
     pub n_evaluations: usize,
 }
 
@@ -119,12 +135,10 @@ impl MethodOptions for Barrier {
             return Err(Error::NoBounds { method: "barrier" });
         }
         let inner = inner_setup(setup, space.x0(), 0);
-        let method = NelderMead::default().batch(self.batch);
         Ok(BarrierState {
-            inner: method.begin(&inner)?,
-            plan: self.batch,
+            inner: self.inner().begin(&inner)?,
             mu: self.mu,
-            factor: self.factor,
+            options: self.clone(),
             setup: setup.clone(),
             asked: Batch::new(),
             cutoffs: Vec::new(),
@@ -140,6 +154,10 @@ impl MethodOptions for Barrier {
             f_0: 0.0,
             ended: None,
         })
+    }
+
+    fn starts_inside(&self) -> bool {
+        true
     }
 
     fn describe(&self) -> Vec<(String, String)> {
@@ -189,10 +207,9 @@ fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct BarrierState {
     setup: Setup,
-    plan: BatchPlan,
-    /// Of the present stage; `None` until the first cost is known.
+    options: Barrier,
+    /// Barrier parameter of the present stage; `None` until the first cost is known.
     mu: Option<f64>,
-    factor: f64,
     inner: NelderMeadState,
     /// What was asked last, with the cutoffs of the inner method.
     asked: Batch,
@@ -220,7 +237,7 @@ impl BarrierState {
             && self.working.len() == space.n_free()
             && self.stage_start.len() == space.n()
             && self.best.as_ref().is_none_or(|(x, _)| x.len() == space.n())
-            && self.inner.is_sound(&NelderMead::default().prepared(&inner))
+            && self.inner.is_sound(&self.options.inner().prepared(&inner))
     }
 
     /// `B(x)`; positive, finite inside of the bounds.
@@ -241,6 +258,22 @@ impl BarrierState {
         sum
     }
 
+    /// From cutoffs of the cost with its barrier, of the points from `first` on, to cutoffs of the cost.
+    fn translate_cutoffs(&mut self, batch: &mut Batch, first: usize) {
+        let mu = self.mu.unwrap_or(0.0);
+        // A cost below the best so far is wanted, even where its barrier makes it of no use to the search.
+        let best = self.best.as_ref().map_or(f64::NEG_INFINITY, |(_, best)| *best);
+        for k in first..batch.len() {
+            let cutoff = batch.cutoff(k);
+            if cutoff < f64::INFINITY {
+                let barrier = mu * self.barrier(batch.point(k));
+                // Widened by what rounding may take away: giving up must imply that the sum is not accepted.
+                let slack = 4.0 * f64::EPSILON * (cutoff.abs() + barrier);
+                batch.set_cutoff(k, (cutoff - barrier + slack).max(best));
+            }
+        }
+    }
+
     /// The first barrier parameter, from the first cost that is known.
     fn settle_mu(&mut self, outcomes: &[Outcome]) {
         let known = outcomes.iter().position(|o| o.value().is_some());
@@ -256,7 +289,8 @@ impl BarrierState {
         }
     }
 
-    fn end_stage(&mut self) -> Result<(), Error> {
+    /// `inner`: why the stage ended.
+    fn end_stage(&mut self, inner: Termination) -> Result<(), Error> {
         let Some((x, value)) = self.inner.best().map(|(x, v)| (x.to_vec(), v)) else { return Ok(()) };
         let mu = self.mu.unwrap_or(0.0);
         let barrier = self.barrier(&x);
@@ -280,11 +314,17 @@ impl BarrierState {
             Measure::Absolute => f_tol,
         };
         let tight = inner_setup(&self.setup, &x, stage - 1).tolerances == self.setup.tolerances;
-        if (tight && stage > 1 && moved <= x_tol && mu * barrier <= limit) || stage >= MAX_STAGES {
-            self.ended = Some(Termination::Converged);
+        let settled = stage > 1 && moved <= x_tol && mu * barrier <= limit;
+        self.ended = match inner {
+            Termination::OneFiniteVertex => Some(inner),
+            // After so many stages no barrier is left in numbers of 53 bits.
+            _ if (tight && settled) || stage >= MAX_STAGES => Some(inner),
+            _ => None,
+        };
+        if self.ended.is_some() {
             return Ok(());
         }
-        self.mu = Some(mu * self.factor);
+        self.mu = Some(mu * self.options.factor);
         self.n_batches += self.inner.n_batches();
         self.n_points += self.inner.n_points();
         self.n_iterations += self.inner.n_iterations();
@@ -294,7 +334,7 @@ impl BarrierState {
         for (k, &i) in space.free().iter().enumerate() {
             steps[i] = side * space.size(k);
         }
-        let method = NelderMead::default().batch(self.plan).initial_steps(&steps);
+        let method = self.options.inner().initial_steps(&steps);
         self.inner = method.begin(&inner_setup(&self.setup, &x, stage))?;
         self.stage_start = x;
         Ok(())
@@ -313,22 +353,22 @@ impl Method for BarrierState {
         self.inner.ask(batch);
         self.asked.clone_from(batch);
         batch.renumber(self.n_batches + batch.index(), self.n_points);
-        let mu = self.mu.unwrap_or(0.0);
+        self.translate_cutoffs(batch, 0);
         self.cutoffs.clear();
-        for k in 0..self.asked.len() {
-            let cutoff = self.asked.cutoff(k);
-            if cutoff < f64::INFINITY {
-                let asked = std::mem::take(&mut self.asked);
-                let barrier = mu * self.barrier(asked.point(k));
-                self.asked = asked;
-                // Widened by what rounding may take away: giving up must imply that the sum is not accepted.
-                let slack = 4.0 * f64::EPSILON * (cutoff.abs() + barrier);
-                // A cost below the best so far is wanted, even where its barrier makes it of no use to the search.
-                let best = self.best.as_ref().map_or(f64::NEG_INFINITY, |(_, best)| *best);
-                batch.set_cutoff(k, (cutoff - barrier + slack).max(best));
-            }
-            self.cutoffs.push(batch.cutoff(k));
+        self.cutoffs.extend((0..batch.len()).map(|k| batch.cutoff(k)));
+    }
+
+    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+        let first = batch.len();
+        // What follows a stage is not foreseen.
+        if self.ended.is_none() {
+            self.inner.speculate(wanted, known, batch);
+            self.translate_cutoffs(batch, first);
         }
+    }
+
+    fn lookahead(&self) -> Lookahead {
+        self.inner.lookahead()
     }
 
     fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
@@ -356,7 +396,7 @@ impl Method for BarrierState {
         told?;
         for (k, outcome) in outcomes.iter().enumerate() {
             self.n_stage += usize::from(outcome.is_known());
-            let (Some(true), Some(v)) = (self.inner.used().get(k), outcome.value()) else { continue };
+            let Some(v) = outcome.value() else { continue };
             // Above the cutoff it might have been given up; with or without cutoffs the best must be the same.
             if self.cutoffs.get(k).is_some_and(|c| v > *c) {
                 continue;
@@ -378,20 +418,16 @@ impl Method for BarrierState {
                 self.ended = Some(Termination::AllFixed);
                 Ok(())
             }
-            Status::Ended(_) => self.end_stage(),
+            Status::Ended(termination) => self.end_stage(termination),
         }
-    }
-
-    fn used(&self) -> &[bool] {
-        self.inner.used()
     }
 
     fn status(&self) -> Status {
         match (&self.ended, self.inner.status()) {
             (Some(termination), _) => Status::Ended(termination.clone()),
             (None, Status::NoStart) if self.schedule.is_empty() => Status::NoStart,
-            // Later stages start where there was a cost before; an objective that has none now has lost its mind.
-            (None, Status::NoStart) => Status::Ended(Termination::Collapsed),
+            // Later stages start where there was a cost before.
+            (None, Status::NoStart) => Status::Ended(Termination::AllFailed),
             (None, _) => Status::Running,
         }
     }

@@ -67,9 +67,20 @@ impl Cache {
         }
     }
 
+    /// Evaluations that stay.
+    pub(crate) fn n_pinned(&self) -> usize {
+        self.pinned.len()
+    }
+
     fn key(&mut self, x: &[f64]) {
         self.key.clear();
         self.key.extend(x.iter().map(|v| v.to_bits()));
+    }
+
+    /// Whether something is known of a point.
+    pub(crate) fn contains(&self, x: &[f64]) -> bool {
+        let key = || x.iter().map(|v| v.to_bits()).collect::<Vec<u64>>();
+        !self.known.is_empty() && self.known.contains_key(&key()[..])
     }
 
     /// What is known of a point, if that answers the question: "above c" does only up to the cutoff c.

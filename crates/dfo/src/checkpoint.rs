@@ -1,6 +1,6 @@
 //! Checkpoints: the whole state of a run in a file, so that a resumed run is the uninterrupted one, bit for bit.
 //!
-//! The file is a mark, the version of the format, a checksum, and the state in postcard's encoding. It is written to a
+//! The file is a mark, the format, a checksum, the version of the code that wrote it, and the state in postcard's encoding. It is written to a
 //! temporary file beside it and renamed, so that there is always a whole one. What identifies a run (the fingerprint)
 //! is stored in words; a file of another run is refused by naming the difference, and left as it is.
 //!
@@ -18,8 +18,14 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// First bytes of a checkpoint; the last one is the version of the format.
-const MARK: &[u8; 16] = b"dfo checkpoint\0\x02";
+/// First bytes of a checkpoint; then comes the format, one byte.
+const MARK: &[u8; 15] = b"dfo checkpoint\0";
+
+/// The format that this version reads and writes. It changes with everything that a file holds.
+const FORMAT: u8 = 3;
+
+/// Version of the code, which every file names.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// What to do with a checkpoint that is there already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
@@ -123,8 +129,8 @@ struct Lent<'a> {
 pub(crate) fn fingerprint(
     (method, options, budget): (&str, Vec<(String, String)>, bool),
     setup: &Setup,
-    (cache, trace_limit): (usize, Option<usize>),
-    tags: &[(String, String)],
+    (cache, trace_limit, n_pinned): (usize, Option<usize>, usize),
+    (problem, tags): (Option<&str>, &[(String, String)]),
 ) -> Vec<(String, String)> {
     let Setup { space, tolerances, prior, .. } = setup;
     let named = |name: &str, value: String| (name.to_owned(), value);
@@ -141,7 +147,13 @@ pub(crate) fn fingerprint(
     }
     if !prior.is_empty() {
         let bytes = postcard::to_allocvec(prior).unwrap_or_default();
-        all.push(named("warm start", format!("{} points ({:08x})", prior.len(), crc32fast::hash(&bytes))));
+        all.push(named(
+            "warm start",
+            format!("{} points, {n_pinned} with costs ({:08x})", prior.len(), crc32fast::hash(&bytes)),
+        ));
+    }
+    if let Some(problem) = problem {
+        all.push(named("problem", problem.to_owned()));
     }
     all.extend(tags.iter().map(|(name, value)| (name.clone(), value.clone())));
     all
@@ -168,16 +180,28 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
         }
         Err(e) => return Err(file_failed(path, &e)),
     };
-    let Some(rest) = bytes.strip_prefix(&MARK[..]) else {
-        return Err(failed(path, "this is no checkpoint, or one of another version"));
+    let Some((format, rest)) = bytes.strip_prefix(&MARK[..]).and_then(|rest| rest.split_first()) else {
+        return Err(failed(path, "this is no checkpoint"));
     };
-    let Some((sum, payload)) = rest.split_first_chunk::<4>() else {
+    if *format != FORMAT {
+        let age = if *format < FORMAT { "an earlier" } else { "a later" };
+        return Err(failed(
+            path,
+            format!(
+                "it has format {format} of {age} version, this version reads format {FORMAT}; go on with the version \
+                 that wrote it, or start anew (resume never)"
+            ),
+        ));
+    }
+    let Some((sum, rest)) = rest.split_first_chunk::<4>() else {
         return Err(failed(path, "the file ends after its head"));
     };
-    if u32::from_le_bytes(*sum) != crc32fast::hash(payload) {
+    if u32::from_le_bytes(*sum) != crc32fast::hash(rest) {
         return Err(failed(path, "the file is damaged: its checksum does not fit"));
     }
-    postcard::from_bytes(payload).map(Some).map_err(|e| failed(path, e))
+    let (writer, payload): (&str, _) = postcard::take_from_bytes(rest).map_err(|e| failed(path, e))?;
+    let unreadable = |e| failed(path, format!("version {writer} wrote it, {VERSION} cannot read it: {e}"));
+    postcard::from_bytes(payload).map(Some).map_err(unreadable)
 }
 
 /// Reads the checkpoint that a run is to continue from, if it is to.
@@ -221,24 +245,84 @@ pub(crate) fn read(
 #[derive(Debug)]
 pub(crate) struct Writer {
     options: Checkpoint,
+    /// Where the path leads to.
+    file: PathBuf,
     fingerprint: Vec<(String, String)>,
     next: Instant,
 }
 
-/// A file beside the checkpoint that takes its place once it is whole.
+/// The file itself, where the path is a link to it.
+fn target(path: &Path) -> PathBuf {
+    let mut target = path.to_path_buf();
+    // As many links as the system itself follows.
+    for _ in 0..40 {
+        let Ok(next) = std::fs::read_link(&target) else { break };
+        target = target.parent().unwrap_or(Path::new("")).join(next);
+    }
+    target
+}
+
+/// What the names of temporary files beside a checkpoint begin with; the number of the process follows.
+fn prefix(path: &Path) -> String {
+    let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    format!(".{name}.writing-")
+}
+
+/// A file beside the checkpoint that takes its place once it is whole, with the permissions of the old one; else with
+/// those that new files have.
 fn beside(path: &Path) -> Result<tempfile::NamedTempFile, Error> {
-    let folder = match path.parent() {
+    let prefix = format!("{}{}-", prefix(path), std::process::id());
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(&prefix);
+    let old = std::fs::metadata(path).ok().map(|metadata| metadata.permissions());
+    // Of the permissions asked for the system takes away what the user's umask says.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let file = builder.tempfile_in(folder(path)).map_err(|e| file_failed(path, &e))?;
+    if let Some(old) = old {
+        file.as_file().set_permissions(old).map_err(|e| file_failed(path, &e))?;
+    }
+    Ok(file)
+}
+
+fn folder(path: &Path) -> &Path {
+    match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
-    };
-    tempfile::NamedTempFile::new_in(folder).map_err(|e| file_failed(path, &e))
+    }
+}
+
+/// Removes what processes left behind that were killed while they wrote this checkpoint.
+fn sweep(path: &Path) {
+    let prefix = prefix(path);
+    for entry in std::fs::read_dir(folder(path)).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let rest = name.to_str().and_then(|name| name.strip_prefix(&prefix));
+        let process = rest.and_then(|rest| rest.split_once('-')?.0.parse::<u32>().ok());
+        if process.is_some_and(|process| !is_alive(process, &entry)) {
+            // Somebody else may have been faster.
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
+
+/// Whether a process may still write its temporary file: it is there, or, where that cannot be seen, the file is younger
+/// than a day.
+fn is_alive(process: u32, file: &std::fs::DirEntry) -> bool {
+    if Path::new("/proc/self").exists() {
+        return Path::new("/proc").join(process.to_string()).exists();
+    }
+    let age = file.metadata().and_then(|m| m.modified()).ok().and_then(|time| time.elapsed().ok());
+    age.is_none_or(|age| age < Duration::from_secs(24 * 3600))
 }
 
 impl Writer {
     /// Checks that there is a place to write to, before anything is computed.
     pub(crate) fn new(options: Checkpoint, fingerprint: Vec<(String, String)>) -> Result<Self, Error> {
-        beside(&options.path)?;
-        Ok(Self { next: Instant::now() + options.interval, options, fingerprint })
+        let file = target(&options.path);
+        sweep(&file);
+        beside(&file)?;
+        Ok(Self { file, next: Instant::now() + options.interval, options, fingerprint })
     }
 
     /// Whether it is time for another.
@@ -271,14 +355,15 @@ impl Writer {
             seed: method.seed(),
         };
         let begin = Instant::now();
-        let payload = postcard::to_allocvec(&snapshot).map_err(|e| failed(path, e))?;
-        let mut file = beside(path)?;
+        let payload = postcard::to_allocvec(&(VERSION, snapshot)).map_err(|e| failed(path, e))?;
+        let mut file = beside(&self.file)?;
         file.write_all(MARK)
+            .and_then(|()| file.write_all(&[FORMAT]))
             .and_then(|()| file.write_all(&crc32fast::hash(&payload).to_le_bytes()))
             .and_then(|()| file.write_all(&payload))
             .and_then(|()| file.as_file().sync_all())
             .map_err(|e| file_failed(path, &e))?;
-        file.persist(path).map_err(|e| file_failed(path, &e.error))?;
+        file.persist(&self.file).map_err(|e| file_failed(path, &e.error))?;
         // A long trace takes long to write: never more than a tenth of the time.
         let now = Instant::now();
         self.next = now + self.options.interval.max(9 * (now - begin));

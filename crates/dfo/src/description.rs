@@ -12,6 +12,14 @@ use crate::objective::Outcome;
 use crate::scaling::{Kind, Space, Transform};
 use crate::termination::{Limits, Tolerances};
 
+/// A point with its cost, and the problem that it belongs to.
+#[derive(Debug, Clone)]
+pub(crate) struct Known {
+    pub(crate) x: Vec<f64>,
+    pub(crate) cost: f64,
+    pub(crate) problem: Option<String>,
+}
+
 /// Everything that can be said about a run but who evaluates.
 #[derive(Debug, Default)]
 pub(crate) struct Description<M = NelderMead> {
@@ -24,7 +32,10 @@ pub(crate) struct Description<M = NelderMead> {
     pub(crate) limits: Limits,
     pub(crate) seed: Option<u64>,
     pub(crate) kinds: Vec<Kind>,
-    pub(crate) prior: Vec<(Vec<f64>, f64)>,
+    pub(crate) prior: Vec<Known>,
+    pub(crate) problem: Option<String>,
+    /// No limit is what the user said: the method's defaults do not step in.
+    pub(crate) unlimited: bool,
     pub(crate) cache: Option<usize>,
     pub(crate) trace_limit: Option<usize>,
     pub(crate) checkpoint: Option<Checkpoint>,
@@ -49,7 +60,7 @@ impl<M> Description<M> {
     /// The same run with another method.
     pub(crate) fn with_method<N>(self, method: N) -> Description<N> {
         let Self { x0, bounds, transforms, sizes, tolerances, limits, seed, kinds, prior, .. } = self;
-        let Self { cache, trace_limit, checkpoint, workers, .. } = self;
+        let Self { problem, unlimited, cache, trace_limit, checkpoint, workers, .. } = self;
         Description {
             method,
             x0,
@@ -61,6 +72,8 @@ impl<M> Description<M> {
             seed,
             kinds,
             prior,
+            problem,
+            unlimited,
             cache,
             trace_limit,
             checkpoint,
@@ -90,8 +103,13 @@ impl<M: MethodOptions> Description<M> {
         if workers == 0 {
             return Err(Error::Option { name: "workers", value: 0.0, range: "at least 1" });
         }
-        self.limits.fill(self.method.default_limits(space.n_free()));
-        let (prior, best) = usable(self.prior, &space);
+        if !self.unlimited {
+            self.limits.fill(self.method.default_limits(space.n_free()));
+        }
+        let prior = usable(self.prior, &space);
+        let is_inside = |x: &[f64]| !self.method.starts_inside() || space.is_inside(x);
+        let best = prior.iter().find(|known| is_inside(&known.x)).map(|known| known.x.clone());
+        let start_given = start_given || best.is_some();
         if let Some(best) = best {
             space = space.starting_at(&best);
         }
@@ -101,16 +119,17 @@ impl<M: MethodOptions> Description<M> {
         let capacity = self.cache.unwrap_or(default);
         let setup = Setup {
             tolerances: self.tolerances,
-            workers,
             seed: self.seed,
             max_evaluations: self.limits.max_evaluations,
-            start_given: start_given || !prior.is_empty(),
-            prior,
+            start_given,
+            prior: prior.iter().map(|known| known.x.clone()).collect(),
             ..Setup::new(space)
         };
         let mut cache = Cache::new(capacity);
-        for (x, value) in &setup.prior {
-            cache.pin(x, &Outcome::Value(*value));
+        // A cost of no problem in particular is a cost of none.
+        let belongs = |known: &&Known| self.problem.is_some() && known.problem == self.problem;
+        for Known { x, cost, .. } in prior.iter().filter(belongs) {
+            cache.pin(x, &Outcome::Value(*cost));
         }
         let mut begun = Begun {
             method: self.method.begin(&setup)?,
@@ -122,12 +141,19 @@ impl<M: MethodOptions> Description<M> {
             first_recent: 0,
             before: 0.0,
         };
+        begun.desk.ledger.trace.set_problem(self.problem.clone());
         let Some(options) = self.checkpoint else { return Ok(begun) };
         let words = (begun.method.name(), self.method.describe(), self.method.plans_with_budget());
-        let fingerprint = checkpoint::fingerprint(words, &setup, (capacity, self.trace_limit), &options.tags);
+        let fingerprint = checkpoint::fingerprint(
+            words,
+            &setup,
+            (capacity, self.trace_limit, begun.desk.cache.n_pinned()),
+            (self.problem.as_deref(), &options.tags),
+        );
         if let Some(stored) = checkpoint::read(&options, &fingerprint, setup.seed, n)? {
             begun.method = self.method.restore(&setup, &stored.method)?;
             begun.desk = Desk::new(stored.ledger, stored.cache);
+            begun.desk.ledger.ahead.forget_aborts();
             (begun.desk.replay, begun.desk.stale) = (stored.replay, stored.stale);
             (begun.observed, begun.first_recent) = (stored.observed, stored.first_recent);
             begun.before = stored.seconds;
@@ -137,16 +163,16 @@ impl<M: MethodOptions> Description<M> {
     }
 }
 
-/// The points of earlier runs that lie in this space, best first and each once, and the best of them.
-type Prior = Vec<(Vec<f64>, f64)>;
-fn usable(mut prior: Prior, space: &Space) -> (Prior, Option<Vec<f64>>) {
+/// The points of earlier runs that lie in this space, each once, the best first of its problem.
+fn usable(mut prior: Vec<Known>, space: &Space) -> Vec<Known> {
     let discrete: Vec<usize> =
         (0..space.n_free()).filter(|&k| space.kind(k) != Kind::Continuous).map(|k| space.free()[k]).collect();
-    prior.retain(|(x, _)| space.bounds().contains(x) && discrete.iter().all(|&i| x[i] == x[i].round()));
-    prior.sort_by(|a, b| a.1.total_cmp(&b.1));
-    prior.dedup_by(|a, b| a.0 == b.0);
-    let best = prior.first().map(|(x, _)| x.clone());
-    (prior, best)
+    prior.retain(|known| {
+        space.bounds().contains(&known.x) && discrete.iter().all(|&i| known.x[i] == known.x[i].round())
+    });
+    prior.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    prior.dedup_by(|a, b| a.x == b.x && a.problem == b.problem);
+    prior
 }
 
 /// The middle of a box, where no start was given; `None` if it has none.

@@ -50,7 +50,8 @@ impl<M: Method> Drive<'_, M> {
                 self.save(&[]);
                 return Ok(Some(self.unless_unsaved(termination)));
             }
-            let stopped = if batch.is_empty() { None } else { self.gateway.evaluate(&batch) };
+            let stopped =
+                if batch.is_empty() { None } else { self.gateway.evaluate(&batch, &mut self.method) };
             if stopped.is_some() && self.writer.is_some() {
                 // The state before this batch, and what is known of the batch.
                 let known = self.gateway.known(&batch);
@@ -59,11 +60,6 @@ impl<M: Method> Drive<'_, M> {
             if !batch.is_empty() {
                 self.gateway.close(&batch);
                 self.method.tell(self.gateway.desk.outcomes())?;
-                self.gateway.desk.ledger.settle(self.method.used());
-            } else if self.method.status() == Status::Running {
-                // What comes next was seen ahead; points of the last batch turn out to be used.
-                self.method.tell(&[])?;
-                self.gateway.desk.ledger.settle(self.method.used());
             }
             let broken = self.observe(observer.as_deref_mut());
             self.gateway.desk.ledger.trim(false);
@@ -95,6 +91,7 @@ impl<M: Method> Drive<'_, M> {
         let progress = Progress {
             n_iterations,
             n_evaluations: ledger.n_evaluations,
+            n_speculative: ledger.ahead.n_speculative(),
             n_failed: ledger.n_failed,
             x,
             fun: *fun,

@@ -1,6 +1,6 @@
 //! What can be wrong before or instead of a result: one typed error, with indices and values.
 
-use crate::number::Number;
+use crate::number::{Bytes, Number};
 use crate::scaling::Kind;
 use crate::termination::Termination;
 use crate::trace::Trace;
@@ -248,13 +248,13 @@ pub enum Error {
         /// Outcomes given.
         told: usize,
     },
-    /// The worker threads could not be started.
-    #[error("cannot start {workers} worker threads: {message}")]
-    Pool {
-        /// Threads wanted.
-        workers: usize,
-        /// What the system said.
-        message: String,
+    /// What a method has to keep does not fit into memory.
+    #[error("not enough memory for {what}: {} are needed", Bytes(*.bytes))]
+    Memory {
+        /// What it is.
+        what: &'static str,
+        /// Its size in bytes.
+        bytes: f64,
     },
     /// The objective failed at every starting point.
     #[error("the objective failed at every starting point: {0}")]

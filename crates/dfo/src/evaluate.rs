@@ -1,12 +1,17 @@
 //! The only gateway to the objective: what is known already, exact budgets, execution, entry into the ledger.
 
+use crate::ahead::{Early, GivesUp};
 use crate::cache::Cache;
-use crate::executor::{Executor, Halt, Outside, execute};
+use crate::executor::{Executor, Halt, Order, Outside, execute};
 use crate::ledger::{Ledger, Source};
-use crate::method::Batch;
+use crate::method::{Batch, Method};
 use crate::objective::{Ends, Outcome};
+use crate::pace::Pace;
 use crate::termination::{Limits, Termination};
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::collections::hash_map::{DefaultHasher, Entry};
+use std::hash::Hasher;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
@@ -28,11 +33,16 @@ pub(crate) struct Desk {
     pub(crate) cache: Cache,
     pub(crate) replay: Vec<Replay>,
     pub(crate) stale: usize,
-    /// What must be evaluated.
+    /// What is to be evaluated: first what the path needs, then what it may need next.
     pub(crate) work: Batch,
+    n_needed: usize,
+    gives_up: GivesUp,
+    guesses: Batch,
     sources: Vec<Source>,
     outcomes: Vec<Outcome>,
     seconds: Vec<f64>,
+    /// Places of the points of a batch, by their hash.
+    places: HashMap<u64, usize>,
     truncated: bool,
 }
 
@@ -44,23 +54,27 @@ impl Desk {
             replay: Vec::new(),
             stale: 0,
             work: Batch::new(),
+            n_needed: 0,
+            gives_up: GivesUp::Unknown,
+            guesses: Batch::new(),
             sources: Vec::new(),
             outcomes: Vec::new(),
             seconds: Vec::new(),
+            places: HashMap::new(),
             truncated: false,
         }
     }
 
     /// Takes a batch in. What the budget leaves of it and is not known stands in `work` then.
     pub(crate) fn open(&mut self, batch: &Batch, limits: &Limits) {
-        let spent = self.ledger.n_evaluations;
-        let mut left = limits.max_evaluations.map_or(usize::MAX, |m| m.saturating_sub(spent));
+        let mut left = self.left(limits);
         self.work.start(batch.n(), batch.index(), 0);
         self.sources.clear();
         self.outcomes.clear();
         self.outcomes.resize(batch.len(), Outcome::Skipped);
         self.seconds.clear();
         self.seconds.resize(batch.len(), 0.0);
+        self.places.clear();
         self.truncated = false;
         for k in 0..batch.len() {
             let (x, cutoff) = (batch.point(k), batch.cutoff(k));
@@ -72,30 +86,98 @@ impl Desk {
             } else if left == 0 {
                 self.truncated = true;
                 Source::Forbidden
-            } else if let Some(replay) = self.replay.iter().find(|r| r.id == batch.id(k)) {
-                left -= 1;
-                self.outcomes[k].clone_from(&replay.outcome);
-                self.seconds[k] = replay.seconds;
-                Source::Replayed
             } else {
                 left -= 1;
-                self.work.push_with_id(x, cutoff, batch.id(k));
-                Source::Run
+                match self.evaluated_before(batch, k) {
+                    Some((outcome, seconds)) => {
+                        (self.outcomes[k], self.seconds[k]) = (outcome, seconds);
+                        Source::Replayed
+                    }
+                    None => {
+                        self.work.push_with_id(x, cutoff, batch.id(k));
+                        Source::Run
+                    }
+                }
             };
             self.sources.push(source);
+        }
+        self.n_needed = self.work.len();
+    }
+
+    /// Evaluations that the budget leaves.
+    fn left(&self, limits: &Limits) -> usize {
+        let spent = self.ledger.n_evaluations;
+        limits.max_evaluations.map_or(usize::MAX, |m| m.saturating_sub(spent))
+    }
+
+    /// The outcome of a point that was evaluated before the run was resumed, or ahead of need.
+    fn evaluated_before(&mut self, batch: &Batch, k: usize) -> Option<(Outcome, f64)> {
+        let id = batch.id(k);
+        if let Ok(place) = self.replay.binary_search_by_key(&id, |replay| replay.id) {
+            let Replay { outcome, seconds, .. } = &self.replay[place];
+            return Some((outcome.clone(), *seconds));
+        }
+        match self.ledger.ahead.take(batch.point(k), batch.cutoff(k), self.gives_up)? {
+            Ok(known) => Some(known),
+            Err(useless) => {
+                self.ledger.trace.push_speculative(useless);
+                None
+            }
         }
     }
 
     /// An earlier place of the batch whose outcome answers for place `k` too.
-    fn twin(&self, batch: &Batch, k: usize) -> Option<usize> {
+    fn twin(&mut self, batch: &Batch, k: usize) -> Option<usize> {
         if self.cache.is_off() {
             return None;
         }
-        let same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
-        (0..k).find(|&j| {
-            matches!(self.sources[j], Source::Run | Source::Replayed)
-                && batch.cutoff(j) >= batch.cutoff(k)
-                && same(batch.point(j), batch.point(k))
+        let mut hasher = DefaultHasher::new();
+        batch.point(k).iter().for_each(|v| hasher.write_u64(v.to_bits()));
+        let place = match self.places.entry(hasher.finish()) {
+            Entry::Occupied(place) => place,
+            Entry::Vacant(free) => {
+                free.insert(k);
+                return None;
+            }
+        };
+        let j = *place.get();
+        let same = batch.point(j).iter().zip(batch.point(k)).all(|(a, b)| a.to_bits() == b.to_bits());
+        let answers = matches!(self.sources[j], Source::Run | Source::Replayed);
+        if same && answers && batch.cutoff(j) >= batch.cutoff(k) {
+            return Some(j);
+        }
+        // This one answers for more.
+        *place.into_mut() = k;
+        None
+    }
+
+    /// Adds up to `wanted` points to `work` that the path may need next. No more than the budget lets it come to.
+    pub(crate) fn look_ahead<M: Method + ?Sized>(&mut self, method: &mut M, wanted: usize, limits: &Limits) {
+        let wanted = wanted.min(self.left(limits).saturating_sub(self.n_needed));
+        if wanted == 0 || self.n_needed == 0 {
+            return;
+        }
+        let Self { ledger, cache, guesses, work, .. } = self;
+        guesses.start(work.n(), work.index(), ledger.ahead.next_id());
+        let known = |x: &[f64]| ledger.ahead.contains(x) || cache.contains(x);
+        method.speculate(wanted, &known, guesses);
+        work.append(guesses);
+    }
+
+    /// How many points of `work` the path needs.
+    pub(crate) fn n_needed(&self) -> usize {
+        self.n_needed
+    }
+
+    /// The first place of the batch at which the objective asked to end the run, and its message. `outcomes`: of `work`.
+    pub(crate) fn abort<'a>(&'a self, outcomes: &'a [Outcome]) -> Option<(usize, &'a str)> {
+        let mut new = outcomes.iter();
+        self.sources.iter().enumerate().find_map(|(k, source)| {
+            let outcome = if *source == Source::Run { new.next() } else { self.outcomes.get(k) };
+            match outcome {
+                Some(Outcome::Abort(message)) => Some((k, message.as_str())),
+                _ => None,
+            }
         })
     }
 
@@ -122,13 +204,20 @@ impl Desk {
     /// Takes the outcomes of `work`, in order, and enters everything into the ledger.
     pub(crate) fn close(&mut self, batch: &Batch, outcomes: &[Outcome], seconds: &[f64]) {
         let mut at = 0;
+        // One point at a time nothing would have been evaluated after it.
+        let last = self.abort(&outcomes[..self.n_needed]).map_or(usize::MAX, |(k, _)| k);
         for k in 0..batch.len() {
             match self.sources[k] {
                 Source::Run => {
-                    self.outcomes[k].clone_from(&outcomes[at]);
-                    self.seconds[k] = seconds[at];
+                    if k <= last {
+                        self.outcomes[k].clone_from(&outcomes[at]);
+                        self.seconds[k] = seconds[at];
+                    } else {
+                        self.keep_ahead(at, &outcomes[at], seconds[at]);
+                    }
                     at += 1;
                 }
+                _ if k > last => self.outcomes[k] = Outcome::Skipped,
                 Source::Copy(twin) => self.outcomes[k] = self.outcomes[twin].clone(),
                 Source::Replayed | Source::Cached | Source::Forbidden => {}
             }
@@ -136,11 +225,29 @@ impl Desk {
                 self.cache.insert(batch.point(k), &self.outcomes[k]);
             }
         }
+        for k in self.n_needed..self.work.len() {
+            self.keep_ahead(k, &outcomes[k], seconds[k]);
+        }
         self.replay.clear();
         let new =
             self.sources.iter().any(|s| matches!(s, Source::Run | Source::Replayed | Source::Forbidden));
         self.stale = if new { 0 } else { self.stale + 1 };
         self.ledger.record(batch, &self.outcomes, &self.seconds, &self.sources);
+    }
+
+    /// Keeps the outcome of point `k` of `work` for a path that may come to it.
+    fn keep_ahead(&mut self, k: usize, outcome: &Outcome, seconds: f64) {
+        if matches!(outcome, Outcome::Skipped) {
+            return;
+        }
+        self.ledger.keep_ahead(Early {
+            id: self.work.id(k),
+            batch: self.work.index(),
+            x: self.work.point(k).to_vec(),
+            cutoff: self.work.cutoff(k),
+            outcome: outcome.clone(),
+            seconds,
+        });
     }
 
     /// Outcomes of the last batch; what was not evaluated is [`Outcome::Skipped`].
@@ -165,6 +272,7 @@ pub(crate) struct Gateway<'a> {
     executor: Executor<'a>,
     outside: Outside<'a>,
     limits: Limits,
+    pace: Pace,
     start: Instant,
     /// Seconds of the run before it was resumed.
     before: f64,
@@ -176,18 +284,21 @@ pub(crate) struct Gateway<'a> {
 impl<'a> Gateway<'a> {
     pub(crate) fn new(
         executor: Executor<'a>,
-        desk: Desk,
+        mut desk: Desk,
         limits: Limits,
         before: f64,
-        cancel: &'a AtomicBool,
-        poll: Option<&'a mut dyn FnMut() -> bool>,
+        outside: (&'a AtomicBool, Option<&'a mut dyn FnMut() -> bool>),
+        workers: usize,
     ) -> Self {
         let start = Instant::now();
         let left = limits
             .max_time
             .map(|t| t.saturating_sub(Duration::try_from_secs_f64(before).unwrap_or(Duration::MAX)));
         let deadline = left.and_then(|t| start.checked_add(t));
+        desk.gives_up = executor.gives_up();
+        let (cancel, poll) = outside;
         Self {
+            pace: Pace::new(workers, executor.handing_over()),
             executor,
             outside: Outside { ends: Ends::new(cancel, deadline), poll, last_poll: None },
             limits,
@@ -215,10 +326,21 @@ impl<'a> Gateway<'a> {
         self.outside.ends.is_late().then_some(Termination::MaxTime)
     }
 
-    /// Evaluates what the budget allows of a batch, in request order. Returns why the run must end, if it must;
-    /// then the batch may be incomplete. Nothing is entered into the ledger before [`close`](Self::close).
-    pub(crate) fn evaluate(&mut self, batch: &Batch) -> Option<Termination> {
+    /// Evaluates what the budget allows of a batch that `method` asked for, in request order, and what it may need next
+    /// where that is faster. Returns why the run must end, if it must; then the batch may be incomplete. Nothing is
+    /// entered into the ledger before [`close`](Self::close).
+    pub(crate) fn evaluate<M: Method + ?Sized>(
+        &mut self,
+        batch: &Batch,
+        method: &mut M,
+    ) -> Option<Termination> {
         self.desk.open(batch, &self.limits);
+        let begun = Instant::now();
+        let needed = self.desk.n_needed();
+        let width = self.pace.width(method.lookahead(), self.desk.ledger.n_evaluations);
+        if needed > 0 && width > needed {
+            self.desk.look_ahead(method, width - needed, &self.limits);
+        }
         let work = &self.desk.work;
         self.outcomes.clear();
         self.outcomes.resize(work.len(), Outcome::Skipped);
@@ -228,24 +350,27 @@ impl<'a> Gateway<'a> {
         let halt = if work.is_empty() {
             self.outside.check()
         } else {
-            execute(&mut self.executor, work, work.len(), &mut self.outside, outcomes, seconds)
+            let order = Order { work, needed, pace: &self.pace };
+            execute(&mut self.executor, &order, &mut self.outside, outcomes, seconds)
         };
+        if needed > 0 {
+            self.pace.measured(needed, begun.elapsed().as_secs_f64(), &self.seconds);
+        }
         self.verdict(halt)
     }
 
+    /// Why the run must end after what the path needs was evaluated.
     fn verdict(&self, halt: Option<Halt>) -> Option<Termination> {
-        if let Some(message) = self.outcomes.iter().find_map(|o| match o {
-            Outcome::Abort(message) => Some(message),
-            _ => None,
-        }) {
-            return Some(Termination::Aborted(message.clone()));
+        let needed = &self.outcomes[..self.desk.n_needed()];
+        if let Some((_, message)) = self.desk.abort(needed) {
+            return Some(Termination::Aborted(message.to_owned()));
         }
         match halt {
             Some(Halt::Interrupted) => return Some(Termination::Interrupted),
             Some(Halt::OutOfTime) => return Some(Termination::MaxTime),
             None => {}
         }
-        if self.outcomes.iter().any(|o| !o.is_known()) {
+        if needed.iter().any(|o| !o.is_known()) {
             // An evaluation gave up although nothing above noticed: the deadline passed inside of it, or the
             // objective was told to stop by somebody else.
             let is_late = self.outside.ends.is_late();

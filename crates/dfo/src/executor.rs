@@ -1,12 +1,17 @@
 //! Who computes: the calling thread, a pool of our own threads, or a function of the user's that takes whole batches.
 
+use crate::ahead::GivesUp;
 use crate::error::Error;
 use crate::method::Batch;
 use crate::objective::{Ends, Evaluation, Failure, FailureKind, Objective, Outcome};
+use crate::pace::{HandingOver, Pace};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::any::Any;
+use std::cell::Cell;
 use std::fmt;
+use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
@@ -18,31 +23,44 @@ const STACK_SIZE: usize = 16 << 20;
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Threads that evaluate objectives; never rayon's global pool. Can be shared by runs, also at once.
+///
+/// They are started when there is work for them that is worth it.
 pub struct WorkerPool {
-    pool: ThreadPool,
+    workers: usize,
+    pool: OnceLock<Option<ThreadPool>>,
 }
 
 impl WorkerPool {
-    /// Starts `workers` threads with stacks of 16 MiB.
+    /// A pool of `workers` threads with stacks of 16 MiB.
     ///
     /// # Errors
-    /// No workers asked for, or the system refused.
+    /// No workers asked for.
     pub fn new(workers: usize) -> Result<Self, Error> {
         if workers == 0 {
             return Err(Error::Option { name: "workers", value: 0.0, range: "at least 1" });
         }
-        ThreadPoolBuilder::new()
-            .num_threads(workers)
-            .stack_size(STACK_SIZE)
-            .thread_name(|k| format!("dfo-worker-{k}"))
-            .build()
-            .map(|pool| Self { pool })
-            .map_err(|e| Error::Pool { workers, message: e.to_string() })
+        Ok(Self { workers, pool: OnceLock::new() })
     }
 
     /// Number of threads.
     pub fn workers(&self) -> usize {
-        self.pool.current_num_threads()
+        self.workers
+    }
+
+    /// The threads; `None` if the system refuses to start them: then the calling thread evaluates.
+    fn threads(&self) -> Option<&ThreadPool> {
+        let start = || {
+            ThreadPoolBuilder::new()
+                .num_threads(self.workers)
+                .stack_size(STACK_SIZE)
+                .thread_name(|k| format!("dfo-worker-{k}"))
+                .build()
+                .inspect_err(|e| {
+                    log::warn!("cannot start {} worker threads, one point at a time: {e}", self.workers)
+                })
+                .ok()
+        };
+        self.pool.get_or_init(start).as_ref()
     }
 }
 
@@ -52,23 +70,25 @@ impl fmt::Debug for WorkerPool {
     }
 }
 
-/// The part of a batch that a user's function is to evaluate: what the budget leaves of it.
+/// The points that a user's function is to evaluate.
 #[derive(Debug, Clone, Copy)]
 pub struct BatchView<'a> {
     batch: &'a Batch,
-    len: usize,
+    first: usize,
     ends: Ends<'a>,
+    /// What the function says about the time that each took.
+    seconds: &'a [Cell<f64>],
 }
 
 impl<'a> BatchView<'a> {
     /// Number of points.
     pub fn len(&self) -> usize {
-        self.len
+        self.seconds.len()
     }
 
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.len == 0
+        self.seconds.is_empty()
     }
 
     /// Number of parameters.
@@ -78,27 +98,72 @@ impl<'a> BatchView<'a> {
 
     /// Point `k` in the user's units.
     pub fn point(&self, k: usize) -> &'a [f64] {
-        self.batch.point(k)
+        self.batch.point(self.first + k)
     }
 
     /// All points, row by row.
     pub fn as_flat(&self) -> &'a [f64] {
-        &self.batch.as_flat()[..self.len * self.batch.n()]
+        let n = self.batch.n();
+        &self.batch.as_flat()[self.first * n..(self.first + self.len()) * n]
     }
 
     /// Cutoff, ids and cancel flag of point `k`.
     pub fn evaluation(&self, k: usize) -> Evaluation<'a> {
-        self.batch.evaluation(k).ended_by(self.ends)
+        self.batch.evaluation(self.first + k).ended_by(self.ends)
+    }
+
+    /// Says how many seconds point `k` took, for the trace; else it is an equal share of the time of the call.
+    pub fn set_seconds(&self, k: usize, seconds: f64) {
+        self.seconds[k].set(seconds);
     }
 }
 
 /// A function that evaluates whole batches on the calling thread: one outcome per point, in order.
 pub(crate) type BatchFunction<'a> = dyn FnMut(&BatchView<'_>) -> Vec<Outcome> + 'a;
 
+/// When the calling thread evaluates rather than a pool.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Here {
+    Never,
+    /// When evaluations are known to be short.
+    WhenShort,
+    /// When they are too short to be handed over; and the first one, which shows how long they are.
+    AtFirst,
+}
+
 pub(crate) enum Executor<'a> {
     Serial(&'a dyn Objective),
-    Pool(&'a WorkerPool, &'a dyn Objective),
+    Pool { pool: &'a WorkerPool, objective: &'a dyn Objective, here: Here },
     Foreign(&'a mut BatchFunction<'a>),
+}
+
+impl Executor<'_> {
+    pub(crate) fn gives_up(&self) -> GivesUp {
+        match self {
+            Self::Serial(objective) | Self::Pool { objective, .. } => match objective.uses_cutoff() {
+                true => GivesUp::Yes,
+                false => GivesUp::No,
+            },
+            Self::Foreign(_) => GivesUp::Unknown,
+        }
+    }
+
+    pub(crate) fn handing_over(&self) -> HandingOver {
+        match self {
+            Self::Serial(_) => HandingOver::Never,
+            Self::Pool { .. } => HandingOver::Threads,
+            Self::Foreign(_) => HandingOver::Batches,
+        }
+    }
+}
+
+/// What is to be evaluated.
+#[derive(Clone, Copy)]
+pub(crate) struct Order<'a> {
+    pub(crate) work: &'a Batch,
+    /// Of its points the first so many are what the path needs: an exception in one of them ends the run.
+    pub(crate) needed: usize,
+    pub(crate) pace: &'a Pace,
 }
 
 /// What the outside may want while a batch is computed.
@@ -145,11 +210,10 @@ impl Outside<'_> {
     }
 }
 
-/// Evaluates the first `len` points. Fills `outcomes` (all [`Outcome::Skipped`] on entry) and `seconds`.
+/// Evaluates points. Fills `outcomes` (all [`Outcome::Skipped`] on entry) and `seconds`.
 pub(crate) fn execute(
     executor: &mut Executor<'_>,
-    batch: &Batch,
-    len: usize,
+    order: &Order<'_>,
     outside: &mut Outside<'_>,
     outcomes: &mut [Outcome],
     seconds: &mut [f64],
@@ -157,29 +221,46 @@ pub(crate) fn execute(
     if let Some(halt) = outside.check() {
         return Some(halt);
     }
+    let all = 0..order.work.len();
     match executor {
-        Executor::Serial(objective) => serial(*objective, batch, len, outside, outcomes, seconds),
-        Executor::Pool(pool, objective) => pooled(pool, *objective, batch, len, outside, outcomes, seconds),
-        Executor::Foreign(function) => foreign(function, batch, len, outside, outcomes, seconds),
+        Executor::Serial(objective) => serial(*objective, order, all, outside, outcomes, seconds),
+        Executor::Pool { pool, objective, here } => {
+            let (objective, here) = (*objective, *here);
+            let mut rest = all;
+            if here == Here::AtFirst && order.pace.is_new() {
+                // How long an evaluation takes shows whether threads are worth starting.
+                let halt = serial(objective, order, 0..1, outside, outcomes, seconds);
+                if halt.is_some() || matches!(outcomes[0], Outcome::Abort(_)) {
+                    return halt;
+                }
+                rest = 1..order.work.len();
+            }
+            let known = (rest.start > 0).then_some(seconds[0]);
+            if rest.is_empty() || !order.pace.hands_over(rest.len(), here, known) {
+                return serial(objective, order, rest, outside, outcomes, seconds);
+            }
+            pooled(pool, objective, order, rest, outside, outcomes, seconds)
+        }
+        Executor::Foreign(function) => foreign(*function, order, outside, outcomes, seconds),
     }
 }
 
 fn serial(
     objective: &dyn Objective,
-    batch: &Batch,
-    len: usize,
+    order: &Order<'_>,
+    points: Range<usize>,
     outside: &mut Outside<'_>,
     outcomes: &mut [Outcome],
     seconds: &mut [f64],
 ) -> Option<Halt> {
-    for k in 0..len {
+    for k in points {
         if k > 0
             && let Some(halt) = outside.check()
         {
             return Some(halt);
         }
-        (outcomes[k], seconds[k]) = call(objective, batch, k, outside.ends);
-        if matches!(outcomes[k], Outcome::Abort(_)) {
+        (outcomes[k], seconds[k]) = call(objective, order.work, k, outside.ends);
+        if k < order.needed && matches!(outcomes[k], Outcome::Abort(_)) {
             return None;
         }
     }
@@ -204,35 +285,38 @@ impl Drop for StopOnUnwind<'_> {
 fn pooled(
     pool: &WorkerPool,
     objective: &dyn Objective,
-    batch: &Batch,
-    len: usize,
+    order: &Order<'_>,
+    points: Range<usize>,
     outside: &mut Outside<'_>,
     outcomes: &mut [Outcome],
     seconds: &mut [f64],
 ) -> Option<Halt> {
-    if pool.pool.current_thread_index().is_some() {
-        // An objective that itself minimises on the pool it runs on: waiting for its own threads would be for ever.
-        return serial(objective, batch, len, outside, outcomes, seconds);
-    }
-    let (next, stop, over) = (AtomicUsize::new(0), AtomicBool::new(false), AtomicBool::new(false));
+    // An objective that itself minimises on the pool it runs on: waiting for its own threads would be for ever.
+    let elsewhere = |threads: &&ThreadPool| threads.current_thread_index().is_none();
+    let Some(threads) = pool.threads().filter(elsewhere) else {
+        return serial(objective, order, points, outside, outcomes, seconds);
+    };
+    let Order { work: batch, needed, .. } = *order;
+    let (next, end) = (AtomicUsize::new(points.start), points.end);
+    let (stop, over) = (AtomicBool::new(false), AtomicBool::new(false));
     let (next, stop, over) = (&next, &stop, &over);
     let deadline = outside.ends.deadline;
     let ends = outside.ends.with_flag_of_batch(over);
     let (sender, receiver) = channel();
     let mut halt = None;
-    pool.pool.in_place_scope(|scope| {
+    threads.in_place_scope(|scope| {
         // Each worker takes the next point in request order: when point k has started, all before it have too, so
         // an abort at k never loses a point that a serial run would have had.
-        for _ in 0..pool.workers().min(len) {
+        for _ in 0..pool.workers().min(points.len()) {
             let sender = sender.clone();
             scope.spawn(move |_| {
                 while !stop.load(Ordering::Acquire) {
                     let k = next.fetch_add(1, Ordering::Relaxed);
-                    if k >= len {
+                    if k >= end {
                         break;
                     }
                     let (outcome, seconds) = call(objective, batch, k, ends);
-                    if matches!(outcome, Outcome::Abort(_)) {
+                    if k < needed && matches!(outcome, Outcome::Abort(_)) {
                         stop.store(true, Ordering::Release);
                     }
                     if sender.send((k, outcome, seconds)).is_err() {
@@ -268,34 +352,65 @@ fn pooled(
 
 fn foreign(
     function: &mut BatchFunction<'_>,
-    batch: &Batch,
-    len: usize,
+    order: &Order<'_>,
     outside: &mut Outside<'_>,
     outcomes: &mut [Outcome],
     seconds: &mut [f64],
 ) -> Option<Halt> {
-    let view = BatchView { batch, len, ends: outside.ends };
+    let len = order.work.len();
+    if let Some(why) = in_one_call(function, order.work, 0..len, outside, outcomes, seconds) {
+        outcomes.fill(Outcome::Failed(why));
+        // One point that panics is no reason for the others to fail.
+        for k in (0..len).filter(|_| len > 1) {
+            if let Some(halt) = outside.check() {
+                outcomes[k..].fill(Outcome::Skipped);
+                return Some(halt);
+            }
+            if let Some(why) = in_one_call(function, order.work, k..k + 1, outside, outcomes, seconds) {
+                outcomes[k] = Outcome::Failed(why);
+            }
+        }
+    }
+    outside.check()
+}
+
+/// One call of a function for whole batches. Fills outcomes and seconds of the points, unless it panics.
+fn in_one_call(
+    function: &mut BatchFunction<'_>,
+    batch: &Batch,
+    points: Range<usize>,
+    outside: &Outside<'_>,
+    outcomes: &mut [Outcome],
+    seconds: &mut [f64],
+) -> Option<Failure> {
+    let len = points.len();
+    let own = vec![Cell::new(f64::NAN); len];
+    let view = BatchView { batch, first: points.start, ends: outside.ends, seconds: &own };
     let start = Instant::now();
     let answer = catch_unwind(AssertUnwindSafe(|| function(&view)));
-    let each = start.elapsed().as_secs_f64() / len as f64;
+    let share = start.elapsed().as_secs_f64() / len as f64;
+    let (outcomes, seconds) = (&mut outcomes[points.clone()], &mut seconds[points.clone()]);
+    for (seconds, own) in seconds.iter_mut().zip(&own) {
+        *seconds = if own.get().is_nan() { share } else { own.get() };
+    }
     match answer {
         Ok(answer) if answer.len() == len => {
-            for (k, outcome) in answer.into_iter().enumerate() {
+            for ((k, outcome), answer) in points.zip(outcomes).zip(answer) {
                 // A function that was interrupted says so by leaving points out.
-                outcomes[k] = match outcome {
+                *outcome = match answer {
                     Outcome::Skipped => Outcome::Skipped,
                     other => other.checked(batch.cutoff(k)),
                 };
             }
+            None
         }
         Ok(answer) => {
             let got = answer.len();
             outcomes[0] = Outcome::Abort(format!("{got} outcomes were returned for a batch of {len} points"));
+            None
         }
-        Err(payload) => outcomes[..len].fill(Outcome::Failed(panicked(payload.as_ref()))),
+        Err(payload) => Some(panicked(payload.as_ref())),
     }
-    seconds[..len].fill(each);
-    outside.check()
 }
 
 /// One call of the objective: panics caught, the outcome made regular, the time taken.
@@ -304,6 +419,10 @@ fn call(objective: &dyn Objective, batch: &Batch, k: usize, ends: Ends<'_>) -> (
     let start = Instant::now();
     // Unwind safety: the objective is only lent, and one that breaks itself by panicking can only fail again.
     let outcome = match catch_unwind(AssertUnwindSafe(|| objective.evaluate(batch.point(k), &evaluation))) {
+        // What is known above the cutoff depends on the cutoff, which may be another where points are evaluated ahead.
+        Ok(Outcome::Value(v)) if v > evaluation.cutoff && v.is_finite() && objective.uses_cutoff() => {
+            Outcome::Above(evaluation.cutoff)
+        }
         Ok(outcome) => outcome.checked(evaluation.cutoff),
         Err(payload) => Outcome::Failed(panicked(payload.as_ref())),
     };

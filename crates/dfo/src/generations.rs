@@ -3,12 +3,13 @@
 
 use crate::cost::Cost;
 use crate::error::Error;
+use crate::memory;
 use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status, restored, saved};
 use crate::objective::Outcome;
 use crate::population::Population;
 use crate::rounds::Rounds;
 use crate::sampling::Sampling;
-use crate::termination::{Termination, Tests};
+use crate::termination::{Extent, Termination, Tests};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +32,11 @@ pub trait Breeder: Serialize + DeserializeOwned {
 
     /// Why the run is over after a generation whose tests did not pass, if it is. `best`: the smallest cost so far.
     fn ended(&mut self, pool: &Pool, best: f64) -> Option<Termination>;
+
+    /// How much of the population the tolerance tests measure.
+    fn extent(&self) -> Extent {
+        Extent::Population
+    }
 
     /// Whether this fits to a problem and to its pool: what comes from a file may not.
     fn is_sound(&self, pool: &Pool) -> bool;
@@ -106,7 +112,7 @@ impl<B: Breeder> Generations<B> {
         let Pool { population, setup, .. } = &mut self.pool;
         population.rank();
         self.n_iterations += 1;
-        let tests = population.judge(&setup.space, &setup.tolerances, self.f_0);
+        let tests = population.judge(self.breeder.extent(), &setup.space, &setup.tolerances, self.f_0);
         self.tests = Some(tests);
         let best = self.rounds.best().map_or(f64::INFINITY, |(_, f)| f);
         let ended = self.breeder.ended(&self.pool, best);
@@ -146,10 +152,6 @@ impl<B: Breeder> Method for Generations<B> {
             self.end_generation();
         }
         Ok(())
-    }
-
-    fn used(&self) -> &[bool] {
-        self.rounds.used()
     }
 
     fn status(&self) -> Status {
@@ -208,6 +210,9 @@ impl Pool {
     ) -> Result<(Self, usize), Error> {
         let space = &setup.space;
         let n = space.n_free();
+        // Both on two scales, the sampled points, and the points of a batch.
+        let rows = 3 * members + 2 * candidates;
+        memory::check("a population of so many members and parameters", &[rows, space.n() + n])?;
         let mut population = Population::new(space, members);
         let mut points = Vec::new();
         sampling.fill(space, seed, members, &mut points)?;

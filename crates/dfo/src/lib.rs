@@ -22,12 +22,13 @@
 //! What holds for every method:
 //!
 //! - **The same bits for any number of workers.** Outcomes are taken in request order, random numbers come from one
-//!   stream per generation and individual. What is asked ahead of need is an option of the method ([`BatchPlan`]) and
-//!   changes no decision (one plan takes another path, is never chosen by itself, and says so).
+//!   stream per generation and individual. How many points are evaluated ahead of need is an option of the method
+//!   ([`BatchPlan`]) and changes neither path nor counts (one plan takes another path, is never chosen by itself, and says
+//!   so): what was evaluated ahead means nothing before the path comes to it.
 //! - **A run can go on**: after a kill, an interrupt or with a larger budget, from a [`Checkpoint`], bit for bit.
 //! - **A failure is a state, not a number.** NaN, infinities, errors and panics rank behind every finite cost, are
 //!   counted with their reasons, and enter no mean.
-//! - **Budgets are exact**, also inside of a batch, and the best point seen is in the [`Report`] however a run ends.
+//! - **Budgets are exact**: they count the evaluations of the path, also inside of a batch. The best point seen is in the [`Report`] however a run ends.
 //! - **Cutoffs** tell an objective above which cost its value no longer matters; using them or not changes no
 //!   decision.
 //! - **A method never calls the objective**: it is a state machine that is asked and told ([`Method`]), so that a run
@@ -36,6 +37,7 @@
 //!   positive parameters can be searched by their logarithm ([`Transform`]).
 #![forbid(unsafe_code)]
 
+mod ahead;
 mod any_method;
 mod barrier;
 mod bounds;
@@ -51,6 +53,7 @@ mod executor;
 mod generations;
 mod genetic;
 mod ledger;
+mod memory;
 mod method;
 mod minimize;
 mod nelder_mead;
@@ -58,6 +61,7 @@ mod number;
 mod objective;
 mod observe;
 mod optimizer;
+mod pace;
 mod population;
 mod report;
 mod rng;
@@ -78,7 +82,7 @@ pub use differential_evolution::{
 pub use error::{Error, NothingFound};
 pub use executor::{BatchView, WorkerPool};
 pub use genetic::{Genetic, GeneticState, Selection};
-pub use method::{Batch, Method, MethodOptions, Operation, Setup, Simplex, SimplexView, Status};
+pub use method::{Batch, Lookahead, Method, MethodOptions, Operation, Setup, Simplex, SimplexView, Status};
 pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
 pub use objective::{

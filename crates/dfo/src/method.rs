@@ -57,6 +57,18 @@ impl Batch {
         self.ids.iter_mut().for_each(|id| *id += first_id);
     }
 
+    /// For a method that wraps another: takes the points of `other`, as they are.
+    pub(crate) fn append(&mut self, other: &Self) {
+        self.points.extend_from_slice(&other.points);
+        self.cutoffs.extend_from_slice(&other.cutoffs);
+        self.ids.extend_from_slice(&other.ids);
+    }
+
+    /// The place of a point by its number; numbers ascend.
+    pub(crate) fn place_of(&self, id: u64) -> Option<usize> {
+        self.ids.binary_search(&id).ok()
+    }
+
     /// For a method that wraps another: another cutoff for a point.
     pub(crate) fn set_cutoff(&mut self, k: usize, cutoff: f64) {
         self.cutoffs[k] = cutoff;
@@ -111,6 +123,21 @@ impl Batch {
     pub fn evaluation(&self, k: usize) -> Evaluation<'static> {
         Evaluation::new(self.id(k), self.index, self.cutoffs[k])
     }
+}
+
+/// How many points a run evaluates at once where the path of its method needs fewer; the others are those of
+/// [`Method::speculate`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Lookahead {
+    /// What the path needs, no more.
+    None,
+    /// Up to so many, whatever they cost.
+    Points(usize),
+    /// As many as there are workers, whatever they cost.
+    Workers,
+    /// At most as many as there are workers: so many that the path advances fastest, as measured while the run goes on.
+    Measured,
 }
 
 /// What one iteration of a method did.
@@ -172,25 +199,22 @@ pub struct Setup {
     pub space: Space,
     /// When to stop.
     pub tolerances: Tolerances,
-    /// How many evaluations can run at once. May decide between plans with the same path, never change the path.
-    pub workers: usize,
     /// Seed of what is random; `None`: a method that needs one draws it and says it ([`Method::seed`]).
     pub seed: Option<u64>,
     /// The budget, for methods that plan ahead with it.
     pub max_evaluations: Option<usize>,
     /// Whether the start point of the space is the user's; else it is only the middle of the box.
     pub start_given: bool,
-    /// Points with known costs from an earlier run, best first; all lie in the box.
-    pub prior: Vec<(Vec<f64>, f64)>,
+    /// Points of an earlier run, best first; all lie in the box.
+    pub prior: Vec<Vec<f64>>,
 }
 
 impl Setup {
-    /// Default tolerances, one worker.
+    /// Default tolerances.
     pub fn new(space: Space) -> Self {
         Self {
             space,
             tolerances: Tolerances::default(),
-            workers: 1,
             seed: None,
             max_evaluations: None,
             start_given: true,
@@ -224,6 +248,11 @@ pub trait MethodOptions {
         true
     }
 
+    /// Whether a start must lie strictly inside of the bounds.
+    fn starts_inside(&self) -> bool {
+        false
+    }
+
     /// The options and their values in words, so that a checkpoint of other options is recognised, and the one that
     /// differs can be named.
     fn describe(&self) -> Vec<(String, String)> {
@@ -236,8 +265,8 @@ pub trait MethodOptions {
     }
 
     /// Limits for users who set none: evaluations and iterations for `n` free parameters.
-    fn default_limits(&self, n: usize) -> (usize, usize) {
-        (5000usize.saturating_mul(n + 1), 1000usize.saturating_mul(n + 1))
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
+        (Some(5000usize.saturating_mul(n + 1)), Some(1000usize.saturating_mul(n + 1)))
     }
 
     /// How many evaluations to remember by default, so that exact repeats cost nothing; 0 for methods that repeat
@@ -254,12 +283,21 @@ pub trait Method {
     /// Name, as users write it.
     fn name(&self) -> &'static str;
 
-    /// Fills `batch` with the points to evaluate next; leaves it empty when the method has ended. Asking twice
+    /// Fills `batch` with the points that the path needs next; leaves it empty when the method has ended. Asking twice
     /// without telling gives the same batch.
-    ///
-    /// A method that looks ahead ([`BatchPlan::TwoAhead`](crate::BatchPlan::TwoAhead)) may leave the batch empty while
-    /// it is still running: then everything it needs next is known already, and it is told nothing (`&[]`).
     fn ask(&mut self, batch: &mut Batch);
+
+    /// Adds up to `wanted` points that the path may need after those just asked for, the most probable first, with cutoffs
+    /// that are at least those of the path. `known` says which points need no evaluation any more. What becomes of them is
+    /// not told: it is at hand when the path asks for them. Must not change what the method does.
+    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+        let _ = (wanted, known, batch);
+    }
+
+    /// How far to evaluate ahead of need.
+    fn lookahead(&self) -> Lookahead {
+        Lookahead::None
+    }
 
     /// Takes the outcomes of the batch last asked, in request order. Points that were not evaluated
     /// ([`Outcome::Skipped`], or a slice that is too short) and outcomes that say nothing
@@ -268,10 +306,6 @@ pub trait Method {
     /// # Errors
     /// Nothing was asked, or there are more outcomes than points.
     fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error>;
-
-    /// For each point of the last batch that had any: whether the path of the method went through it. False for
-    /// speculative points that were not needed (yet: telling nothing after an empty batch may turn some to true).
-    fn used(&self) -> &[bool];
 
     /// Where the method stands.
     fn status(&self) -> Status;

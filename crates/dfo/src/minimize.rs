@@ -2,11 +2,11 @@
 
 use crate::bounds::Bounds;
 use crate::checkpoint::Checkpoint;
-use crate::description::{Begun, Description};
+use crate::description::{Begun, Description, Known};
 use crate::drive::{Drive, Observer};
 use crate::error::Error;
 use crate::evaluate::Gateway;
-use crate::executor::{BatchFunction, BatchView, Executor, WorkerPool};
+use crate::executor::{BatchFunction, BatchView, Executor, Here, WorkerPool};
 use crate::method::MethodOptions;
 use crate::nelder_mead::NelderMead;
 use crate::objective::{Objective, Outcome};
@@ -47,7 +47,8 @@ pub fn minimize<'a>(objective: impl Objective + 'a) -> Minimize<'a, NelderMead> 
 /// order: for vectorised functions and for somebody else's executor.
 ///
 /// [`Minimize::workers`] then only says how many points such a batch should have. A function that was interrupted
-/// returns [`Outcome::Skipped`] for what it left out, which ends the run. A panic counts as failure of every point.
+/// returns [`Outcome::Skipped`] for what it left out, which ends the run. After a panic it is given the points of the
+/// batch one by one: those that it panics at have failed.
 ///
 /// ```
 /// use dfo::{BatchView, Outcome, minimize_batches};
@@ -150,13 +151,14 @@ impl<'a, M, D> Minimize<'a, M, D> {
     }
 
     /// Evaluations that may run at once, on threads of our own with 16 MiB of stack; 1 (the default): on the calling
-    /// thread. The result does not depend on it.
+    /// thread. The result does not depend on it. Evaluations that are too short to be worth handing over stay on the
+    /// calling thread; so does the first one, which shows that, unless there is a [`poll`](Self::poll) function.
     pub fn workers(mut self, workers: usize) -> Self {
         self.description.workers = Some(workers);
         self
     }
 
-    /// Limit of evaluations, exact even inside a batch. At least 1; `usize::MAX` for none.
+    /// Limit of evaluations of the path, exact even inside a batch. At least 1.
     ///
     /// Without any of the three limits (evaluations, iterations, time) the method's defaults hold
     /// ([`MethodOptions::default_limits`]), for Nelder-Mead `1000 (n + 1)` iterations or `5000 (n + 1)` evaluations, `n`
@@ -179,9 +181,15 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Ends the run after the first batch with a used point whose cost is at or below this.
+    /// Ends the run after the first batch of the path with a point whose cost is at or below this.
     pub fn target(mut self, cost: f64) -> Self {
         self.description.limits.target = Some(cost);
+        self
+    }
+
+    /// Where no limit is set, none holds: not even the method's defaults.
+    pub fn unlimited(mut self) -> Self {
+        self.description.unlimited = true;
         self
     }
 
@@ -234,16 +242,35 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Starts from what an earlier run has learnt: its points with their costs, as far as they lie in the box and have
-    /// the values of the fixed parameters. The best of them is the start point, populations begin with the best of
-    /// them, and none is evaluated again. What had failed, or was given up above a cutoff, is left out.
-    pub fn warm_start(self, trace: &Trace) -> Self {
-        self.known(trace.iter().filter_map(|e| e.outcome.value().map(|v| (e.x.to_vec(), v))))
+    /// What the objective computes, in a word or a hash that the caller vouches for: everything that a cost depends on but
+    /// the point (model, data, settings), neither bounds nor start. Costs that are known from elsewhere are only used
+    /// where they belong to the same problem; a checkpoint of another one is refused.
+    pub fn problem(mut self, identity: impl Into<String>) -> Self {
+        self.description.problem = Some(identity.into());
+        self
     }
 
-    /// The same with points and costs that were kept otherwise; costs that are not finite are left out.
-    pub fn known(mut self, points: impl IntoIterator<Item = (Vec<f64>, f64)>) -> Self {
-        self.description.prior.extend(points.into_iter().filter(|(_, cost)| cost.is_finite()));
+    /// Starts from what an earlier run has learnt: its points, as far as they lie in the box and have the values of the
+    /// fixed parameters. The best of them is the start point, and populations begin with the best of them. What had
+    /// failed, or was given up above a cutoff, is left out.
+    ///
+    /// Where both runs name the same [`problem`](Self::problem), none of the points is evaluated again. Else their costs
+    /// only say where to start.
+    pub fn warm_start(self, trace: &Trace) -> Self {
+        let problem = trace.problem().map(str::to_owned);
+        self.known(trace.iter().filter_map(|e| e.outcome.value().map(|v| (e.x.to_vec(), v))), problem)
+    }
+
+    /// The same with points and costs that were kept otherwise, and the problem that they belong to; costs that are not
+    /// finite are left out.
+    pub fn known(
+        mut self,
+        points: impl IntoIterator<Item = (Vec<f64>, f64)>,
+        problem: Option<String>,
+    ) -> Self {
+        let finite = points.into_iter().filter(|(_, cost)| cost.is_finite());
+        let known = finite.map(|(x, cost)| Known { x, cost, problem: problem.clone() });
+        self.description.prior.extend(known);
         self
     }
 
@@ -280,8 +307,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
 }
 
 impl<'a, M> Minimize<'a, M> {
-    /// Evaluates on the threads of this pool, even if it has only one: the calling thread stays free to poll.
-    /// Replaces [`workers`](Self::workers).
+    /// Evaluates on the threads of this pool and nowhere else, even if it has only one and evaluations are short: the
+    /// calling thread stays free to poll. Replaces [`workers`](Self::workers).
     pub fn pool(mut self, pool: Arc<WorkerPool>) -> Self {
         self.driver.pool = Some(pool);
         self
@@ -323,19 +350,26 @@ impl<M: MethodOptions> Minimize<'_, M> {
         }
         let Begun { method, desk, limits, workers, writer, observed, first_recent, before, .. } =
             self.description.begin()?;
+        let here = match (&pool, &poll) {
+            (Some(_), _) => Here::Never,
+            (None, Some(_)) => Here::WhenShort,
+            (None, None) => Here::AtFirst,
+        };
         let pool = match (pool, &source) {
             (Some(pool), _) => Some(pool),
             (None, Source::Objective(_)) if workers > 1 => Some(Arc::new(WorkerPool::new(workers)?)),
             (None, _) => None,
         };
         let executor = match (&mut source, &pool) {
-            (Source::Objective(objective), Some(pool)) => Executor::Pool(pool, &**objective),
+            (Source::Objective(objective), Some(pool)) => {
+                Executor::Pool { pool, objective: &**objective, here }
+            }
             (Source::Objective(objective), None) => Executor::Serial(&**objective),
             (Source::Batches(function), _) => Executor::Foreign(function.as_mut()),
         };
         let (cancel, mut observer, mut poll) = (cancel.unwrap_or_default(), observer, poll);
         let poll = poll.as_mut().map(|p| p.as_mut() as &mut dyn FnMut() -> bool);
-        let gateway = Gateway::new(executor, desk, limits, before, &cancel, poll);
+        let gateway = Gateway::new(executor, desk, limits, before, (&cancel, poll), workers);
         let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
         drive.run(observer.as_deref_mut())
     }

@@ -18,6 +18,20 @@ impl fmt::Display for Number {
     }
 }
 
+/// Shows a number of bytes with a unit, powers of 1000.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bytes(pub(crate) f64);
+
+impl fmt::Display for Bytes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            b if b >= 1e12 => write!(f, "{:.1} TB", b / 1e12),
+            b if b >= 1e9 => write!(f, "{:.1} GB", b / 1e9),
+            b => write!(f, "{:.1} MB", b / 1e6),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::Number;

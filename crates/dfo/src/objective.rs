@@ -139,7 +139,8 @@ pub struct Evaluation<'a> {
     /// The objective may stop as soon as its partial cost is strictly greater than this, and return
     /// [`Outcome::Above`] with it. `f64::INFINITY`: no cutoff.
     pub cutoff: f64,
-    /// Running number of the point, the same for any number of workers.
+    /// Running number of the point, the same for any number of workers; from 2^63 on where a point is evaluated ahead of
+    /// need.
     pub id: u64,
     /// Running number of the batch that the point belongs to.
     pub batch: u64,
@@ -185,11 +186,20 @@ pub trait Objective: Sync {
         let _ = (x, evaluation, out);
         None
     }
+
+    /// Whether evaluations are given up above their cutoff; the default is yes. One that says no is never evaluated anew
+    /// because the cutoff was another before.
+    fn uses_cutoff(&self) -> bool {
+        true
+    }
 }
 
 impl<F: Fn(&[f64]) -> f64 + Sync> Objective for F {
     fn evaluate(&self, x: &[f64], _: &Evaluation<'_>) -> Outcome {
         Outcome::Value(self(x))
+    }
+    fn uses_cutoff(&self) -> bool {
+        false
     }
 }
 
@@ -203,6 +213,9 @@ impl<O: Objective + ?Sized> Objective for ByRef<'_, O> {
     }
     fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
         self.0.residuals(x, evaluation, out)
+    }
+    fn uses_cutoff(&self) -> bool {
+        self.0.uses_cutoff()
     }
 }
 
@@ -229,6 +242,9 @@ where
             Ok(v) => Outcome::Value(v),
             Err(e) => Outcome::failed(e.to_string()),
         }
+    }
+    fn uses_cutoff(&self) -> bool {
+        false
     }
 }
 

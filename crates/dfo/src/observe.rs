@@ -9,8 +9,10 @@ use crate::trace::{Trace, TraceEntry};
 pub struct Progress<'a> {
     /// Complete iterations.
     pub n_iterations: usize,
-    /// Evaluations so far, every one counted.
+    /// Evaluations of the path so far.
     pub n_evaluations: usize,
+    /// Further calls of the objective so far, made ahead of need.
+    pub n_speculative: usize,
     /// Failed evaluations so far.
     pub n_failed: usize,
     /// Best point so far, in the user's units.

@@ -6,11 +6,12 @@ use crate::description::Begun;
 use crate::drive::{end, reached};
 use crate::error::Error;
 use crate::evaluate::Desk;
-use crate::method::{Batch, Method, Status};
+use crate::method::{Batch, Lookahead, Method};
 use crate::objective::{Evaluation, Outcome};
 use crate::report::{self, Report};
 use crate::termination::{Limits, Termination};
 use crate::trace::Trace;
+use std::collections::BTreeSet;
 use std::time::Instant;
 
 /// A point that is to be evaluated.
@@ -34,16 +35,6 @@ impl Point {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Answer {
-    /// Not handed out yet.
-    Due,
-    /// Handed out.
-    Out,
-    /// Told.
-    In,
-}
-
 /// A run that somebody else drives: the same trace as [`minimize`](crate::minimize) makes, whatever the order of the
 /// answers.
 ///
@@ -56,10 +47,14 @@ pub struct Optimizer {
     desk: Desk,
     limits: Limits,
     batch: Batch,
-    answers: Vec<Answer>,
+    /// The points not handed out yet, by their places.
+    due: BTreeSet<usize>,
+    /// Points that wait for an answer, handed out or not.
+    n_open: usize,
     outcomes: Vec<Outcome>,
     seconds: Vec<f64>,
-    handed: Vec<Instant>,
+    /// When each point was handed out; `None` where it was not, or was answered.
+    handed: Vec<Option<Instant>>,
     start: Instant,
     workers: usize,
     writer: Option<Writer>,
@@ -83,7 +78,8 @@ impl Optimizer {
             desk,
             limits,
             batch: Batch::new(),
-            answers: Vec::new(),
+            due: BTreeSet::new(),
+            n_open: 0,
             outcomes: Vec::new(),
             seconds: Vec::new(),
             handed: Vec::new(),
@@ -125,13 +121,12 @@ impl Optimizer {
             return points;
         }
         let work = &self.desk.work;
-        for k in 0..work.len() {
-            if points.len() < at_most && self.answers[k] == Answer::Due {
-                self.answers[k] = Answer::Out;
-                self.handed[k] = Instant::now();
-                let (id, x) = (work.id(k), work.point(k).to_vec());
-                points.push(Point { id, batch: work.index(), x, cutoff: work.cutoff(k) });
-            }
+        while points.len() < at_most
+            && let Some(k) = self.due.pop_first()
+        {
+            self.handed[k] = Some(Instant::now());
+            let (id, x) = (work.id(k), work.point(k).to_vec());
+            points.push(Point { id, batch: work.index(), x, cutoff: work.cutoff(k) });
         }
         points
     }
@@ -144,30 +139,41 @@ impl Optimizer {
     /// all the same).
     pub fn tell(&mut self, id: u64, outcome: Outcome) -> Result<(), Error> {
         let work = &self.desk.work;
-        let place = (0..work.len()).find(|&k| work.id(k) == id && self.answers[k] == Answer::Out);
-        let Some(k) = place.filter(|_| self.ended.is_none()) else { return Err(Error::UnknownPoint { id }) };
-        if matches!(outcome, Outcome::Skipped) {
-            self.answers[k] = Answer::Due;
-            return Ok(());
-        }
-        let outcome = outcome.checked(work.cutoff(k));
+        let place = work.place_of(id).filter(|_| self.ended.is_none());
+        let Some((k, handed)) = place.and_then(|k| self.handed[k].take().map(|handed| (k, handed))) else {
+            return Err(Error::UnknownPoint { id });
+        };
+        let outcome = match outcome {
+            Outcome::Skipped => Outcome::Skipped,
+            other => other.checked(work.cutoff(k)),
+        };
         let abort = match &outcome {
-            Outcome::Abort(message) => Some(Termination::Aborted(message.clone())),
+            // What was evaluated ahead of need ends nothing before it is needed.
+            Outcome::Abort(message) if k < self.desk.n_needed() => {
+                Some(Termination::Aborted(message.clone()))
+            }
+            Outcome::Abort(_) => None,
             other if !other.is_known() => {
-                self.answers[k] = Answer::Due;
+                self.due.insert(k);
                 return Ok(());
             }
             _ => None,
         };
-        self.answers[k] = Answer::In;
+        self.n_open -= 1;
         self.outcomes[k] = outcome;
-        self.seconds[k] = self.handed[k].elapsed().as_secs_f64();
-        if abort.is_some() || self.answers.iter().all(|a| *a == Answer::In) {
-            let truncated = self.desk.is_truncated().then_some(Termination::MaxEvaluations);
-            let completed = self.complete(abort.or(truncated));
+        self.seconds[k] = handed.elapsed().as_secs_f64();
+        if abort.is_some() || self.n_open == 0 {
+            let completed = self.complete(abort.or(self.stopped()));
             return completed.and(self.advance());
         }
         Ok(())
+    }
+
+    /// Why the run ends with this batch, if what is known says so.
+    fn stopped(&self) -> Option<Termination> {
+        let aborted = self.desk.abort(&self.outcomes[..self.desk.n_needed()]);
+        let aborted = aborted.map(|(_, message)| Termination::Aborted(message.to_owned()));
+        aborted.or_else(|| self.desk.is_truncated().then_some(Termination::MaxEvaluations))
     }
 
     /// Enters the batch as far as it is known and tells the method.
@@ -176,7 +182,6 @@ impl Optimizer {
         let saved = if stopped.is_some() { self.save() } else { Ok(()) };
         self.desk.close(&self.batch, &self.outcomes, &self.seconds);
         self.method.tell(self.desk.outcomes())?;
-        self.desk.ledger.settle(self.method.used());
         self.desk.ledger.trim(false);
         self.ended = end(&self.method, &self.desk, &self.limits, stopped.as_ref(), false);
         self.written = stopped.is_some();
@@ -194,10 +199,6 @@ impl Optimizer {
         while self.ended.is_none() {
             self.method.ask(&mut self.batch);
             if self.batch.is_empty() {
-                if self.method.status() == Status::Running {
-                    self.method.tell(&[])?;
-                    self.desk.ledger.settle(self.method.used());
-                }
                 self.ended = end(&self.method, &self.desk, &self.limits, None, false);
                 continue;
             }
@@ -210,20 +211,28 @@ impl Optimizer {
                 break;
             }
             self.desk.open(&self.batch, &self.limits);
+            let width = match self.method.lookahead() {
+                Lookahead::None => 1,
+                Lookahead::Points(points) => points,
+                Lookahead::Workers | Lookahead::Measured => self.workers,
+            };
+            let needed = self.desk.n_needed();
+            self.desk.look_ahead(&mut self.method, width.saturating_sub(needed), &self.limits);
             let len = self.desk.work.len();
-            self.answers.clear();
-            self.answers.resize(len, Answer::Due);
+            self.due.clear();
+            self.due.extend(0..len);
+            self.n_open = len;
             self.outcomes.clear();
             self.outcomes.resize(len, Outcome::Skipped);
             self.seconds.clear();
             self.seconds.resize(len, 0.0);
             self.handed.clear();
-            self.handed.resize(len, self.start);
+            self.handed.resize(len, None);
             if len > 0 {
                 break;
             }
-            let truncated = self.desk.is_truncated().then_some(Termination::MaxEvaluations);
-            self.complete(truncated)?;
+            let stopped = self.stopped();
+            self.complete(stopped)?;
         }
         self.save_now_and_then()
     }
@@ -237,7 +246,7 @@ impl Optimizer {
         if self.ended.is_some() {
             return Ok(());
         }
-        if self.answers.contains(&Answer::In) {
+        if self.n_open < self.outcomes.len() {
             self.complete(Some(Termination::Interrupted))?;
         } else {
             self.save()?;
@@ -248,7 +257,7 @@ impl Optimizer {
 
     /// Points handed out and not answered yet.
     pub fn n_pending(&self) -> usize {
-        self.answers.iter().filter(|a| **a == Answer::Out).count()
+        self.handed.iter().flatten().count()
     }
 
     /// The best point so far and its cost, of complete rounds.
@@ -257,9 +266,9 @@ impl Optimizer {
     }
 
     /// Why the run is over; `None` while it is not. A run whose starting points all failed counts as
-    /// [`Termination::Collapsed`] here; its [`report`](Self::report) is an error.
+    /// [`Termination::AllFailed`] here; its [`report`](Self::report) is an error.
     pub fn termination(&self) -> Option<Termination> {
-        self.ended.as_ref().map(|t| t.clone().unwrap_or(Termination::Collapsed))
+        self.ended.as_ref().map(|t| t.clone().unwrap_or(Termination::AllFailed))
     }
 
     /// The method, to look into.

@@ -79,7 +79,7 @@ impl Population {
             self.place_exactly(0, space.x0(), space);
             next = 1;
         }
-        for (x, _) in &setup.prior {
+        for x in &setup.prior {
             if next < self.len().div_ceil(2) && (0..next).all(|slot| self.x(slot) != x) {
                 self.place_exactly(next, x, space);
                 next += 1;
@@ -134,14 +134,25 @@ impl Population {
 
     /// Keeps the `len` best members, in the order of their slots. Needs up-to-date ranks, and leaves them.
     pub(crate) fn keep_best(&mut self, len: usize) {
-        while self.order.len() > len {
-            let Some(slot) = self.order.pop() else { return };
-            self.u.drain(slot * self.n..(slot + 1) * self.n);
-            self.x.drain(slot * self.n_user..(slot + 1) * self.n_user);
-            self.costs.remove(slot);
-            self.values.remove(slot);
-            self.order.iter_mut().filter(|s| **s > slot).for_each(|s| *s -= 1);
+        if self.order.len() <= len {
+            return;
         }
+        // Pending stands for members that go; the others move up.
+        for &slot in &self.order[len..] {
+            self.costs[slot] = Cost::Pending;
+        }
+        let mut kept = 0;
+        for slot in 0..self.costs.len() {
+            if self.costs[slot] != Cost::Pending {
+                self.u.copy_within(slot * self.n..(slot + 1) * self.n, kept * self.n);
+                self.x.copy_within(slot * self.n_user..(slot + 1) * self.n_user, kept * self.n_user);
+                self.costs[kept] = self.costs[slot];
+                self.values[kept] = self.values[slot];
+                kept += 1;
+            }
+        }
+        self.resize(kept);
+        self.rank();
     }
 
     /// Changes the number of members without looking at them; new ones are not placed.
@@ -154,11 +165,16 @@ impl Population {
         self.order.extend(0..len);
     }
 
-    /// The tolerance tests: largest distance of a member from the best, largest minus smallest cost.
-    pub(crate) fn judge(&self, space: &Space, tolerances: &Tolerances, f_0: f64) -> Tests {
+    /// The tolerance tests over so much of the population, the best first: largest distance of a member from the best,
+    /// largest minus smallest cost.
+    pub(crate) fn judge(&self, extent: Extent, space: &Space, tolerances: &Tolerances, f_0: f64) -> Tests {
+        let counted = match extent {
+            Extent::BestEighth => &self.order[..self.len().div_ceil(8)],
+            Extent::Population | Extent::Simplex => &self.order[..],
+        };
         let best = self.best();
         let mut size = 0.0f64;
-        for slot in 0..self.len() {
+        for &slot in counted {
             for (k, &i) in space.free().iter().enumerate() {
                 size = size.max(match tolerances.measure {
                     Measure::Absolute => (self.x(slot)[i] - self.x(best)[i]).abs(),
@@ -166,12 +182,12 @@ impl Population {
                 });
             }
         }
-        let spread = match (self.costs[best], self.order.last().map(|worst| self.costs[*worst])) {
+        let spread = match (self.costs[best], counted.last().map(|worst| self.costs[*worst])) {
             (Cost::Value(best), Some(Cost::Value(worst))) => Some(worst - best),
             _ => None,
         };
         let f_best = self.costs[best].value().unwrap_or(f64::NAN);
-        Tests { extent: Extent::Population, ..tolerances.judge(size, spread, f_best, f_0) }
+        Tests { extent, ..tolerances.judge(size, spread, f_best, f_0) }
     }
 
     /// Whether all members are the best one up to rounding.
@@ -237,9 +253,9 @@ mod tests {
         use Cost::{Failed, Value};
         let tolerances = Tolerances::default();
         let (space, p) = population(&[Value(1.0), Failed]);
-        assert_eq!(p.judge(&space, &tolerances, 1.0).f_spread, None);
+        assert_eq!(p.judge(Extent::Population, &space, &tolerances, 1.0).f_spread, None);
         let (space, p) = population(&[Value(1.0), Value(1.5), Value(4.0)]);
-        let tests = p.judge(&space, &tolerances, 1.0);
+        let tests = p.judge(Extent::Population, &space, &tolerances, 1.0);
         assert_eq!((tests.f_spread, tests.x_size, tests.f_best), (Some(3.0), 0.2, 1.0));
         assert!(
             !p.is_collapsed(&space) && tests.to_string().starts_with("x test not passed: population size")

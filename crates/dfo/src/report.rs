@@ -16,17 +16,18 @@ pub struct Report {
     pub x: Vec<f64>,
     /// Its cost: the smallest of all used points.
     pub fun: f64,
-    /// Calls of the objective, every one.
+    /// Evaluations of the path of the method: the same for any number of workers. What budgets count.
     pub n_evaluations: usize,
     /// Complete iterations.
     pub n_iterations: usize,
-    /// Rounds: batches evaluated.
+    /// Rounds: how often points were evaluated, many at once or one.
     pub n_batches: usize,
-    /// Failed evaluations.
+    /// Failed evaluations of the path.
     pub n_failed: usize,
     /// Answers that needed no evaluation, because the point was known already.
     pub n_cached: usize,
-    /// Evaluations made ahead that turned out not to be needed.
+    /// Further calls of the objective: made ahead of need, and not needed. May depend on the number of workers and on how
+    /// long evaluations take.
     pub n_speculative: usize,
     /// Why the run ended.
     pub termination: Termination,
@@ -34,7 +35,7 @@ pub struct Report {
     pub message: String,
     /// The last values of the tolerance tests.
     pub tests: Option<Tests>,
-    /// Every evaluation in request order.
+    /// Every evaluation, those of the path in request order.
     pub trace: Trace,
     /// The simplex at the end, for methods that have one.
     pub final_simplex: Option<Simplex>,
@@ -57,7 +58,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Whether the method came to its own end (or to the target), rather than being stopped.
+    /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search.
     pub fn is_success(&self) -> bool {
         self.termination.is_success()
     }
@@ -87,7 +88,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
     termination: Option<Termination>,
     seconds: f64,
 ) -> Result<Report, Error> {
-    ledger.trim(true);
+    ledger.finish();
     let Some(termination) = termination else {
         return Err(Error::AllStartsFailed(ledger.nothing_found()));
     };
@@ -103,7 +104,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         n_batches: ledger.n_batches,
         n_failed: ledger.n_failed,
         n_cached: ledger.n_cached,
-        n_speculative: ledger.n_speculative(),
+        n_speculative: ledger.ahead.n_speculative(),
         termination,
         tests: method.tests(),
         failures: ledger.failures(),
@@ -134,10 +135,16 @@ fn message<M: Method + ?Sized>(
         Termination::Target => {
             format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
         }
-        Termination::Collapsed => {
-            with_tests("the search has no extent left that floating-point numbers resolve".to_owned())
+        Termination::Collapsed => with_tests(
+            "not converged: the search has no extent left that floating-point numbers resolve".to_owned(),
+        ),
+        Termination::OneFiniteVertex => with_tests(
+            "not converged: only one vertex of the simplex has a cost, all others failed".to_owned(),
+        ),
+        Termination::AllFailed => {
+            with_tests("not converged: every point failed after some that did not".to_owned())
         }
-        Termination::Stalled => with_tests("nothing new was found for long".to_owned()),
+        Termination::Stalled => with_tests("not converged: nothing new was found for long".to_owned()),
         Termination::AllFixed => "all parameters are fixed: their one point was evaluated".to_owned(),
         Termination::MaxEvaluations => {
             with_tests(format!("stopped at the limit of {} evaluations", ledger.n_evaluations))

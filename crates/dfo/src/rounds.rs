@@ -1,4 +1,4 @@
-//! Asking and telling whole generations: which candidates still wait for an answer, what was used, what was best.
+//! Asking and telling whole generations: which candidates still wait for an answer, what was best.
 
 use crate::cost::Cost;
 use crate::error::Error;
@@ -15,14 +15,12 @@ pub(crate) struct Rounds {
     /// The candidate behind each point of the last batch.
     roles: Vec<usize>,
     waiting: bool,
-    used: Vec<bool>,
     best: Option<(Vec<f64>, f64)>,
 }
 
 impl Rounds {
     pub(crate) fn with_capacity(candidates: usize) -> Self {
-        let (roles, used) = (Vec::with_capacity(candidates), Vec::with_capacity(candidates));
-        Self { roles, used, ..Self::default() }
+        Self { roles: Vec::with_capacity(candidates), ..Self::default() }
     }
 
     /// A batch without points: the method has ended.
@@ -62,11 +60,8 @@ impl Rounds {
         self.waiting = false;
         self.n_batches += 1;
         self.n_points += asked as u64;
-        self.used.clear();
-        self.used.resize(asked, false);
         for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
             let slot = self.roles[k];
-            self.used[k] = true;
             // What was given up above the target's cost is no candidate, like what failed.
             candidates.set_cost(slot, outcome.value().map_or(Cost::Failed, Cost::Value));
             let Some(value) = outcome.value() else { continue };
@@ -80,10 +75,6 @@ impl Rounds {
             }
         }
         Ok(!candidates.is_pending())
-    }
-
-    pub(crate) fn used(&self) -> &[bool] {
-        &self.used
     }
 
     pub(crate) fn best(&self) -> Option<(&[f64], f64)> {

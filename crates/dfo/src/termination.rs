@@ -14,8 +14,12 @@ pub enum Termination {
     Converged,
     /// The target value was reached.
     Target,
-    /// The search has no extent left that floating-point numbers could resolve; no tolerance would be met later.
+    /// The search has no extent left that floating-point numbers could resolve, and the tests have not passed.
     Collapsed,
+    /// The same, and only one vertex has a cost: nothing was learned.
+    OneFiniteVertex,
+    /// No point of the simplex or population has a cost any more, though earlier ones had.
+    AllFailed,
     /// Nothing new came for long: no better point in many generations, or every point asked for was known already.
     Stalled,
     /// All parameters are fixed: the one point there is was evaluated.
@@ -37,9 +41,9 @@ pub enum Termination {
 }
 
 impl Termination {
-    /// Whether the method came to its own end (or to the target), rather than being stopped.
+    /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search.
     pub fn is_success(&self) -> bool {
-        matches!(self, Self::Converged | Self::Target | Self::Collapsed | Self::Stalled | Self::AllFixed)
+        matches!(self, Self::Converged | Self::Target | Self::AllFixed)
     }
 
     /// A short name, fit for tables and files.
@@ -48,6 +52,8 @@ impl Termination {
             Self::Converged => "converged",
             Self::Target => "target",
             Self::Collapsed => "collapsed",
+            Self::OneFiniteVertex => "one-finite-vertex",
+            Self::AllFailed => "all-failed",
             Self::Stalled => "stalled",
             Self::AllFixed => "all-fixed",
             Self::MaxEvaluations => "max-evaluations",
@@ -74,22 +80,21 @@ impl fmt::Display for Termination {
 /// What ends a run from outside of the method; `None` means no limit.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Limits {
-    /// Calls of the objective; every one counts.
+    /// Evaluations of the path of the method: those of a run with one point at a time.
     pub max_evaluations: Option<usize>,
     /// Iterations of the method.
     pub max_iterations: Option<usize>,
     /// Wall-clock time: no evaluation starts after it.
     pub max_time: Option<Duration>,
-    /// The run ends with the first batch that has a used point with a cost at or below this.
+    /// The run ends with the first batch of the path that has a point with a cost at or below this.
     pub target: Option<f64>,
 }
 
 impl Limits {
     /// Sets evaluations and iterations where there is no limit of any kind but the target.
-    pub(crate) fn fill(&mut self, (evaluations, iterations): (usize, usize)) {
+    pub(crate) fn fill(&mut self, (evaluations, iterations): (Option<usize>, Option<usize>)) {
         if (self.max_evaluations, self.max_iterations, self.max_time) == (None, None, None) {
-            self.max_evaluations = Some(evaluations);
-            self.max_iterations = Some(iterations);
+            (self.max_evaluations, self.max_iterations) = (evaluations, iterations);
         }
     }
 
@@ -126,6 +131,9 @@ pub enum Stop {
     All,
 }
 
+/// A best cost below this fraction of the first costs counts as zero, see [`Tolerances`]: the root of the machine precision.
+const ZERO_COST: f64 = 1.490_116_119_384_765_6e-8;
+
 /// Tolerances of the two tests that end a run.
 ///
 /// - x test: `max |x_i - x_best,i| <= x_tol * size_i` over all vertices and parameters (a logarithmic parameter is
@@ -134,9 +142,10 @@ pub enum Stop {
 ///   vertex has failed.
 ///
 /// A cost that goes to zero would never pass a relative f test, because the spread goes to zero with it. So |f_best|
-/// counts at least as `2.2e-16 * f_0`, `f_0` being the (upper) median of |f| over the initial vertices: what is
-/// smaller is zero for a cost of that magnitude. Both tests are asked for only after an iteration is complete: an
-/// initial simplex never passes.
+/// counts at least as `1.5e-8 * f_0` (the root of the machine precision), `f_0` being the (upper) median of |f| over the
+/// initial vertices. Near a minimum the cost is quadratic: where x is known to 1e-6, a cost of zero is known to 1e-12 of
+/// `f_0`, and the default f test, 1.5e-14 of `f_0`, asks for two digits more, not for ten. A run is over only when tests
+/// pass after an iteration is complete, so an initial simplex never passes, and while a vertex has failed none does.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tolerances {
     /// Tolerance of the x test; default 1e-6.
@@ -169,12 +178,13 @@ impl Tolerances {
     pub(crate) fn judge(&self, x_size: f64, f_spread: Option<f64>, f_best: f64, f_0: f64) -> Tests {
         let f_limit = match self.measure {
             Measure::Absolute => self.f_tol,
-            Measure::Relative => self.f_tol * f_best.abs().max(f64::EPSILON * f_0),
+            Measure::Relative => self.f_tol * f_best.abs().max(ZERO_COST * f_0),
         };
         let x_passed = x_size <= self.x_tol;
         let f_passed = f_spread.is_some_and(|s| s <= f_limit);
         let passed = match self.stop {
-            Stop::Any => x_passed || f_passed,
+            // Without a spread the points that have a cost may have nothing to compare with.
+            Stop::Any => f_spread.is_some() && (x_passed || f_passed),
             Stop::All => x_passed && f_passed,
         };
         Tests {
@@ -207,6 +217,8 @@ pub enum Extent {
     Simplex,
     /// Of a population.
     Population,
+    /// Of its best eighth.
+    BestEighth,
 }
 
 impl Extent {
@@ -214,6 +226,7 @@ impl Extent {
         match self {
             Self::Simplex => "simplex",
             Self::Population => "population",
+            Self::BestEighth => "best eighth of the population:",
         }
     }
 }
@@ -265,7 +278,7 @@ impl fmt::Display for Tests {
                 write!(f, "; f test {}: spread {spread:.3e} {r} {:.3e}", verb(self.f_passed), self.f_limit)?;
                 match measure {
                     Measure::Relative if self.f_limit > f_tol * self.f_best.abs() => {
-                        write!(f, " (f_tol {f_tol:e} of what is zero next to the first costs)")
+                        write!(f, " (f_tol {f_tol:e} of {ZERO_COST:.1e} times the initial cost)")
                     }
                     Measure::Relative => write!(f, " (f_tol {f_tol:e} of f_best {:.6e})", self.f_best),
                     Measure::Absolute => write!(f, " (f_tol)"),
@@ -290,8 +303,10 @@ mod tests {
     #[test]
     fn a_cost_of_zero_can_stop() {
         let tolerances = Tolerances::default();
-        assert!(tolerances.judge(0.0, Some(1e-23), 0.0, 1.0).passed);
-        assert!(!tolerances.judge(0.0, Some(1e-21), 0.0, 1.0).passed);
+        assert!(tolerances.judge(0.0, Some(1e-14), 0.0, 1.0).passed);
+        assert!(!tolerances.judge(0.0, Some(1e-13), 0.0, 1.0).passed);
+        // The offset counts as long as it is more than 1.5e-8 of the first costs.
+        assert_eq!(tolerances.judge(0.0, Some(1e-13), 1.0, 1e7).f_limit, 1e-6);
     }
 
     #[test]

@@ -1,14 +1,20 @@
 //! The trace: every evaluation of a run, in request order, stored in columns.
 
+use crate::ahead::Early;
 use crate::objective::Outcome;
 use serde::{Deserialize, Serialize};
 
-/// Every evaluation of a run, in request order; or the last ones, if the trace was limited.
+/// Every evaluation of a run's path, in request order (the same for any number of workers); and beside them those that
+/// were made ahead of need and not needed. Or the last ones of both, if the trace was limited.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Trace {
     n: usize,
     points: Vec<f64>,
     records: Vec<Record>,
+    /// Evaluations that the path never came to.
+    speculative: Vec<Early>,
+    /// Identity of the problem that the costs belong to, if the user has vouched for one.
+    problem: Option<String>,
     /// Evaluations that came before the first one kept.
     dropped: usize,
 }
@@ -31,14 +37,14 @@ pub struct TraceEntry<'a> {
     pub x: &'a [f64],
     /// What came out.
     pub outcome: &'a Outcome,
-    /// Number of the point in the run.
+    /// Number of the point in the run; from 2^63 on if it was evaluated ahead of need.
     pub id: u64,
     /// Number of the batch.
     pub batch: u64,
     /// The cutoff that the objective was told; infinite if none.
     pub cutoff: f64,
-    /// Whether the method's path went through this point. False for speculative points that turned out to be
-    /// unnecessary: they are never returned as best.
+    /// Whether the method was told of this point. False for evaluations that the end of the run cut short, and for
+    /// speculative ones ([`Trace::speculative`]): they are never returned as best.
     pub used: bool,
     /// Wall-clock seconds of the evaluation.
     pub seconds: f64,
@@ -46,7 +52,7 @@ pub struct TraceEntry<'a> {
 
 impl Trace {
     pub(crate) fn new(n: usize) -> Self {
-        Self { n, points: Vec::new(), records: Vec::new(), dropped: 0 }
+        Self { n, ..Self::default() }
     }
 
     pub(crate) fn push(&mut self, x: &[f64], record: Record) {
@@ -54,11 +60,25 @@ impl Trace {
         self.records.push(record);
     }
 
-    /// Marks an evaluation, by its number in the whole run.
-    pub(crate) fn set_used(&mut self, position: usize) {
-        if let Some(record) = position.checked_sub(self.dropped).and_then(|k| self.records.get_mut(k)) {
-            record.used = true;
+    pub(crate) fn push_speculative(&mut self, early: Early) {
+        if !matches!(early.outcome, Outcome::Skipped) {
+            self.speculative.push(early);
         }
+    }
+
+    pub(crate) fn set_problem(&mut self, problem: Option<String>) {
+        self.problem = problem;
+    }
+
+    /// Identity of the problem that the costs belong to; `None` if nobody has given one, see
+    /// [`Minimize::problem`](crate::Minimize::problem).
+    pub fn problem(&self) -> Option<&str> {
+        self.problem.as_deref()
+    }
+
+    /// Length of the longer list.
+    pub(crate) fn longest(&self) -> usize {
+        self.records.len().max(self.speculative.len())
     }
 
     /// Number of evaluations, those dropped included.
@@ -72,11 +92,14 @@ impl Trace {
         self.records.drain(..surplus);
         self.points.drain(..surplus * self.n);
         self.dropped += surplus;
+        self.speculative.drain(..self.speculative.len().saturating_sub(limit));
     }
 
     /// Whether its parts fit together: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
-        self.n == n && self.points.len() == self.records.len() * n
+        self.n == n
+            && self.points.len() == self.records.len() * n
+            && self.speculative.iter().all(|early| early.x.len() == n)
     }
 
     /// Evaluations at the beginning of the run that a limit of the trace has dropped.
@@ -84,7 +107,7 @@ impl Trace {
         self.dropped
     }
 
-    /// Number of evaluations kept.
+    /// Number of evaluations of the path kept.
     pub fn len(&self) -> usize {
         self.records.len()
     }
@@ -99,7 +122,7 @@ impl Trace {
         self.n
     }
 
-    /// All points, one after the other: row `k` starts at `k * n`.
+    /// All points of the path, one after the other: row `k` starts at `k * n`.
     pub fn points(&self) -> &[f64] {
         &self.points
     }
@@ -120,7 +143,7 @@ impl Trace {
         })
     }
 
-    /// The evaluations in request order.
+    /// The evaluations of the path in request order.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = TraceEntry<'_>> + ExactSizeIterator {
         self.iter_from(0)
     }
@@ -139,6 +162,20 @@ impl Trace {
             cutoff: r.cutoff,
             used: r.used,
             seconds: r.seconds,
+        })
+    }
+
+    /// The evaluations made ahead of need that the path never came to, in the order in which that was known. How many
+    /// there are, and which, may depend on the number of workers and on how long evaluations take.
+    pub fn speculative(&self) -> impl ExactSizeIterator<Item = TraceEntry<'_>> {
+        self.speculative.iter().map(|early| TraceEntry {
+            x: &early.x,
+            outcome: &early.outcome,
+            id: early.id,
+            batch: early.batch,
+            cutoff: early.cutoff,
+            used: false,
+            seconds: early.seconds,
         })
     }
 

@@ -40,12 +40,9 @@ fn by_hand_and_driven_are_the_same() {
                         batch.id(k),
                         batch.index(),
                         batch.cutoff(k),
-                        false,
+                        true,
                     ));
                 }
-                // Points of the last batch that had any; some may turn out to be used only now.
-                let first = by_hand.len() - s.used().len();
-                by_hand[first..].iter_mut().zip(s.used()).for_each(|(e, used)| e.4 = *used);
             }
             let report = problem.minimize().method(plan(p)).run().unwrap();
             let driven: Vec<_> =
@@ -67,7 +64,6 @@ fn answers_may_come_in_pieces() {
             let mut batch = Batch::new();
             let mut counter = 0u32;
             let mut best_used = f64::INFINITY;
-            let mut last: Vec<Outcome> = Vec::new();
             loop {
                 s.ask(&mut batch);
                 if batch.is_empty() && s.status() != Status::Running {
@@ -87,17 +83,9 @@ fn answers_may_come_in_pieces() {
                     .collect();
                 let told = batch.len() - (counter >> 10) as usize % batch.len().max(1);
                 s.tell(&outcomes[..told]).unwrap();
-                if !batch.is_empty() {
-                    last = outcomes[..told].to_vec();
+                for value in outcomes[..told].iter().filter_map(Outcome::value) {
+                    best_used = best_used.min(value);
                 }
-                let told = last.len();
-                for (k, outcome) in last.iter().enumerate() {
-                    assert!(!s.used()[k] || outcome.is_known());
-                    if let (true, Some(v)) = (s.used()[k], outcome.value()) {
-                        best_used = best_used.min(v);
-                    }
-                }
-                assert!(s.used()[told..].iter().all(|u| !u));
                 assert_eq!(s.best().map_or(f64::INFINITY, |b| b.1), best_used, "{}", problem.name);
             }
             let report = problem.minimize().run().unwrap();
@@ -183,12 +171,12 @@ fn asking_and_telling_allocate_nothing_once_warm() {
 #[test]
 fn own_methods_can_be_driven() {
     /// Tries the integers from 0 on and ends at 20.
-    struct Count(u64, Option<f64>, [bool; 1], [f64; 1]);
+    struct Count(u64, Option<f64>, [f64; 1]);
     struct CountOptions;
     impl MethodOptions for CountOptions {
         type Method = Count;
         fn begin(&self, _: &Setup) -> Result<Count, Error> {
-            Ok(Count(0, None, [true], [0.0]))
+            Ok(Count(0, None, [0.0]))
         }
     }
     impl Method for Count {
@@ -203,13 +191,10 @@ fn own_methods_can_be_driven() {
         }
         fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
             if let Some(v) = outcomes[0].value().filter(|v| self.1.is_none_or(|b| *v < b)) {
-                (self.1, self.3) = (Some(v), [self.0 as f64]);
+                (self.1, self.2) = (Some(v), [self.0 as f64]);
             }
             self.0 += 1;
             Ok(())
-        }
-        fn used(&self) -> &[bool] {
-            &self.2
         }
         fn status(&self) -> Status {
             if self.0 < 20 { Status::Running } else { Status::Ended(dfo::Termination::Converged) }
@@ -224,7 +209,7 @@ fn own_methods_can_be_driven() {
             "serial"
         }
         fn best(&self) -> Option<(&[f64], f64)> {
-            self.1.map(|v| (&self.3[..], v))
+            self.1.map(|v| (&self.2[..], v))
         }
     }
     let report = minimize(|x: &[f64]| (x[0] - 7.0).abs()).start(&[0.0]).method(CountOptions).run().unwrap();

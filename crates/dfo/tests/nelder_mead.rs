@@ -195,16 +195,39 @@ fn a_cost_of_zero_stops() {
 }
 
 #[test]
-fn one_finite_point_among_failures_collapses_and_stops() {
-    let lonely = fallible(|x: &[f64]| if x == [0.25, 0.5] { Ok(1.0) } else { Err("outside") });
-    let report = minimize(lonely).start(&[0.25, 0.5]).run().unwrap();
+fn one_finite_point_among_failures_is_no_success() {
+    let lonely = |x: &[f64]| if x == [0.25, 0.5] { Ok(1.0) } else { Err("outside") };
+    // The x test alone passes in the end: the simplex of failures shrinks to the one point.
+    for (stop, measure) in [(Stop::All, Measure::Relative), (Stop::Any, Measure::Absolute)] {
+        let run = minimize(fallible(lonely)).start(&[0.25, 0.5]).stop(stop).measure(measure);
+        let report = run.run().unwrap();
+        assert_eq!((&report.termination, &report.x[..]), (&Termination::OneFiniteVertex, &[0.25, 0.5][..]));
+        assert!(!report.is_success() && report.message.contains("only one vertex"), "{report}");
+        assert_eq!(report.failures, [("outside".to_owned(), report.n_failed)]);
+        assert!(report.n_evaluations < 500);
+    }
+}
+
+#[test]
+fn success_means_that_the_tests_passed() {
+    // Tolerances that no numbers meet: the simplex ends as a point.
+    let bowl = |x: &[f64]| 1.0 + (x[0] - 0.3).abs() + (x[1] - 0.7).abs().sqrt();
+    let report = minimize(bowl).start(&[1.0, 1.0]).x_tol(1e-30).f_tol(0.0).run().unwrap();
+    let passed = report.tests.unwrap().passed;
     assert_eq!(
-        (report.termination.clone(), report.x.clone()),
-        (Termination::Collapsed, vec![0.25, 0.5]),
+        (report.termination == Termination::Converged, report.is_success()),
+        (passed, passed),
         "{report}"
     );
-    assert_eq!(report.failures, [("outside".to_owned(), report.n_failed)]);
-    assert!(report.n_evaluations < 500);
+    for termination in [
+        Termination::Collapsed,
+        Termination::OneFiniteVertex,
+        Termination::AllFailed,
+        Termination::Stalled,
+        Termination::MaxEvaluations,
+    ] {
+        assert!(!termination.is_success(), "{termination}");
+    }
 }
 
 #[test]

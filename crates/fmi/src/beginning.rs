@@ -6,6 +6,7 @@ use crate::error::FmiError;
 use crate::input::InputState;
 use crate::instance::{Core, Initialization, Instance, Instantiated};
 use crate::plan::SimulationPlan;
+use crate::reuse::Unset;
 use crate::sys::{InterfaceKind, RawInstance};
 
 /// The values that variables start with.
@@ -20,6 +21,8 @@ pub(crate) struct StartValues {
 /// What a run begins with.
 pub(crate) struct Start<'a> {
     pub(crate) plan: &'a SimulationPlan,
+    /// What is set besides the settings of the plan, before them.
+    pub(crate) unset: &'a Unset,
     /// For the variables that have start values in the plan.
     pub(crate) start_values: &'a StartValues,
     /// For the plan's parameters, in its order.
@@ -43,9 +46,10 @@ impl Start<'_> {
     ) -> Result<Instance<Initialization, K>, FmiError> {
         let plan = self.plan;
         let mut instance: Instance<Instantiated, K> = Instance::from_raw(raw, plan.fmu().clone());
-        plan.values.set_up(instance.core(), self.start_values, self.parameters, buffer)?;
+        plan.values.set_up(instance.core(), self.unset, self.start_values, self.parameters, buffer)?;
         let mut instance =
             instance.enter_initialization(plan.start, self.stop, Some(plan.options.relative_tolerance))?;
+        instance.core().apply(&self.unset.inputs)?;
         plan.values.set_up_inputs(instance.core(), self.start_values, self.parameters, buffer)?;
         inputs.begin(&plan.inputs, plan.start);
         if !inputs.continuous_at(&plan.inputs, plan.start) {

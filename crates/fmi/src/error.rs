@@ -4,7 +4,7 @@ use crate::description::{Value, VariableKind};
 use crate::failure::CallFailure;
 use ode::Number;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why an FMU could not be opened, understood, built or run.
 #[derive(Debug, thiserror::Error)]
@@ -167,28 +167,25 @@ pub enum FmiError {
         /// The function.
         function: &'static str,
     },
-    /// A second instance of an FMU that allows one per process.
-    #[error("{} allows one instance per process (canBeInstantiatedOnlyOncePerProcess), and there is one", library.display())]
-    OnlyOneInstance {
+    /// There is no loaded copy of the library that can be used: all are in use, and no further one can be loaded.
+    #[error("no copy of {} can be used: {reason}", library.display())]
+    NoCopy {
         /// The library.
         library: PathBuf,
+        /// Why no further copy can be loaded (with the loader's message), who uses those that there are, what to close.
+        reason: String,
     },
-    /// This process has made as many private copies of libraries as it may.
-    #[error("no private copy of {}: this process has made {limit} copies of libraries, and keeps them until its end", library.display())]
-    TooManyCopies {
-        /// The library.
-        library: PathBuf,
-        /// Copies a process makes.
-        limit: usize,
-    },
-    /// An instance of the library answered `Fatal`: the standard lets none of its instances be used after that.
-    #[error("{} is unusable in this process since one of its calls returned fatal", library.display())]
+    /// A call of the instance's copy of the library returned `Fatal`: the standard lets nothing of it be called after that.
+    #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have another copy of it", library.display())]
     LibraryUnusable {
         /// The library.
         library: PathBuf,
     },
-    /// The values of an instance are gone, because another one was made of a library whose instances disturb each other.
-    #[error("{}: instances disturb each other, and another one has been used since", library.display())]
+    /// The final values of a simulation are gone: its copy of the library was needed for another one.
+    #[error(
+        "the values are gone: another simulation has used {} since, of which no further copy can be loaded; \
+         simulate again, or read values before others simulate", library.display()
+    )]
     Disturbed {
         /// The library.
         library: PathBuf,
@@ -455,6 +452,13 @@ fn bits((least, most): (i128, i128)) -> u32 {
 }
 
 impl FmiError {
+    /// A library file that is not any more what was loaded from it.
+    pub(crate) fn written_over(library: &Path) -> FmiError {
+        let message = "the file was written over after this process had loaded it; restart the process, or give the new \
+                       version a file of its own";
+        FmiError::LoadFailed { library: library.to_owned(), message: message.to_owned() }
+    }
+
     /// Wraps an error of the operating system with what was tried on which path.
     pub(crate) fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> FmiError {
         let path = path.into();

@@ -3,6 +3,7 @@
 use crate::description::{DefaultExperiment, Interval, Value};
 use crate::error::FmiError;
 use crate::input::Inputs;
+use crate::reuse::Sharing;
 use ode::Number;
 use ode::{ChatteringPolicy, Method};
 use std::sync::Arc;
@@ -106,6 +107,8 @@ pub struct SimulateOptions {
     pub record_events: bool,
     /// Set from outside to end the run.
     pub cancel: Option<Arc<AtomicBool>>,
+    /// How simulations that run in parallel share the library of the FMU.
+    pub sharing: Sharing,
 }
 
 impl SimulateOptions {
@@ -258,6 +261,13 @@ impl SimulateOptions {
     #[must_use]
     pub fn cancel(mut self, flag: Arc<AtomicBool>) -> Self {
         self.cancel = Some(flag);
+        self
+    }
+
+    /// Sets [`sharing`](Self::sharing).
+    #[must_use]
+    pub fn sharing(mut self, sharing: Sharing) -> Self {
+        self.sharing = sharing;
         self
     }
 

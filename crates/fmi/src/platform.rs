@@ -321,7 +321,7 @@ pub(crate) fn read_at(file: &File, buffer: &mut [u8], position: u64) -> io::Resu
 }
 
 /// What tells a file from another, and from what it was before it was changed.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(crate) struct FileIdentity {
     /// Device and inode, where systems have them.
     place: (u64, u64),

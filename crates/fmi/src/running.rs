@@ -3,12 +3,12 @@
 
 use crate::beginning::{Start, StartValues};
 use crate::clocks::{ClockState, Tick};
-use crate::digest::Digest;
 use crate::error::FmiError;
 use crate::input::InputState;
 use crate::instance::{CoSimulation, ContinuousTime, Core, EventMode, Initialization, Instance, StepMode};
 use crate::outputs::OutputBuffers;
 use crate::plan::SimulationPlan;
+use crate::reuse::{Digest, Unset};
 use crate::sys::{Fault, RawInstance};
 use ode::{CallError, CallResult};
 use std::sync::Arc;
@@ -54,16 +54,12 @@ impl Current {
     /// The running instance, to be asked for its values.
     ///
     /// # Errors
-    /// There is none, it broke, or another one of its library was made or freed since and they disturb each other.
+    /// There is none, or it broke.
     pub(crate) fn trusted(&mut self) -> Result<&mut Core, FmiError> {
         if self.broken {
             return Err(no_instance());
         }
-        let core = self.core()?;
-        if core.raw.is_stale() {
-            return Err(FmiError::Disturbed { library: core.raw.library_path() });
-        }
-        Ok(core)
+        self.core()
     }
 
     /// The instance, if it is in event mode (model exchange).
@@ -123,6 +119,8 @@ pub(crate) struct Running {
     pub(crate) clocks: ClockState,
     /// Running digest of everything that the FMU answered; only while reset is checked.
     pub(crate) digest: Option<Digest>,
+    /// What is set besides the settings of the plan.
+    pub(crate) unset: Unset,
     /// Values of parameters on their way.
     signed: Vec<f64>,
 }
@@ -135,6 +133,7 @@ impl Running {
             buffers: OutputBuffers::new(plan.outputs()),
             clocks: ClockState::default(),
             digest: None,
+            unset: Unset::default(),
             signed: Vec::new(),
             plan,
         }
@@ -154,8 +153,8 @@ impl Running {
     ) -> Result<Instance<Initialization, K>, FmiError> {
         self.current = Current { phase: Phase::Gone, broken: false };
         self.buffers.begin();
-        let Self { plan, inputs, clocks, signed, .. } = self;
-        Start { plan, start_values, parameters, stop }.begin(raw, signed, inputs, clocks)
+        let Self { plan, inputs, clocks, unset, signed, .. } = self;
+        Start { plan, unset, start_values, parameters, stop }.begin(raw, signed, inputs, clocks)
     }
 
     /// Takes an instance that will have to be reset.

@@ -161,7 +161,13 @@ fn a_way_that_passed_while_more_was_set_is_tried_again() {
     for _ in 0..3 {
         assert_eq!(fmu.simulate(&setting).unwrap().columns, truth.columns);
     }
+    // In the copy where the state was set, it is set again, also by runs that do not mean to.
+    for _ in 0..3 {
+        assert_eq!(fmu.simulate(&plain).unwrap().columns, truth.columns);
+    }
     assert_eq!(fmu.reuse_of(InterfaceKind::ModelExchange), Some(Reuse::Reset));
+    // In another copy it never was.
+    let _other = fmu.instantiate().unwrap();
     for _ in 0..3 {
         assert_eq!(fmu.simulate(&plain).unwrap().columns, truth.columns);
     }
@@ -169,12 +175,14 @@ fn a_way_that_passed_while_more_was_set_is_tried_again() {
     // A pool finds it out, too.
     let folder = evil(&["RESET_TO_ZERO"]);
     let fmu = folder.open();
+    let mut pools = Vec::new();
     for (options, reuse) in [(&setting, Reuse::Reset), (&plain, Reuse::Reinstantiate)] {
         let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, options).unwrap()));
         assert_eq!(pool.reuse().unwrap(), reuse);
         for _ in 0..2 {
             assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap().columns, truth.columns);
         }
+        pools.push(pool);
     }
 }
 

@@ -63,13 +63,12 @@ fn a_reset_that_keeps_parameters_leaves_nothing_to_the_next_session() {
 }
 
 #[test]
-fn one_instance_per_process_however_often_the_library_is_opened() {
+fn one_instance_per_copy_however_often_the_library_is_opened() {
     let folder = only_once();
     let (a, b) = (folder.open(), folder.open());
     let first = a.instantiate().unwrap();
-    assert!(matches!(b.instantiate(), Err(FmiError::OnlyOneInstance { .. })));
-    drop(first);
-    // Idle instances of one make place for the other.
+    let second = b.instantiate().unwrap();
+    drop((first, second));
     let options = SimulateOptions::new();
     let truth = a.simulate(&options).unwrap();
     assert_eq!(b.simulate(&options).unwrap(), truth);
@@ -92,7 +91,7 @@ fn two_pools_of_a_library_with_globals_do_not_run_at_once() {
     let folder = evil_with_sibling(&[], "sibling");
     let fmu = folder.open();
     let pools = [(1.0, pool(&fmu, &with_k())), (3.0, pool(&folder.open(), &with_k()))];
-    assert!(pools.iter().all(|(_, pool)| pool.sharing().unwrap() == Sharing::OneAtATime));
+    assert!(pools.iter().all(|(_, pool)| pool.sharing().unwrap() == Sharing::Serial));
     run_both(&pools);
     // Values of a run are gone when another one was made.
     let plan =
@@ -113,31 +112,20 @@ fn where_only_the_last_instance_is_right_there_is_only_one() {
     let truth = folder.open().simulate(&SimulateOptions::new().start_value("k", 2.0)).unwrap();
     let fmu = folder.open();
     let pool = pool(&fmu, &with_k());
-    assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies);
+    assert_eq!(pool.sharing().unwrap(), Sharing::Copies);
     for _ in 0..3 {
         assert_eq!(Some(run(&pool, 2.0)), truth.final_value("y").unwrap());
     }
 }
 
 #[test]
-fn concurrency_is_tested_also_where_no_step_is_made() {
-    let folder = evil(&["SHARED_GLOBALS"]);
-    let options = with_k().final_time(0.0).outputs(["twice_k"]);
-    assert_eq!(pool(&folder.open(), &options).sharing().unwrap(), Sharing::PrivateCopies);
-    // Nor is it missed where the plan has start values only.
-    let folder = evil(&["SHARED_GLOBALS"]);
-    let options = SimulateOptions::new().start_value("k", 2.0);
-    assert_eq!(pool(&folder.open(), &options).sharing().unwrap(), Sharing::PrivateCopies);
-}
-
-#[test]
-fn static_variables_inside_a_call_are_found_by_two_threads() {
+fn static_variables_inside_a_call_are_those_of_a_copy() {
     let folder = evil(&["STATIC_SCRATCH"]);
     let fmu = folder.open();
     let pool = pool(&fmu, &with_k());
-    assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies);
+    assert_eq!(pool.sharing().unwrap(), Sharing::Copies);
     assert_eq!(pool.reuse().unwrap(), Reuse::Reset);
-    assert_eq!(fmu.sharing_of(InterfaceKind::ModelExchange), Some(Sharing::PrivateCopies));
+    assert_eq!(fmu.sharing_of(InterfaceKind::ModelExchange), Some(Sharing::Copies));
     run_both(&[(1.0, pool), (3.0, self::pool(&fmu, &with_k()))]);
 }
 
@@ -145,20 +133,36 @@ fn static_variables_inside_a_call_are_found_by_two_threads() {
 fn an_honest_model_passes() {
     let folder = evil(&[]);
     let pool = pool(&folder.open(), &with_k());
-    assert_eq!(pool.sharing().unwrap(), Sharing::Together);
+    assert_eq!(pool.sharing().unwrap(), Sharing::Copies);
     assert_eq!(pool.reuse().unwrap(), Reuse::Reset);
 }
 
 #[test]
-fn after_fatal_nothing_of_the_library_is_called() {
+fn after_fatal_nothing_of_the_copy_is_called_and_others_have_another() {
     let folder = evil(&["FATAL_LATE"]);
     let fmu = folder.open();
     let mut other = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
-    let error = fmu.simulate(&SimulateOptions::new()).unwrap_err();
-    assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
-    assert!(matches!(other.get("x"), Err(FmiError::LibraryUnusable { .. })));
-    assert!(matches!(fmu.instantiate(), Err(FmiError::LibraryUnusable { .. })));
-    assert!(matches!(folder.open().instantiate(), Err(FmiError::LibraryUnusable { .. })));
+    for fmu in [fmu.clone(), folder.open()] {
+        let error = fmu.simulate(&SimulateOptions::new()).unwrap_err();
+        assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
+        let short = SimulateOptions::new().final_time(0.25);
+        fmu.simulate(&short).unwrap();
+    }
+    assert_eq!(other.get("x").unwrap(), 1.0.into());
+    let mut stepping = fmu
+        .instantiate()
+        .unwrap()
+        .enter_initialization(0.0, None, None)
+        .unwrap()
+        .exit_initialization()
+        .unwrap()
+        .enter_continuous_time()
+        .unwrap();
+    stepping.set_time(0.75).unwrap();
+    for _ in 0..2 {
+        let error = stepping.get_derivatives(&mut [0.0]).unwrap_err();
+        assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
+    }
 }
 
 #[test]
@@ -230,7 +234,7 @@ fn a_test_that_times_out_binds_only_its_pool() {
     let folder = evil(&["STATIC_SCRATCH"]);
     let fmu = folder.open();
     let short = with_k().max_step(1e-5).timeout(Duration::from_millis(1));
-    assert!(!pool(&fmu, &short).is_concurrent().unwrap());
+    assert_eq!(pool(&fmu, &short).reuse().unwrap(), Reuse::Reinstantiate);
     assert_eq!(fmu.reuse(), None);
 }
 
@@ -250,7 +254,7 @@ fn copies_help_co_simulation_too() {
     let options = with_k().kind(Kind::CoSimulation);
     let fmu = folder.open();
     let pools = [(1.0, pool(&fmu, &options)), (3.0, pool(&folder.open(), &options))];
-    assert!(pools.iter().all(|(_, pool)| pool.sharing().unwrap() == Sharing::PrivateCopies));
+    assert!(pools.iter().all(|(_, pool)| pool.sharing().unwrap() == Sharing::Copies));
     run_both(&pools);
     assert!((run(&pools[1].1, 3.0) - (-3f64).exp()).abs() < 1e-12);
 }
@@ -277,27 +281,29 @@ fn with_copies_nobody_waits() {
     assert_eq!(session.get("twice_k").unwrap(), fmi::Value::Real(18.0));
 }
 
-/// Instances made by hand are those of the FMU's own library, and the flag holds for them.
+/// Instances made by hand have copies too, and nobody else is in these.
 #[test]
-fn the_flag_is_named_where_a_second_instance_is_made_by_hand() {
-    let folder = only_once();
-    let fmu = folder.open();
-    let pool = pool(&fmu, &with_k());
-    assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies);
-    let leases = [pool.lend().unwrap(), pool.lend().unwrap()];
-    let first = fmu.instantiate().unwrap();
-    let error = fmu.instantiate().unwrap_err();
-    assert!(error.to_string().contains("canBeInstantiatedOnlyOncePerProcess"), "{error}");
-    drop(first);
-    fmu.instantiate().unwrap();
-    drop(leases);
+fn a_second_instance_made_by_hand_has_a_copy_of_its_own() {
+    for folder in [only_once(), evil(&["SHARED_GLOBALS"])] {
+        let fmu = folder.open();
+        let mut instances: Vec<_> = (0..3).map(|_| fmu.instantiate().unwrap()).collect();
+        for (i, instance) in instances.iter_mut().enumerate() {
+            instance.set("k", 2.0 + i as f64).unwrap();
+        }
+        for (i, instance) in instances.into_iter().enumerate() {
+            let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
+            assert_eq!(instance.get("k").unwrap(), (2.0 + i as f64).into());
+        }
+        let mut next = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+        assert_eq!(next.get("k").unwrap(), 1.0.into());
+    }
 }
 
 #[test]
 fn after_fatal_the_next_run_has_another_copy() {
-    let folder = evil(&["FATAL_ABOVE", "SHARED_GLOBALS"]);
+    let folder = evil(&["FATAL_ABOVE=50", "SHARED_GLOBALS"]);
     let pool = pool(&folder.open(), &with_k());
-    assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies);
+    assert_eq!(pool.sharing().unwrap(), Sharing::Copies);
     let mut lease = pool.lend().unwrap();
     let truth = lease.trajectory(&[1.0]).unwrap();
     let error = lease.run(&[100.0], &mut Ignore).unwrap_err();
@@ -327,7 +333,7 @@ fn copies_help_all_versions() {
             xml.replace(place, &flag)
         });
         let pool = pool(&folder.open(), &with_k().final_time(1.0).step_size(1e-3).kind(kind));
-        assert_eq!(pool.sharing().unwrap(), Sharing::PrivateCopies, "{version:?}");
+        assert_eq!(pool.sharing().unwrap(), Sharing::Copies, "{version:?}");
         let mut leases = [pool.lend().unwrap(), pool.lend().unwrap()];
         for (lease, k) in leases.iter_mut().zip([2.0, 3.0]) {
             lease.run(&[k], &mut Ignore).unwrap();
@@ -347,11 +353,11 @@ fn writing_into_the_resources_is_detected() {
     let trace = fmu.root().unwrap().join("resources/trace.txt");
     let first = pool(&fmu, &with_k());
     assert_eq!(first.written_resource().unwrap(), Some(trace));
-    assert_eq!(first.sharing().unwrap(), Sharing::OneAtATime);
+    assert_eq!(first.sharing().unwrap(), Sharing::Serial);
     run_both(&[(1.0, first), (3.0, pool(&folder.open(), &with_k()))]);
 
     let folder = evil(&[]);
     std::fs::create_dir(folder.path().join("resources")).unwrap();
     let pool = pool(&folder.open(), &with_k());
-    assert_eq!((pool.written_resource().unwrap(), pool.sharing().unwrap()), (None, Sharing::Together));
+    assert_eq!((pool.written_resource().unwrap(), pool.sharing().unwrap()), (None, Sharing::Copies));
 }

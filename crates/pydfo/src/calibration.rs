@@ -11,7 +11,7 @@ use crate::settings::{self, Options, Settings};
 use crate::trajectory::Counts;
 use crate::values;
 use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
-use dfo::Progress;
+use dfo::{Progress, Termination};
 use fmi::FmiError;
 use fmi::OpenOptions;
 use numpy::PyArray1;
@@ -87,6 +87,7 @@ pub(crate) struct ExperimentFields {
     max_step: Option<f64>,
     input_derivatives: bool,
     chattering: String,
+    sharing: String,
 }
 
 impl ExperimentFields {
@@ -105,6 +106,7 @@ impl ExperimentFields {
             input_derivatives: Some(self.input_derivatives),
             timeout: timeout.transpose()?,
             chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
+            sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,
         })
     }
 
@@ -299,7 +301,17 @@ impl PyCalibration {
         observer: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let Settings {
-            method, tolerances, limits, workers, seed, known, cache, trace_limit, checkpoint, ..
+            method,
+            tolerances,
+            limits,
+            workers,
+            seed,
+            known,
+            known_problem,
+            cache,
+            trace_limit,
+            checkpoint,
+            ..
         } = options.check(py)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
@@ -316,13 +328,15 @@ impl PyCalibration {
                 limits,
                 seed,
                 known,
+                known_problem,
                 cache,
                 trace_limit,
                 checkpoint,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
                     seen.pass_on(progress, desk, hearing.as_ref())
                 })),
-                poll: Some(Box::new(move || asked.is_asked())),
+                cancel: Some(asked.flag()),
+                poll: asked.has_parent().then(|| Box::new(|| asked.is_asked()) as Box<dyn FnMut() -> bool>),
                 ..FitOptions::default()
             })
         })?;
@@ -330,9 +344,13 @@ impl PyCalibration {
         let Some(outcome) = outcome else {
             return Err(error::interrupted(py, last_seen.result(py)?.as_ref(), None));
         };
-        let raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
+        let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
         let result = match outcome {
             Ok(fit) => {
+                // No simulation can be made any more.
+                if let (None, Termination::Aborted(reason)) = (&raised, &fit.report.termination) {
+                    raised = Some(fmu_error::unusable(reason));
+                }
                 let result = report::to_python(py, &fit.report)?;
                 result.setattr("stats", Counts::new(&fit.stats))?;
                 Some(result)

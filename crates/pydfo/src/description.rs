@@ -6,8 +6,7 @@ use fmi::description::{
     BaseUnit, Capabilities, Dimension, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
 };
 use fmi::{
-    InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions, Reuse, Sharing,
-    Variable,
+    InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions, Reuse, Variable,
 };
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyIndexError;
@@ -79,14 +78,9 @@ impl Fmu {
         })
     }
 
-    /// How several simulations share the process; None before it was tried.
+    /// How simulations that run in parallel share the process; None before the library was first needed.
     fn sharing(&self, kind: &str) -> Option<&'static str> {
-        Some(match self.fmu.sharing_of(interface(kind))? {
-            Sharing::Together => "together",
-            Sharing::PrivateCopies => "private copies",
-            Sharing::OneAtATime => "one at a time",
-            _ => "other",
-        })
+        self.fmu.sharing_of(interface(kind)).map(fmi::Sharing::name)
     }
 
     /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME" or "CS".

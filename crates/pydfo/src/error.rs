@@ -3,7 +3,7 @@
 
 use crate::fmu_error;
 use crate::interrupt::Stop;
-use pyo3::exceptions::{PyKeyError, PyKeyboardInterrupt, PyOSError, PyValueError};
+use pyo3::exceptions::{PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::io;
@@ -27,6 +27,7 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
         dfo::Error::Checkpoint { .. } | dfo::Error::CheckpointMismatch { .. } => {
             return CheckpointError::new_err(message);
         }
+        dfo::Error::Memory { .. } => return PyMemoryError::new_err(message),
         dfo::Error::UnknownPoint { .. } => return PyKeyError::new_err(message),
         _ => return PyValueError::new_err(message),
     };

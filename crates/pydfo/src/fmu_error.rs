@@ -37,6 +37,11 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
     }
 }
 
+/// The exception for a model of which no simulation can be made any more.
+pub(crate) fn unusable(reason: &str) -> PyErr {
+    FmuError::new_err(reason.to_owned())
+}
+
 /// `FileNotFoundError` and its like, with number and path as Python's own functions raise them.
 fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) -> PyErr {
     // Errors that passed through other libraries have lost their number.

@@ -51,6 +51,17 @@ impl Stop {
         by_parent
     }
 
+    /// Whether this is part of other work, whose end must be looked for.
+    pub(crate) fn has_parent(&self) -> bool {
+        self.parent.is_some()
+    }
+
+    /// Ends the work with an exception.
+    pub(crate) fn end_with(&self, exception: PyErr) {
+        lock(&self.raised).get_or_insert(exception);
+        self.flag.store(true, Ordering::Relaxed);
+    }
+
     /// Asks for the end; returns how often that was done before.
     fn ask(&self) -> u32 {
         self.flag.store(true, Ordering::Relaxed);

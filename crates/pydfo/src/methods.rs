@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict};
 
 /// What can be said to every method; read in `pydfo/_options.py`.
-const COMMON: &str = "cache, checkpoint_interval, f_tol, kinds, nominal, scale, stop, tolerances, trace_limit, warm_start, x_tol";
+const COMMON: &str = "cache, checkpoint_interval, f_tol, kinds, nominal, problem, scale, stop, tolerances, trace_limit, warm_start, x_tol";
 
 /// The words for an option with a fixed set of values.
 type Words<T> = &'static [(&'static str, T)];
@@ -20,6 +20,7 @@ const PLANS: Words<BatchPlan> = &[
     ("two", BatchPlan::Two),
     ("four", BatchPlan::Four),
     ("two-ahead", BatchPlan::TwoAhead),
+    ("ahead", BatchPlan::Ahead),
     ("lee-wiswall", BatchPlan::LeeWiswall),
 ];
 const BOUNDS: Words<BoundsHandling> =
@@ -43,6 +44,7 @@ const STRATEGIES: Words<Strategy> = &[
 ];
 const CROSSOVERS: Words<Crossover> =
     &[("binomial", Crossover::Binomial), ("exponential", Crossover::Exponential)];
+const COEFFICIENTS: &str = "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)";
 
 /// The entries of a dict, taken one by one.
 struct Given<'a, 'py> {
@@ -185,13 +187,13 @@ pub(crate) fn method(name: &str, entries: &Bound<'_, PyDict>) -> PyResult<AnyMet
         AnyMethod::NelderMead(m) => {
             given.word("batch", &mut m.batch, PLANS)?;
             given.word("bounds_handling", &mut m.bounds, BOUNDS)?;
-            let words = "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)";
-            given.read("coefficients", words, &mut m.coefficients, coefficients)?;
+            given.read("coefficients", COEFFICIENTS, &mut m.coefficients, coefficients)?;
             given.read("initial_simplex", "steps or vertices", &mut m.initial, initial_simplex)?;
             given.count("restarts", &mut m.restarts)?;
         }
         AnyMethod::Barrier(m) => {
             given.word("batch", &mut m.batch, PLANS)?;
+            given.read("coefficients", COEFFICIENTS, &mut m.coefficients, coefficients)?;
             given.number("factor", &mut m.factor)?;
             given.optional_number("mu", &mut m.mu)?;
         }

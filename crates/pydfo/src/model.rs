@@ -15,7 +15,8 @@ use std::time::Duration;
 
 pyo3::import_exception!(pydfo._errors, Interrupted);
 
-/// A model with the values set since it was opened or reset.
+/// A model with the values set since it was opened or reset. Whatever waits for its session, or frees an instance, does so
+/// without the lock of the interpreter, which the functions of a simulation may need.
 #[pyclass(frozen, module = "pydfo._core")]
 pub(crate) struct Model {
     fmu: fmi::Fmu,
@@ -121,22 +122,27 @@ impl Model {
     fn set(&self, py: Python<'_>, names: Vec<String>, given: Vec<Bound<'_, PyAny>>) -> PyResult<()> {
         let pairs = values::all_from_python(py, self.fmu.description(), names.into_iter().zip(given))?;
         let pairs = pairs.iter().map(|(name, value)| (name.as_str(), value.clone()));
-        self.with_session(|session| session.set_all(pairs))?.map_err(|e| fmu_error::raise(py, &e))
+        let pairs: Vec<_> = pairs.collect();
+        // Without the lock of the interpreter: initial values that are out of date go, and an instance with them.
+        let set = py.detach(|| self.with_session(|session| session.set_all(pairs)));
+        set?.map_err(|e| fmu_error::raise(py, &e))
     }
 
-    fn reset(&self) -> PyResult<()> {
-        self.with_session(Session::reset)
+    fn reset(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| self.with_session(Session::reset))
     }
 
     /// Frees the instance; everything but the description is refused afterwards.
-    fn close(&self) {
-        let left = std::mem::replace(&mut *lock(&self.slot), Slot::Closed);
-        drop(left);
+    fn close(&self, py: Python<'_>) {
+        py.detach(|| {
+            let left = std::mem::replace(&mut *lock(&self.slot), Slot::Closed);
+            drop(left);
+        });
     }
 
     #[getter]
-    fn closed(&self) -> bool {
-        matches!(*lock(&self.slot), Slot::Closed)
+    fn closed(&self, py: Python<'_>) -> bool {
+        py.detach(|| matches!(*lock(&self.slot), Slot::Closed))
     }
 
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Record<'py>> {

@@ -1,11 +1,11 @@
 //! A Python function as an objective: called with the lock held only inside of it, from whatever thread evaluates.
 
 use crate::interrupt::{Inside, Stop, lock};
-use dfo::{BatchView, Evaluation, Objective, Outcome};
+use dfo::{BatchView, Evaluation, Objective, Outcome, Report};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyCFunction, PyDict, PyFloat};
+use pyo3::types::{PyCFunction, PyDict, PyFloat, PyTuple};
 use std::sync::{Arc, Mutex};
 
 /// A Python function `f(x) -> float`, or `f(x, *, cutoff) -> float | Above`.
@@ -16,46 +16,53 @@ pub(crate) struct PyObjective {
     /// Whether it is told the cutoff, and may return `Above`.
     takes_cutoff: bool,
     stop: Arc<Stop>,
-    /// The exception that ends the run. Of several that are raised at once, the one of the point asked for first.
-    raised: Mutex<Option<(u64, PyErr)>>,
+    /// Exceptions, by the points at which they were raised: the run ends with that of the first point of its path.
+    raised: Mutex<Vec<(Vec<u64>, PyErr)>>,
 }
 
 impl PyObjective {
     pub(crate) fn new(function: Py<PyAny>, (tolerant, takes_cutoff): (bool, bool), stop: Arc<Stop>) -> Self {
-        Self { function, tolerant, takes_cutoff, stop, raised: Mutex::new(None) }
+        Self { function, tolerant, takes_cutoff, stop, raised: Mutex::default() }
     }
 
-    /// The exception that ended the run.
-    pub(crate) fn take_raised(&self) -> Option<PyErr> {
-        lock(&self.raised).take().map(|(_, e)| e)
-    }
-
-    fn abort(&self, id: u64, exception: PyErr) -> Outcome {
-        let message = exception.to_string();
+    /// The exception that ended the run: the one raised at the point of its path that ended it.
+    pub(crate) fn take_raised(&self, run: &Result<Report, dfo::Error>) -> Option<PyErr> {
+        let trace = run.as_ref().map_or_else(|e| e.trace(), |report| Some(&report.trace))?;
+        let end = trace.iter().rev().find(|entry| matches!(entry.outcome, Outcome::Abort(_)))?;
         let mut raised = lock(&self.raised);
-        if raised.as_ref().is_none_or(|(first, _)| id < *first) {
-            *raised = Some((id, exception));
-        }
+        let place = raised.iter().position(|(x, _)| *x == bits(end.x))?;
+        Some(raised.swap_remove(place).1)
+    }
+
+    fn abort(&self, x: &[f64], exception: PyErr) -> Outcome {
+        let message = exception.to_string();
+        lock(&self.raised).push((bits(x), exception));
         Outcome::Abort(message)
     }
 
     /// What a call of the user's function means.
-    fn outcome(&self, py: Python<'_>, id: u64, returned: PyResult<Bound<'_, PyAny>>) -> Outcome {
+    fn outcome(&self, py: Python<'_>, x: &[f64], returned: PyResult<Bound<'_, PyAny>>) -> Outcome {
         match returned {
             Ok(value) if self.takes_cutoff && is_above(&value) => {
                 match value.getattr("cutoff").and_then(|cutoff| number(&cutoff, "the cutoff of Above")) {
                     Ok(cutoff) => Outcome::Above(cutoff),
-                    Err(e) => self.abort(id, e),
+                    Err(e) => self.abort(x, e),
                 }
             }
             Ok(value) => match number(&value, "the objective") {
                 Ok(cost) => Outcome::Value(cost),
                 // Always an error in the program, never one of the model.
-                Err(e) => self.abort(id, e),
+                Err(e) => self.abort(x, e),
             },
             // SystemExit, KeyboardInterrupt and their like always end the run.
             Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
-            Err(e) => self.abort(id, e),
+            Err(e) if e.is_instance_of::<PyException>(py) => self.abort(x, e),
+            // Also at a point that nobody needs yet.
+            Err(e) => {
+                let message = e.to_string();
+                self.stop.end_with(e);
+                Outcome::Abort(message)
+            }
         }
     }
 
@@ -65,18 +72,31 @@ impl PyObjective {
     pub(crate) fn evaluate_batch(&self, py: Python<'_>, batch: &BatchView<'_>) -> Vec<Outcome> {
         let _inside = Inside::new(&self.stop);
         let mut outcomes = vec![Outcome::Skipped; batch.len()];
-        let ids = (0..batch.len()).map(|k| batch.evaluation(k).id);
         let answers = self.answers(py, batch);
         match answers {
-            Err(e) => outcomes[0] = self.abort(batch.evaluation(0).id, e),
+            Err(e) => outcomes[0] = self.abort(batch.point(0), e),
             Ok(answers) => {
-                for ((place, id), answer) in outcomes.iter_mut().zip(ids).zip(answers) {
+                for ((k, place), answer) in outcomes.iter_mut().enumerate().zip(answers) {
                     if answer.is(py.Ellipsis()) {
                         continue;
                     }
+                    // With its own time, or without.
+                    let answer = match answer.cast_into::<PyTuple>() {
+                        Ok(timed) if timed.get_type().is(py.get_type::<PyTuple>()) && timed.len() == 2 => {
+                            if let Ok(seconds) = timed.get_item(0).and_then(|s| s.extract()) {
+                                batch.set_seconds(k, seconds);
+                            }
+                            match timed.get_item(1) {
+                                Ok(value) => value,
+                                Err(_) => continue,
+                            }
+                        }
+                        Ok(other) => other.into_any(),
+                        Err(e) => e.into_inner(),
+                    };
                     let exception = answer.is_instance_of::<PyBaseException>();
                     let returned = if exception { Err(PyErr::from_value(answer)) } else { Ok(answer) };
-                    *place = self.outcome(py, id, returned);
+                    *place = self.outcome(py, batch.point(k), returned);
                 }
             }
         }
@@ -99,6 +119,10 @@ impl PyObjective {
 }
 
 impl Objective for PyObjective {
+    fn uses_cutoff(&self) -> bool {
+        self.takes_cutoff
+    }
+
     fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
         let _inside = Inside::new(&self.stop);
         Python::attach(|py| {
@@ -111,9 +135,13 @@ impl Objective for PyObjective {
             } else {
                 self.function.bind(py).call1(point)
             };
-            self.outcome(py, evaluation.id, returned)
+            self.outcome(py, x, returned)
         })
     }
+}
+
+fn bits(x: &[f64]) -> Vec<u64> {
+    x.iter().map(|v| v.to_bits()).collect()
 }
 
 /// Whether a function returned `pydfo.Above`.
@@ -141,6 +169,10 @@ pub(crate) fn number(value: &Bound<'_, PyAny>, who: &str) -> PyResult<f64> {
     if let (Ok(shape), Ok(dtype)) = (value.getattr("shape"), value.getattr("dtype")) {
         if !value.getattr("size").and_then(|s| s.extract::<usize>()).is_ok_and(|size| size == 1) {
             return Err(bad(format!("an array of shape {shape}")));
+        }
+        // What is masked is no number, whatever lies under the mask.
+        if value.getattr("mask").and_then(|mask| mask.call_method0("any")?.is_truthy()).unwrap_or(false) {
+            return Ok(f64::NAN);
         }
         return match dtype.getattr("kind").and_then(|k| k.extract::<char>()) {
             Ok('f' | 'i' | 'u' | 'b') => value.call_method0("item")?.extract(),

@@ -34,13 +34,13 @@ impl PyOptimizer {
     ) -> PyResult<Self> {
         let n = lower.len();
         let problem = Problem::new(x0, lower, upper, options.check(py)?);
-        let optimizer = problem.describe(dfo::by_hand()).and_then(|run| run.optimizer());
+        let optimizer = py.detach(|| problem.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
         let inner = Mutex::new(optimizer.map_err(|e| error::optimiser(py, &e))?);
         Ok(Self { inner, n })
     }
 
     fn ask<'py>(&self, py: Python<'py>, at_most: Option<usize>) -> PyResult<Asked<'py>> {
-        let points = lock(&self.inner).ask(at_most.unwrap_or(usize::MAX));
+        let points = py.detach(|| lock(&self.inner).ask(at_most.unwrap_or(usize::MAX)));
         let flat: Vec<f64> = points.iter().flat_map(|p| p.x.iter().copied()).collect();
         Ok((
             PyArray1::from_iter(py, points.iter().map(|p| p.id)),
@@ -65,7 +65,8 @@ impl PyOptimizer {
         } else {
             Outcome::Value(objective::number(value, "the objective")?)
         };
-        lock(&self.inner).tell(id, outcome).map_err(|e| error::optimiser(py, &e))
+        // It may write the checkpoint, and another thread that waits for us may hold the interpreter lock.
+        py.detach(|| lock(&self.inner).tell(id, outcome)).map_err(|e| error::optimiser(py, &e))
     }
 
     #[getter]
@@ -85,15 +86,15 @@ impl PyOptimizer {
     }
 
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let report = lock(&self.inner).report();
+        let report = py.detach(|| lock(&self.inner).report());
         report::to_python(py, &report.map_err(|e| error::optimiser(py, &e))?)
     }
 
     fn save(&self, py: Python<'_>) -> PyResult<()> {
-        lock(&self.inner).save().map_err(|e| error::optimiser(py, &e))
+        py.detach(|| lock(&self.inner).save()).map_err(|e| error::optimiser(py, &e))
     }
 
     fn stop(&self, py: Python<'_>) -> PyResult<()> {
-        lock(&self.inner).stop().map_err(|e| error::optimiser(py, &e))
+        py.detach(|| lock(&self.inner).stop()).map_err(|e| error::optimiser(py, &e))
     }
 }

@@ -15,6 +15,7 @@ pub(crate) struct Snapshot {
     n_iterations: usize,
     n_evaluations: usize,
     n_failed: usize,
+    n_speculative: usize,
     x: Vec<f64>,
     fun: f64,
     operation: String,
@@ -33,6 +34,7 @@ impl Snapshot {
             n_iterations: progress.n_iterations,
             n_evaluations: progress.n_evaluations,
             n_failed: progress.n_failed,
+            n_speculative: progress.n_speculative,
             x: progress.x.to_vec(),
             fun: progress.fun,
             operation: progress.operation.to_string(),
@@ -51,6 +53,7 @@ impl Snapshot {
         fields.set_item("nit", self.n_iterations)?;
         fields.set_item("nfev", self.n_evaluations)?;
         fields.set_item("nfail", self.n_failed)?;
+        fields.set_item("n_speculative", self.n_speculative)?;
         fields.set_item("solve_time", self.seconds)?;
         fields.set_item("x_size", self.tests.map(|t| t.x_size))?;
         fields.set_item("f_spread", self.tests.and_then(|t| t.f_spread))?;
@@ -209,26 +212,30 @@ fn describe(outcome: &Outcome) -> (f64, String) {
 /// `pydfo.Trace`
 pub(crate) fn trace<'py>(py: Python<'py>, trace: &Trace) -> PyResult<Bound<'py, PyAny>> {
     let fields = PyDict::new(py);
-    let points = PyArray1::from_slice(py, trace.points()).reshape([trace.len(), trace.n()])?;
+    let all = || trace.iter().chain(trace.speculative());
+    let n_rows = trace.len() + trace.speculative().len();
+    let flat: Vec<f64> = all().flat_map(|e| e.x.iter().copied()).collect();
+    let points = PyArray1::from_vec(py, flat).reshape([n_rows, trace.n()])?;
     fields.set_item("x", points)?;
-    let costs = trace.iter().map(|e| e.outcome.value().unwrap_or(f64::NAN));
+    let costs = all().map(|e| e.outcome.value().unwrap_or(f64::NAN));
     fields.set_item("fun", PyArray1::from_iter(py, costs))?;
-    let above = trace.iter().map(|e| match e.outcome {
+    let above = all().map(|e| match e.outcome {
         Outcome::Above(cutoff) => *cutoff,
         _ => f64::NAN,
     });
     fields.set_item("above", PyArray1::from_iter(py, above))?;
-    fields.set_item("used", PyArray1::from_iter(py, trace.iter().map(|e| e.used)))?;
-    fields.set_item("id", PyArray1::from_iter(py, trace.iter().map(|e| e.id)))?;
-    fields.set_item("batch", PyArray1::from_iter(py, trace.iter().map(|e| e.batch)))?;
-    fields.set_item("seconds", PyArray1::from_iter(py, trace.iter().map(|e| e.seconds)))?;
+    fields.set_item("used", PyArray1::from_iter(py, all().map(|e| e.used)))?;
+    fields.set_item("id", PyArray1::from_iter(py, all().map(|e| e.id)))?;
+    fields.set_item("batch", PyArray1::from_iter(py, all().map(|e| e.batch)))?;
+    fields.set_item("seconds", PyArray1::from_iter(py, all().map(|e| e.seconds)))?;
     let messages = PyDict::new(py);
-    for (k, entry) in trace.iter().enumerate() {
+    for (k, entry) in all().enumerate() {
         if matches!(entry.outcome, Outcome::Failed(_) | Outcome::Abort(_)) {
             messages.set_item(k, describe(entry.outcome).1)?;
         }
     }
     fields.set_item("messages", messages)?;
     fields.set_item("n_dropped", trace.n_dropped())?;
+    fields.set_item("problem", trace.problem())?;
     py.import("pydfo._result")?.getattr("Trace")?.call((), Some(&fields))
 }

@@ -32,6 +32,9 @@ pub(crate) struct Options {
     nominal: Vec<f64>,
     kinds: Vec<String>,
     known: Vec<(Vec<f64>, f64)>,
+    known_problem: Option<String>,
+    problem: Option<String>,
+    unlimited: bool,
 }
 
 /// The same for the optimiser.
@@ -46,6 +49,9 @@ pub(crate) struct Settings {
     pub(crate) cache: Option<usize>,
     pub(crate) trace_limit: Option<usize>,
     pub(crate) known: Vec<(Vec<f64>, f64)>,
+    pub(crate) known_problem: Option<String>,
+    problem: Option<String>,
+    unlimited: bool,
     transforms: Vec<Transform>,
     sizes: Vec<f64>,
     kinds: Vec<Kind>,
@@ -89,6 +95,9 @@ impl Options {
             cache: self.cache,
             trace_limit: self.trace_limit,
             known: self.known,
+            known_problem: self.known_problem,
+            problem: self.problem,
+            unlimited: self.unlimited,
             transforms: words("scale", &self.scale, &scales)?,
             sizes: self.nominal,
             kinds: words("kinds", &self.kinds, &KINDS)?,
@@ -106,8 +115,14 @@ impl Settings {
             .transforms(&self.transforms)
             .scales(&self.sizes)
             .kinds(&self.kinds)
-            .known(self.known)
+            .known(self.known, self.known_problem)
             .workers(self.workers.unwrap_or(1));
+        if let Some(problem) = self.problem {
+            run = run.problem(problem);
+        }
+        if self.unlimited {
+            run = run.unlimited();
+        }
         if let Some(seed) = self.seed {
             run = run.seed(seed);
         }

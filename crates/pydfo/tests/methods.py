@@ -48,10 +48,11 @@ def shifted(x, by, factor):
 
 
 def timeless(result):
-    """All of a run but what the clock says."""
-    trace = result.trace
+    """All of a run's path but what the clock says."""
+    trace, path = result.trace, slice(result.nfev)
     return (
-        result.x.tobytes(), result.fun, result.nit, result.nfev, result.n_batches, result.n_cached, result.message,
-        trace.x.tobytes(), trace.fun.tobytes(), trace.above.tobytes(), trace.used.tobytes(), trace.id.tobytes(),
-        trace.batch.tobytes(), tuple(sorted(trace.messages.items())),
+        result.x.tobytes(), result.fun, result.nit, result.nfev, result.n_cached, result.message,
+        trace.x[path].tobytes(), trace.fun[path].tobytes(), trace.above[path].tobytes(), trace.used[path].tobytes(),
+        trace.id[path].tobytes(), trace.batch[path].tobytes(),
+        tuple(sorted((k, text) for k, text in trace.messages.items() if k < result.nfev)),
     )  # fmt: skip

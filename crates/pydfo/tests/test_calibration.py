@@ -122,7 +122,7 @@ def test_a_fit_finds_the_parameter(dahlquist, scale):
     assert fit.parameters == {"k": fit.x[0]} and fit.x[0] == pytest.approx(2.0, abs=1e-4)
     assert fit.cost == fit.fun == fit["cost"] and fit.rms == np.sqrt(fit.cost / 5) == fit["rms"]
     assert fit.nfail == 0 and fit.nfev == len(fit.trace) and fit.nit > 3
-    assert "converged" in fit.message and "k: 2" in repr(fit)
+    assert "converged" in fit.message and f"k: {fit.x[0]:.8g}" in repr(fit)
     assert fit.start_cost == pytest.approx(np.sum((np.exp(-TIME) - TRUE) ** 2), rel=1e-6)
     assert fit.start_rms == np.sqrt(fit.start_cost / 5)
     x_opt, f_opt, nbr_iters, nbr_fevals, _ = fit
@@ -167,7 +167,7 @@ def test_progress_and_callbacks(dahlquist, capsys):
     fit = decay(dahlquist).fit(callback=seen.append, disp=True)
     assert [p.nit for p in seen] == list(range(fit.nit + 1))
     out = capsys.readouterr().out
-    assert "k = 2" in out and fit.message in out and len(out.splitlines()) == fit.nit + 5
+    assert f"k = {fit.x[0]:.7g}"[:9] in out and fit.message in out and len(out.splitlines()) == fit.nit + 5
     assert decay(dahlquist).fit(callback=lambda p: p.nit >= 3).status == 4
     assert capsys.readouterr().out == ""
     error = RuntimeError("enough")

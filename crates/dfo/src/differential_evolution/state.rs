@@ -2,7 +2,7 @@
 
 use super::adaptation::Adaptation;
 use super::operators::{cross, different, donor, repair};
-use super::options::{Crossover, DifferentialEvolution, Scheme, Weight};
+use super::options::{Crossover, DifferentialEvolution, Scheme, Weight, planned};
 use crate::cost::Cost;
 use crate::error::Error;
 use crate::generations::{Breeder, Generations, Pool};
@@ -37,10 +37,8 @@ impl Differences {
         let adaptation = match options.scheme {
             Scheme::Classic { .. } => None,
             Scheme::Adaptive(adaptive) => {
-                // A limit that says "none" is nothing to plan with.
-                let limit = setup.max_evaluations.filter(|m| *m < usize::MAX);
-                let limit = limit.unwrap_or(2000usize.saturating_mul(n + 1));
-                Some(Adaptation::new(adaptive, members, options.budget.unwrap_or(limit), n))
+                let budget = options.budget.or(setup.max_evaluations).unwrap_or_else(|| planned(n));
+                Some(Adaptation::new(adaptive, members, budget, n))
             }
         };
         let breeder = Self {

@@ -4,23 +4,27 @@ use crate::cost::Cost;
 use crate::population::Population;
 use crate::rng::Stream;
 
-/// The share that the worst member with a cost keeps of the range of costs.
+/// The share of the fitness of the best that members without any fitness of their own keep.
 const FLOOR: f64 = 1e-3;
 
-/// Running sums of the fitness of all members; the last is the total.
+/// Running sums of the fitness of all members; the last is the total. Fitness is how far a cost lies below the 70 % quantile
+/// of the costs. Measured from the worst, a few mutants far off make all others equally fit, and the population never
+/// converges: of a sphere in ten parameters on [-5, 5] 0.26 is left after 10 000 evaluations (median of 10 seeds), with
+/// quantiles of 80, 70, 60 and 50 % 5e-3, 5e-4, 3e-5 and 3e-6. The lower the quantile, the sooner diversity is lost:
+/// Rosenbrock's function in two parameters is left at 7e-4, 2e-5, 1e-4, 9e-3 and 9e-3.
 pub(super) fn fitness_sums(population: &Population, out: &mut Vec<f64>) {
-    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    for slot in 0..population.len() {
-        if let Cost::Value(v) = population.cost(slot) {
-            (low, high) = (low.min(v), high.max(v));
-        }
-    }
+    let cost = |rank: usize| population.cost(population.order()[rank]).value().unwrap_or(0.0);
+    let (low, high) = match population.n_finite() {
+        0 => (0.0, 0.0),
+        n => (cost(0), cost((n - 1) * 7 / 10)),
+    };
     // Halved, so that the range of the largest numbers does not overflow.
     let range = 0.5 * high - 0.5 * low;
     out.clear();
     let mut sum = 0.0;
     for slot in 0..population.len() {
         sum += match population.cost(slot) {
+            Cost::Value(v) if v > high => FLOOR,
             Cost::Value(v) if range > 0.0 => (0.5 * high - 0.5 * v) / range + FLOOR,
             Cost::Value(_) => 1.0,
             Cost::Failed | Cost::Pending => 0.0,
@@ -92,11 +96,11 @@ mod tests {
     fn selection_follows_the_fitness_shares() {
         use Cost::{Failed, Value};
         let mut sums = Vec::new();
-        let p = population(&[Value(3.0), Failed, Value(-1.0), Value(1.0)]);
+        let p = population(&[Value(3.0), Failed, Value(-1.0), Value(0.0), Value(1.0), Value(9.0)]);
         fitness_sums(&p, &mut sums);
-        let fitness = [0.001, 0.0, 1.001, 0.501];
+        let fitness = [0.001, 0.0, 1.001, 0.501, 0.001, 0.001];
         let total: f64 = fitness.iter().sum();
-        let mut counts = [0.0; 4];
+        let mut counts = [0.0; 6];
         let (mut s, draws) = (stream(), 30_000.0);
         (0..draws as usize).for_each(|_| counts[spin(&mut s, &sums)] += 1.0);
         for (count, share) in counts.iter().zip(fitness.map(|f| f / total)) {

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Selection {
-    /// With probabilities proportional to fitness.
+    /// With probabilities proportional to fitness: how far the cost lies below the 70 % quantile of the population.
     #[default]
     FitnessProportional,
     /// The best of so many members drawn at random (with repetition).
@@ -25,7 +25,9 @@ pub enum Selection {
 
 /// Options of the genetic algorithm.
 ///
-/// Every free parameter needs two finite bounds; parameters may be integers or choices.
+/// Every free parameter needs two finite bounds; parameters may be integers or choices. The tolerance tests measure the
+/// best eighth of the population, because mutation always leaves some members far from the best. Neighbouring codes
+/// are 1.5e-5 of the width of the box apart unless `resolution` says otherwise: smaller distances cannot be seen.
 ///
 /// ```
 /// use dfo::{Genetic, Kind, minimize};
@@ -211,8 +213,8 @@ impl MethodOptions for Genetic {
         words::fields(self)
     }
 
-    fn default_limits(&self, n: usize) -> (usize, usize) {
-        (5000usize.saturating_mul(n + 1), usize::MAX)
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
+        (Some(5000usize.saturating_mul(n + 1)), None)
     }
 
     /// Children that are like a parent are common.

@@ -7,7 +7,7 @@ use crate::error::Error;
 use crate::generations::{Breeder, Generations, Pool};
 use crate::method::Setup;
 use crate::rng::{Purpose, Stream};
-use crate::termination::Termination;
+use crate::termination::{Extent, Termination};
 use serde::{Deserialize, Serialize};
 
 /// A running genetic algorithm; made by [`Genetic`].
@@ -138,7 +138,12 @@ impl Breeder for Strings {
             return Some(Termination::Stalled);
         }
         // Without an elite everything may be lost; the best point seen is kept elsewhere.
-        (pool.population.n_finite() == 0).then_some(Termination::Collapsed)
+        (pool.population.n_finite() == 0).then_some(Termination::AllFailed)
+    }
+
+    /// Mutation keeps some members away from the best however long the search goes on.
+    fn extent(&self) -> Extent {
+        Extent::BestEighth
     }
 
     fn is_sound(&self, pool: &Pool) -> bool {

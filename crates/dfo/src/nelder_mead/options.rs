@@ -3,44 +3,47 @@
 use super::initial;
 use super::state::NelderMeadState;
 use crate::error::Error;
-use crate::method::{MethodOptions, Setup, restored};
+use crate::memory;
+use crate::method::{Lookahead, MethodOptions, Setup, restored};
 use crate::scaling::BoundsHandling;
 use crate::words;
 use serde::{Deserialize, Serialize};
 
-/// Which points an iteration asks for at once. All plans give the same simplices but [`LeeWiswall`](Self::LeeWiswall).
+/// How many points are evaluated at once. All plans take the same path but [`LeeWiswall`](Self::LeeWiswall): points
+/// beyond the one that the path needs are the most probable of those that it may need next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum BatchPlan {
-    /// By the number of workers: twenty or more: [`TwoAhead`](Self::TwoAhead); four or more: [`Four`](Self::Four); two
-    /// or three: [`Two`](Self::Two); else
-    /// [`Serial`](Self::Serial).
+    /// At most as many as there are workers: so many that the path advances fastest. That is measured while the run goes
+    /// on; where evaluations are too short to be handed over, it is one.
     #[default]
     Auto,
     /// One point at a time: never an evaluation too many.
     Serial,
-    /// Reflection and inside contraction.
+    /// Two points.
     Two,
-    /// Reflection, expansion, outside and inside contraction.
+    /// Four points.
     Four,
-    /// The four points of this iteration and the sixteen that the next may need.
+    /// Twenty points: about all that two iterations may need.
     TwoAhead,
-    /// Another path: the n/2 worst vertices move at once, fewer when that stops paying, in the end one as in
-    /// [`Serial`](Self::Serial) (Lee and Wiswall 2007). Fewer rounds at first, more evaluations in all. The report calls
-    /// the plan `lee-wiswall`, and `lee-wiswall, then serial` once it has come down to one vertex.
+    /// As many points as there are workers, however short an evaluation is.
+    Ahead,
+    /// Another path: the n/2 worst vertices move at once, fewer when that stops paying, in the end one (Lee and Wiswall
+    /// 2007), from where on points are evaluated ahead as in [`Auto`](Self::Auto). Fewer rounds at first, more evaluations
+    /// in all. The report calls the plan `lee-wiswall`, and `lee-wiswall, then serial` once it has come down to one vertex.
     LeeWiswall,
 }
 
 impl BatchPlan {
-    /// The plan that [`Auto`](Self::Auto) stands for with so many workers; any other plan is itself.
-    pub fn resolve(self, workers: usize) -> Self {
-        match (self, workers) {
-            (Self::Auto, 0..=1) => Self::Serial,
-            (Self::Auto, 2..=3) => Self::Two,
-            (Self::Auto, 4..=19) => Self::Four,
-            (Self::Auto, _) => Self::TwoAhead,
-            (plan, _) => plan,
+    pub(super) fn lookahead(self) -> Lookahead {
+        match self {
+            Self::Auto | Self::LeeWiswall => Lookahead::Measured,
+            Self::Serial => Lookahead::None,
+            Self::Two => Lookahead::Points(2),
+            Self::Four => Lookahead::Points(4),
+            Self::TwoAhead => Lookahead::Points(20),
+            Self::Ahead => Lookahead::Workers,
         }
     }
 
@@ -52,22 +55,24 @@ impl BatchPlan {
             Self::Two => "two",
             Self::Four => "four",
             Self::TwoAhead => "two-ahead",
+            Self::Ahead => "ahead",
             Self::LeeWiswall => "lee-wiswall",
         }
     }
 }
 
 /// The coefficients of the simplex operations.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Coefficients {
     /// [`Standard`](Self::Standard) below five free parameters, [`Adaptive`](Self::Adaptive) from there on.
     #[default]
     Auto,
-    /// 1, 2, 1/2, 1/2.
+    /// Reflection 1, expansion 2, contraction 1/2, shrink 1/2: those of Nelder and Mead (Comput. J. 7, 1965), and of Table 1
+    /// of Gedda et al. (Modelica Conference 2012); Python's `fmin` takes them for any number of parameters.
     Standard,
-    /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n.
+    /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n: those of Gao and Han (Comput. Optim. Appl. 51, 2012).
     Adaptive,
     /// The user's.
     Custom {
@@ -164,7 +169,7 @@ pub enum InitialSimplex {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct NelderMead {
-    /// Which points are asked for ahead of need; default by the number of workers.
+    /// How many points are evaluated at once; default [`BatchPlan::Auto`].
     pub batch: BatchPlan,
     /// Coefficients; default standard below five parameters, adaptive from there on.
     pub coefficients: Coefficients,
@@ -174,8 +179,11 @@ pub struct NelderMead {
     /// The starting simplex.
     #[serde(rename = "initial_simplex")]
     pub initial: InitialSimplex,
-    /// How often a simplex that is flat when the tests pass may be built anew (one that is flat because it lies on a
-    /// bound is not: that is normal); default 2.
+    /// How often a simplex that is flat when the tests pass is built anew around its best vertex, at the size it has then
+    /// (at least 1e-3 of the sizes); default 2. A simplex is flat if its vertices (nearly) lie in a plane: then it may have
+    /// stopped where the cost still falls across that plane. A sound simplex is not restarted, one that lies on a bound
+    /// is not flat, and after a restart that found nothing better there is none. This is no search for other minima: for
+    /// those start from several points, or use differential evolution.
     pub restarts: usize,
 }
 
@@ -213,7 +221,7 @@ impl NelderMead {
         self
     }
 
-    /// Sets how often a flat simplex may be built anew.
+    /// Sets how often a flat simplex may be built anew, see [`NelderMead::restarts`](field@Self::restarts).
     #[must_use]
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = restarts;
@@ -253,11 +261,13 @@ impl MethodOptions for NelderMead {
         setup.tolerances.check()?;
         setup.space.require_continuous("nelder-mead")?;
         let numbers = self.coefficients.resolve(setup.space.n_free())?;
+        let (n, n_user) = (setup.space.n_free(), setup.space.n());
+        // The vertices on two scales, those of a batch, and twice the moves of Lee and Wiswall.
+        memory::check("a simplex of so many parameters", &[n + 1, 2 * n + 2 * n_user])?;
         let mut simplex = initial::simplex(&setup.space, &self.initial)?;
         let setup = self.prepared(setup);
         simplex.rewrite(&setup.space);
-        let plan = self.batch.resolve(setup.workers);
-        Ok(NelderMeadState::new(setup, plan, numbers, self.bounds, simplex, self.restarts))
+        Ok(NelderMeadState::new(setup, self.batch, numbers, self.bounds, simplex, self.restarts))
     }
 
     fn describe(&self) -> Vec<(String, String)> {

@@ -118,43 +118,32 @@ impl SimplexData {
     /// Centroid of all vertices but the worst, failed ones left out. Summed in the order of the slots, so that it can
     /// be known before the ranks are.
     pub(super) fn centroid(&self, out: &mut [f64]) {
-        self.centroid_without(self.worst(), None, out);
+        let counts = |slot: &usize| *slot != self.worst() && self.costs[*slot].value().is_some();
+        Self::centroid_of((0..=self.n).filter(counts).map(|slot| self.u(slot)), out);
+    }
+
+    /// Centroid of points, summed in their order.
+    pub(super) fn centroid_of<'a>(points: impl Iterator<Item = &'a [f64]>, out: &mut [f64]) {
+        out.fill(0.0);
+        let mut count = 0.0;
+        for u in points {
+            count += 1.0;
+            out.iter_mut().zip(u).for_each(|(c, u)| *c += u);
+        }
+        out.iter_mut().for_each(|c| *c /= count);
     }
 
     /// Centroid of all but the `left_out` worst vertices, failed ones left out.
     pub(super) fn centroid_of_best(&self, left_out: usize, out: &mut [f64]) {
-        out.fill(0.0);
-        let mut count = 0.0;
-        for &slot in &self.order[..self.order.len() - left_out] {
-            if self.costs[slot].value().is_some() {
-                count += 1.0;
-                out.iter_mut().zip(self.u(slot)).for_each(|(c, u)| *c += u);
-            }
-        }
-        out.iter_mut().for_each(|c| *c /= count);
+        let best = self.order[..self.order.len() - left_out].iter();
+        let finite = best.filter(|slot| self.costs[**slot].value().is_some());
+        Self::centroid_of(finite.map(|slot| self.u(*slot)), out);
     }
 
     /// Puts another vertex in a slot; ranks are to be made anew.
     pub(super) fn replace(&mut self, slot: usize, u: &[f64], x: &[f64], value: f64) {
         self.set(slot, u, x);
         self.set_cost(slot, Cost::Value(value));
-    }
-
-    /// Centroid of all vertices but one, failed ones left out; as if `replacement` stood in place of the worst.
-    pub(super) fn centroid_without(&self, left_out: usize, replacement: Option<&[f64]>, out: &mut [f64]) {
-        out.fill(0.0);
-        let mut count = 0.0;
-        for slot in (0..=self.n).filter(|s| *s != left_out) {
-            let (u, counts) = match replacement {
-                Some(u) if slot == self.worst() => (u, true),
-                _ => (self.u(slot), self.costs[slot].value().is_some()),
-            };
-            if counts {
-                count += 1.0;
-                out.iter_mut().zip(u).for_each(|(c, u)| *c += u);
-            }
-        }
-        out.iter_mut().for_each(|c| *c /= count);
     }
 
     /// Whether a vertex other than the worst lies exactly here.
@@ -185,20 +174,20 @@ impl SimplexData {
 
     /// Largest distance of a vertex from the best along any coordinate, as the x test measures it.
     pub(super) fn x_size(&self, space: &Space, measure: Measure) -> f64 {
-        let point = |slot: usize| (self.u(slot), self.x(slot));
-        let best = point(self.best());
-        self.largest(|k, slot| space.distance(k, best, point(slot), measure))
+        let extent = |(k, &i): (usize, &usize)| {
+            let pair = |slot: usize| (self.u(slot)[k], self.x(slot)[i]);
+            space.extent(k, pair(self.best()), self.order[1..].iter().map(|s| pair(*s)), measure)
+        };
+        space.free().iter().enumerate().map(extent).fold(0.0, f64::max)
     }
 
     /// The same in units of the sizes of the working coordinates.
     pub(super) fn relative_size(&self, space: &Space) -> f64 {
         let best = self.u(self.best());
-        self.largest(|k, slot| (self.u(slot)[k] - best[k]).abs() / space.size(k))
-    }
-
-    fn largest(&self, distance: impl Fn(usize, usize) -> f64) -> f64 {
-        let of_vertex = |slot: &usize| (0..self.n).map(|k| distance(k, *slot)).fold(0.0, f64::max);
-        self.order[1..].iter().map(of_vertex).fold(0.0, f64::max)
+        let distance = |slot: &usize| {
+            (0..self.n).map(|k| (self.u(*slot)[k] - best[k]).abs() / space.size(k)).fold(0.0, f64::max)
+        };
+        self.order[1..].iter().map(distance).fold(0.0, f64::max)
     }
 
     /// Worst minus best cost; `None` while a vertex has none.
@@ -213,6 +202,11 @@ impl SimplexData {
     pub(super) fn is_collapsed(&self, space: &Space) -> bool {
         let best = self.u(self.best());
         self.order[1..].iter().all(|&slot| space.is_same(self.u(slot), best))
+    }
+
+    /// Number of vertices with a cost.
+    pub(super) fn n_finite(&self) -> usize {
+        self.values.iter().flatten().count()
     }
 
     /// How large costs are.

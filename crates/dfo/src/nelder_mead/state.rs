@@ -1,18 +1,17 @@
 //! The state machine: which points are asked for, and what follows from their outcomes.
 //!
-//! There is one decision procedure, that of the serial method. It runs over the trial points as far as they are
-//! known; where it meets an unknown one, that point is what the next batch asks for. Asking ahead of need only means
-//! that more is known when the procedure runs, so all plans take the same path.
+//! There is one decision procedure. It runs over the trial points as far as they are known; where it meets an unknown
+//! one, that point is what the next batch asks for.
 
+use super::foresight::{Foresight, Problem};
 use super::lee_wiswall::{LeeWiswall, Verdict};
-use super::lookahead::LookAhead;
 use super::options::{BatchPlan, Numbers};
 use super::restart;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
 use crate::cost::Cost;
 use crate::error::Error;
-use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status, saved};
+use crate::method::{Batch, Lookahead, Method, Operation, Setup, SimplexView, Status, saved};
 use crate::objective::Outcome;
 use crate::scaling::BoundsHandling;
 use crate::termination::{Termination, Tests};
@@ -23,8 +22,6 @@ use serde::{Deserialize, Serialize};
 enum Role {
     Vertex(usize),
     Trial(Trial),
-    /// A point that the next iteration may need, by its number.
-    Ahead(usize),
     /// A point of a vertex that moves together with others.
     Move(usize),
 }
@@ -79,17 +76,15 @@ pub struct NelderMeadState {
     simplex: SimplexData,
     centroid: Vec<f64>,
     trials: [TrialPoint; 4],
-    ahead: LookAhead,
+    #[serde(skip)]
+    foresight: Foresight,
     parallel: Option<LeeWiswall>,
-    /// Whether the four trial points of this iteration are placed.
-    placed: bool,
     restarts: usize,
     f_restart: Option<f64>,
     phase: Phase,
     ended: Option<Termination>,
     roles: Vec<Role>,
     waiting: bool,
-    used: Vec<bool>,
     n_batches: u64,
     n_points: u64,
     n_iterations: usize,
@@ -109,8 +104,6 @@ impl NelderMeadState {
     ) -> Self {
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         let trial = || TrialPoint::new(n, n_user);
-        let ahead = LookAhead::new(n, n_user, plan == BatchPlan::TwoAhead);
-        let capacity = (n + 1).max(4 + ahead.len());
         Self {
             setup,
             plan,
@@ -119,16 +112,14 @@ impl NelderMeadState {
             simplex,
             centroid: vec![0.0; n],
             trials: [trial(), trial(), trial(), trial()],
-            ahead,
+            foresight: Foresight::default(),
             parallel: (plan == BatchPlan::LeeWiswall).then(|| LeeWiswall::new(n, n_user)),
-            placed: false,
             restarts,
             f_restart: None,
             phase: Phase::Starting,
             ended: None,
-            roles: Vec::with_capacity(capacity),
+            roles: Vec::with_capacity(n + 1),
             waiting: false,
-            used: Vec::with_capacity(capacity),
             n_batches: 0,
             n_points: 0,
             n_iterations: 0,
@@ -156,30 +147,21 @@ impl NelderMeadState {
             && self.trials.iter().all(|t| t.is_sound(space))
             && self.parallel.is_some() == (self.plan == BatchPlan::LeeWiswall)
             && self.parallel.as_ref().is_none_or(|p| p.is_sound(space))
-            && self.ahead.is_sound(space, self.plan == BatchPlan::TwoAhead)
     }
 
-    /// The trial points that a new iteration asks for, in request order.
-    fn first_round(&self) -> &'static [Trial] {
-        match self.plan {
-            BatchPlan::Two => &[Trial::Reflection, Trial::Inside],
-            BatchPlan::Four | BatchPlan::TwoAhead => &Trial::ALL,
-            BatchPlan::Auto | BatchPlan::Serial | BatchPlan::LeeWiswall => &[Trial::Reflection],
-        }
-    }
-
-    /// Where an evaluation may stop without changing a decision. While the reflection is not known yet, the
-    /// expansion is compared with the best vertex, which the reflection would have to beat, and the outside
-    /// contraction with the worst, which it would have to stay below.
+    /// Where an evaluation may stop without changing a decision.
     fn cutoff(&self, trial: Trial) -> f64 {
-        let Cost::Value(worst) = self.simplex.cost(self.simplex.worst()) else { return f64::INFINITY };
-        let best = self.simplex.cost(self.simplex.best()).value().unwrap_or(f64::INFINITY);
+        let worst = self.worst_cost();
         match (trial, self.trials[Trial::Reflection as usize].seen) {
-            (Trial::Reflection | Trial::Inside, _) => worst,
-            (Trial::Expansion | Trial::Outside, Seen::Cost(reflected)) => reflected,
-            (Trial::Expansion, _) => best,
-            (Trial::Outside, _) => worst,
+            (Trial::Expansion | Trial::Outside, Seen::Cost(reflected)) if worst.is_finite() => reflected,
+            _ => worst,
         }
+    }
+
+    /// The cost above which no point is accepted, now or in the iterations to come; infinite while the worst vertex has
+    /// failed.
+    fn worst_cost(&self) -> f64 {
+        self.simplex.cost(self.simplex.worst()).value().unwrap_or(f64::INFINITY)
     }
 
     fn place(&mut self, trial: Trial) {
@@ -194,26 +176,6 @@ impl NelderMeadState {
         frame.place(&mut self.trials[trial as usize], |u| self.simplex.has_vertex(u));
     }
 
-    /// Places the points of a new iteration; takes over what was seen ahead, if that is enough to decide.
-    fn begin_trying(&mut self) {
-        self.simplex.centroid(&mut self.centroid);
-        for &trial in self.first_round() {
-            self.place(trial);
-        }
-        self.placed = true;
-        if self.plan != BatchPlan::TwoAhead {
-            return;
-        }
-        for trial in Trial::ALL {
-            self.trials[trial as usize].seen = self.ahead.seen(trial, &self.trials[trial as usize].u);
-        }
-        if self.verdict().is_err() {
-            self.trials.iter_mut().for_each(|t| t.seen = Seen::Unknown);
-            let (simplex, space) = (&self.simplex, &self.setup.space);
-            self.ahead.place(space, self.handling, &self.numbers, simplex, &self.trials);
-        }
-    }
-
     fn request_trial(&mut self, trial: Trial, batch: &mut Batch) {
         let cutoff = self.cutoff(trial);
         batch.push(&self.trials[trial as usize].x, cutoff);
@@ -221,10 +183,8 @@ impl NelderMeadState {
     }
 
     /// The cost of a trial point: `Ok(None)` if it is no candidate, `Err` if it is not known yet.
-    fn consult(&mut self, trial: Trial) -> Result<Option<f64>, Trial> {
-        let point = &mut self.trials[trial as usize];
-        point.consulted = true;
-        match point.seen {
+    fn consult(&self, trial: Trial) -> Result<Option<f64>, Trial> {
+        match self.trials[trial as usize].seen {
             Seen::Unknown => Err(trial),
             Seen::Cost(v) => Ok(Some(v)),
             Seen::Rejected => Ok(None),
@@ -233,7 +193,7 @@ impl NelderMeadState {
 
     /// The decision of an iteration (Lagarias et al. 1998, section 2, steps 2 to 5): the point to accept, or none for
     /// a shrink. `Err`: this point is needed.
-    fn verdict(&mut self) -> Result<Option<(Trial, f64)>, Trial> {
+    fn verdict(&self) -> Result<Option<(Trial, f64)>, Trial> {
         let [best, second_worst, worst] =
             [self.simplex.best(), self.simplex.second_worst(), self.simplex.worst()]
                 .map(|s| self.simplex.cost(s));
@@ -262,12 +222,10 @@ impl NelderMeadState {
             Some((trial, value)) => {
                 let point = &self.trials[trial as usize];
                 self.simplex.replace_worst(&point.u, &point.x, value);
-                self.ahead.accepted(trial);
                 Ok(trial.operation())
             }
             None => {
                 self.simplex.shrink(self.numbers.shrink, &self.setup.space);
-                self.ahead.forget();
                 Ok(Operation::Shrink)
             }
         }
@@ -277,7 +235,7 @@ impl NelderMeadState {
         for point in &mut self.trials {
             point.seen = Seen::Unknown;
         }
-        self.placed = false;
+        self.simplex.centroid(&mut self.centroid);
         self.phase = Phase::Trying(Trial::Reflection);
         if let Some(parallel) = self.parallel.as_mut().filter(|p| p.is_parallel()) {
             parallel.begin();
@@ -300,13 +258,13 @@ impl NelderMeadState {
                 let space = &self.setup.space;
                 let x_size = self.simplex.relative_size(space);
                 restart::orient(&mut self.simplex, space, x_size);
-                self.ahead.forget();
                 self.phase = Phase::Restarting;
             } else {
                 self.end(Termination::Converged);
             }
         } else if collapsed {
-            self.end(Termination::Collapsed);
+            let alone = self.simplex.n_finite() == 1;
+            self.end(if alone { Termination::OneFiniteVertex } else { Termination::Collapsed });
         } else {
             self.begin_iteration();
         }
@@ -374,24 +332,6 @@ impl Method for NelderMeadState {
                     }
                 }
             }
-            Phase::Trying(Trial::Reflection) => {
-                if !self.placed {
-                    self.begin_trying();
-                }
-                // Everything needed may have been seen ahead already; then there is nothing to ask, only to tell.
-                if self.trials[Trial::Reflection as usize].seen == Seen::Unknown {
-                    for &trial in self.first_round() {
-                        self.request_trial(trial, batch);
-                    }
-                    let cutoff = self.cutoff(Trial::Reflection);
-                    for k in 0..self.ahead.len() {
-                        if let Some(x) = self.ahead.x(k) {
-                            batch.push(x, cutoff);
-                            self.roles.push(Role::Ahead(k));
-                        }
-                    }
-                }
-            }
             Phase::Moving => {
                 if let Some(parallel) = &mut self.parallel {
                     let (space, roles) = (&self.setup.space, &mut self.roles);
@@ -419,12 +359,6 @@ impl Method for NelderMeadState {
         if asked > 0 {
             self.n_batches += 1;
             self.n_points += asked as u64;
-            self.used.clear();
-            self.used.resize(asked, false);
-            self.ahead.unsee();
-        }
-        for point in &mut self.trials {
-            point.consulted = false;
         }
         for (k, outcome) in outcomes.iter().enumerate() {
             let Ok(cost) = cost_of(outcome) else { continue };
@@ -432,12 +366,9 @@ impl Method for NelderMeadState {
             match self.roles[k] {
                 Role::Vertex(slot) => {
                     self.simplex.set_cost(slot, cost.map_or(Cost::Failed, Cost::Value));
-                    self.used[k] = true;
                 }
                 Role::Trial(trial) => self.trials[trial as usize].seen = seen,
-                Role::Ahead(number) => self.ahead.see(number, seen, k),
                 Role::Move(number) => {
-                    self.used[k] = true;
                     if let Some(parallel) = &mut self.parallel {
                         parallel.see(number, seen);
                     }
@@ -462,34 +393,29 @@ impl Method for NelderMeadState {
                     }
                 }
             }
-            Phase::Trying(_) => {
-                // Before the decision moves on: where the points of this iteration stand in the last batch.
-                let from = Trial::ALL.map(|trial| {
-                    let asked_now = |role: &Role| matches!(role, Role::Trial(t) if *t == trial);
-                    let here = self.roles.iter().position(asked_now);
-                    if asked == 0 { self.ahead.position(trial) } else { here }
-                });
-                let decision = self.decide();
-                for (trial, from) in Trial::ALL.into_iter().zip(from) {
-                    let point = &self.trials[trial as usize];
-                    if let Some(k) = from.filter(|k| *k < self.used.len()) {
-                        self.used[k] |= point.consulted && point.seen != Seen::Unknown;
-                    }
-                }
-                match decision {
-                    // Nothing was decided: what was seen ahead is asked again together with the reflection.
-                    Err(Trial::Reflection) => self.begin_iteration(),
-                    Err(needed) => self.phase = Phase::Trying(needed),
-                    Ok(Operation::Shrink) => self.phase = Phase::Shrinking,
-                    Ok(operation) => self.end_iteration(operation),
-                }
-            }
+            Phase::Trying(_) => match self.decide() {
+                Err(needed) => self.phase = Phase::Trying(needed),
+                Ok(Operation::Shrink) => self.phase = Phase::Shrinking,
+                Ok(operation) => self.end_iteration(operation),
+            },
         }
         Ok(())
     }
 
-    fn used(&self) -> &[bool] {
-        &self.used
+    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+        let Phase::Trying(trial) = self.phase else { return };
+        let (cutoff, best) = (self.worst_cost(), self.simplex.cost(self.simplex.best()).value());
+        // A reflection that asks for an expansion beats the best vertex.
+        let best = best.filter(|_| cutoff.is_finite()).unwrap_or(f64::INFINITY);
+        let Self { foresight, simplex, setup, trials, numbers, handling, .. } = self;
+        let problem = Problem { space: &setup.space, handling: *handling, numbers, simplex };
+        foresight.look(&problem, (trial, trials), (wanted, known), |x, expansion| {
+            batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
+        });
+    }
+
+    fn lookahead(&self) -> Lookahead {
+        self.plan.lookahead()
     }
 
     fn status(&self) -> Status {

@@ -15,8 +15,6 @@ pub(super) enum Trial {
 }
 
 impl Trial {
-    pub(super) const ALL: [Self; 4] = [Self::Reflection, Self::Expansion, Self::Outside, Self::Inside];
-
     /// How far from the centroid, in units of the way from the worst vertex to it.
     pub(super) fn factor(self, numbers: &Numbers) -> f64 {
         match self {
@@ -52,13 +50,11 @@ pub(super) struct TrialPoint {
     pub(super) u: Vec<f64>,
     pub(super) x: Vec<f64>,
     pub(super) seen: Seen,
-    /// Whether the decision looked at it.
-    pub(super) consulted: bool,
 }
 
 impl TrialPoint {
     pub(super) fn new(n: usize, n_user: usize) -> Self {
-        Self { u: vec![0.0; n], x: vec![0.0; n_user], seen: Seen::Unknown, consulted: false }
+        Self { u: vec![0.0; n], x: vec![0.0; n_user], seen: Seen::Unknown }
     }
 
     pub(super) fn is_sound(&self, space: &Space) -> bool {

@@ -175,6 +175,14 @@ impl Archive {
         Ok(self.content_hash.get_or_init(|| hash))
     }
 
+    /// A hash of the directory of an archive (names, sizes and checksums); a folder, which can be edited, has none.
+    pub(crate) fn fingerprint(&self) -> Option<String> {
+        match &self.content {
+            Content::Packed(packed) => Some(packed.fingerprint()),
+            Content::Folder(..) => None,
+        }
+    }
+
     /// Whether another archive has the same content, byte for byte. Folders are compared with nothing: they can be edited
     /// at any time.
     pub(crate) fn has_content_of(&self, other: &Archive) -> bool {

@@ -6,24 +6,34 @@ use crate::error::FmiError;
 use crate::failure::CallFailure;
 use crate::fmu::Fmu;
 use crate::lanes;
+use crate::reuse::CopyLease;
 use crate::sys::{Fault, RawInstance, Sizes, Status};
 
-/// An instance in any phase. The component is dropped before the FMU it is of.
+/// An instance in any phase. The component is dropped before its copy of the library and the FMU.
 #[derive(Debug)]
 pub(crate) struct Core {
     pub(crate) raw: RawInstance,
+    /// Of an instance made by hand: its copy of the library.
+    pub(super) lease: Option<CopyLease>,
     pub(super) fmu: Fmu,
     pub(super) structure: Structure,
 }
 
 impl Core {
     /// Of an instance whose structural parameters have their start values.
-    pub(super) fn new(raw: RawInstance, fmu: Fmu) -> Self {
-        Self { raw, fmu, structure: Structure::default() }
+    pub(crate) fn new(raw: RawInstance, fmu: Fmu, lease: Option<CopyLease>) -> Self {
+        Self { raw, lease, fmu, structure: Structure::default() }
     }
 
     pub(crate) fn fmu(&self) -> &Fmu {
         &self.fmu
+    }
+
+    /// Notes in the record of its copy of the library that a variable is set by hand.
+    pub(super) fn note_set(&self, variable: &Variable) {
+        if let Some(lease) = &self.lease {
+            lease.copy().record().note([(variable.kind, variable.value_reference)]);
+        }
     }
 
     /// The error behind a fault.

@@ -7,8 +7,9 @@ pub(crate) use core::Core;
 use crate::assign::{self, Assignments};
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
-use crate::fmu::{Fmu, Reuse};
+use crate::fmu::Fmu;
 use crate::reconfiguration;
+use crate::reuse::{CopyLease, Reuse};
 use crate::sys::{Experiment, Fault, LogLine, RawInstance, SavedSlot};
 use std::marker::PhantomData;
 
@@ -313,6 +314,7 @@ impl<P: Phase, K> Instance<P, K> {
         let index = assign::resolve(fmu.description(), name)?;
         let variable = &fmu.description().variables[index];
         P::check_settable(variable)?;
+        self.core.note_set(variable);
         let mut values = Assignments::default();
         let elements = self.core.elements(variable);
         let value = assign::convert(variable, &value.into(), elements)?;
@@ -349,7 +351,12 @@ impl<P: Phase, K> Instance<P, K> {
 
 impl<K> Instance<Instantiated, K> {
     pub(crate) fn from_raw(raw: RawInstance, fmu: Fmu) -> Self {
-        Self { core: Box::new(Core::new(raw, fmu)), _phase: PhantomData }
+        Self { core: Box::new(Core::new(raw, fmu, None)), _phase: PhantomData }
+    }
+
+    /// An instance made by hand, which keeps its copy of the library.
+    pub(crate) fn by_hand(core: Core, lease: CopyLease) -> Self {
+        Self { core: Box::new(Core { lease: Some(lease), ..core }), _phase: PhantomData }
     }
 
     /// Sets the experiment up and enters initialization mode.

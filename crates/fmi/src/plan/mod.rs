@@ -7,13 +7,14 @@ pub(crate) use values::{RunValues, Setting};
 use crate::clocks::ClockPlan;
 use crate::description::{ModelDescription, Structure};
 use crate::error::FmiError;
-use crate::fmu::{Fmu, Reuse};
+use crate::fmu::Fmu;
 use crate::input::{InputPlan, Inputs};
 use crate::jacobian::JacobianPlan;
 use crate::options::SimulateOptions;
 use crate::outputs::{OutputContext, OutputPlan, Recorded};
 use crate::places::Starts;
 use crate::points::Communication;
+use crate::reuse::Sharing;
 use crate::selection::{Selection, states};
 use crate::sys::InterfaceKind;
 use std::collections::HashMap;
@@ -44,6 +45,7 @@ pub struct SimulationPlan {
     pub(crate) unbounded: Vec<bool>,
     pub(crate) completed_step_not_needed: bool,
     pub(crate) kind: InterfaceKind,
+    pub(crate) sharing: Sharing,
     /// How the Jacobian can be had; empty for co-simulation.
     pub(crate) jacobian: JacobianPlan,
     /// The steps of co-simulation.
@@ -114,6 +116,7 @@ impl SimulationPlan {
             },
             completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
             kind,
+            sharing: options.sharing,
             communication,
             warned_of_nominals: AtomicBool::new(false),
         };
@@ -186,29 +189,6 @@ impl SimulationPlan {
     /// Number of continuous states.
     pub fn n_states(&self) -> usize {
         self.n_states
-    }
-
-    /// How instances are brought back to their beginning for this way of running the model, as far as is known.
-    pub(crate) fn reuse(&self) -> Option<Reuse> {
-        self.fmu.reuse_for(self.kind, &self.settings)
-    }
-
-    /// Stores what trial runs have shown; without a step they show nothing good.
-    pub(crate) fn set_reuse(&self, reuse: Reuse) {
-        if self.end <= self.start && reuse != Reuse::Reinstantiate {
-            return;
-        }
-        self.fmu.set_reuse(self.kind, reuse, &self.settings);
-    }
-
-    /// Whether instances may be brought back by a saved state, as far as is known.
-    pub(crate) fn may_restore(&self) -> bool {
-        self.fmu.may_restore(self.kind)
-    }
-
-    /// Saved states were found not to bring instances back.
-    pub(crate) fn refuse_restore(&self) {
-        self.fmu.refuse_restore(self.kind);
     }
 
     /// How the model is run.

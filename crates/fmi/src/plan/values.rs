@@ -7,8 +7,7 @@ use crate::error::FmiError;
 use crate::input::InputPlan;
 use crate::instance::Core;
 use crate::places::{Place, Slots, Starts};
-use crate::readback::{ReadBack, ReadBackBuffers};
-use crate::trial::nudge;
+use crate::reuse::{ReadBack, ReadBackBuffers, Unset, nudge};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -176,18 +175,23 @@ impl RunValues {
         }
     }
 
-    /// Gives a fresh instance its structure, start values (those of the plan or others for the same variables) and
-    /// parameters; `buffer` is used on the way.
+    /// Gives a fresh instance what is set besides the settings of the plan, its structure, start values (those of the plan
+    /// or others for the same variables) and parameters; `buffer` is used on the way.
     pub(crate) fn set_up(
         &self,
         core: &mut Core,
+        unset: &Unset,
         start_values: &StartValues,
         parameters: &[f64],
         buffer: &mut Vec<f64>,
     ) -> Result<(), FmiError> {
+        if !unset.structural.is_empty() {
+            core.configure(&unset.structural, &Structure::default())?;
+        }
         if !self.structure.is_default() {
             core.configure(&self.structural, &self.structure)?;
         }
+        core.apply(&unset.early)?;
         core.apply(&start_values.early)?;
         self.set_parameters(core, &self.parameter_slots, false, parameters, buffer)
     }

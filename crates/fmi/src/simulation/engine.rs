@@ -13,13 +13,13 @@ use std::sync::Arc;
 
 /// A way of running a model, with its instance.
 #[derive(Debug)]
-pub(super) enum Engine {
+pub(crate) enum Engine {
     Integrated { driver: Box<Driver>, system: Box<System> },
     Stepping(Box<Stepping>),
 }
 
 impl Engine {
-    pub(super) fn new(plan: &Arc<SimulationPlan>) -> Result<Self, FmiError> {
+    pub(crate) fn new(plan: &Arc<SimulationPlan>) -> Result<Self, FmiError> {
         Ok(match plan.kind {
             InterfaceKind::ModelExchange => Engine::Integrated {
                 driver: Box::new(Driver::new(plan.options.clone())?),
@@ -30,7 +30,7 @@ impl Engine {
     }
 
     /// The instance and what is written beside it.
-    pub(super) fn running(&mut self) -> &mut Running {
+    pub(crate) fn running(&mut self) -> &mut Running {
         match self {
             Engine::Integrated { system, .. } => &mut system.running,
             Engine::Stepping(stepping) => &mut stepping.running,
@@ -38,7 +38,7 @@ impl Engine {
     }
 
     /// Brings a fresh instance to the start, with the start values of the plan or others for the same variables.
-    pub(super) fn initialize(
+    pub(crate) fn initialize(
         &mut self,
         raw: RawInstance,
         start_values: &StartValues,
@@ -51,7 +51,7 @@ impl Engine {
     }
 
     /// Lets the initial events happen, where they are not part of the initialization.
-    pub(super) fn settle(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn settle(&mut self) -> Result<(), FmiError> {
         match self {
             Engine::Integrated { system, .. } => system.settle(),
             Engine::Stepping(_) => Ok(()),
@@ -59,7 +59,7 @@ impl Engine {
     }
 
     /// Value of a variable where the run stands.
-    pub(super) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
         match self {
             Engine::Integrated { system, .. } => system.value(variable),
             Engine::Stepping(stepping) => stepping.value(variable),
@@ -67,7 +67,7 @@ impl Engine {
     }
 
     /// The run itself; `steps`: at most so many.
-    pub(super) fn run(
+    pub(crate) fn run(
         &mut self,
         plan: &SimulationPlan,
         steps: Option<u64>,

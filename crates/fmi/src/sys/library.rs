@@ -20,8 +20,17 @@ pub(crate) struct Library {
     path: PathBuf,
     /// Callbacks of instances that are gone, which a thread of the FMU may still use.
     retired: Mutex<Vec<Callbacks>>,
-    /// Last: closed, if at all, when the table is gone (invariant 1).
-    _handle: Handle,
+    /// Last: closed, if at all, when the tables are gone (invariant 1).
+    handle: Arc<Handle>,
+}
+
+/// Where the functions of a library are found.
+#[derive(Clone, Copy)]
+pub(crate) enum LoadFrom<'a> {
+    /// In a file, which is loaded.
+    File(&'a Path),
+    /// In a library that is loaded already, whose file may have gone since.
+    Loaded(&'a Library),
 }
 
 impl fmt::Debug for Library {
@@ -31,17 +40,40 @@ impl fmt::Debug for Library {
 }
 
 impl Library {
-    /// Loads the library and looks up the functions of one interface. **This runs foreign code** (the library's constructors).
+    /// Loads the library, where it is not loaded already, and looks up the functions of one interface. **This runs foreign
+    /// code** (the library's constructors).
     ///
     /// # Errors
     /// The dynamic loader's own message, or the name of the mandatory function that is missing.
     pub(crate) fn open(
-        path: &Path,
+        from: LoadFrom<'_>,
         version: &FmiVersion,
         kind: InterfaceKind,
         model_identifier: &str,
         options: &LoaderOptions,
     ) -> Result<Self, FmiError> {
+        let (shared, handle, path) = match from {
+            LoadFrom::Loaded(library) => {
+                (Arc::clone(&library.shared), Arc::clone(&library.handle), &*library.path)
+            }
+            LoadFrom::File(path) => {
+                let (shared, handle) = Self::load(path, options)?;
+                (shared, handle, path)
+            }
+        };
+        let symbols = Symbols { handle: &handle, path, prefix: None };
+        // SAFETY: the description says that the library follows this version of the standard.
+        let binding: Box<dyn Binding> = unsafe {
+            match version.major {
+                1 => Box::new(fmi1::Fmi1::load(&symbols, kind, model_identifier)?),
+                2 => Box::new(fmi2::Fmi2::load(&symbols, kind)?),
+                _ => Box::new(fmi3::Fmi3::load(&symbols, kind)?),
+            }
+        };
+        Ok(Self { binding, shared, path: path.to_owned(), retired: Mutex::default(), handle })
+    }
+
+    fn load(path: &Path, options: &LoaderOptions) -> Result<(Arc<Shared>, Arc<Handle>), FmiError> {
         platform::check(options).map_err(|option| FmiError::BadSetting {
             problem: format!("the loader of this system has no option {option}"),
         })?;
@@ -57,16 +89,7 @@ impl Library {
             }
             FmiError::LoadFailed { library: path.to_owned(), message: message(&error) }
         })?;
-        let symbols = Symbols { handle: &handle, path, prefix: None };
-        // SAFETY: the description says that the library follows this version of the standard.
-        let binding: Box<dyn Binding> = unsafe {
-            match version.major {
-                1 => Box::new(fmi1::Fmi1::load(&symbols, kind, model_identifier)?),
-                2 => Box::new(fmi2::Fmi2::load(&symbols, kind)?),
-                _ => Box::new(fmi3::Fmi3::load(&symbols, kind)?),
-            }
-        };
-        Ok(Self { binding, shared, path: path.to_owned(), retired: Mutex::default(), _handle: handle })
+        Ok((shared, Arc::new(handle)))
     }
 
     /// The function table.

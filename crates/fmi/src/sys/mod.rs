@@ -18,7 +18,7 @@
 //!    A mismatch is a typed error and the FMU is not called.
 //! 5. **The state machine of FMI is kept one floor up**: [`Instance`](crate::Instance) makes calls in a wrong phase
 //!    a compile-time error. This room relies on it for the FMU's sake, not for memory safety of its own.
-//! 6. **After `Fatal` an instance is dead, and with it all others of its library.** No function is called on any of
+//! 6. **After `Fatal` an instance is dead, and with it all others of its loaded copy of the library.** No function is called on any of
 //!    them again, not even the one that frees it (FMI 2.0.x, section 2.1.3: all instances are corrupted). What the FMU might still reach (callbacks, environment, library) is leaked.
 //! 7. **No panic crosses into C.** The sink of the logger catches unwinding; the rest of the callbacks are C.
 //! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`; the outside holds
@@ -53,9 +53,9 @@ mod shared;
 
 pub use callbacks::{LogFilter, LogLine};
 pub(crate) use environment::{CallEnvironment, look_now_and_then};
-pub(crate) use library::Library;
+pub(crate) use library::{Library, LoadFrom};
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
-pub(crate) use shared::{Loan, Shared, Spares};
+pub(crate) use shared::Shared;
 
 use crate::description::Interval;
 use binding::{Binding, Call};

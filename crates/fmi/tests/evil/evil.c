@@ -48,6 +48,16 @@ typedef struct {
 #ifdef SHARED_GLOBALS
 static double global_k;
 #define K(m) global_k
+#elif defined(STATIC_PARAMETERS)
+/* As Simulink exports it: made when the library is loaded, and changed by nothing but being set. */
+static double global_k = 1;
+#define K(m) global_k
+#elif defined(UNIQUE_PARAMETERS)
+/* What a C++ compiler makes of an inline variable: the loader gives all copies of the library the same one. */
+__asm__(".pushsection .data\n.balign 8\n.globl unique_k\n.type unique_k, @gnu_unique_object\n.size unique_k, 8\n"
+        "unique_k: .double 1.0\n.popsection");
+extern double unique_k;
+#define K(m) unique_k
 #elif defined(SIBLING_GLOBALS)
 extern double sibling_k;
 #define K(m) sibling_k
@@ -104,6 +114,24 @@ static void upset(int where) {
     if (where == LOCALE_IN) setlocale(LC_ALL, getenv("EVIL_LOCALE"));
 #endif
 }
+#ifdef DIES_WITH_TWO
+/* Two threads in this library at once end the process. */
+static int inside;
+static void enter(void) {
+    int i;
+    if (__atomic_fetch_add(&inside, 1, __ATOMIC_SEQ_CST) != 0) abort();
+    for (i = 0; i < 1000; i++) __asm__ volatile("");
+}
+static void leave(void) { __atomic_fetch_sub(&inside, 1, __ATOMIC_SEQ_CST); }
+#else
+#define enter()
+#define leave()
+#endif
+
+#ifdef LARGE_TLS
+/* Static thread-local storage is set aside once per process and is small. */
+static __thread volatile char large[LARGE_TLS] __attribute__((tls_model("initial-exec")));
+#endif
 
 static void start_values(Model *m) {
     m->y = 1;
@@ -112,7 +140,12 @@ static void start_values(Model *m) {
 #endif
     m->time = 0;
     m->x = 1;
+#if !defined(STATIC_PARAMETERS) && !defined(KEPT_IN_SIBLING)
     K(m) = 1;
+#endif
+#ifdef LARGE_TLS
+    large[0] = 1;
+#endif
     m->n = 3;
     m->b = 1;
     m->polls = 0;
@@ -151,7 +184,9 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     functions->logger(functions->componentEnvironment, "evil", fmi2Error, "logAll", "no licence for %s", "evil");
     return NULL;
 #endif
+    enter();
     m = functions->allocateMemory(1, sizeof *m);
+    leave();
     if (m == NULL) return NULL;
     memcpy(&m->functions, functions, sizeof *functions);
     start_values(m);
@@ -193,7 +228,9 @@ EXPORT void fmi2FreeInstance(fmi2Component c) {
         if (pthread_create(&thread, NULL, log_late, (void *)given) == 0) pthread_detach(thread);
     }
 #endif
+    enter();
     m->functions.freeMemory(m);
+    leave();
 }
 
 EXPORT fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
@@ -454,6 +491,7 @@ EXPORT fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real *x, size_t n
 EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
     Model *m = c;
     if (n != 1) return fmi2Error;
+    enter();
     dx[0] = -K(m) * m->x;
     m->y = m->x;
 #ifdef USES_STRTOD
@@ -463,6 +501,7 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
     usleep(SLOW);
 #endif
     upset(DERIVATIVES);
+    leave();
 #ifdef ONE_SET
     dx[0] = m->u;
 #endif
@@ -505,8 +544,11 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
         return fmi2Fatal;
     }
 #endif
+#ifdef ERROR_ABOVE
+    if (K(m) > ERROR_ABOVE) return fmi2Error;
+#endif
 #ifdef FATAL_ABOVE
-    if (K(m) > 50) {
+    if (K(m) > FATAL_ABOVE) {
         m->fatal = 1;
         return fmi2Fatal;
     }

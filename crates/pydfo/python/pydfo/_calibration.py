@@ -46,6 +46,7 @@ class ExperimentFields:
     max_step: float | None
     input_derivatives: bool
     chattering: str
+    sharing: str
 
 
 class Raced(NamedTuple):
@@ -149,6 +150,12 @@ class Calibration:
         How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
     input_derivatives : bool
         Whether co-simulations are told the derivatives of their inputs, as in `FMUModel.simulate`.
+    sharing : {"copies", "serial", "together"}
+        How simulations that run in parallel share the FMU's library; no cost depends on it. "copies": each worker loads a
+        copy of its own, with static variables of its own; where copies would still share state or no further one can be
+        loaded, simulations run one at a time, and the log says why. "serial": one loaded library, one simulation at a
+        time. "together": one loaded library, in which all workers run at the same time. You say that the FMU is
+        thread-safe then; where it is not, results are wrong or the process ends.
 
     Raises
     ------
@@ -181,6 +188,7 @@ class Calibration:
         kind: str | None = None,
         chattering: Literal["error", "warn", "slide"] = "error",
         input_derivatives: bool = True,
+        sharing: Literal["copies", "serial", "together"] = "copies",
     ) -> None:
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
@@ -210,6 +218,7 @@ class Calibration:
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
             input_derivatives=bool(input_derivatives),
+            sharing=_options.choice("sharing", sharing),
         )
         self._model = _path(model)
         opened = getattr(model, "_fmu", None)
@@ -377,7 +386,7 @@ class Calibration:
             End the fit as soon as the cost is at or below this.
         stop : {"all", "any"}
             Whether both tests must hold, or one ends the fit.
-        batch : {"auto", "serial", "two", "four", "two-ahead", "lee-wiswall"}
+        batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`.
         disp : bool
             Print a line per iteration.
@@ -406,6 +415,9 @@ class Calibration:
             The simulation failed at every starting point; the reasons are counted in its ``failures``.
         Interrupted
             Ctrl-C: a KeyboardInterrupt with the fit so far in ``result``.
+        FmuError
+            No simulation can be made any more: the FMU has answered "fatal" too often, and no further copy of its library can
+            be loaded. The fit so far is in ``partial_result``.
         ValueError, TypeError
             Arguments that cannot be used.
 

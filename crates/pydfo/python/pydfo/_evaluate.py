@@ -2,7 +2,7 @@
 
 Each function here takes the points of a batch, shape (S, n), their cutoffs, shape (S,), and a function that says whether
 the run is to end; it returns for each point a cost, `Above`, the exception that was raised, or Ellipsis for a point that
-was left out.
+was left out; or a pair of the seconds that it took and one of these.
 """
 
 from __future__ import annotations
@@ -11,11 +11,14 @@ import concurrent.futures
 import inspect
 import os
 import pickle
+import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from . import _options
 
 FloatArray = npt.NDArray[np.float64]
 Batches = Callable[[FloatArray, FloatArray, Callable[[], bool]], list[Any]]
@@ -85,14 +88,30 @@ class Returning:
             return e
 
 
+class Timed:
+    """Adds to what a function returns how long it took, in s."""
+
+    def __init__(self, fun: Callable[[Any], Any]) -> None:
+        self.fun = fun
+
+    def __call__(self, x: Any) -> tuple[float, Any]:
+        start = time.perf_counter()
+        value = self.fun(x)
+        return time.perf_counter() - start, value
+
+
 def vectorized(fun: Callable[[FloatArray], Any]) -> Batches:
     """The objective takes points in columns, shape (n, S), and returns costs of shape (S,)."""
 
     def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
         try:
-            costs = np.asarray(fun(np.ascontiguousarray(points.T)))
+            # What is masked is no cost, whatever lies under the mask.
+            costs = np.ma.asanyarray(fun(np.ascontiguousarray(points.T)))
         except Exception as e:
-            return [e] * len(points)
+            if len(points) == 1:
+                return [e]
+            # One point is no reason for the others to fail.
+            return [one for k in range(len(points)) for one in evaluate(points[k : k + 1], cutoffs[k : k + 1], stopped)]
         if costs.shape != (len(points),):
             wrong = TypeError(
                 f"a vectorized objective must return an array of shape ({len(points)},) for points of shape "
@@ -119,7 +138,7 @@ def executed(fun: Callable[..., Any], executor: concurrent.futures.Executor, tak
     returning, pieces = _in_pieces(fun, takes_cutoff)
 
     def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
-        futures = [executor.submit(returning, piece) for piece in pieces(points, cutoffs)]
+        futures = [executor.submit(Timed(returning), piece) for piece in pieces(points, cutoffs)]
         waiting = set(futures)
         try:
             while waiting:
@@ -144,3 +163,20 @@ def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -
     if callable(getattr(workers, "map", None)):
         return mapped(fun, workers.map, takes_cutoff)
     return None
+
+
+def plan_width(workers: Any) -> int:
+    """How many points a batch plan may ask for at once: the workers of an executor, else all cores."""
+    known = getattr(workers, "_max_workers", None)
+    return known if isinstance(known, int) and known > 0 else _options.all_cores()
+
+
+def shared_out(
+    fun: Callable[..., Any], name: str, workers: Any, default: int | None, takes_cutoff: bool = False
+) -> tuple[Batches | None, int | None]:
+    """Who evaluates batches, if not threads of our own, and for how many points at once the method may plan. `name` is that
+    of the argument `workers`, `default` the number that None stands for."""
+    batches = None if workers is None else foreign(fun, workers, takes_cutoff)
+    if batches is not None:
+        return batches, plan_width(workers)
+    return None, _options.worker_count(name, workers, default)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options
+from . import _core, _evaluate, _options
 from ._errors import Interrupted
 from ._progress import Printer, Progress
 from ._result import OptimizeResult
@@ -83,9 +83,10 @@ def fmin(
     max_iters: SupportsFloat | None = 1000,
     max_fevals: SupportsFloat | None = 10000,
     disp: bool = True,
-    nbr_cores: SupportsIndex | None = None,
+    nbr_cores: SupportsIndex | Any = None,
     debug: bool = False,
     *,
+    workers: SupportsIndex | Any = None,
     callback: Callback | None = None,
     rng: int | np.random.Generator | None = None,
     stop: Literal["any", "all"] = "any",
@@ -129,12 +130,16 @@ def fmin(
         Exact limits of iterations and of calls of `func`; None for no limit.
     disp : bool
         Print a line per iteration, and how the run ended.
-    nbr_cores : int, optional
+    nbr_cores : int, map-like or executor, optional
         How many calls of `func` may run at once, each in a thread of its own; -1 for all cores. None stands for 1: a
         Python function is called from several threads only if you ask for it. Only what releases the interpreter lock
-        (simulations do) gains from more. The simplices and the result are the same for any number.
+        (simulations do) gains from more. Or a ``concurrent.futures`` executor, or a function like the built-in ``map``
+        (``multiprocessing.Pool().map``), which is given whole batches from the calling thread: with processes, as the tool
+        of the paper has it, `func` must be one that can be pickled. The simplices and the result are the same for any.
     debug : bool
         Log every evaluation (logger "pydfo", level DEBUG).
+    workers : optional
+        Another name for `nbr_cores`, that of `minimize`.
     callback : callable, optional
         Called after the starting points and after each iteration with a `Progress`, on the calling thread. Raising
         StopIteration, or returning True, ends the run with the best point so far.
@@ -143,7 +148,7 @@ def fmin(
     stop : {"any", "all"}
         Whether one of the two tests ends the run (as in the paper), or both must hold. A simplex that has not moved yet
         never passes.
-    batch : {"auto", "serial", "two", "four", "two-ahead", "lee-wiswall"}
+    batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
         Methods 1 and 2: how many trial points are evaluated at once in an iteration, ahead of need; "auto" follows
         `nbr_cores`. The simplices are the same for all but the last; unneeded evaluations count.
     initial_simplex : array_like, optional
@@ -157,7 +162,9 @@ def fmin(
         What an exception in `func` means: it is raised, or it counts as a failed evaluation. A return value that is no
         number is always raised.
     options : dict, optional
-        What else the method can be told, see `minimize`.
+        What else the method can be told, see `minimize`. Two defaults are others than there: ``tolerances`` are
+        "absolute", and methods 1 and 2 take the ``coefficients`` "standard", those of Table 1 of the paper, for any
+        number of parameters (`minimize` takes "auto": adaptive ones from five on, which solve more problems there).
     checkpoint, resume : optional
         A file for the state of the run, and whether to continue from it; see `minimize`.
 
@@ -203,20 +210,26 @@ def fmin(
     lower = _options.bound("lb", lb, n, -np.inf)
     upper = _options.bound("ub", ub, n, np.inf)
     own: dict[str, Any] = {"x_tol": x_tol, "f_tol": f_tol, "stop": stop, **(options or {})}
+    if method in ("nelder-mead", "barrier"):
+        own.setdefault("coefficients", "standard")
     if initial_simplex is not None:
         own["initial_simplex"] = initial_simplex
     if _options.choice("batch", batch) != "auto":
         own["batch"] = batch
+    if nbr_cores is not None and workers is not None:
+        raise ValueError("nbr_cores and workers are two names for one argument: give one of them")
+    name, given = ("nbr_cores", nbr_cores) if workers is None else ("workers", workers)
+    batches, count = _evaluate.shared_out(func, name, given, 1)
     limits = _options.Limits.check(("max_fevals", max_fevals), ("max_iters", max_iters), max_time, target)
     if limits.max_evaluations is None:
         # No limit is what the user said; the optimiser's own defaults shall not step in.
-        limits = replace(limits, max_evaluations=2**63)
+        limits = replace(limits, unlimited=True)
     built = _options.build(
         method,
         own,
         n,
         limits,
-        workers=_options.worker_count("nbr_cores", nbr_cores, 1),
+        workers=count,
         rng=rng,
         checkpoint=checkpoint,
         resume=resume,
@@ -240,13 +253,14 @@ def fmin(
         listeners.append(listen(callback))
     try:
         result: OptimizeResult = _core.minimize(
-            func,
+            batches or func,
             None if start is None else start.tolist(),
             lower.tolist(),
             upper.tolist(),
             built,
             tolerant=on_error == "fail",
             observer=combine(listeners),
+            batches=batches is not None,
             detail=debug,
         )
     except Interrupted as e:

@@ -41,8 +41,9 @@ def minimize(
 ) -> OptimizeResult:
     """Minimise a function of several variables without derivatives.
 
-    The same arguments and the same seed give the same trace, bit for bit, for any number and kind of workers as long as
-    the batch plan is the same, and also if the run is interrupted and continued from a checkpoint.
+    The same arguments and the same seed give the same path, bit for bit, for any number and kind of workers, and also if
+    the run is interrupted and continued from a checkpoint. Points that workers evaluate ahead of need are counted apart
+    (``n_speculative``); what they end with, an exception as well, means nothing unless the path comes to them.
 
     Parameters
     ----------
@@ -86,10 +87,16 @@ def minimize(
         ``nominal`` (typical sizes of the parameters), ``scale`` ("linear" or "log", for all or each), ``kinds``
         ("continuous", "integer" or "categorical", for all or each), ``cache`` (evaluations remembered, so that exact
         repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``warm_start`` (an earlier result or trace,
-        or points and costs), ``checkpoint_interval`` (seconds between writes, 0.2).
-        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "lee-wiswall"), ``coefficients`` ("auto",
-        "standard", "adaptive" or four numbers), ``bounds_handling`` ("mirror", "clamp", "sine"), ``initial_simplex``
-        (vertices or steps), ``restarts``. Barrier: ``batch``, ``mu``, ``factor``. DE: ``population``, ``sampling``
+        or points and costs: where to start), ``problem`` (a word or hash for what `fun` computes, which you vouch for: the
+        costs of a warm start are reused only where it is the same in both runs), ``checkpoint_interval`` (seconds between
+        writes, 0.2).
+        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"), ``coefficients``
+        ("standard": reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": those of Gao and Han, which depend on n; four
+        numbers; "auto", the default: "standard" below five free parameters, "adaptive" from there on),
+        ``bounds_handling`` ("sine", the default: the search runs over angles, so that bounds are smooth; "mirror";
+        "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (2: how often a simplex that has become flat, all
+        vertices nearly in a plane, is built anew around its best vertex; a sound one is not, so this finds no other
+        minima). Barrier: ``batch``, ``coefficients``, ``mu``, ``factor``. DE: ``population``, ``sampling``
         ("uniform", "latin-hypercube", "sobol"), ``repair`` ("midpoint", "mirror", "clamp", "resample"), ``include_start``;
         L-SHADE also ``budget``, ``p_best``, ``memory``, ``archive``, ``final_population``; classic also ``strategy``
         ("rand1", "best1", "current-to-best1", "rand2"), ``crossover`` ("binomial", "exponential"), ``weight`` (a number,
@@ -142,18 +149,13 @@ def minimize(
     extra = args if isinstance(args, tuple) else (args,)
     called = _evaluate.WithArguments(fun, extra) if extra else fun
     cutoffs = _evaluate.takes_cutoff(fun)
-    batches = None if workers is None else _evaluate.foreign(called, workers, cutoffs)
+    batches, count = _evaluate.shared_out(called, "workers", workers, 1, cutoffs)
     if vectorized and cutoffs:
         raise ValueError("fun has a parameter cutoff, but vectorized=True evaluates many points at once")
     if vectorized:
         if batches is not None:
             raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
         batches = _evaluate.vectorized(called)
-        count = _options.worker_count("workers", workers, 1)
-    elif batches is not None:
-        count = plan_width(workers)
-    else:
-        count = _options.worker_count("workers", workers, 1)
     start, lower, upper, built = describe(
         method, x0, bounds, options, count, rng, (max_evaluations, max_iterations, max_time, target), checkpoint, resume
     )
@@ -170,12 +172,6 @@ def minimize(
     )
     _log.info("minimize: %s; f = %r after %d evaluations", result.message, result.fun, result.nfev)
     return result
-
-
-def plan_width(workers: Any) -> int:
-    """How many points a batch plan may ask for at once: the workers of an executor, else all cores."""
-    known = getattr(workers, "_max_workers", None)
-    return known if isinstance(known, int) and known > 0 else _options.all_cores()
 
 
 def describe(

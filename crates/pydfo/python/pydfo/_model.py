@@ -223,8 +223,9 @@ class FMUModel:
 
     @property
     def sharing(self) -> str | None:
-        """How several simulations of the FMU share the process in fits: "together", with "private copies" of its library, or
-        "one at a time"; None before it was tried."""
+        """How simulations of the FMU that run in parallel share the process where nothing else is asked for: "copies" (each with a
+        loaded copy of its library), or "serial" (one at a time: copies would share state or cannot be loaded); None before the
+        library was first needed."""
         return self._fmu.sharing(self._kind)
 
     @cached_property

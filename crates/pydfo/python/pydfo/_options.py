@@ -56,6 +56,9 @@ class Options:
     nominal: list[float] = field(default_factory=list)
     kinds: list[str] = field(default_factory=list)
     known: list[tuple[list[float], float]] = field(default_factory=list)
+    known_problem: str | None = None
+    problem: str | None = None
+    unlimited: bool = False
 
 
 #: A limit of time beyond this, in s, is none: 30 million years.
@@ -70,6 +73,8 @@ class Limits:
     max_iterations: int | None
     max_time: float | None
     target: float | None
+    #: Whether the method's own limits hold where there is none.
+    unlimited: bool = False
 
     @classmethod
     def check(
@@ -114,7 +119,8 @@ def build(
     cache, trace_limit = limit("cache", take("cache"), 0), limit("trace_limit", take("trace_limit"), 1)
     scale, kinds = per_parameter("scale", take("scale"), n), per_parameter("kinds", take("kinds"), n)
     nominal = take("nominal")
-    interval, known = take("checkpoint_interval"), warm_start(take("warm_start"), n)
+    interval, (known, known_problem) = take("checkpoint_interval"), warm_start(take("warm_start"), n)
+    problem = take("problem")
     if own.get("initial_simplex") is not None:
         vertices, steps = simplex(own["initial_simplex"], n)
         own["initial_simplex"] = vertices if steps is None else steps
@@ -142,6 +148,9 @@ def build(
         nominal=[] if nominal is None else bound("nominal", nominal, n, np.nan).tolist(),
         kinds=kinds,
         known=known,
+        known_problem=known_problem,
+        problem=None if problem is None else choice("problem", problem),
+        unlimited=limits.unlimited,
     )
 
 
@@ -185,19 +194,28 @@ def per_parameter(name: str, value: Sequence[str] | str | None, n: int) -> list[
     return words
 
 
-def warm_start(value: Any, n: int) -> list[tuple[list[float], float]]:
-    """Points and costs from a trace, or from a result that has one, or from a pair of arrays."""
+def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str | None]:
+    """Points and costs, and the problem that they belong to, from a trace, or from a result that has one, or from points,
+    costs and, if they are to be reused, the problem. Of a trace only the path counts, which does not depend on workers."""
     if value is None:
-        return []
+        return [], None
     trace = getattr(value, "trace", value)
+    problem = getattr(trace, "problem", None)
     try:
-        points, costs = (trace.x, trace.fun) if hasattr(trace, "fun") else trace
-        points, costs = np.asarray(points, dtype=np.float64), np.asarray(costs, dtype=np.float64)
+        if hasattr(trace, "fun"):
+            points, costs = trace.x[trace.used], trace.fun[trace.used]
+        else:
+            points, costs, *rest = trace
+            if len(rest) > 1:
+                raise TypeError
+            problem = choice("the problem of a warm start", rest[0]) if rest and rest[0] is not None else None
+        points = np.ma.filled(np.ma.asarray(points, dtype=np.float64), np.nan)
+        costs = np.ma.filled(np.ma.asarray(costs, dtype=np.float64), np.nan)
     except (TypeError, ValueError):
         raise TypeError(f"warm_start must be a result, a trace, or points (m, n) and costs (m,), not {value!r}") from None
     if points.ndim != 2 or points.shape[1] != n or costs.shape != points.shape[:1]:
         raise ValueError(f"warm_start: points of shape {points.shape}, costs of shape {costs.shape}; (m, {n}) and (m,) fit")
-    return list(zip(points.tolist(), costs.tolist()))
+    return list(zip(points.tolist(), costs.tolist())), problem
 
 
 def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]:
@@ -260,7 +278,7 @@ def limit(name: str, value: SupportsFloat | None, least: int) -> int | None:
     if not (count >= least and count == int(count)):
         raise ValueError(f"{name} = {value} must be a whole number, at least {least}")
     # More than the machine can count is no limit.
-    return min(int(count), sys.maxsize)
+    return int(count) if count <= sys.maxsize else None
 
 
 def worker_count(name: str, value: SupportsIndex | None, default: int | None) -> int | None:

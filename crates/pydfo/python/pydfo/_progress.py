@@ -20,7 +20,9 @@ class Progress:
     fun : float
         The cost there.
     nit, nfev, nfail : int
-        Complete iterations; evaluations, and failed ones, so far.
+        Complete iterations; evaluations of the path, and failed ones of them, so far.
+    n_speculative : int
+        Further calls of the objective so far, made ahead of need.
     operation : str
         What the iteration did: "initial", "reflection", "expansion", "outside contraction", "inside contraction",
         "shrink", "parallel moves", "restart" or "generation".
@@ -43,6 +45,7 @@ class Progress:
         nit: int,
         nfev: int,
         nfail: int,
+        n_speculative: int,
         solve_time: float,
         operation: str,
         x_size: float | None,
@@ -56,6 +59,7 @@ class Progress:
         self.nit = nit
         self.nfev = nfev
         self.nfail = nfail
+        self.n_speculative = n_speculative
         self.solve_time = solve_time
         self.operation = operation
         self.x_size = x_size

@@ -18,9 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 STATUS: Final[dict[str, int]] = {
     "converged": 0,
     "target": 10,
-    "collapsed": 20,
     "all-fixed": 30,
-    "stalled": 40,
     "max-evaluations": 1,
     "max-iterations": 2,
     "max-time": 3,
@@ -28,11 +26,16 @@ STATUS: Final[dict[str, int]] = {
     "interrupted": 5,
     "aborted": 6,
     "not-saved": 7,
+    "collapsed": 11,
+    "one-finite-vertex": 12,
+    "all-failed": 13,
+    "stalled": 14,
 }
 
 
 class Trace:
-    """Every evaluation of a run, in request order; ``len(trace)`` is their number.
+    """Every evaluation of a run: first those of its path, in request order, the same for any number of workers; then those
+    that were made ahead of need and not needed.
 
     Attributes
     ----------
@@ -43,16 +46,19 @@ class Trace:
     above : ndarray, shape (m,)
         Where an evaluation was given up: the value that the cost is known to exceed; NaN elsewhere.
     used : ndarray of bool, shape (m,)
-        Whether the path of the method went through the point. False for points evaluated ahead of need that turned
-        out not to be needed; they are never returned as best.
+        Whether the path of the method went through the point. False for points evaluated ahead of need and not needed,
+        and for evaluations that the end of the run cut short; they are never returned as best.
     id, batch : ndarray of int, shape (m,)
-        Running numbers of the point and of the batch it belonged to.
+        Running numbers of the point (from 2**63 on for points evaluated ahead of need) and of the batch it belonged to.
     seconds : ndarray, shape (m,)
-        Wall-clock time of each evaluation, in s.
+        Wall-clock time of each evaluation, in s; an equal share of its batch for a vectorized objective and for a map.
     messages : dict of int to str
         Why evaluations failed, by their position in the trace.
     n_dropped : int
         Evaluations at the beginning of the run that a limit of the trace has dropped.
+    problem : str or None
+        The problem that the costs belong to (``options={"problem": ...}``; a `Calibration` has its own): a warm start
+        reuses costs only where it is the same.
     """
 
     def __init__(
@@ -67,6 +73,7 @@ class Trace:
         seconds: FloatArray,
         messages: dict[int, str],
         n_dropped: int = 0,
+        problem: str | None = None,
     ) -> None:
         self.x = x
         self.fun = fun
@@ -77,6 +84,7 @@ class Trace:
         self.seconds = seconds
         self.messages = messages
         self.n_dropped = n_dropped
+        self.problem = problem
 
     @property
     def failed(self) -> npt.NDArray[np.bool_]:
@@ -153,11 +161,12 @@ class OptimizeResult:
     nit : int
         Complete iterations.
     nfev : int
-        Calls of the objective, every one counted.
+        Evaluations of the path of the method: those of a run with one worker. What budgets count.
     nfail : int
         Calls that failed (an exception where tolerated, NaN, infinities).
     n_speculative : int
-        Calls made ahead of need that turned out not to be needed.
+        Further calls of the objective: made ahead of need, and not needed. May depend on the number of workers and on how
+        long calls take.
     n_cached : int
         Answers that needed no call, because the point was known already.
     n_batches : int
@@ -165,11 +174,11 @@ class OptimizeResult:
     solve_time : float
         Wall-clock time, in s.
     success : bool
-        Whether the method came to its own end, or reached the target.
+        Whether the tolerance tests passed, or the target was reached, or all parameters are fixed.
     status : int
-        0 converged, 10 target reached, 20 the search collapsed, 30 all parameters fixed, 40 nothing new for long;
-        1 evaluations, 2 iterations, 3 time used up; 4 stopped by a callback, 5 interrupted, 6 ended by an exception,
-        7 the checkpoint could not be written.
+        0 converged, 10 target reached, 30 all parameters fixed; 1 evaluations, 2 iterations, 3 time used up; 4 stopped by
+        a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be written; 11 the simplex or
+        population has no extent left, 12 only one vertex has a cost, 13 every point failed, 14 nothing new for long.
     termination : str
         The same in a word.
     message : str

@@ -11,7 +11,6 @@ use saved_states::SavedStates;
 use std::mem::ManuallyDrop;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use values::ValueBuffers;
 
 pub(crate) use saved_states::SavedSlot;
@@ -81,8 +80,6 @@ pub(crate) struct RawInstance {
     component: Component,
     /// After `Fatal`: nothing is called any more.
     dead: bool,
-    /// The library's count of instances made and freed, when this one was made.
-    epoch: u64,
     sizes: Sizes,
     /// Co-simulation: made to have its events handled between steps.
     event_mode: bool,
@@ -114,28 +111,15 @@ impl std::fmt::Debug for RawInstance {
 
 impl RawInstance {
     /// Makes a component.
-    pub(crate) fn new(
-        library: &Arc<Library>,
-        request: &Request<'_>,
-        sizes: Sizes,
-        only_one: bool,
-    ) -> Result<Self, FmiError> {
-        let _environment = CallEnvironment::enter();
-        // The count is taken before the call, so that of two threads only one gets the single instance.
-        let shared = Arc::clone(library.shared());
-        let _turn = shared.turn_if_dependent();
-        if shared.is_fatal() {
+    pub(crate) fn new(library: &Arc<Library>, request: &Request<'_>, sizes: Sizes) -> Result<Self, FmiError> {
+        if library.shared().is_fatal() {
             return Err(FmiError::LibraryUnusable { library: library.path().to_owned() });
         }
-        if shared.live.fetch_add(1, Ordering::Relaxed) > 0 && only_one {
-            shared.live.fetch_sub(1, Ordering::Relaxed);
-            return Err(FmiError::OnlyOneInstance { library: library.path().to_owned() });
-        }
+        let _environment = CallEnvironment::enter();
         let callbacks = library.callbacks(request.log_filter);
         // SAFETY: the callbacks are never freed: they are leaked, or go back to the library.
         let component = unsafe { library.binding().instantiate(request, &callbacks) };
         if component.is_null() {
-            shared.live.fetch_sub(1, Ordering::Relaxed);
             let (log, dropped) = callbacks.log().last(LINES_IN_ERRORS);
             library.retire(callbacks);
             return Err(FmiError::from(Failed {
@@ -149,7 +133,6 @@ impl RawInstance {
         Ok(Self {
             component,
             dead: false,
-            epoch: shared.epoch.fetch_add(1, Ordering::Relaxed) + 1,
             sizes,
             event_mode: request.event_mode,
             has_arrays: library.binding().values().has_arrays(),
@@ -162,16 +145,9 @@ impl RawInstance {
         })
     }
 
-    /// Whether a call of this instance, or of another of the same library, returned `Fatal`.
+    /// Whether a call of this instance, or of another of the same loaded copy of the library, returned `Fatal`.
     pub(crate) fn is_dead(&self) -> bool {
         self.dead || self.library.shared().is_fatal()
-    }
-
-    /// Whether instances of this library disturb each other and one has been made or freed since this one was made: it
-    /// is not to be used again.
-    pub(crate) fn is_stale(&self) -> bool {
-        let shared = self.library.shared();
-        shared.is_dependent() && shared.epoch.load(Ordering::Relaxed) != self.epoch
     }
 
     /// The file of its library.
@@ -425,10 +401,6 @@ impl RawInstance {
 
 impl Drop for RawInstance {
     fn drop(&mut self) {
-        let shared = Arc::clone(self.library.shared());
-        let _turn = shared.turn_if_dependent();
-        shared.live.fetch_sub(1, Ordering::Relaxed);
-        shared.epoch.fetch_add(1, Ordering::Relaxed);
         if self.is_dead() {
             // Invariant 6: no further call, and what the component may still reach is leaked: library, callbacks, log.
             return;

@@ -162,7 +162,9 @@ mod tests {
     #[test]
     fn places_of_states_that_nobody_holds_are_used_again() {
         let fmu = crate::Fmu::open(crate::example_fmu("dahlquist").unwrap()).unwrap();
-        let mut raw = fmu.instantiate_raw(InterfaceKind::ModelExchange, &InstanceOptions::default()).unwrap();
+        let options = InstanceOptions::default();
+        let (core, _lease) = fmu.instantiate_by_hand(InterfaceKind::ModelExchange, &options).unwrap();
+        let mut raw = core.raw;
         let saved = raw.save_state().unwrap();
         let bytes = raw.serialize(&saved).unwrap();
         for _ in 0..100 {

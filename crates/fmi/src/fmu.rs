@@ -1,28 +1,28 @@
-//! An opened FMU: its folder, its description, its library (loaded when first needed), its idle instances.
-
-mod reuse;
-
-pub use reuse::{Reuse, Sharing};
+//! An opened FMU: its folder, its description, the store of its loaded library (found when first needed).
 
 use crate::archive::{Archive, Part};
 use crate::cancel::Cancel;
-use crate::copies::{CopyStore, PrivateCopy};
 use crate::description::{Causality, Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
-use crate::instance::{CoSimulation, Instance, Instantiated};
+use crate::instance::{CoSimulation, Core, Instance, Instantiated};
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::options::{Kind, SimulateOptions};
-use crate::plan::{Setting, SimulationPlan};
+use crate::plan::SimulationPlan;
 use crate::platform;
+use crate::reuse::{
+    CopyLease, CopyRequest, CopyStore, Key, LoadedCopy, Reuse, Sharing, Source, StoreUse, set_again,
+};
+use crate::running::no_instance;
 use crate::simulation::Simulator;
 use crate::source;
-use crate::sys::{InterfaceKind, Library, LogFilter, RawInstance, Request, Sizes};
+use crate::sys::{
+    InterfaceKind, Library, LoadFrom, LogFilter, RawInstance, Request, Sizes,
+};
 use crate::trajectory::Trajectory;
-use reuse::Idle;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated \
                              with it: it is run without";
@@ -40,30 +40,18 @@ pub struct Fmu {
     path: Arc<Path>,
 }
 
-/// Fields are dropped in this order: instances and libraries, folder.
+/// Fields are dropped in this order: idle instances, folder.
 #[derive(Debug)]
 struct Inner {
-    model_exchange: Side,
-    co_simulation: Side,
+    /// The library of each way of running the model; found when first needed.
+    stores: [Mutex<Option<StoreUse>>; 2],
     /// The model computes its variables with the derivatives only.
     has_stale_outputs: AtomicBool,
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
     description: ModelDescription,
     options: OpenOptions,
-    archive: Archive,
-}
-
-/// One way of running the model. Fields are dropped in this order: instances, library.
-#[derive(Debug, Default)]
-struct Side {
-    idle: Arc<Idle>,
-    /// Ways of bringing instances back that passed their trials, each with what was set in the runs of the trial: that
-    /// hides what such a way leaves behind, so the verdict is one for plans that set all of it.
-    proven: Mutex<Vec<(Reuse, Arc<[Setting]>)>>,
-    /// Private copies of the library; made when first needed.
-    copies: OnceLock<Arc<CopyStore>>,
-    library: Mutex<Option<Arc<Library>>>,
+    archive: Arc<Archive>,
 }
 
 /// How an instance is made.
@@ -111,13 +99,12 @@ impl Fmu {
             description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
         }
         let inner = Inner {
-            model_exchange: Side::default(),
-            co_simulation: Side::default(),
+            stores: Default::default(),
             has_stale_outputs: AtomicBool::new(false),
             real_references: OnceLock::new(),
             description,
             options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
-            archive,
+            archive: Arc::new(archive),
         };
         Ok(Fmu { inner: Arc::new(inner), path: path.into() })
     }
@@ -223,8 +210,8 @@ impl Fmu {
     /// # Errors
     /// As [`instantiate`](Self::instantiate).
     pub fn instantiate_with(&self, options: &InstanceOptions) -> Result<Instance<Instantiated>, FmiError> {
-        let raw = self.instantiate_raw(InterfaceKind::ModelExchange, options)?;
-        Ok(Instance::from_raw(raw, self.clone()))
+        let (core, lease) = self.instantiate_by_hand(InterfaceKind::ModelExchange, options)?;
+        Ok(Instance::by_hand(core, lease))
     }
 
     /// Makes a co-simulation instance. **This loads the library and runs its code.**
@@ -235,18 +222,41 @@ impl Fmu {
         &self,
         options: &InstanceOptions,
     ) -> Result<Instance<Instantiated, CoSimulation>, FmiError> {
-        let raw = self.instantiate_raw(InterfaceKind::CoSimulation, options)?;
-        Ok(Instance::from_raw(raw, self.clone()))
+        let (core, lease) = self.instantiate_by_hand(InterfaceKind::CoSimulation, options)?;
+        Ok(Instance::by_hand(core, lease))
     }
 
-    /// Makes an instance of either kind.
-    pub(crate) fn instantiate_raw(
+    /// Makes an instance of either kind in a copy of the library that nobody else uses.
+    pub(crate) fn instantiate_by_hand(
         &self,
         kind: InterfaceKind,
         options: &InstanceOptions,
-    ) -> Result<RawInstance, FmiError> {
-        self.check_interface(kind)?;
-        self.instantiate_in(&self.library(kind)?, kind, options)
+    ) -> Result<(Core, CopyLease), FmiError> {
+        let store = self.store(kind)?;
+        self.running_root()?;
+        let open = |from: LoadFrom<'_>| self.load(from, kind);
+        let request = CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open };
+        let is_new = |copy: &LoadedCopy| copy.record().keys().is_empty();
+        let make = |lease: CopyLease| -> Result<_, FmiError> {
+            lease.copy().free_idle();
+            let raw = self.instantiate_in(lease.library(), kind, options)?;
+            let mut core = Core::new(raw, self.clone(), None);
+            let is_new = set_again(&mut core, kind, &lease);
+            Ok((core, lease, is_new))
+        };
+        let lease = store.lend(&request, &mut || true)?.ok_or_else(no_instance)?;
+        let (core, lease, is_as_new) = make(lease)?;
+        if is_as_new {
+            return Ok((core, lease));
+        }
+        match store.lend_if_free(&request, is_new) {
+            Some(other) => {
+                drop(core);
+                drop(lease);
+                make(other).map(|(core, lease, _)| (core, lease))
+            }
+            None => Ok((core, lease)),
+        }
     }
 
     /// Makes an instance for simulations.
@@ -273,6 +283,7 @@ impl Fmu {
         options: &InstanceOptions,
     ) -> Result<RawInstance, FmiError> {
         let interface = self.check_interface(kind)?;
+        let store = self.store(kind)?;
         let description = self.description();
         let text = |what: &str, text: &str| {
             CString::new(text)
@@ -294,7 +305,7 @@ impl Fmu {
             guid: &guid,
             resources: &resources,
             kind,
-            event_mode: interface.capabilities.uses_event_mode() && !library.shared().is_event_mode_refused(),
+            event_mode: interface.capabilities.uses_event_mode() && !store.verdicts.is_event_mode_refused(),
             early_return: interface.capabilities.may_return_early(),
             intermediate: &intermediate,
             visible: options.visible,
@@ -302,19 +313,14 @@ impl Fmu {
             log_filter: options.log_filter,
         };
         let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
-        let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
-        if only_one || library.shared().is_dependent() {
-            library.shared().set_dependent();
-            library.shared().free_spares();
-        }
-        let refusal = match RawInstance::new(library, &request, sizes, only_one) {
+        let refusal = match RawInstance::new(library, &request, sizes) {
             Err(FmiError::Call(refusal)) if request.event_mode => FmiError::Call(refusal),
             outcome => return outcome,
         };
         // Some models promise an event mode that they do not have.
         request.event_mode = false;
-        let raw = RawInstance::new(library, &request, sizes, only_one).map_err(|_| refusal)?;
-        library.shared().refuse_event_mode();
+        let raw = RawInstance::new(library, &request, sizes).map_err(|_| refusal)?;
+        store.verdicts.refuse_event_mode();
         log::warn!("{}: {NO_EVENT_MODE}", description.model_name);
         Ok(raw)
     }
@@ -322,7 +328,8 @@ impl Fmu {
     /// Departures from the standard that showed when the FMU was run; those of its description are in
     /// [`ModelDescription::quirks`].
     pub fn quirks_seen(&self) -> Vec<Quirk> {
-        let refused = self.shared(InterfaceKind::CoSimulation).is_some_and(|s| s.is_event_mode_refused());
+        let store = self.known_store(InterfaceKind::CoSimulation);
+        let refused = store.is_some_and(|store| store.verdicts.is_event_mode_refused());
         let stale = self.inner.has_stale_outputs.load(Ordering::Relaxed);
         let quirk = |message: &str| Quirk { kind: QuirkKind::Promise, message: message.to_owned(), line: 0 };
         let seen = [(refused, NO_EVENT_MODE), (stale, STALE_OUTPUTS)];
@@ -390,7 +397,7 @@ impl Fmu {
         })
     }
 
-    fn interface(&self, kind: InterfaceKind) -> Option<&Interface> {
+    pub(crate) fn interface(&self, kind: InterfaceKind) -> Option<&Interface> {
         match kind {
             InterfaceKind::ModelExchange => self.description().model_exchange.as_ref(),
             InterfaceKind::CoSimulation => self.description().co_simulation.as_ref(),
@@ -420,32 +427,67 @@ impl Fmu {
     /// # Errors
     /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
     pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<(), FmiError> {
-        self.library_unless(self.choose(kind)?, cancel).map(drop)
+        let kind = self.choose(kind)?;
+        let store = self.store_unless(kind, cancel)?;
+        let open = |from: LoadFrom<'_>| self.load(from, kind);
+        store
+            .lend(&CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open }, &mut || {
+                false
+            })?;
+        Ok(())
     }
 
-    /// The library for this platform, loaded at the first call; compiled before that if the FMU brings sources only.
-    pub(crate) fn library(&self, kind: InterfaceKind) -> Result<Arc<Library>, FmiError> {
-        self.library_unless(kind, &Cancel::default())
+    /// How instances are reset, for the interface that is used where nothing else is asked for; `None` before it was tried.
+    pub fn reuse(&self) -> Option<Reuse> {
+        self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
     }
 
-    /// As [`library`](Self::library), unless `cancel` asks for an early end.
-    pub(crate) fn library_unless(
-        &self,
-        kind: InterfaceKind,
-        cancel: &Cancel,
-    ) -> Result<Arc<Library>, FmiError> {
-        // The lock is held while the library loads: a second thread waits instead of loading it again.
-        let mut slot = self.side(kind).library.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(library) = &*slot {
-            return Ok(Arc::clone(library));
+    /// How instances are reset; `None` before it was tried.
+    pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
+        self.known_store(kind)?.verdicts.reuse(kind)
+    }
+
+    /// How simulations that run in parallel share the process where nothing is asked for: with copies of the library, or one at
+    /// a time where these would share state or cannot be loaded. `None` before the library was first needed.
+    pub fn sharing_of(&self, kind: InterfaceKind) -> Option<Sharing> {
+        self.known_store(kind).map(|store| store.sharing())
+    }
+
+    fn slot(&self, kind: InterfaceKind) -> MutexGuard<'_, Option<StoreUse>> {
+        self.inner.stores[kind as usize].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The loaded copies of the library; `None` before they are first needed.
+    fn known_store(&self, kind: InterfaceKind) -> Option<Arc<CopyStore>> {
+        self.slot(kind).as_deref().map(Arc::clone)
+    }
+
+    /// The loaded copies of the library for this platform, which is compiled before that if the FMU brings sources only.
+    pub(crate) fn store(&self, kind: InterfaceKind) -> Result<Arc<CopyStore>, FmiError> {
+        self.store_unless(kind, &Cancel::default())
+    }
+
+    /// As [`store`](Self::store), unless `cancel` asks for an early end.
+    fn store_unless(&self, kind: InterfaceKind, cancel: &Cancel) -> Result<Arc<CopyStore>, FmiError> {
+        // The lock is held meanwhile: a second thread waits instead of compiling it again.
+        let mut slot = self.slot(kind);
+        if let Some(store) = &*slot {
+            return Ok(Arc::clone(store));
         }
-        let interface = self.check_interface(kind)?;
-        let path = self.binary(interface, cancel)?;
-        let library = Arc::new(self.load(&path, kind, interface)?);
-        let idle: Weak<Idle> = Arc::downgrade(&self.side(kind).idle);
-        library.shared().add_spares(idle);
-        *slot = Some(Arc::clone(&library));
-        Ok(library)
+        let library = self.binary(self.check_interface(kind)?, cancel)?;
+        let archive = &self.inner.archive;
+        let (root, loader) = (archive.unpack_part(Part::Running, cancel)?, self.inner.options.loader);
+        let (key, identity) = match (library.strip_prefix(&root), archive.fingerprint()) {
+            (Ok(place), Some(content)) => (Key::Content(content, place.to_owned(), loader), None),
+            _ => {
+                let metadata = library.metadata().map_err(FmiError::io("open", &library))?;
+                let identity = platform::file_identity(&metadata);
+                (Key::File(identity.place(&library), identity.clone(), loader), Some(identity))
+            }
+        };
+        let source = Source { library, root, identity, home: Some(Arc::clone(archive) as _) };
+        let store = slot.insert(StoreUse::new(key, source));
+        Ok(Arc::clone(store))
     }
 
     /// The file of the library for this platform: unpacked, or built from the sources.
@@ -485,23 +527,11 @@ impl Fmu {
         }
     }
 
-    /// Lends a private copy of the library.
-    ///
-    /// # Errors
-    /// The library cannot be copied, or the copy cannot be loaded: there are too many already, the disk is full, there is
-    /// no room for its thread-local storage.
-    pub(crate) fn private_copy(&self, kind: InterfaceKind) -> Result<PrivateCopy, FmiError> {
+    /// Loads the library. **This runs its constructors.**
+    pub(crate) fn load(&self, from: LoadFrom<'_>, kind: InterfaceKind) -> Result<Library, FmiError> {
         let interface = self.check_interface(kind)?;
-        let library = self.library(kind)?;
-        let root = self.running_root()?;
-        let make = || CopyStore::new(library.path(), &root);
-        let store = self.side(kind).copies.get_or_init(|| library.shared().copy_store(make));
-        store.lend(|path| self.load(path, kind, interface))
-    }
-
-    fn load(&self, path: &Path, kind: InterfaceKind, interface: &Interface) -> Result<Library, FmiError> {
         let version = &self.description().fmi_version;
-        Library::open(path, version, kind, &interface.model_identifier, &self.inner.options.loader)
+        Library::open(from, version, kind, &interface.model_identifier, &self.inner.options.loader)
     }
 
     /// Says the path the user knows instead of that of the private folder, and why there is nothing to build either.
@@ -513,13 +543,6 @@ impl Fmu {
                 present: format!("{present}; none can be built: {no_sources}"),
             },
             other => other,
-        }
-    }
-
-    fn side(&self, kind: InterfaceKind) -> &Side {
-        match kind {
-            InterfaceKind::ModelExchange => &self.inner.model_exchange,
-            InterfaceKind::CoSimulation => &self.inner.co_simulation,
         }
     }
 }

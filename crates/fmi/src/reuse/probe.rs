@@ -1,12 +1,10 @@
-//! Trial runs of a simulator: on new instances, and on used ones brought back to their beginning, so that they can be
-//! compared.
+//! Trial runs: on new instances, and on used ones that were reset, so that they can be compared.
 
-use super::Simulator;
+use super::Reuse;
 use crate::beginning::StartValues;
 use crate::error::FmiError;
-use crate::fmu::Reuse;
 use crate::instance;
-use crate::renewal::{new_instance, new_with_origin, renew_or_replace};
+use crate::simulation::Runner;
 use crate::sys::{CallEnvironment, RawInstance};
 use ode::{ErrorKind, Ignore, Observer};
 use std::sync::Arc;
@@ -26,14 +24,25 @@ pub(crate) enum Probe {
     TimedOut,
 }
 
-impl Simulator {
-    /// Compares the first steps of the instance brought back to its beginning with those of a new one, and returns an
-    /// instance to use.
-    pub(super) fn check_reuse(
+impl Runner {
+    /// Compares the first steps of the instance after a reset with those of a new one, and returns an instance to use; and
+    /// whether it was used before.
+    pub(crate) fn check_reuse(
         &mut self,
         used: RawInstance,
         parameters: &[f64],
     ) -> Result<(RawInstance, bool), FmiError> {
+        let outcome = self.compare(used, parameters);
+        if self.is_fatal() {
+            // At the other values, perhaps; another check could end so, too.
+            self.set_reuse(Reuse::Reinstantiate);
+            self.settle_in(None)?;
+            return Ok((self.new_instance()?, false));
+        }
+        outcome
+    }
+
+    fn compare(&mut self, used: RawInstance, parameters: &[f64]) -> Result<(RawInstance, bool), FmiError> {
         let plan = Arc::clone(&self.plan);
         let reuse = if used.has_origin() { Reuse::Restore } else { Reuse::Reset };
         self.engine.running().adopt(used);
@@ -53,17 +62,15 @@ impl Simulator {
         match (after, from_new) {
             (Some(Probe::TimedOut), _) | (_, Probe::TimedOut) => {}
             (None | Some(Probe::Nothing), Probe::Nothing) => {}
-            (after, new) if after == Some(new) => plan.set_reuse(reuse),
-            _ if reuse == Reuse::Restore => plan.refuse_restore(),
-            _ => plan.set_reuse(Reuse::Reinstantiate),
+            (after, new) if after == Some(new) => self.set_reuse(reuse),
+            _ if reuse == Reuse::Restore => self.refuse_restore(),
+            _ => self.set_reuse(Reuse::Reinstantiate),
         }
-        match (self.engine.running().retire(), plan.reuse()) {
-            (Some(used), Some(known)) if known == reuse => {
-                renew_or_replace(used, &plan, &self.library, reuse)
-            }
+        match (self.engine.running().retire(), self.reuse()) {
+            (Some(used), Some(known)) if known == reuse => self.renew_or_replace(used, reuse),
             (used, _) => {
                 drop(used);
-                Ok((new_instance(&plan, &self.library)?, false))
+                Ok((self.new_instance()?, false))
             }
         }
     }
@@ -110,7 +117,7 @@ impl Simulator {
             Some(raw) => raw,
             None => {
                 drop(self.engine.running().retire());
-                new_instance(&self.plan, &self.library)?
+                self.new_instance()?
             }
         };
         Ok(self.begin_probe(raw, start_values, parameters))
@@ -141,7 +148,7 @@ impl Simulator {
         if reuse == Reuse::Restore {
             self.fresh = None;
             drop(self.engine.running().retire());
-            self.fresh = Some(new_with_origin(&self.plan, &self.library)?);
+            self.fresh = Some(self.new_with_origin()?);
         }
         Ok(())
     }

@@ -1,0 +1,29 @@
+//! Whether there is room for what a method is going to keep: asked before anything large is allocated.
+
+use crate::error::Error;
+
+/// Asks the system for room for `factors` multiplied numbers of 8 bytes, and gives it back.
+///
+/// # Errors
+/// There is none.
+pub(crate) fn check(what: &'static str, factors: &[usize]) -> Result<(), Error> {
+    let bytes = factors.iter().try_fold(8usize, |bytes, factor| bytes.checked_mul(*factor));
+    let granted = bytes.is_some_and(|bytes| Vec::<u8>::new().try_reserve_exact(bytes).is_ok());
+    let wanted = factors.iter().fold(8.0, |bytes, factor| bytes * *factor as f64);
+    if granted { Ok(()) } else { Err(Error::Memory { what, bytes: wanted }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_no_machine_has_is_refused_with_its_size() {
+        assert_eq!(check("a simplex", &[1000, 1000]), Ok(()));
+        for factors in [&[1 << 20, 1 << 30][..], &[usize::MAX, 3]] {
+            let message = check("a simplex", factors).unwrap_err().to_string();
+            assert!(message.starts_with("not enough memory for a simplex: "), "{message}");
+        }
+        assert!(check("x", &[1 << 22, 1 << 30]).unwrap_err().to_string().contains("36028.8 TB"));
+    }
+}

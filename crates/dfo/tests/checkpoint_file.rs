@@ -1,0 +1,59 @@
+//! The file of a checkpoint: what is left of a kill, links, permissions.
+#![cfg(unix)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use dfo::{Checkpoint, minimize};
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::Path;
+use std::time::Duration;
+
+fn run(path: &Path, budget: usize) {
+    let checkpoint = Checkpoint::new(path).interval(Duration::ZERO);
+    let square = |x: &[f64]| x[0] * x[0];
+    let report = minimize(square).start(&[1.0]).max_evaluations(budget).checkpoint(checkpoint).run().unwrap();
+    assert_eq!(report.n_evaluations, budget);
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn what_a_killed_process_left_is_swept() {
+    let folder = tempfile::tempdir().unwrap();
+    // No process has a number as large as this; process 1 is always there.
+    let (dead, alive) = (".run.writing-4294967294-Ab3xYz", ".run.writing-1-Ab3xYz");
+    let others = [".other.writing-4294967294-Ab3xYz", ".run.writing-notes", ".tmpAb3xYz"];
+    for name in others.into_iter().chain([dead, alive]) {
+        std::fs::write(folder.path().join(name), "half").unwrap();
+    }
+    run(&folder.path().join("run"), 10);
+    let mut left = others.to_vec();
+    left.extend([alive, "run"]);
+    left.sort_unstable();
+    assert_eq!(names(folder.path()), left);
+}
+
+#[test]
+fn a_link_is_followed_and_permissions_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, link) = (folder.path().join("store/file"), folder.path().join("link"));
+    std::fs::create_dir(file.parent().unwrap()).unwrap();
+    // Also where the file is not there yet, by a link to a link.
+    symlink("store/file", folder.path().join("between")).unwrap();
+    symlink("between", &link).unwrap();
+    run(&link, 10);
+    assert!(link.is_symlink() && !file.is_symlink() && file.is_file());
+    let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+    let usual = folder.path().join("usual");
+    std::fs::write(&usual, "").unwrap();
+    assert_eq!(mode(&file), mode(&usual));
+    std::fs::set_permissions(&file, PermissionsExt::from_mode(0o640)).unwrap();
+    run(&link, 20);
+    assert_eq!((mode(&file), link.is_symlink()), (0o640, true));
+}

@@ -1,0 +1,128 @@
+//! A loaded copy of an FMU's library: a loaded file with static variables of its own, its idle instances, and the record of
+//! what was ever set in it. Copies are never unloaded, so they are kept and used again.
+
+use super::record::Record;
+use crate::error::FmiError;
+use crate::sys::{InterfaceKind, Library, LoadFrom, RawInstance};
+use std::any::Any;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Idle instances kept in one copy; more than one only where several owners use it together.
+const MAX_IDLE: usize = 4;
+
+/// What keeps the folder of a copy on the disk.
+pub(super) type Home = Arc<dyn Any + Send + Sync>;
+
+/// A loaded copy of a library.
+pub(crate) struct LoadedCopy {
+    path: PathBuf,
+    /// One function table for each way of running the model, over the same static variables.
+    tables: [Mutex<Option<Arc<Library>>>; 2],
+    idle: Mutex<Vec<(InterfaceKind, RawInstance)>>,
+    record: Mutex<Record>,
+    home: Mutex<Option<Home>>,
+}
+
+impl std::fmt::Debug for LoadedCopy {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "LoadedCopy({})", self.path.display())
+    }
+}
+
+impl LoadedCopy {
+    /// A copy that was just loaded from `library.path()`.
+    pub(super) fn new(library: Library, kind: InterfaceKind, home: Option<Home>) -> Self {
+        let path = library.path().to_owned();
+        let copy = Self {
+            path,
+            tables: Default::default(),
+            idle: Mutex::default(),
+            record: Mutex::default(),
+            home: Mutex::new(home),
+        };
+        *lock(&copy.tables[kind as usize]) = Some(Arc::new(library));
+        copy
+    }
+
+    /// The loaded file.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The functions for one way of running the model.
+    pub(super) fn library(
+        &self,
+        kind: InterfaceKind,
+        open: &dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
+    ) -> Result<Arc<Library>, FmiError> {
+        let known = |kind: usize| lock(&self.tables[kind]).clone();
+        if let Some(library) = known(kind as usize) {
+            return Ok(library);
+        }
+        // It was made with one of the two.
+        let library = Arc::new(match known(1 - kind as usize) {
+            Some(other) => open(LoadFrom::Loaded(&other))?,
+            None => open(LoadFrom::File(&self.path))?,
+        });
+        *lock(&self.tables[kind as usize]) = Some(Arc::clone(&library));
+        Ok(library)
+    }
+
+    /// Whether a call has returned `Fatal`: it is never used again.
+    pub(super) fn is_fatal(&self) -> bool {
+        self.tables
+            .iter()
+            .any(|table| lock(table).as_ref().is_some_and(|library| library.shared().is_fatal()))
+    }
+
+    /// What was ever set in it.
+    pub(crate) fn record(&self) -> MutexGuard<'_, Record> {
+        lock(&self.record)
+    }
+
+    /// An instance that was used before, to be reset before use. Those of the other kind are freed: in some libraries the
+    /// instance made last is the only one that is right.
+    pub(crate) fn take_idle(&self, kind: InterfaceKind) -> Option<RawInstance> {
+        let mut idle = lock(&self.idle);
+        let place = idle.iter().rposition(|(known, _)| *known == kind);
+        let raw = place.map(|place| idle.remove(place).1);
+        let others: Vec<_> = idle.extract_if(.., |(known, _)| *known != kind).collect();
+        drop(idle);
+        drop(others);
+        raw
+    }
+
+    /// Keeps an instance for later; frees another one if there are many.
+    pub(crate) fn put_idle(&self, kind: InterfaceKind, raw: RawInstance) {
+        if raw.is_dead() {
+            return;
+        }
+        let mut idle = lock(&self.idle);
+        idle.push((kind, raw));
+        let surplus = (idle.len() > MAX_IDLE).then(|| idle.remove(0));
+        drop(idle);
+        drop(surplus);
+    }
+
+    /// Frees the idle instances.
+    pub(crate) fn free_idle(&self) {
+        let idle = std::mem::take(&mut *lock(&self.idle));
+        drop(idle);
+    }
+
+    /// Lets the folder go. What is loaded stays.
+    pub(super) fn leave_home(&self) {
+        let home = lock(&self.home).take();
+        drop(home);
+    }
+
+    /// What keeps the folder on the disk; `None` after [`leave_home`](Self::leave_home).
+    pub(super) fn home(&self) -> MutexGuard<'_, Option<Home>> {
+        lock(&self.home)
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

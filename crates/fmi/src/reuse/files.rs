@@ -1,0 +1,79 @@
+//! The files of a copy of a library: a file of its own, for which the loader makes static variables of its own, and around it
+//! what the library may look for from where it lies.
+
+use super::store::Source;
+use crate::archive::PrivateFolder;
+use crate::error::FmiError;
+use crate::platform::{self, BinaryHeader};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Copies the library into a folder of its own; its path there, and the folder. Blocks are shared where the file system can
+/// ([`fs::copy`] clones).
+///
+/// # Errors
+/// The system refuses; the library was written over since it was loaded first.
+pub(super) fn copy(source: &Source) -> Result<(PathBuf, PrivateFolder), FmiError> {
+    let folder = PrivateFolder::create()?;
+    let path = fill(source, folder.path())?;
+    Ok((path, folder))
+}
+
+/// Makes the folder of a copy again that has gone since, where the library may look for anything in it.
+///
+/// # Errors
+/// As [`copy`]; something else has its place.
+pub(super) fn restore(path: &Path, source: &Source) -> Result<PrivateFolder, FmiError> {
+    let root = source.place().components().fold(path, |path, _| path.parent().unwrap_or(path));
+    let folder = PrivateFolder::create_again(root)?;
+    fill(source, folder.path())?;
+    Ok(folder)
+}
+
+/// Whether anything but the library itself would lie in a copy's folder.
+pub(super) fn has_company(source: &Source) -> bool {
+    let beside = source.library.parent().and_then(|folder| fs::read_dir(folder).ok());
+    source.is_inside()
+        && (source.root.join("resources").is_dir() || beside.is_some_and(|entries| entries.count() > 1))
+}
+
+fn fill(source: &Source, root: &Path) -> Result<PathBuf, FmiError> {
+    source.check_unchanged()?;
+    let path = root.join(source.place());
+    let target = path.parent().unwrap_or(root);
+    fs::create_dir_all(target).map_err(FmiError::io("create", target))?;
+    fs::copy(&source.library, &path).map_err(FmiError::io("copy to", &path))?;
+    if source.is_inside() {
+        place_beside(&source.library, target)?;
+        let resources = source.root.join("resources");
+        if resources.is_dir() {
+            let link = root.join("resources");
+            platform::link_folder(&resources, &link).map_err(FmiError::io("link", &link))?;
+        }
+    }
+    Ok(path)
+}
+
+/// Places what lies beside the library beside its copy: libraries as copies, which the loader takes for others when they are
+/// opened by their paths; the rest as links, or copies where links cannot be made.
+fn place_beside(library: &Path, target: &Path) -> Result<(), FmiError> {
+    let beside = library.parent().unwrap_or(Path::new(""));
+    let entries = fs::read_dir(beside).map_err(FmiError::io("list", beside))?;
+    for entry in entries {
+        let from = entry.map_err(FmiError::io("list", beside))?.path();
+        if from == library {
+            continue;
+        }
+        let to = target.join(from.file_name().unwrap_or_default());
+        let copied = || fs::copy(&from, &to).map(drop);
+        let placed = if from.is_dir() {
+            platform::link_folder(&from, &to)
+        } else if matches!(BinaryHeader::read(&from), Ok(Some(_))) {
+            copied()
+        } else {
+            fs::hard_link(&from, &to).or_else(|_| copied())
+        };
+        placed.map_err(FmiError::io("link", &to))?;
+    }
+    Ok(())
+}

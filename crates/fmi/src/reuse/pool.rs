@@ -1,0 +1,209 @@
+//! Lends each worker a simulator, and checks how instances can be reset.
+
+use super::trial::Trial;
+use super::{Reuse, Sharing};
+use crate::archive::Snapshot;
+use crate::error::FmiError;
+use crate::plan::SimulationPlan;
+use crate::simulation::{Runner, Simulator};
+use std::ops::{Deref, DerefMut};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Simulators of one plan, for any number of workers, which share the FMU's library as [`SimulateOptions::sharing`](crate::SimulateOptions) says (see [`Sharing`]).
+///
+/// Before the first one is lent, the ways of resetting an instance are checked with the plan itself, from start to end (of a
+/// simulation that takes seconds: its first steps), in one thread: a run on an instance that was reset, after one with other
+/// values, must have the same bits as a run on a new instance. A way that fails the check gives its place to the next (see
+/// [`Reuse`]). No two threads are in one loaded copy of the library, in the check or later, unless that was asked for.
+#[derive(Debug)]
+pub struct Pool {
+    plan: Arc<SimulationPlan>,
+    /// Parameters of the check.
+    reference: Vec<f64>,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    idle: Vec<Simulator>,
+    checked: Option<Reuse>,
+    written: Option<PathBuf>,
+}
+
+/// A simulator on loan; it goes back to its pool on drop. Meanwhile it keeps its copy of the library, and the values of
+/// its last run.
+#[derive(Debug)]
+pub struct Lease<'a> {
+    pool: &'a Pool,
+    /// `None` only while it is dropped.
+    simulator: Option<Simulator>,
+}
+
+impl Pool {
+    /// A pool of simulators of this plan. Nothing is loaded or run yet. The check is made with
+    /// the values that the parameters have in the model.
+    pub fn new(plan: Arc<SimulationPlan>) -> Self {
+        let reference = plan.parameter_starts().to_vec();
+        Self { plan, reference, state: Mutex::default() }
+    }
+
+    /// The same, with the check made at other values of the parameters: where the model can be simulated at all.
+    ///
+    /// # Errors
+    /// A value is not finite, or there are not as many as parameters.
+    pub fn with_reference(plan: Arc<SimulationPlan>, reference: &[f64]) -> Result<Self, FmiError> {
+        plan.values.check_parameters(reference)?;
+        Ok(Self { reference: reference.to_vec(), ..Self::new(plan) })
+    }
+
+    /// The plan.
+    pub fn plan(&self) -> &Arc<SimulationPlan> {
+        &self.plan
+    }
+
+    /// How instances are reset.
+    ///
+    /// # Errors
+    /// The FMU has to be checked first and cannot be instantiated.
+    pub fn reuse(&self) -> Result<Reuse, FmiError> {
+        let checked = self.check(&mut self.state())?;
+        let known = self.plan.fmu().reuse_of(self.plan.kind());
+        Ok(known.map_or(checked, |known| known.max(checked)))
+    }
+
+    /// Whether several simulators can run at the same time.
+    ///
+    /// # Errors
+    /// As [`sharing`](Self::sharing).
+    pub fn is_concurrent(&self) -> Result<bool, FmiError> {
+        self.sharing().map(|sharing| sharing != Sharing::Serial)
+    }
+
+    /// How the simulators share the process: as was asked for, or one at a time where copies of the library would still
+    /// share state, or simulations write into the resources.
+    ///
+    /// # Errors
+    /// The FMU has to be checked first and cannot be instantiated.
+    pub fn sharing(&self) -> Result<Sharing, FmiError> {
+        self.check(&mut self.state())?;
+        match self.plan.sharing {
+            Sharing::Copies => self.plan.fmu().store(self.plan.kind()).map(|store| store.sharing()),
+            asked => Ok(asked),
+        }
+    }
+
+    /// A file below the FMU's `resources` that the runs of the check wrote, made or removed. All instances share the
+    /// resources, so simulations run one at a time then.
+    ///
+    /// # Errors
+    /// The FMU has to be checked first and cannot be instantiated.
+    pub fn written_resource(&self) -> Result<Option<PathBuf>, FmiError> {
+        let mut state = self.state();
+        self.check(&mut state)?;
+        Ok(state.written.clone())
+    }
+
+    /// Lends a simulator: an idle one, else a new one. Its runs wait where only one can run at a time; a thread that keeps a
+    /// lease and runs with a second one is refused then ([`FmiError::NoCopy`]), for it would wait for itself.
+    ///
+    /// # Errors
+    /// The FMU cannot be loaded or instantiated.
+    pub fn lend(&self) -> Result<Lease<'_>, FmiError> {
+        let mut state = self.state();
+        self.check(&mut state)?;
+        let idle = state.idle.pop();
+        drop(state);
+        let mut simulator = match idle {
+            Some(simulator) => simulator,
+            None => Simulator::new(Arc::clone(&self.plan))?,
+        };
+        simulator.pin(true);
+        Ok(Lease { pool: self, simulator: Some(simulator) })
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Checks the ways of resetting, once. The lock is held meanwhile: nobody can use a simulator before the check is over.
+    fn check(&self, state: &mut State) -> Result<Reuse, FmiError> {
+        if let Some(checked) = state.checked {
+            return Ok(checked);
+        }
+        let fmu = self.plan.fmu();
+        let model = &fmu.description().model_name;
+        let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
+        let mut runner = simulator.runner();
+        runner.settle_in(None)?;
+        let resources = Snapshot::of(&fmu.running_root()?.join("resources"));
+        let examined = self.examine(&mut runner);
+        state.written = resources.first_change();
+        let reuse = if runner.is_fatal() {
+            // Nothing was shown but that resetting is not the trouble.
+            Reuse::Reinstantiate
+        } else {
+            examined?.unwrap_or_else(|| {
+                log::warn!(
+                    "{model}: the model cannot be simulated at {:?}, so reset is checked by later simulations, with less",
+                    self.reference
+                );
+                Reuse::Reinstantiate
+            })
+        };
+        if let Some(file) = &state.written {
+            let reason = format!("simulations write into the resources, which all share: {}", file.display());
+            log::warn!("{model}: simulations run one at a time: {reason}");
+            fmu.store(self.plan.kind())?.set_one_at_a_time(reason);
+        }
+        drop(runner);
+        state.idle.push(simulator);
+        state.checked = Some(reuse);
+        Ok(reuse)
+    }
+
+    /// The runs of the check; `None`: they say nothing.
+    fn examine(&self, runner: &mut Runner) -> Result<Option<Reuse>, FmiError> {
+        let Some(trial) = Trial::new(&self.plan, &self.reference, runner)? else { return Ok(None) };
+        let reuse = trial.reuse(runner)?;
+        if let Some(reuse) = reuse {
+            runner.set_reuse(reuse);
+            if reuse == Reuse::Reinstantiate {
+                log::warn!(
+                    "{}: instances cannot be reset; every simulation gets a new one",
+                    self.plan.fmu().description().model_name
+                );
+            }
+        }
+        Ok(reuse)
+    }
+}
+
+impl Deref for Lease<'_> {
+    type Target = Simulator;
+
+    fn deref(&self) -> &Simulator {
+        match &self.simulator {
+            Some(simulator) => simulator,
+            None => unreachable!("a lease has its simulator until it is dropped"),
+        }
+    }
+}
+
+impl DerefMut for Lease<'_> {
+    fn deref_mut(&mut self) -> &mut Simulator {
+        match &mut self.simulator {
+            Some(simulator) => simulator,
+            None => unreachable!("a lease has its simulator until it is dropped"),
+        }
+    }
+}
+
+impl Drop for Lease<'_> {
+    fn drop(&mut self) {
+        if let Some(mut simulator) = self.simulator.take() {
+            simulator.pin(false);
+            self.pool.state().idle.push(simulator);
+        }
+    }
+}

@@ -1,0 +1,592 @@
+//! The loaded copies of one library, for all who open its FMU in this process: lent to one owner at a time, and used again.
+//!
+//! A loaded library is never unloaded, so a copy is never given up (except after `Fatal`), and the store of a library stays in
+//! the process. What goes with its last user are the idle instances and the folders.
+
+use super::copies::{Home, LoadedCopy};
+use super::record::Defaults;
+use super::verdict::Verdicts;
+use super::{Sharing, files, linkage};
+use crate::error::FmiError;
+use crate::open_options::LoaderOptions;
+use crate::platform::{self, FileIdentity, FilePlace};
+use crate::sys::{InterfaceKind, Library, LoadFrom};
+use std::collections::HashMap;
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::time::Duration;
+
+/// The stores of this process, which loaded libraries do not leave either.
+static STORES: Mutex<Option<HashMap<Key, Arc<CopyStore>>>> = Mutex::new(None);
+
+/// How long a thread that waits for a copy does not look whether it is to go on waiting.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// What tells one library from another.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub(crate) enum Key {
+    /// Of an archive: its fingerprint, and the place in it.
+    Content(String, PathBuf, LoaderOptions),
+    /// Of a folder, which may be edited: the file.
+    File(FilePlace, FileIdentity, LoaderOptions),
+}
+
+/// Where copies of a library come from.
+#[derive(Clone)]
+pub(crate) struct Source {
+    /// The original file.
+    pub(crate) library: PathBuf,
+    /// The folder of the FMU.
+    pub(crate) root: PathBuf,
+    /// What the file was when it was found, where it could be written over.
+    pub(crate) identity: Option<FileIdentity>,
+    /// Keeps the folder on the disk.
+    pub(crate) home: Option<Home>,
+}
+
+impl Source {
+    /// Whether the library is one of the FMU's files, not one that was built from its sources.
+    pub(super) fn is_inside(&self) -> bool {
+        self.library.starts_with(&self.root)
+    }
+
+    /// Where the library lies in the folder of a copy.
+    pub(super) fn place(&self) -> PathBuf {
+        match self.library.strip_prefix(&self.root) {
+            Ok(place) => place.to_owned(),
+            Err(_) => Path::new("binaries").join(self.library.file_name().unwrap_or_default()),
+        }
+    }
+
+    /// # Errors
+    /// The file was written over: a copy would be another library.
+    pub(super) fn check_unchanged(&self) -> Result<(), FmiError> {
+        let Some(identity) = &self.identity else { return Ok(()) };
+        let metadata = self.library.metadata().map_err(FmiError::io("open", &self.library))?;
+        match platform::file_identity(&metadata).same_content(identity) {
+            true => Ok(()),
+            false => Err(FmiError::written_over(&self.library)),
+        }
+    }
+}
+
+/// An owner that can be asked to give its copy up between two of its calls.
+pub(crate) trait Tenant: Send + Sync {
+    /// Gives the copy up, if no call is under way.
+    fn evict(&self) -> Eviction;
+}
+
+/// What became of a request to give a copy up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Eviction {
+    /// It was given up, or is just being given up.
+    Done,
+    /// A simulation is under way; it will end.
+    Busy,
+    /// The owner keeps it, and waiting for that would be in vain: it is this very thread, or an instance made by hand.
+    Kept,
+}
+
+/// Who wants a copy, and how.
+pub(crate) struct CopyRequest<'a> {
+    pub(crate) kind: InterfaceKind,
+    pub(crate) sharing: Sharing,
+    /// `None`: the owner does not give it up.
+    pub(crate) tenant: Option<Weak<dyn Tenant>>,
+    /// Loads the library.
+    pub(crate) open: &'a dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
+}
+
+/// The loaded copies of one library, and what is known about it.
+pub(crate) struct CopyStore {
+    state: Mutex<State>,
+    changed: Condvar,
+    /// Owners that wait.
+    waiting: AtomicUsize,
+    /// Why copies would share static variables, where they would.
+    shared_state: OnceLock<Option<String>>,
+    /// What is known about resetting its instances.
+    pub(crate) verdicts: Verdicts,
+    /// What new instances answer for the variables that were ever set.
+    defaults: Mutex<Defaults>,
+}
+
+#[derive(Default)]
+struct State {
+    /// FMUs that are open.
+    users: usize,
+    source: Option<Source>,
+    idle: Vec<Arc<LoadedCopy>>,
+    loans: Vec<Loan>,
+    /// Copies being made; whether one of them is for owners that go one at a time.
+    making: usize,
+    making_serial: bool,
+    /// The original file is loaded, or being loaded.
+    original_taken: bool,
+    /// Why all owners go one at a time.
+    one_at_a_time: Option<String>,
+    /// Why no further copy could be made.
+    refused: Option<String>,
+    last_lease: u64,
+    /// Counts what a waiting owner waits for.
+    changes: u64,
+}
+
+/// A copy in use.
+struct Loan {
+    copy: Arc<LoadedCopy>,
+    sharing: Sharing,
+    holders: Vec<(u64, Option<Weak<dyn Tenant>>)>,
+}
+
+/// A loaded copy on loan to one owner, for as long as it has instances; given back on drop, after them.
+pub(crate) struct CopyLease {
+    store: Arc<CopyStore>,
+    copy: Arc<LoadedCopy>,
+    library: Arc<Library>,
+    id: u64,
+}
+
+/// A use of a store by an open FMU.
+#[derive(Debug)]
+pub(crate) struct StoreUse(Arc<CopyStore>);
+
+impl StoreUse {
+    /// The store of a library; made if there is none.
+    pub(crate) fn new(key: Key, source: Source) -> Self {
+        let store = {
+            let mut stores = STORES.lock().unwrap_or_else(PoisonError::into_inner);
+            Arc::clone(
+                stores.get_or_insert_default().entry(key).or_insert_with(|| Arc::new(CopyStore::new())),
+            )
+        };
+        let mut state = store.state();
+        state.users += 1;
+        // The folder of the first of several users stays as long as there is any.
+        state.source.get_or_insert(source);
+        drop(state);
+        Self(store)
+    }
+}
+
+impl Deref for StoreUse {
+    type Target = Arc<CopyStore>;
+
+    fn deref(&self) -> &Arc<CopyStore> {
+        &self.0
+    }
+}
+
+impl Drop for StoreUse {
+    fn drop(&mut self) {
+        let mut state = self.0.state();
+        state.users -= 1;
+        if state.users > 0 {
+            return;
+        }
+        let source = state.source.take();
+        let idle = state.idle.clone();
+        state.refused = None;
+        drop(state);
+        for copy in &idle {
+            copy.free_idle();
+            copy.leave_home();
+        }
+        drop(source);
+    }
+}
+
+/// One owner that waits.
+struct Waiting<'a>(&'a AtomicUsize);
+
+impl<'a> Waiting<'a> {
+    fn new(count: &'a AtomicUsize) -> Self {
+        count.fetch_add(1, Ordering::SeqCst);
+        Self(count)
+    }
+}
+
+impl Drop for Waiting<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+/// What is to be done about a request.
+enum Move {
+    Use(Arc<LoadedCopy>, u64, Source),
+    Make { original: bool, source: Source },
+    Free(Vec<Option<Weak<dyn Tenant>>>),
+}
+
+impl CopyStore {
+    fn new() -> Self {
+        Self {
+            state: Mutex::default(),
+            changed: Condvar::new(),
+            waiting: AtomicUsize::new(0),
+            shared_state: OnceLock::new(),
+            verdicts: Verdicts::default(),
+            defaults: Mutex::default(),
+        }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Lends a copy that nobody uses, or a new one. Where there are to be no more, takes one from an owner that is between
+    /// two simulations, or waits for one that is in a simulation, as long as `wait` (asked every 20 ms) says so; `None`: it
+    /// does not any more.
+    ///
+    /// # Errors
+    /// The library cannot be loaded; all copies that there can be are with owners that keep them.
+    pub(crate) fn lend(
+        self: &Arc<Self>,
+        request: &CopyRequest<'_>,
+        wait: &mut dyn FnMut() -> bool,
+    ) -> Result<Option<CopyLease>, FmiError> {
+        loop {
+            let seen = self.state().changes;
+            match self.next_move(request) {
+                Move::Use(copy, id, source) => {
+                    return self.entrust(copy, id, request, &source).map(Some);
+                }
+                Move::Make { original, source } => {
+                    let made = self.make(original, &source, request);
+                    self.made(original, request, made)?;
+                }
+                Move::Free(holders) => {
+                    let _waiting = Waiting::new(&self.waiting);
+                    let asked = holders.iter().map(|holder| match holder {
+                        None => Eviction::Kept,
+                        Some(tenant) => tenant.upgrade().map_or(Eviction::Done, |tenant| tenant.evict()),
+                    });
+                    let asked: Vec<Eviction> = asked.collect();
+                    if asked.contains(&Eviction::Done) {
+                        continue;
+                    }
+                    if !asked.is_empty() && !asked.contains(&Eviction::Busy) {
+                        return Err(self.nothing_free());
+                    }
+                    let unchanged = |state: &mut State| state.changes == seen;
+                    drop(self.changed.wait_timeout_while(self.state(), PATIENCE, unchanged));
+                    if !wait() {
+                        return Ok(None);
+                    }
+                }
+            }
+        }
+    }
+
+    /// A copy that nobody uses and for which `fits` holds, or a new one; `None` where there is none without waiting.
+    pub(crate) fn lend_if_free(
+        self: &Arc<Self>,
+        request: &CopyRequest<'_>,
+        fits: impl Fn(&LoadedCopy) -> bool,
+    ) -> Option<CopyLease> {
+        let mut state = self.state();
+        if state.one_at_a_time.is_some() {
+            return None;
+        }
+        let source = state.source.clone()?;
+        if let Some(place) = state.idle.iter().rposition(|copy| fits(copy)) {
+            let copy = state.idle.remove(place);
+            let id = state.loan(&copy, request);
+            drop(state);
+            return self.entrust(copy, id, request, &source).ok();
+        }
+        if state.refused.is_some() {
+            return None;
+        }
+        state.making += 1;
+        drop(state);
+        if self.shared_state(&source).is_some() {
+            self.state().making -= 1;
+            return None;
+        }
+        let made = self.make(false, &source, request);
+        self.made(false, request, made).ok()?;
+        let mut state = self.state();
+        let place = state.idle.iter().rposition(|copy| fits(copy))?;
+        let copy = state.idle.remove(place);
+        let id = state.loan(&copy, request);
+        drop(state);
+        self.entrust(copy, id, request, &source).ok()
+    }
+
+    fn next_move(&self, request: &CopyRequest<'_>) -> Move {
+        let source = self.state().source.clone();
+        // Read from the file before anything of it is run, and before the lock: it takes a while.
+        let reason = source.as_ref().and_then(|source| self.shared_state(source)).map(str::to_owned);
+        let mut state = self.state();
+        let Some(source) = source else { return Move::Free(Vec::new()) };
+        if let Some(reason) = reason
+            && state.one_at_a_time.is_none()
+        {
+            log::info!("{}: simulations run one at a time: {reason}", source.library.display());
+            state.one_at_a_time = Some(reason);
+        }
+        let all = state.one_at_a_time.is_some() && request.sharing != Sharing::Together;
+        let serial = request.sharing == Sharing::Serial;
+        let conflicts = |loan: &&Loan| all || (serial && loan.sharing == Sharing::Serial);
+        let holders = |loans: &mut dyn Iterator<Item = &Loan>| -> Vec<_> {
+            loans.flat_map(|loan| loan.holders.iter().map(|(_, tenant)| tenant.clone())).collect()
+        };
+        if request.sharing == Sharing::Together
+            && let Some(loan) =
+                state.loans.iter().find(|loan| loan.sharing == Sharing::Together && !loan.copy.is_fatal())
+        {
+            let copy = Arc::clone(&loan.copy);
+            return Move::Use(Arc::clone(&copy), state.loan(&copy, request), source);
+        }
+        let occupied = holders(&mut state.loans.iter().filter(conflicts));
+        if !occupied.is_empty() || (state.making > 0 && (all || (serial && state.making_serial))) {
+            return Move::Free(occupied);
+        }
+        if let Some(copy) = state.idle.pop() {
+            let id = state.loan(&copy, request);
+            return Move::Use(copy, id, source);
+        }
+        let nothing_there = state.loans.is_empty() && state.making == 0;
+        let may_make = !state.original_taken
+            || (state.refused.is_none() && state.one_at_a_time.is_none())
+            || nothing_there;
+        if may_make {
+            let original = !std::mem::replace(&mut state.original_taken, true);
+            state.making += 1;
+            state.making_serial |= serial;
+            return Move::Make { original, source };
+        }
+        let all = holders(&mut state.loans.iter());
+        Move::Free(all)
+    }
+
+    /// Loads the original file, or a copy of it.
+    fn make(
+        &self,
+        original: bool,
+        source: &Source,
+        request: &CopyRequest<'_>,
+    ) -> Result<LoadedCopy, FmiError> {
+        if original {
+            let library = (request.open)(LoadFrom::File(&source.library))?;
+            return Ok(LoadedCopy::new(library, request.kind, source.home.clone()));
+        }
+        if let Some(reason) = self.shared_state(source) {
+            // What is left is unusable.
+            return Err(FmiError::NoCopy { library: source.library.clone(), reason: reason.to_owned() });
+        }
+        let (path, folder) = files::copy(source)?;
+        let library = (request.open)(LoadFrom::File(&path))?;
+        Ok(LoadedCopy::new(library, request.kind, Some(Arc::new(folder))))
+    }
+
+    /// Takes in what was made. That no further copy could be made is an error only if there is no other.
+    fn made(
+        &self,
+        original: bool,
+        request: &CopyRequest<'_>,
+        made: Result<LoadedCopy, FmiError>,
+    ) -> Result<(), FmiError> {
+        let mut state = self.state();
+        state.making -= 1;
+        state.making_serial &= request.sharing != Sharing::Serial;
+        let outcome = match made {
+            Ok(copy) => {
+                state.idle.push(Arc::new(copy));
+                Ok(())
+            }
+            Err(error) if original => {
+                state.original_taken = false;
+                Err(error)
+            }
+            Err(error) => {
+                let nothing_there = state.loans.is_empty() && state.idle.is_empty() && state.making == 0;
+                let reason = match error {
+                    FmiError::NoCopy { reason, .. } => reason,
+                    error => format!("no further copy of the library can be loaded: {error}"),
+                };
+                if state.refused.is_none() {
+                    let library = state.source.as_ref().map(|source| source.library.display().to_string());
+                    log::warn!("{}: {reason}", library.unwrap_or_default());
+                }
+                state.refused = Some(reason.clone());
+                let library = state.source.as_ref().map(|source| source.library.clone()).unwrap_or_default();
+                if nothing_there {
+                    let reason = format!("those that were loaded have answered fatal, and {reason}");
+                    Err(FmiError::NoCopy { library, reason })
+                } else {
+                    Ok(())
+                }
+            }
+        };
+        drop(state);
+        self.notify();
+        outcome
+    }
+
+    /// Makes the lease of a copy that is lent already.
+    fn entrust(
+        self: &Arc<Self>,
+        copy: Arc<LoadedCopy>,
+        id: u64,
+        request: &CopyRequest<'_>,
+        source: &Source,
+    ) -> Result<CopyLease, FmiError> {
+        self.settle(&copy, source);
+        match copy.library(request.kind, request.open) {
+            Ok(library) => Ok(CopyLease { store: Arc::clone(self), copy, library, id }),
+            Err(error) => {
+                self.give_back(&copy, id);
+                Err(error)
+            }
+        }
+    }
+
+    /// Makes sure that a copy has its folder, as far as the library could miss it.
+    fn settle(&self, copy: &LoadedCopy, source: &Source) {
+        let mut home = copy.home();
+        if home.is_some() || copy.path() == source.library || !files::has_company(source) {
+            return;
+        }
+        match files::restore(copy.path(), source) {
+            Ok(folder) => *home = Some(Arc::new(folder)),
+            Err(error) => {
+                log::warn!("the folder of a loaded library has gone and cannot be made again: {error}")
+            }
+        }
+    }
+
+    /// Takes a copy back; after `Fatal` it is left alone for good.
+    fn give_back(&self, copy: &Arc<LoadedCopy>, id: u64) {
+        let mut state = self.state();
+        let place = state.loans.iter().position(|loan| Arc::ptr_eq(&loan.copy, copy));
+        if let Some(place) = place {
+            state.loans[place].holders.retain(|(known, _)| *known != id);
+            if state.loans[place].holders.is_empty() {
+                let loan = state.loans.swap_remove(place);
+                if !copy.is_fatal() {
+                    state.idle.push(loan.copy);
+                }
+            }
+        }
+        drop(state);
+        self.notify();
+    }
+
+    /// Has waiting owners look again: a copy is back, or a simulation is over.
+    pub(crate) fn notify(&self) {
+        if self.waiting.load(Ordering::SeqCst) > 0 {
+            self.state().changes += 1;
+            self.changed.notify_all();
+        }
+    }
+
+    /// What new instances answer for the variables that were ever set, as far as it was asked for.
+    pub(super) fn defaults(&self) -> MutexGuard<'_, Defaults> {
+        self.defaults.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Why copies would share static variables, where they would.
+    fn shared_state(&self, source: &Source) -> Option<&str> {
+        let read = || linkage::shared_state(&source.library, &source.root);
+        self.shared_state.get_or_init(read).as_deref()
+    }
+
+    /// How owners that ask for copies share the process.
+    pub(crate) fn sharing(&self) -> Sharing {
+        let source = self.state().source.clone();
+        let shares = source.is_some_and(|source| self.shared_state(&source).is_some());
+        if shares || self.state().one_at_a_time.is_some() { Sharing::Serial } else { Sharing::Copies }
+    }
+
+    /// Whether a new copy could be loaded, as far as is known.
+    pub(crate) fn may_copy(&self) -> bool {
+        self.sharing() == Sharing::Copies && self.state().refused.is_none()
+    }
+
+    /// Has all owners go one at a time from now on.
+    pub(crate) fn set_one_at_a_time(&self, reason: String) {
+        self.state().one_at_a_time.get_or_insert(reason);
+    }
+
+    #[cold]
+    fn nothing_free(&self) -> FmiError {
+        let state = self.state();
+        let library = state.source.as_ref().map(|source| source.library.clone()).unwrap_or_default();
+        let why = state.one_at_a_time.clone().or_else(|| state.refused.clone());
+        let why = why.unwrap_or_else(|| "simulations were asked to run one at a time".to_owned());
+        let reason = format!(
+            "it is in use by an instance that was made by hand, or by a simulation that this thread is in or has \
+             borrowed a simulator for: drop that one first ({why})"
+        );
+        FmiError::NoCopy { library, reason }
+    }
+}
+
+impl State {
+    /// Notes a holder of a copy.
+    fn loan(&mut self, copy: &Arc<LoadedCopy>, request: &CopyRequest<'_>) -> u64 {
+        self.last_lease += 1;
+        let holder = (self.last_lease, request.tenant.clone());
+        match self.loans.iter_mut().find(|loan| Arc::ptr_eq(&loan.copy, copy)) {
+            Some(loan) => loan.holders.push(holder),
+            None => self.loans.push(Loan {
+                copy: Arc::clone(copy),
+                sharing: request.sharing,
+                holders: vec![holder],
+            }),
+        }
+        self.last_lease
+    }
+}
+
+impl CopyLease {
+    /// The functions of the copy.
+    pub(crate) fn library(&self) -> &Arc<Library> {
+        &self.library
+    }
+
+    /// The copy.
+    pub(crate) fn copy(&self) -> &LoadedCopy {
+        &self.copy
+    }
+
+    /// The copies of this library.
+    pub(crate) fn store(&self) -> &Arc<CopyStore> {
+        &self.store
+    }
+
+    /// Whether a call of this copy has returned `Fatal`.
+    #[inline]
+    pub(crate) fn is_fatal(&self) -> bool {
+        self.library.shared().is_fatal()
+    }
+}
+
+impl Drop for CopyLease {
+    fn drop(&mut self) {
+        self.store.give_back(&self.copy, self.id);
+    }
+}
+
+impl std::fmt::Debug for CopyStore {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let state = self.state();
+        f.debug_struct("CopyStore")
+            .field("idle", &state.idle.len())
+            .field("lent", &state.loans.len())
+            .field("one_at_a_time", &state.one_at_a_time)
+            .field("refused", &state.refused)
+            .finish_non_exhaustive()
+    }
+}
+
+impl std::fmt::Debug for CopyLease {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "CopyLease({})", self.library.path().display())
+    }
+}

@@ -1,0 +1,131 @@
+//! The check of the ways of resetting: a second run against one on a new instance, after a run with other values, in one thread.
+
+use super::Reuse;
+use super::probe::{PROBE_STEPS, Probe};
+use crate::beginning::StartValues;
+use crate::description::Variable;
+use crate::error::FmiError;
+use crate::plan::SimulationPlan;
+use crate::simulation::Runner;
+use ode::{Ignore, Observer, Sample};
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// A simulation that takes longer than this is tested by its first steps only.
+const LONG: Duration = Duration::from_secs(2);
+
+/// What a run on a new instance gives, with which all others are compared; see [`Pool`](crate::Pool).
+pub(crate) struct Trial<'a> {
+    plan: &'a Arc<SimulationPlan>,
+    base: &'a [f64],
+    /// Start values and parameters a little off.
+    others: (StartValues, Vec<f64>),
+    /// `None`: from start to end.
+    steps: Option<u64>,
+    truth: Probe,
+}
+
+impl<'a> Trial<'a> {
+    /// The run on a new instance. `None`: the model cannot be started with `base`, or the run was not over in time, and
+    /// there is nothing to compare.
+    ///
+    /// # Errors
+    /// It was cancelled; there is no new instance to be had.
+    pub(crate) fn new(
+        plan: &'a Arc<SimulationPlan>,
+        base: &'a [f64],
+        runner: &mut Runner,
+    ) -> Result<Option<Self>, FmiError> {
+        let mut clock = Clock { end: Instant::now() + LONG, over: false };
+        let mut truth = runner.probe_new(&plan.values.start, base, None, &mut clock)?;
+        let steps = clock.over.then_some(PROBE_STEPS);
+        if clock.over {
+            truth = runner.probe_new(&plan.values.start, base, steps, &mut Ignore)?;
+        }
+        let others = plan.values.others(plan.fmu().description(), base);
+        Ok(matches!(truth, Probe::Digest(_)).then_some(Self { plan, base, others, steps, truth }))
+    }
+
+    /// The first way of bringing an instance back to its beginning that passes; `None`: a time limit ended a run.
+    ///
+    /// # Errors
+    /// It was cancelled; there is no new instance to be had.
+    pub(crate) fn reuse(&self, runner: &mut Runner) -> Result<Option<Reuse>, FmiError> {
+        let known = runner.reuse();
+        for reuse in [Reuse::Restore, Reuse::Reset] {
+            let is_out = reuse == Reuse::Restore && !runner.may_restore();
+            if is_out || known.is_some_and(|known| known > reuse) {
+                continue;
+            }
+            match self.passes(reuse, runner)? {
+                None => return Ok(None),
+                Some(true) => return Ok(Some(reuse)),
+                Some(false) if reuse == Reuse::Restore => runner.refuse_restore(),
+                Some(false) => {}
+            }
+        }
+        Ok(Some(Reuse::Reinstantiate))
+    }
+
+    /// Whether runs on one instance, brought back to its beginning in between, are those of new instances: one with the
+    /// base values, one with others, and one with the base values again.
+    fn passes(&self, reuse: Reuse, runner: &mut Runner) -> Result<Option<bool>, FmiError> {
+        let short = Some(PROBE_STEPS);
+        let others = (&self.others.0, &self.others.1[..]);
+        let other_truth = runner.probe_new(others.0, others.1, short, &mut Ignore)?;
+        let first = runner.probe_first(reuse, self.base, self.steps)?;
+        if first == Probe::TimedOut || other_truth == Probe::TimedOut {
+            return Ok(None);
+        }
+        if first != self.truth {
+            return Ok(Some(false));
+        }
+        let again = |runner: &mut Runner| {
+            runner.probe_again(reuse, &self.plan.values.start, self.base, self.steps, &mut Ignore)
+        };
+        let last = match runner.probe_again(reuse, others.0, others.1, short, &mut Ignore)? {
+            Some(Probe::TimedOut) => return Ok(None),
+            Some(probe) if probe != other_truth => return Ok(Some(false)),
+            Some(_) => again(runner)?,
+            None => None,
+        };
+        let last = match last {
+            // A run that fails leaves no instance to bring back: then at least the same run twice.
+            None => {
+                runner.probe_first(reuse, self.base, self.steps)?;
+                again(runner)?
+            }
+            last => last,
+        };
+        Ok(if last == Some(Probe::TimedOut) { None } else { Some(last == Some(self.truth)) })
+    }
+}
+
+/// A value a little off, within the variable's bounds.
+pub(crate) fn nudge(variable: &Variable, value: f64) -> f64 {
+    let size = if value != 0.0 {
+        value.abs()
+    } else {
+        variable.nominal.filter(|n| n.is_normal()).unwrap_or(1.0).abs()
+    };
+    let fits = |x: &f64| variable.min.is_none_or(|min| *x >= min) && variable.max.is_none_or(|max| *x <= max);
+    [value + 0.02 * size, value - 0.02 * size].into_iter().find(fits).unwrap_or(value)
+}
+
+/// Ends a run that takes too long to be made again and again.
+struct Clock {
+    end: Instant,
+    over: bool,
+}
+
+impl Observer for Clock {
+    fn sample(&mut self, _: &Sample<'_>) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+
+    fn poll(&mut self) -> ControlFlow<()> {
+        self.over |= Instant::now() > self.end;
+        if self.over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+}

@@ -1,0 +1,105 @@
+//! What is known about bringing the instances of a library back to their start: one verdict for each kind of interface,
+//! for all copies and all who open the FMU.
+
+use super::Reuse;
+use crate::plan::Setting;
+use crate::sys::InterfaceKind;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// The verdicts on a library.
+#[derive(Debug, Default)]
+pub(crate) struct Verdicts {
+    kinds: [Mutex<Verdict>; 2],
+    /// Co-simulations will not be made with the event mode that the description promises.
+    no_event_mode: AtomicBool,
+}
+
+/// The verdict on one kind of instances.
+#[derive(Debug, Default)]
+struct Verdict {
+    /// Only gets worse.
+    reuse: Option<Reuse>,
+    /// Saved states do not bring an instance back.
+    no_restore: bool,
+    /// Ways that passed their trials, each with everything that was set in the runs of the trial: that hides what such a
+    /// way leaves behind, so the verdict is one for runs that set all of it.
+    proven: Vec<(Reuse, Arc<[Setting]>)>,
+}
+
+/// Whether all of `set` is among `settings`; both are sorted.
+fn are_covered(set: &[Setting], settings: &[Setting]) -> bool {
+    set.iter().all(|one| settings.binary_search(one).is_ok())
+}
+
+impl Verdicts {
+    fn of(&self, kind: InterfaceKind) -> MutexGuard<'_, Verdict> {
+        self.kinds[kind as usize].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// How instances are brought back; `None` before it was tried.
+    pub(crate) fn reuse(&self, kind: InterfaceKind) -> Option<Reuse> {
+        self.of(kind).reuse
+    }
+
+    /// The same for runs that set `settings`; `None` before it was tried with all or some of these.
+    pub(crate) fn reuse_for(&self, kind: InterfaceKind, settings: &[Setting]) -> Option<Reuse> {
+        let verdict = self.of(kind);
+        let reuse = verdict.reuse?;
+        let is_proven =
+            || verdict.proven.iter().any(|(way, set)| *way == reuse && are_covered(set, settings));
+        (reuse == Reuse::Reinstantiate || is_proven()).then_some(reuse)
+    }
+
+    /// Stores what trial runs that set `settings` have shown.
+    pub(crate) fn set_reuse(&self, kind: InterfaceKind, reuse: Reuse, settings: &Arc<[Setting]>) {
+        let mut verdict = self.of(kind);
+        if reuse == Reuse::Restore && verdict.no_restore {
+            return;
+        }
+        verdict.reuse = verdict.reuse.max(Some(reuse));
+        if reuse != Reuse::Reinstantiate {
+            // What was shown while more was set is shown by this, too.
+            verdict.proven.retain(|(way, set)| *way != reuse || !are_covered(settings, set));
+            verdict.proven.push((reuse, Arc::clone(settings)));
+        }
+    }
+
+    /// Whether saved states may bring instances back, as far as is known.
+    pub(crate) fn may_restore(&self, kind: InterfaceKind) -> bool {
+        !self.of(kind).no_restore
+    }
+
+    /// Saved states were found not to bring instances back: where they were thought to, the next way has to be tried.
+    pub(crate) fn refuse_restore(&self, kind: InterfaceKind) {
+        let mut verdict = self.of(kind);
+        verdict.no_restore = true;
+        verdict.reuse = verdict.reuse.filter(|reuse| *reuse != Reuse::Restore);
+    }
+
+    /// Whether co-simulations were seen to refuse the event mode that the description promises.
+    pub(crate) fn is_event_mode_refused(&self) -> bool {
+        self.no_event_mode.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn refuse_event_mode(&self) {
+        self.no_event_mode.store(true, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn verdicts_only_get_worse() {
+        let (verdicts, nothing) = (Verdicts::default(), Arc::from([]));
+        let kind = InterfaceKind::CoSimulation;
+        verdicts.set_reuse(kind, Reuse::Reset, &nothing);
+        verdicts.set_reuse(kind, Reuse::Restore, &nothing);
+        assert_eq!(verdicts.reuse(kind), Some(Reuse::Reset));
+        assert_eq!(verdicts.reuse(InterfaceKind::ModelExchange), None);
+        verdicts.set_reuse(kind, Reuse::Reinstantiate, &nothing);
+        assert_eq!(verdicts.reuse_for(kind, &[]), Some(Reuse::Reinstantiate));
+    }
+}

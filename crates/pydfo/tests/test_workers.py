@@ -1,0 +1,181 @@
+"""Workers of every kind change nothing but the time: what they evaluate ahead of need means nothing by itself."""
+
+import concurrent.futures
+
+import numpy as np
+import pydfo
+import pytest
+from methods import rosenbrock
+
+
+class Trap(Exception):
+    pass
+
+
+def told(result):
+    return result.x.tobytes(), result.fun, result.nfev, result.nit, result.nfail, result.termination
+
+
+@pytest.mark.parametrize("method", ["nelder-mead", "barrier", "de", "de-classic", "ga"])
+@pytest.mark.parametrize("budget", [7, 61, 150])
+def test_no_kind_of_workers_changes_anything(method, budget):
+    def patchy(x):
+        return float("nan") if np.floor(37 * x[0]) % 7 == 0 else rosenbrock(x)
+
+    def columns(x):
+        return np.array([patchy(point) for point in x.T])
+
+    def run(fun, **more):
+        return told(
+            pydfo.minimize(fun, [-0.5, 1.0], [(-2, 2)] * 2, method=method, rng=3, max_evaluations=budget, **more)
+        )
+
+    serial = run(patchy)
+    for workers in (2, 3, 7, 16):
+        assert run(patchy, workers=workers) == serial
+    assert run(patchy, workers=map) == serial
+    assert run(columns, workers=7, vectorized=True) == serial
+    with concurrent.futures.ThreadPoolExecutor(3) as executor:
+        assert run(patchy, workers=executor) == serial
+
+
+def test_processes_change_nothing():
+    def run(workers):
+        return told(pydfo.minimize(rosenbrock, [-1.2, 1.0], workers=workers, max_evaluations=100))
+
+    with concurrent.futures.ProcessPoolExecutor(2) as executor:
+        assert run(executor.map) == run(1)
+
+
+@pytest.mark.parametrize("plan", ["auto", "serial", "two", "four", "two-ahead", "ahead"])
+@pytest.mark.parametrize("vectorized", [False, True])
+def test_an_exception_counts_when_the_path_comes_to_it(plan, vectorized):
+    path = pydfo.minimize(rosenbrock, [-1.2, 1.0], max_evaluations=60)
+    known = {x.tobytes() for x in path.trace.x}
+
+    def trap(x):
+        if x.tobytes() not in known:
+            raise Trap(x)
+        return rosenbrock(x)
+
+    def columns(x):
+        return np.array([trap(np.ascontiguousarray(point)) for point in x.T])
+
+    result = pydfo.minimize(
+        columns if vectorized else trap, [-1.2, 1.0], workers=4, max_evaluations=60, options={"batch": plan},
+        vectorized=vectorized,
+    )  # fmt: skip
+    assert told(result) == told(path)
+    with pytest.raises(Trap) as raised:
+        pydfo.minimize(
+            columns if vectorized else trap, [-1.2, 1.0], workers=4, options={"batch": plan}, vectorized=vectorized
+        )
+    assert raised.value.partial_result.x.tobytes() is not None
+
+
+MASKED = [np.ma.masked, np.ma.array(0.0, mask=True), np.ma.array([0.0], mask=[True]), np.ma.array([0], mask=True)]
+
+
+@pytest.mark.parametrize("cost", MASKED)
+def test_a_masked_cost_is_none(cost):
+    def fun(x):
+        return cost if x[0] > 0 else float(x[0] ** 2)
+
+    result = pydfo.minimize(fun, [-1.0], max_evaluations=60)
+    assert result.x[0] <= 0 and result.nfail > 0
+    optimizer = pydfo.Optimizer("nelder-mead", [-1.0])
+    ids, _, _ = optimizer.ask()
+    optimizer.tell(ids, [cost, 1.0])
+    assert optimizer.best[1] == 1.0
+
+
+def test_masked_costs_of_a_vectorized_function_are_none():
+    def columns(x):
+        return np.ma.masked_where(x[0] > 0, x[0] ** 2)
+
+    result = pydfo.minimize(columns, [-1.0], vectorized=True, max_evaluations=60)
+    assert result.x[0] <= 0 and result.nfail > 0
+
+
+@pytest.mark.parametrize("cost", [1 + 2j, np.complex128(1), None, "1", np.str_("1"), np.array([1.0, 2.0])])
+def test_what_is_no_number_is_an_error(cost):
+    with pytest.raises(TypeError):
+        pydfo.minimize(lambda x: cost, [1.0])
+    with pytest.raises(TypeError):
+        pydfo.minimize(lambda x: [cost] * x.shape[1], [1.0], vectorized=True)
+
+
+@pytest.mark.parametrize("kind", [float, np.float32, np.float64, np.int64, np.array, lambda v: np.array([v])])
+def test_numbers_of_every_kind_are_costs(kind):
+    assert pydfo.minimize(lambda x: kind(abs(round(x[0]))), [3.0]).fun == 0
+
+
+def test_costs_are_reused_where_the_problem_is_the_same():
+    calls = []
+
+    def fun(x):
+        calls.append(x.copy())
+        return rosenbrock(x)
+
+    def run(problem, start=None):
+        calls.clear()
+        options = {"problem": problem, "warm_start": start}
+        result = pydfo.minimize(fun, [-1.2, 1.0], options=options, max_evaluations=40)
+        return result, {x.tobytes() for x in calls}
+
+    first, known = run("rosenbrock")
+    assert first.trace.problem == "rosenbrock"
+    warm, asked = run("rosenbrock", first)
+    assert not known & asked and warm.fun <= first.fun
+    for problem, start in [(None, first), ("other", first), ("rosenbrock", (first.trace.x, first.trace.fun))]:
+        again, asked = run(problem, start)
+        assert first.x.tobytes() in asked and again.n_cached == 0
+    _, asked = run("rosenbrock", (first.trace.x, first.trace.fun, "rosenbrock"))
+    assert not known & asked
+
+
+def test_a_fit_to_other_data_starts_there_and_keeps_no_cost():
+    t = np.linspace(0, 2, 21)
+
+    def calibration(k, start=1.0, upper=10.0):
+        data = {"time": t, "x": np.exp(-k * t)}
+        return pydfo.Calibration(
+            pydfo.example_fmu("dahlquist"), data, ["x"], [pydfo.Parameter("k", start, 0.1, upper)]
+        )
+
+    first = calibration(2.0).fit(workers=1)
+    fit = calibration(5.0).fit(workers=1, options={"warm_start": first})
+    assert fit.success and abs(fit.x[0] - 5.0) < 1e-2 and fit.fun < 1e-6
+    # Neither bounds nor start are what a cost depends on.
+    same = calibration(2.0, 3.0, 9.0).fit(workers=1, options={"warm_start": first})
+    assert same.n_cached > 0 and same.nfev < first.nfev
+
+
+def test_no_limit_is_none_from_end_to_end():
+    def rastrigin(x):
+        return float(np.sum(x * x + 10 - 10 * np.cos(2 * np.pi * x)))
+
+    result = pydfo.fmin(
+        rastrigin, lb=[-5] * 5, ub=[4] * 5, alg="de", max_fevals=None, max_iters=300, x_tol=0, f_tol=0, disp=False, rng=1
+    )
+    assert len(result.final_population[0]) < 45 and result.fun < 1e-2
+
+
+def test_sizes_beyond_all_memory_are_memory_errors():
+    with pytest.raises(MemoryError, match="simplex"):
+        pydfo.minimize(lambda x: x[0], np.full(3_000_000, 0.5))
+    with pytest.raises(MemoryError, match="population"):
+        pydfo.minimize(lambda x: x[0], bounds=[(0, 1)] * 1_000_000, method="de", options={"population": 1_000_000})
+
+
+def test_seconds_of_an_executor_are_those_of_each_call():
+    import time
+
+    def uneven(x):
+        time.sleep(0.03 if x[0] > 0.5 else 0.001)
+        return float(x[0] ** 2)
+
+    with concurrent.futures.ThreadPoolExecutor(2) as executor:
+        options = {"initial_simplex": [[0.4], [0.6]]}
+        result = pydfo.minimize(uneven, [0.4], workers=executor, max_evaluations=2, options=options)
+    assert result.trace.seconds[0] < 0.02 < result.trace.seconds[1]
