@@ -20,9 +20,11 @@ use crate::sys::{
 };
 use crate::trajectory::Trajectory;
 use std::ffi::CString;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
 
 const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated \
                              with it: it is run without";
@@ -47,6 +49,8 @@ struct Inner {
     stores: [Mutex<Option<StoreUse>>; 2],
     /// The model computes its variables with the derivatives only.
     has_stale_outputs: AtomicBool,
+    /// Of each way: how long the last simulation of a session took, in ns; 0: there was none.
+    last_runs: [AtomicU64; 2],
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
     description: ModelDescription,
@@ -101,6 +105,7 @@ impl Fmu {
         let inner = Inner {
             stores: Default::default(),
             has_stale_outputs: AtomicBool::new(false),
+            last_runs: Default::default(),
             real_references: OnceLock::new(),
             description,
             options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
@@ -193,8 +198,32 @@ impl Fmu {
     /// # Errors
     /// Options that do not fit the model, and everything that can go wrong in a simulation.
     pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+        self.simulate_with(options, &mut || ControlFlow::Continue(()))
+    }
+
+    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation there.
+    ///
+    /// # Errors
+    /// As [`simulate`](Self::simulate).
+    pub fn simulate_with(
+        &self,
+        options: &SimulateOptions,
+        poll: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Trajectory, FmiError> {
         let plan = Arc::new(SimulationPlan::new(self, options)?);
-        Simulator::new(Arc::clone(&plan))?.trajectory(plan.parameter_starts())
+        Simulator::new(Arc::clone(&plan))?.trajectory_with(plan.parameter_starts(), poll)
+    }
+
+    /// How long the last simulation of a [`Session`](crate::Session) of this FMU took, by any of its clones; loading the
+    /// library does not count. `None`: there was none.
+    pub fn last_run(&self, kind: InterfaceKind) -> Option<Duration> {
+        let nanoseconds = self.inner.last_runs[kind as usize].load(Ordering::Relaxed);
+        (nanoseconds > 0).then(|| Duration::from_nanos(nanoseconds))
+    }
+
+    pub(crate) fn note_run(&self, kind: InterfaceKind, took: Duration) {
+        let nanoseconds = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
+        self.inner.last_runs[kind as usize].store(nanoseconds.max(1), Ordering::Relaxed);
     }
 
     /// Makes a model-exchange instance. **This loads the library and runs its code.**

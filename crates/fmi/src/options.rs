@@ -34,13 +34,17 @@ pub enum Kind {
 impl std::str::FromStr for Kind {
     type Err = FmiError;
 
-    /// `auto`, `me` or `cs`, whatever the case of the letters.
+    /// `auto`, `me` or `cs`, or the names in full (`ModelExchange`, `co-simulation`), whatever the case of the letters.
     fn from_str(text: &str) -> Result<Self, FmiError> {
-        match text.to_ascii_lowercase().as_str() {
+        let letters =
+            text.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
+        match letters.as_str() {
             "auto" => Ok(Kind::Auto),
-            "me" => Ok(Kind::ModelExchange),
-            "cs" => Ok(Kind::CoSimulation),
-            _ => Err(setting(format!("kind = '{text}' is none of 'auto', 'me', 'cs'"))),
+            "me" | "modelexchange" => Ok(Kind::ModelExchange),
+            "cs" | "cosimulation" => Ok(Kind::CoSimulation),
+            _ => Err(setting(format!(
+                "kind = '{text}' is none of 'auto', 'ME' (ModelExchange), 'CS' (CoSimulation)"
+            ))),
         }
     }
 }

@@ -91,22 +91,24 @@ fn not_in_result<'a>(name: &str, present: impl Iterator<Item = &'a str>) -> FmiE
 }
 
 /// Writes samples into columns.
-#[derive(Debug)]
-pub(crate) struct Recorder {
+pub(crate) struct Recorder<'a> {
     time: Vec<f64>,
     columns: Vec<Vec<f64>>,
     sides: Vec<Side>,
     events: Vec<EventRecord>,
+    /// Asked before every step.
+    poll: &'a mut dyn FnMut() -> ControlFlow<()>,
 }
 
-impl Recorder {
-    pub(crate) fn new(plan: &SimulationPlan) -> Self {
+impl<'a> Recorder<'a> {
+    pub(crate) fn new(plan: &SimulationPlan, poll: &'a mut dyn FnMut() -> ControlFlow<()>) -> Self {
         let rows = plan.times().len();
         Self {
             time: Vec::with_capacity(rows),
             columns: (0..plan.outputs().len()).map(|_| Vec::with_capacity(rows)).collect(),
             sides: Vec::with_capacity(rows),
             events: Vec::new(),
+            poll,
         }
     }
 
@@ -142,7 +144,7 @@ impl Recorder {
     }
 }
 
-impl Observer for Recorder {
+impl Observer for Recorder<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         self.time.push(sample.time);
         self.sides.push(sample.side);
@@ -154,5 +156,9 @@ impl Observer for Recorder {
 
     fn event(&mut self, event: &EventRecord) {
         self.events.push(*event);
+    }
+
+    fn poll(&mut self) -> ControlFlow<()> {
+        (self.poll)()
     }
 }

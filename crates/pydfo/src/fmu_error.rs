@@ -2,7 +2,7 @@
 
 use fmi::FmiError;
 use pyo3::IntoPyObjectExt;
-use pyo3::exceptions::PyOSError;
+use pyo3::exceptions::{PyMemoryError, PyOSError};
 use pyo3::prelude::*;
 use std::io;
 use std::path::Path;
@@ -32,6 +32,9 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
         | FmiError::UnknownExample { .. } => BadModelValueError::new_err(message),
         FmiError::Call(failure) => simulation(py, error, message, failure.time),
         FmiError::EventIteration { time, .. } => simulation(py, error, message, Some(*time)),
+        FmiError::Simulation(inner) if matches!(inner.kind, ode::ErrorKind::TooLargeForDense { .. }) => {
+            PyMemoryError::new_err(message)
+        }
         FmiError::Simulation(inner) => simulation(py, error, message, Some(inner.time)),
         _ => FmuError::new_err(message),
     }

@@ -123,7 +123,16 @@ impl Stepping {
             Exit::Normal(termination) => Ok(Report { termination, time, stats }),
             Exit::Error(kind) => {
                 self.running.current.broken |= matches!(kind, ErrorKind::Model(_));
-                let error = SimulationError { kind, time, step, worst_state: None, last_event: None, stats };
+                let error = SimulationError {
+                    kind,
+                    time,
+                    step,
+                    worst_state: None,
+                    last_event: None,
+                    not_finite: None,
+                    undetermined: None,
+                    stats,
+                };
                 Err(FmiError::Simulation(Box::new(error)))
             }
         }
