@@ -252,6 +252,8 @@ impl Runner {
                 step: 0.0,
                 worst_state: None,
                 last_event: None,
+                not_finite: None,
+                undetermined: None,
                 stats: Stats::default(),
             }))
         })
