@@ -182,6 +182,7 @@ impl Prepared {
             max_step: settings.max_step,
             timeout: settings.timeout,
             chattering: settings.chattering,
+            input_derivatives: settings.input_derivatives,
             sharing: settings.sharing,
             ..SimulateOptions::default()
         };

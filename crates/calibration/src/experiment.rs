@@ -194,6 +194,9 @@ pub struct SimulationSettings {
     pub step_size: Option<f64>,
     /// Largest step of an adaptive method.
     pub max_step: Option<f64>,
+    /// Whether a co-simulation is told the derivatives of its inputs, see
+    /// [`SimulateOptions::input_derivatives`](fmi::SimulateOptions::input_derivatives); default: yes.
+    pub input_derivatives: Option<bool>,
     /// What happens when state events follow each other so closely that time hardly advances; default: the simulation
     /// counts as failed.
     pub chattering: ode::ChatteringPolicy,

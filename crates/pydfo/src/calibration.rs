@@ -85,6 +85,7 @@ pub(crate) struct ExperimentFields {
     solver: String,
     step_size: Option<f64>,
     max_step: Option<f64>,
+    input_derivatives: bool,
     chattering: String,
     sharing: String,
 }
@@ -102,6 +103,7 @@ impl ExperimentFields {
             relative_tolerance: self.relative_tolerance,
             step_size: self.step_size,
             max_step: self.max_step,
+            input_derivatives: Some(self.input_derivatives),
             timeout: timeout.transpose()?,
             chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
             sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,

@@ -86,6 +86,7 @@ pub(crate) struct Request<'py> {
     max_step: Option<f64>,
     timeout: Option<f64>,
     record_events: bool,
+    input_derivatives: bool,
     chattering: String,
 }
 
@@ -228,8 +229,11 @@ impl Model {
     ) -> PyResult<(SimulateOptions, Callbacks)> {
         let flag = stop.flag();
         let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &flag)?;
-        let mut options =
-            SimulateOptions::new().inputs(inputs).cancel(flag).record_events(request.record_events);
+        let mut options = SimulateOptions::new()
+            .inputs(inputs)
+            .cancel(flag)
+            .record_events(request.record_events)
+            .input_derivatives(request.input_derivatives);
         options.start_time = request.start_time;
         options.final_time = request.final_time;
         options.times = request.times.map(|times| times.as_slice().map(<[f64]>::to_vec)).transpose()?;

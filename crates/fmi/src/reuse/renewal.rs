@@ -4,7 +4,7 @@ use super::Reuse;
 use crate::error::FmiError;
 use crate::instance;
 use crate::simulation::Runner;
-use crate::sys::{FloatEnvironment, RawInstance};
+use crate::sys::RawInstance;
 
 impl Runner {
     /// A new instance; where saved states bring instances back, with the state to bring back.
@@ -26,11 +26,7 @@ impl Runner {
     /// A new instance with its state saved, unless the FMU refuses that: then it is not asked again.
     pub(crate) fn new_with_origin(&self) -> Result<RawInstance, FmiError> {
         let mut raw = self.instantiate()?;
-        let saved = {
-            let _guard = FloatEnvironment::standard();
-            raw.save_origin()
-        };
-        if saved.is_err() {
+        if raw.save_origin().is_err() {
             self.refuse_restore();
             drop(raw);
             return self.instantiate();

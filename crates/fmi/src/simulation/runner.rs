@@ -6,7 +6,7 @@ use crate::error::FmiError;
 use crate::plan::{Setting, SimulationPlan};
 use crate::reuse::{CopyLease, CopyRequest, Eviction, ReadBackBuffers, Reuse, Sharing, Tenant};
 use crate::running::no_instance;
-use crate::sys::{FloatEnvironment, InterfaceKind, Library, LoadFrom, RawInstance};
+use crate::sys::{CallEnvironment, InterfaceKind, Library, LoadFrom, RawInstance};
 use ode::{ErrorKind, Observer, Report, Seconds, SimulationError, Stats};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError, Weak};
@@ -295,12 +295,10 @@ impl Runner {
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
         self.settle_in(Some(&mut *observer))?;
-        let guard = FloatEnvironment::standard();
+        let _environment = CallEnvironment::enter();
         self.start(parameters)?;
         let (starting, elsewhere) =
             (self.began.elapsed().as_secs_f64(), self.engine.running().seconds_elsewhere());
-        // Instantiating or initializing may have changed the floating-point mode.
-        guard.assert();
         let mut outcome = self.engine.run(&self.plan, None, observer);
         self.engine.running().pass_log_on();
         let stats = match &mut outcome {
@@ -318,13 +316,12 @@ impl Runner {
         if self.evicted {
             return Err(FmiError::Disturbed { library: self.plan.fmu().path().to_owned() });
         }
-        let _guard = FloatEnvironment::standard();
         self.engine.value(variable)
     }
 
     pub(super) fn initialize_only(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.settle_in(None)?;
-        let _guard = FloatEnvironment::standard();
+        let _environment = CallEnvironment::enter();
         self.start(parameters)?;
         self.engine.settle()
     }

@@ -47,6 +47,7 @@ class ExperimentFields:
     solver: str
     step_size: float | None
     max_step: float | None
+    input_derivatives: bool
     chattering: str
     sharing: str
 
@@ -153,6 +154,8 @@ class Calibration:
         begins more than ten of its sampling intervals later.
     kind : {"auto", "ME", "CS"}, optional
         How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
+    input_derivatives : bool
+        Whether co-simulations are told the derivatives of their inputs, as in `FMUModel.simulate`.
     sharing : {"copies", "serial", "together"}
         How simulations that run in parallel share the FMU's library; no cost depends on it. "copies": each worker loads a
         copy of its own, with static variables of its own; where copies would still share state or no further one can be
@@ -198,6 +201,7 @@ class Calibration:
         start_time: SupportsFloat | None = None,
         kind: str | None = None,
         chattering: Literal["error", "warn", "slide"] = "error",
+        input_derivatives: bool = True,
         sharing: Literal["copies", "serial", "together"] = "copies",
         time: str | None = None,
     ) -> None:
@@ -233,6 +237,7 @@ class Calibration:
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
+            input_derivatives=bool(input_derivatives),
             sharing=_options.choice("sharing", sharing),
         )
         self._model = _path(model)

@@ -44,6 +44,7 @@ class Request:
     max_step: float | None
     timeout: float | None
     record_events: bool
+    input_derivatives: bool
     chattering: str
 
 
@@ -316,6 +317,7 @@ class FMUModel:
         timeout: SupportsFloat | None = None,
         record_events: bool = False,
         chattering: Literal["error", "warn", "slide"] = "error",
+        input_derivatives: bool = True,
     ) -> SimulationResult:
         """Simulates from a freshly reset model with all values that were `set`.
 
@@ -323,6 +325,12 @@ class FMUModel:
         (and 7 MiB of stack are left), the calling thread simulates, and looks for Ctrl-C every 20 ms, between two steps; a
         call of the FMU that does not return then blocks it. Else another thread simulates: a Ctrl-C ends the simulation at
         its next step, and a second one gives control back at once.
+
+        Rows of co-simulations (``kind="CS"``) are read when a communication step has ended, before the inputs of the next
+        one are set: at a time when inputs jump they are the values before the jump, also of what follows the inputs
+        directly, and an input that is recorded is the one of the step that has ended. The row at the start is read after
+        the initialization with the inputs of that time. Only a model with an event mode (FMI 3.0) lets inputs jump there:
+        then the row is the one after the jump, and a time listed twice gives both.
 
         Parameters
         ----------
@@ -379,6 +387,10 @@ class FMUModel:
             What happens when more than a hundred state events in a row let time hardly advance: the simulation fails; or it
             goes on, and a warning is logged; or it goes on in small steps along the surface where the events are, which
             is the solution where the model pushes against it from both sides.
+        input_derivatives : bool
+            Co-simulations of FMI 1.0 and 2.0 that extrapolate continuous inputs (``canInterpolateInputs``) are told their
+            derivatives before each step: those of the line to the inputs at its end. With False inputs are held over each
+            step, as by most other tools.
 
         Returns
         -------
@@ -422,6 +434,7 @@ class FMUModel:
             max_step=_number("max_step", max_step),
             timeout=_number("timeout", timeout),
             record_events=bool(record_events),
+            input_derivatives=bool(input_derivatives),
             chattering=_options.choice("chattering", chattering),
         )
         result = SimulationResult(**self._model.simulate(request))
