@@ -8,9 +8,9 @@ Warm means: the FMU is unpacked, its library loaded and its instance reused on b
 The error is the largest difference to a reference over all columns and times: a closed form (bouncing ball), SciPy's
 DOP853 at 1e-13 (Van der Pol), FMPy itself at 1e-13 (Furuta), or our Radau5 at 1e-12 (models driven by inputs, where FMPy
 gives up at tight tolerances). FMPy runs twice: at our relative tolerance, and at the tolerance, in half decades, whose
-error is the smallest that still is at least ours ("equal error"); where no tolerance is that loose, at ours. Runs
-alternate; times are medians. `cost()` is the native path of a calibration: one simulation and its sum of squares,
-without a trajectory.
+error is the smallest that still is at least ours ("equal error"); where no tolerance is that loose, at ours. Single calls
+alternate, as a script makes them between other work; times are medians. `cost()` is the native path of a calibration: one
+simulation and its sum of squares, without a trajectory. At the end: what we need beside a model with 24 event indicators.
 """
 
 import argparse
@@ -213,17 +213,69 @@ def equal_error(peer: Peer, truth: np.ndarray, error: float, rtol: float) -> flo
 
 
 def alternate(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Median time of a call of each, in seconds. They take turns; in a turn each is called again and again for `TURN`
-    seconds, as a fit or a study would, so that all are warm. The first round does not count."""
+    """Median time of a call of each, in seconds. They take turns, call by call, for `TURN` seconds per round and contestant;
+    the first round does not count."""
     taken: dict[str, list[float]] = {name: [] for name in contestants}
-    for _ in range(rounds + 1):
+    counts_from = time.perf_counter() + TURN * len(contestants)
+    ends_at = counts_from + TURN * len(contestants) * rounds
+    while (begin := time.perf_counter()) < ends_at or not all(taken.values()):
         for name, run in contestants.items():
-            calls, begin = 0, time.perf_counter()
-            while (spent := time.perf_counter() - begin) < TURN:
-                run()
-                calls += 1
-            taken[name].append(spent / calls)
-    return {name: statistics.median(values[1:]) for name, values in taken.items()}
+            start = time.perf_counter()
+            run()
+            if begin >= counts_from:
+                taken[name].append(time.perf_counter() - start)
+    return {name: statistics.median(values) for name, values in taken.items()}
+
+
+def with_indicators(scratch: Path) -> Path:
+    """Van der Pol's oscillator with 24 event indicators that never cross zero, and sines for 0.5 us in each evaluation."""
+    import pydfo
+
+    folder = scratch / "indicators"
+    with zipfile.ZipFile(pydfo.example_fmu("van_der_pol")) as archive:
+        names = [name for name in archive.namelist() if not name.startswith("binaries/")]
+        archive.extractall(folder, names)
+    replaced = {
+        "sources/model.c": [
+            ('#include "model.h"', '#include "model.h"\n#include <math.h>'),
+            ("    double mu;\n", "    double mu;\n    double indicators[24];\n"),
+            (
+                "    return MODEL_OK;",
+                "    double load = x0;\n    for (int i = 0; i < 48; i++) {\n        load = sin(load + i);\n    }\n"
+                "    for (int i = 0; i < 24; i++) {\n        memory->indicators[i] = 100 + i + x0 + 1e-9 * load;\n    }\n"
+                "    return MODEL_OK;",
+            ),
+            (".n_states = 2,", ".n_states = 2,\n    .indicators = AT(indicators),\n    .n_indicators = 24,"),
+        ],
+        "modelDescription.xml": [('numberOfEventIndicators="0"', 'numberOfEventIndicators="24"')],
+    }
+    for name, pairs in replaced.items():
+        text = (folder / name).read_text()
+        for old, new in pairs:
+            assert text.count(old) == 1, (name, old)
+            text = text.replace(old, new)
+        (folder / name).write_text(text)
+    pydfo.build_fmu(folder, scratch / "indicators.fmu")
+    return scratch / "indicators.fmu"
+
+
+def beside_the_model(scratch: Path, rounds: int) -> float:
+    """Prints and returns the time outside of the model with 24 indicators as a share of that inside."""
+    import pydfo
+
+    model = pydfo.FMUModel(with_indicators(scratch))
+    times = np.linspace(0.0, 20.0, 401)
+    shares, calls = [], []
+    for _ in range(50 * rounds):
+        stats = model.simulate(final_time=20, times=times, output=["x0", "x1"]).stats
+        shares.append(stats.seconds / stats.seconds_in_model - 1)
+        calls.append(1e6 * stats.seconds_in_model / (stats.right_hand_sides + stats.event_indicators))
+    share = statistics.median(shares)
+    print(
+        f"\n24 event indicators, {statistics.median(calls):.2f} us per evaluation: time outside of the model is "
+        f"{100 * share:.0f} % of that inside (at most 40 % are allowed)"
+    )
+    return share
 
 
 def bench(case: Case, path: Path, arguments: argparse.Namespace, scratch: Path) -> float:
@@ -294,6 +346,8 @@ def main() -> int:
             else:
                 path = Path(pydfo.example_fmu(case.model))
             ratios[case.model] = bench(case, path, arguments, scratch)
+        if not arguments.peer_only:
+            beside_the_model(scratch, arguments.rounds)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     if not arguments.peer_only:

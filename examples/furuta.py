@@ -1,92 +1,69 @@
-"""Calibrates the friction of a Furuta pendulum (Gedda, Andersson, Akesson, Diehl 2012, section 6.1).
+"""Calibrates the friction of a Furuta pendulum from recorded angles (Gedda, Andersson, Åkesson and Diehl 2012, section 6.1).
 
-First the paper's own script, with its import lines changed; then the native door, where the whole fit runs in Rust.
-Prints the iterations and the result, and draws measurements, responses and residuals into furuta.png.
+Twice: with a cost function in Python, in the calls of the paper's tools (`FMUModel`, `quad_err`, `fmin`), where anything
+may stand between simulation and cost; and with a `Calibration`, where the whole fit runs in native code, in parallel.
+Prints both results, and draws measurements, responses and residuals into furuta.png.
 """
 
 from pathlib import Path
 
-import numpy as N
+import numpy as np
 
 import pydfo
-from pydfo import FMUModel, dfo, example_fmu
+from pydfo import FMUModel, dfo
 
-HERE = Path(__file__).resolve().parent
-DATA = HERE / "data" / "furuta.csv"
-FURUTA = example_fmu("furuta")  # the bundled model, as an .fmu file
-
-# --- The paper's script -----------------------------------------------------------------------------------------------
-
-# Load measurement data from file (the paper loads a .mat file here)
-t_meas, phi_meas, theta_meas = N.loadtxt(DATA, delimiter=",", skiprows=1, unpack=True)
-y_meas = N.vstack((phi_meas, theta_meas))
+RECORDING = Path(__file__).resolve().parent / "data" / "furuta.csv"
+PENDULUM = pydfo.example_fmu("furuta")  # a bundled model; the path of an .fmu file does as well
+ANGLES = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}  # of the model, and their columns in the recording
+NOMINAL = {"armFriction": 0.012, "pendulumFriction": 0.002}  # in N m s
+WIDEST = 0.01  # how far above its nominal value a friction is looked for, in N m s
 
 
-# Define the objective function
-def furuta_dfo_cost(x):
-    # Scale down
-    armFriction = x[0] / 1e3
-    pendFriction = x[1] / 1e3
+def by_a_cost_function() -> None:
+    """A Python function simulates and compares; `fmin` calls it."""
+    recording = np.genfromtxt(RECORDING, delimiter=",", names=True)
+    measured = np.array([recording[column] for column in ANGLES.values()])
+    # in thousandths, so that one tolerance fits both
+    unit = 1e-3
+    nominal = np.array(list(NOMINAL.values())) / unit
 
-    # Load the FMU model
-    model = FMUModel(FURUTA)
+    model = FMUModel(PENDULUM)
 
-    # Set new parameter values
-    model.set("armFriction", armFriction)
-    model.set("pendulumFriction", pendFriction)
+    def squared_error(frictions: np.ndarray) -> float:
+        model.set(list(NOMINAL), frictions * unit)
+        response = model.simulate(final_time=recording["time"][-1], output=list(ANGLES))
+        return dfo.quad_err(recording["time"], measured, response["time"], np.array([response[angle] for angle in ANGLES]))
 
-    # Simulate the model response
-    res = model.simulate(final_time=40)
-
-    # Load simulation result
-    phi_sim = res["armJoint.phi"]
-    theta_sim = res["pendulumJoint.phi"]
-    t_sim = res["time"]
-
-    # Evaluate the objective function
-    y_sim = N.vstack((phi_sim, theta_sim))
-    obj = dfo.quad_err(t_meas, y_meas, t_sim, y_sim)
-
-    return obj
+    best, cost, _, n_evaluations, seconds = dfo.fmin(
+        squared_error, xstart=nominal, lb=np.zeros(2), ub=nominal + WIDEST / unit, x_tol=1e-3, f_tol=1e-2
+    )
+    found = ", ".join(f"{name} = {value:.6f}" for name, value in zip(NOMINAL, best * unit))
+    print(f"\nWith a cost function: {found}")
+    print(f"cost {cost:.4f} after {n_evaluations} evaluations in {seconds:.2f} s\n")
 
 
-# Specify initial conditions (scaled)
-x0 = N.array([0.012, 0.002]) * 1e3
+def by_a_calibration() -> pydfo.Fit:
+    """Model, recording and parameters are described; what is computed is native code."""
+    calibration = pydfo.Calibration(
+        PENDULUM,
+        data=RECORDING,
+        outputs=ANGLES,
+        parameters=[pydfo.Parameter(name, start, 0.0, start + WIDEST) for name, start in NOMINAL.items()],
+    )
+    fit = calibration.fit()
+    print(f"With a calibration: {fit.parameters}")
+    print(f"RMS {fit.start_rms:.4f} rad nominal, {fit.rms:.4f} rad fitted; {fit.nfev} evaluations")
+    print(fit.message)
+    return fit
 
-# Lower and upper bounds
-lb = N.zeros(2)
-ub = x0 + 10
 
-# Solve using the Nelder-Mead algorithm
-res = dfo.fmin(furuta_dfo_cost, xstart=x0, lb=lb, ub=ub, x_tol=1e-3, f_tol=1e-2)
-
-# Optimal point rescaled
-[armFriction_opt, pendFriction_opt] = res[0] / 1e3
-print(f"\nThe paper's script: armFriction = {armFriction_opt:.6f}, pendulumFriction = {pendFriction_opt:.6f}")
-print(f"cost {res[1]:.4f} after {res[3]} evaluations in {res[4]:.2f} s\n")
-
-# --- The native door --------------------------------------------------------------------------------------------------
-
-calibration = pydfo.Calibration(
-    FURUTA,
-    data=DATA,
-    outputs={"armJoint.phi": "phi", "pendulumJoint.phi": "theta"},
-    parameters=[
-        pydfo.Parameter("armFriction", 0.012, 0, 0.022),
-        pydfo.Parameter("pendulumFriction", 0.002, 0, 0.012),
-    ],
-)
-fit = calibration.fit()
-nominal = calibration.residuals([0.012, 0.002])
-print(f"The native fit: {fit.parameters}")
-print(f"RMS {N.sqrt(N.mean(nominal**2)):.4f} rad nominal, {fit.rms:.4f} rad fitted; {fit.nfev} evaluations")
-print(fit.message)
-
-try:
-    figure = fit.plot()
-except ImportError as error:  # matplotlib is an extra
-    print(error)
-else:
-    out = Path("furuta.png")
-    figure.savefig(out, dpi=120)
-    print(f"drawn into {out}")
+if __name__ == "__main__":
+    by_a_cost_function()
+    fit = by_a_calibration()
+    try:
+        figure = fit.plot()
+    except ImportError as error:  # matplotlib is an extra
+        print(error)
+    else:
+        figure.savefig("furuta.png", dpi=120)
+        print("drawn into furuta.png")

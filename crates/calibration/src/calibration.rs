@@ -7,11 +7,12 @@ use crate::identity::identity;
 use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
+use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, unused_columns};
 use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
-use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Trajectory};
-use ode::{ErrorKind, Method, Number, Stats};
+use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan, Trajectory};
+use ode::{ErrorKind, Method, Number, Stats, Termination};
+use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
 ///
@@ -25,6 +26,7 @@ pub struct Calibration {
     parameters: Vec<Parameter>,
     experiments: Vec<Prepared>,
     n_residuals: usize,
+    warnings: Vec<SetupWarning>,
     /// The method that the settings name.
     method: Method,
     choice: Choice,
@@ -116,19 +118,27 @@ impl CalibrationBuilder {
             parameter.check()?;
             if parameters[..i].iter().any(|p| p.name() == parameter.name()) {
                 let name = parameter.name().to_owned();
-                return Err(CalibrationError::Parameter { name, message: "stands there twice".to_owned() });
+                return Err(CalibrationError::Parameter { name, message: "is given twice".to_owned() });
             }
+        }
+        let mut warnings = Vec::new();
+        for experiment in &experiments {
+            experiment.check_start_values(fmu.description(), &parameters)?;
+            warnings.extend(unused_columns(fmu.description(), experiment));
         }
         let identity = identity(&fmu, &experiments, &parameters, &settings)?;
         let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
         let experiments = experiments
             .into_iter()
-            .map(|e| Prepared::new(&fmu, e, (&names, &start), &settings))
+            .map(|e| Prepared::new(&fmu, e, (&names, &start), &settings, &mut warnings))
             .collect::<Result<Vec<_>, _>>()?;
+        for warning in &warnings {
+            log::warn!(target: SETUP_LOG_TARGET, "{warning}");
+        }
         let n_residuals = experiments.iter().map(|e| e.comparison.n_residuals()).sum();
         let (method, choice) = (settings.method, Choice::default());
-        Ok(Calibration { fmu, parameters, experiments, n_residuals, method, choice, identity })
+        Ok(Calibration { fmu, parameters, experiments, n_residuals, warnings, method, choice, identity })
     }
 }
 
@@ -138,6 +148,7 @@ impl Prepared {
         experiment: Experiment,
         (parameters, start): (&[String], &[f64]),
         settings: &SimulationSettings,
+        warnings: &mut Vec<SetupWarning>,
     ) -> Result<Self, CalibrationError> {
         let (times, columns) = experiment.measurements()?;
         let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
@@ -147,13 +158,15 @@ impl Prepared {
             experiment.start_time.or(fmu.description().default_experiment.start_time).unwrap_or(0.0);
         let rounding = 100.0 * f64::EPSILON / 2.0 * start_time.abs().max(times[times.len() - 1].abs());
         if times[0] < start_time - rounding {
+            let [first, start] = [times[0], start_time].map(Number);
             return Err(CalibrationError::Setup(format!(
-                "the first measurement of {} is at {}, before the simulation starts at {start_time}; \
-                 set a start time or a window",
-                experiment.data.source(),
-                times[0]
+                "{}: the first measurement is at {first} s, before the simulation starts at {start} s; give \
+                 start_time = {first}, or a window that begins later",
+                experiment.data.source()
             )));
         }
+        experiment.check_begin(start_time)?;
+        warnings.extend(held_inputs(&experiment, (start_time, times[times.len() - 1])));
         let options = SimulateOptions {
             start_time: Some(start_time),
             final_time: times.last().copied(),
@@ -161,7 +174,7 @@ impl Prepared {
             start_values: experiment.start_values.clone(),
             parameters: parameters.to_vec(),
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
-            inputs: inputs(&experiment)?,
+            inputs: experiment.input_table()?,
             relative_tolerance: settings.relative_tolerance,
             kind: settings.kind,
             method: settings.method,
@@ -169,6 +182,7 @@ impl Prepared {
             max_step: settings.max_step,
             timeout: settings.timeout,
             chattering: settings.chattering,
+            input_derivatives: settings.input_derivatives,
             sharing: settings.sharing,
             ..SimulateOptions::default()
         };
@@ -178,26 +192,6 @@ impl Prepared {
         let outputs = experiment.outputs.into_iter().map(|o| (o.variable, o.column)).collect();
         Ok(Self { pool, comparison, options, data: experiment.data, outputs })
     }
-}
-
-/// The input table of an experiment: each input keeps the rows where it has a value.
-fn inputs(experiment: &Experiment) -> Result<Option<Inputs>, CalibrationError> {
-    if experiment.inputs.is_empty() {
-        return Ok(None);
-    }
-    let mut inputs = Inputs::new();
-    for (variable, column) in &experiment.inputs {
-        let values = experiment.data.column(column)?;
-        let rows = || experiment.data.time().iter().zip(values).filter(|(_, v)| !v.is_nan());
-        if rows().next().is_none() {
-            return Err(CalibrationError::Setup(format!(
-                "all values of input column '{column}' are missing"
-            )));
-        }
-        let (times, values): (Vec<f64>, Vec<f64>) = rows().unzip();
-        inputs = inputs.series(variable, times, values);
-    }
-    Ok(Some(inputs))
 }
 
 impl Calibration {
@@ -238,6 +232,12 @@ impl Calibration {
         &self.fmu
     }
 
+    /// What may not be meant as it was given: columns that nobody uses, inputs that are held. Each was logged once, when
+    /// the calibration was built.
+    pub fn warnings(&self) -> &[SetupWarning] {
+        &self.warnings
+    }
+
     /// The parameters, in the order of every vector of values.
     pub fn parameters(&self) -> &[Parameter] {
         &self.parameters
@@ -263,15 +263,15 @@ impl Calibration {
     /// # Errors
     /// The wrong number of values, or a simulation that failed: then the error says where and why.
     pub fn cost(&self, x: &[f64]) -> Result<f64, CalibrationError> {
-        self.cost_until(x, &AtomicBool::new(false))
+        self.cost_until(x, &|| false)
     }
 
-    /// As [`cost`](Self::cost); gives up at the next step of the simulation when the flag is set.
+    /// As [`cost`](Self::cost); `cancelled` is asked before every step of the simulation, which ends when it says so.
     ///
     /// # Errors
     /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
-    pub fn cost_until(&self, x: &[f64], cancel: &AtomicBool) -> Result<f64, CalibrationError> {
-        self.evaluate_fully(x, cancel, None)
+    pub fn cost_until(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> Result<f64, CalibrationError> {
+        self.evaluate_fully(x, cancelled, None)
     }
 
     /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by output, in the
@@ -280,16 +280,20 @@ impl Calibration {
     /// # Errors
     /// As [`cost`](Self::cost).
     pub fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, CalibrationError> {
-        self.residuals_until(x, &AtomicBool::new(false))
+        self.residuals_until(x, &|| false)
     }
 
-    /// As [`residuals`](Self::residuals); gives up at the next step of the simulation when the flag is set.
+    /// As [`residuals`](Self::residuals), ended as [`cost_until`](Self::cost_until).
     ///
     /// # Errors
     /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
-    pub fn residuals_until(&self, x: &[f64], cancel: &AtomicBool) -> Result<Vec<f64>, CalibrationError> {
+    pub fn residuals_until(
+        &self,
+        x: &[f64],
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Vec<f64>, CalibrationError> {
         let mut out = vec![0.0; self.n_residuals];
-        self.evaluate_fully(x, cancel, Some(&mut out))?;
+        self.evaluate_fully(x, cancelled, Some(&mut out))?;
         Ok(out)
     }
 
@@ -299,35 +303,39 @@ impl Calibration {
     /// # Errors
     /// As [`cost`](Self::cost).
     pub fn simulate(&self, x: &[f64], times: Option<&[f64]>) -> Result<Vec<Trajectory>, CalibrationError> {
-        self.simulate_until(x, times, Arc::default())
+        self.simulate_until(x, times, &|| false)
     }
 
-    /// As [`simulate`](Self::simulate); gives up at the next step of the simulation when the flag is set.
+    /// As [`simulate`](Self::simulate), ended as [`cost_until`](Self::cost_until).
     ///
     /// # Errors
-    /// As [`cost`](Self::cost).
+    /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
     pub fn simulate_until(
         &self,
         x: &[f64],
         times: Option<&[f64]>,
-        cancel: Arc<AtomicBool>,
+        cancelled: &dyn Fn() -> bool,
     ) -> Result<Vec<Trajectory>, CalibrationError> {
         self.check_length(x)?;
-        let method = self.solver_until(&|| cancel.load(Ordering::Relaxed))?.method;
+        let method = self.solver_until(cancelled)?.method;
+        let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let at = |e: &Prepared| {
             let mut options = e.options.clone();
             options.method = method;
             options.parameters.clear();
-            options.cancel = Some(Arc::clone(&cancel));
             let values = self.parameters.iter().zip(x).map(|(p, v)| (p.name().to_owned(), (*v).into()));
             options.start_values.extend(values);
             if let Some(times) = times {
                 options.times = Some(times.to_vec());
                 options.final_time = times.last().copied();
             }
-            self.fmu.simulate(&options)
+            let trajectory = self.fmu.simulate_with(&options, &mut poll)?;
+            match trajectory.termination {
+                Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
+                _ => Ok(trajectory),
+            }
         };
-        Ok(self.experiments.iter().map(at).collect::<Result<Vec<_>, _>>()?)
+        self.experiments.iter().map(at).collect()
     }
 
     /// Has the model tested before its first use (once per process): how instances are reused, and whether several can be
@@ -352,12 +360,11 @@ impl Calibration {
     fn evaluate_fully(
         &self,
         x: &[f64],
-        cancel: &AtomicBool,
+        cancelled: &dyn Fn() -> bool,
         out: Option<&mut [f64]>,
     ) -> Result<f64, CalibrationError> {
         self.check_length(x)?;
-        let evaluation = Evaluation::new(0, 0, f64::INFINITY).cancellable(cancel, None);
-        self.evaluate_into(x, &evaluation, out, &mut Stats::default()).map_err(|no_cost| {
+        self.evaluate_into(x, (f64::INFINITY, cancelled), out, &mut Stats::default()).map_err(|no_cost| {
             let at = self.describe(x);
             match no_cost {
                 NoCost::Failed { reason, source, .. } => {
@@ -387,7 +394,7 @@ impl Calibration {
         out: Option<&mut [f64]>,
         stats: &mut Stats,
     ) -> Outcome {
-        match self.evaluate_into(x, evaluation, out, stats) {
+        match self.evaluate_into(x, (evaluation.cutoff, &|| evaluation.cancelled()), out, stats) {
             Ok(cost) => Outcome::Value(cost),
             Err(NoCost::Above) => Outcome::Above(evaluation.cutoff),
             Err(NoCost::Cancelled) => Outcome::cancelled(),
@@ -397,11 +404,11 @@ impl Calibration {
     }
 
     /// The cost, the residuals into `out`, and what the simulations took added to `stats` (of those that could not even be
-    /// started nothing).
-    fn evaluate_into(
+    /// started nothing). Ends above the cutoff, and when it is cancelled.
+    pub(crate) fn evaluate_into(
         &self,
         x: &[f64],
-        evaluation: &Evaluation<'_>,
+        ends: (f64, &dyn Fn() -> bool),
         mut out: Option<&mut [f64]>,
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
@@ -412,8 +419,8 @@ impl Calibration {
             let end = place + comparison.n_residuals();
             let part = out.as_deref_mut().map(|out| &mut out[place..end]);
             place = end;
-            let mut accumulator = Accumulator::new(comparison, evaluation, sum, part);
-            let pool = self.pool(k, &|| evaluation.cancelled())?;
+            let mut accumulator = Accumulator::new(comparison, ends, sum, part);
+            let pool = self.pool(k, ends.1)?;
             let ran = pool.lend().and_then(|mut simulator| simulator.run(x, &mut accumulator));
             match &ran {
                 Ok(report) => *stats += report.stats,

@@ -1,6 +1,7 @@
 //! Measured series: CSV files and in-memory columns, irregular times, missing values.
 
 use crate::error::CalibrationError;
+use crate::time_column::{TimeColumn, listed};
 use ode::Number;
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
@@ -17,6 +18,8 @@ pub struct Data {
     time_name: String,
     time: Vec<f64>,
     columns: Vec<Column>,
+    /// Names of columns that were left out.
+    left_out: Vec<String>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -32,39 +35,60 @@ const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
 
 impl Data {
     /// Reads a CSV file with one header line. The delimiter is the one of comma, semicolon and tab that stands most
-    /// often in the header. The time column is the one named `time` (in any case), else the first. Empty cells, `NaN`
-    /// and `NA` are missing values. Columns of text are kept aside: only using one is an error.
+    /// often in the header (a first line `sep=;`, as spreadsheets write it, names it). Where it is no comma, numbers may
+    /// have decimal commas. The times are those of the column `time` (in any case), in s or in the unit that follows in
+    /// brackets or parentheses: s, ms, us, min, h, d (`time [ms]`). Empty cells, `NaN` and `NA` are missing values. Columns
+    /// of text are kept aside: only using one is an error.
     ///
     /// # Errors
-    /// The file cannot be read, has no rows, rows of different length, or times that are missing or not ascending; each
-    /// error names the line.
+    /// The file cannot be read, has no column of times (the message lists those there are), no rows, rows of different
+    /// length, or times that are missing or not ascending; each error names the line.
     pub fn from_csv(path: impl AsRef<Path>) -> Result<Self, CalibrationError> {
-        let path = path.as_ref();
+        Self::read_csv(path.as_ref(), None)
+    }
+
+    /// As [`from_csv`](Self::from_csv), with the times in the column `time`, whatever it is called.
+    ///
+    /// # Errors
+    /// As [`from_csv`](Self::from_csv).
+    pub fn from_csv_with_time(path: impl AsRef<Path>, time: &str) -> Result<Self, CalibrationError> {
+        Self::read_csv(path.as_ref(), Some(time))
+    }
+
+    fn read_csv(path: &Path, time: Option<&str>) -> Result<Self, CalibrationError> {
         let mut text = Vec::new();
         std::fs::File::open(path)
             .and_then(|mut file| file.read_to_end(&mut text))
             .map_err(|source| CalibrationError::DataFile { path: path.to_owned(), source })?;
-        Self::from_csv_text(&text, &path.display().to_string())
+        Self::from_csv_text(&text, &path.display().to_string(), time)
     }
 
-    /// As [`from_csv`](Self::from_csv), from the text itself; `source` names it in errors.
+    /// As [`from_csv`](Self::from_csv), from the text itself; `source` names it in errors, `time` the column of times.
     ///
     /// # Errors
     /// As [`from_csv`](Self::from_csv).
-    pub fn from_csv_text(text: &[u8], source: &str) -> Result<Self, CalibrationError> {
+    pub fn from_csv_text(text: &[u8], source: &str, time: Option<&str>) -> Result<Self, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: source.to_owned(), message };
+        if text.starts_with(b"PK\x03\x04") {
+            return Err(bad("this is a zip archive (an FMU, a workbook), no CSV file".to_owned()));
+        }
         let text = decode(text);
         // Comments and blank lines go first, so that the reader below sees a table and each row knows its line.
         let mut numbers = Vec::new();
         let mut table = String::with_capacity(text.len());
+        let mut named_delimiter = None;
         for (number, line) in text.lines().enumerate() {
-            if !line.trim().is_empty() && !line.trim_start().starts_with('#') {
+            if let (0, Some([delimiter])) = (number, line.trim_end().strip_prefix("sep=").map(str::as_bytes))
+            {
+                named_delimiter = Some(*delimiter);
+            } else if !line.trim().is_empty() && !line.trim_start().starts_with('#') {
                 numbers.push(number + 1);
                 table.push_str(line);
                 table.push('\n');
             }
         }
-        let delimiter = delimiter(table.lines().next().unwrap_or_default());
+        let delimiter =
+            named_delimiter.unwrap_or_else(|| delimiter(table.lines().next().unwrap_or_default()));
         let mut reader =
             csv::ReaderBuilder::new().delimiter(delimiter).trim(csv::Trim::All).from_reader(table.as_bytes());
         let line_of = |position: Option<&csv::Position>| {
@@ -96,12 +120,49 @@ impl Data {
         if columns.is_empty() || lines.is_empty() {
             return Err(bad("there are no rows".to_owned()));
         }
-        let time_index = names.iter().position(|n| n.eq_ignore_ascii_case("time")).unwrap_or(0);
-        let time = columns.remove(time_index);
+        let time_column = TimeColumn::find(names.iter().map(String::as_str), time).map_err(bad)?;
+        let mut time = columns.remove(time_column.index);
         if let Some((line, text)) = &time.text {
             return Err(bad(format!("time '{text}' in line {line} is not a number")));
         }
+        time.values.iter_mut().for_each(|t| *t = time_column.seconds(*t));
         Self::new(source.to_owned(), time.name, time.values, columns, |row| format!("line {}", lines[row]))
+    }
+
+    /// A table from columns in memory, one of which holds the times: the column `time` as in a
+    /// [CSV file](Self::from_csv), or the one that is named here.
+    ///
+    /// # Errors
+    /// No column of times, columns of different length, times that are not finite or not ascending.
+    pub fn from_table(
+        columns: impl IntoIterator<Item = (String, Vec<f64>)>,
+        time: Option<&str>,
+    ) -> Result<Self, CalibrationError> {
+        let mut columns: Vec<(String, Vec<f64>)> = columns.into_iter().collect();
+        let found = TimeColumn::find(columns.iter().map(|(name, _)| name.as_str()), time);
+        let found =
+            found.map_err(|message| CalibrationError::Data { source_name: "data".to_owned(), message })?;
+        let (name, mut times) = columns.remove(found.index);
+        times.iter_mut().for_each(|t| *t = found.seconds(*t));
+        let columns = columns.into_iter().map(|(name, values)| Column { name, values, text: None }).collect();
+        Self::new("data".to_owned(), name, times, columns, |row| format!("row {row}"))
+    }
+
+    /// Names of columns that the recording has, and this table has not: a [warning](crate::SetupWarning) may concern them.
+    #[must_use]
+    pub fn left_out(mut self, names: impl IntoIterator<Item = String>) -> Self {
+        self.left_out.extend(names);
+        self
+    }
+
+    /// Names of all columns beside the time, those left out last.
+    pub(crate) fn all_names(&self) -> impl Iterator<Item = &str> + Clone {
+        self.names().chain(self.left_out.iter().map(String::as_str))
+    }
+
+    /// The distance of the times: the median.
+    pub(crate) fn sampling_interval(&self) -> Option<f64> {
+        sampling_interval(&self.time)
     }
 
     /// A table from columns in memory; all as long as `time`.
@@ -153,7 +214,7 @@ impl Data {
                 return bad(format!("time {} at {} stands there for the third time", Number(*t), place(i)));
             }
         }
-        Ok(Self { source, time_name, time, columns })
+        Ok(Self { source, time_name, time, columns, left_out: Vec::new() })
     }
 
     /// Where the table comes from, as errors name it.
@@ -180,7 +241,7 @@ impl Data {
     }
 
     /// Names of the columns beside the time, in their order.
-    pub fn names(&self) -> impl Iterator<Item = &str> {
+    pub fn names(&self) -> impl Iterator<Item = &str> + Clone {
         self.columns.iter().map(|c| c.name.as_str())
     }
 
@@ -195,8 +256,7 @@ impl Data {
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
         let mut named = self.columns.iter().filter(|c| c.name == name);
         let column = named.next().ok_or_else(|| {
-            let there = self.names().map(|n| format!("'{n}'")).collect::<Vec<_>>().join(", ");
-            bad(format!("there is no column '{name}'; there are: {there}"))
+            bad(format!("there is no column '{name}'; there are: {}", listed(self.all_names())))
         })?;
         if named.next().is_some() {
             return Err(bad(format!("two columns are named '{name}'")));
@@ -241,6 +301,14 @@ impl Data {
         }
         Ok(values)
     }
+}
+
+/// The distance of ascending times from each other: the median, without times that stand twice.
+pub(crate) fn sampling_interval(times: &[f64]) -> Option<f64> {
+    let mut distances: Vec<f64> =
+        times.windows(2).map(|pair| pair[1] - pair[0]).filter(|d| *d > 0.0).collect();
+    let middle = distances.len().checked_sub(1)? / 2;
+    Some(*distances.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// UTF-8, UTF-16 with a byte order mark, else Windows-1252 (which reads Latin 1 too): what spreadsheets write.
@@ -291,7 +359,7 @@ mod tests {
     use super::*;
 
     fn csv(text: &str) -> Result<Data, CalibrationError> {
-        Data::from_csv_text(text.as_bytes(), "test.csv")
+        Data::from_csv_text(text.as_bytes(), "test.csv", None)
     }
 
     #[test]
@@ -312,8 +380,14 @@ mod tests {
         let d = csv("y;Time\n1,5;0\n2;0,25\n").unwrap();
         assert_eq!(d.time(), [0.0, 0.25]);
         assert_eq!(d.column("y").unwrap(), [1.5, 2.0]);
-        let d = csv("\u{feff}t\ty\n# a comment\n0\t1\n1\t2\n").unwrap();
+        let d = csv("\u{feff}time [ms]\ty\n# a comment\n0\t1\n1000\t2\n").unwrap();
         assert_eq!(d.time(), [0.0, 1.0]);
+        let d = csv("sep=;\ny;time (min)\n1,5;0\n2;0,5\n").unwrap();
+        assert_eq!((d.time(), d.column("y").unwrap()), (&[0.0, 30.0][..], &[1.5, 2.0][..]));
+        let named = |time| Data::from_csv_text(b"k,t,y\n7,0,1\n8,1,2\n", "test.csv", time);
+        assert_eq!(named(Some("t")).unwrap().time(), [0.0, 1.0]);
+        let e = named(None).unwrap_err().to_string();
+        assert!(e.contains("test.csv: there is no column 'time'; there are: 'k', 't', 'y'"), "{e}");
         let d = csv("# rig A, run 3\n\ntime;\"a,b,c\";y\n0;1;2\n").unwrap();
         assert_eq!(d.names().collect::<Vec<_>>(), ["a,b,c", "y"]);
     }
@@ -323,10 +397,10 @@ mod tests {
         let d = csv("time,y,,\r\n0,1,,\r\n1,2,,\r\n").unwrap();
         assert_eq!(d.column("y").unwrap(), [1.0, 2.0]);
         assert!(d.column("").unwrap_err().to_string().contains("two columns are named ''"));
-        let d = Data::from_csv_text(b"time,\xb0C\n0,20\n", "latin.csv").unwrap();
+        let d = Data::from_csv_text(b"time,\xb0C\n0,20\n", "latin.csv", None).unwrap();
         assert_eq!(d.column("\u{b0}C").unwrap(), [20.0]);
         let utf16: Vec<u8> = "\u{feff}time,y\n0,1\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
-        assert_eq!(Data::from_csv_text(&utf16, "utf16.csv").unwrap().column("y").unwrap(), [1.0]);
+        assert_eq!(Data::from_csv_text(&utf16, "utf16.csv", None).unwrap().column("y").unwrap(), [1.0]);
     }
 
     #[test]

@@ -65,7 +65,7 @@ pub enum CalibrationError {
     #[error(transparent)]
     Optimiser(#[from] dfo::Error),
     /// The optimiser could not start because of one of the parameters, which it knows by number.
-    #[error("{source} (parameter {index} is '{name}')")]
+    #[error("{source} (x[{index}] is parameter '{name}')")]
     OptimiserParameter {
         /// Parameter, counted from 0.
         index: usize,

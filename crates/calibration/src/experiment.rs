@@ -2,8 +2,13 @@
 
 use crate::data::Data;
 use crate::error::CalibrationError;
-use fmi::Value;
+use crate::parameter::Parameter;
+use fmi::{Inputs, ModelDescription, Value};
+use ode::Number;
 use std::time::Duration;
+
+/// Where no start time is given, a recording may begin so many of its sampling intervals after the model's.
+const MOST_BEFORE: f64 = 10.0;
 
 /// A recording of the machine and how the model is to reproduce it.
 ///
@@ -113,6 +118,66 @@ impl Experiment {
         }
         Ok((time[rows].to_vec(), columns))
     }
+
+    /// Refuses a value for something that is fitted.
+    pub(crate) fn check_start_values(
+        &self,
+        description: &ModelDescription,
+        parameters: &[Parameter],
+    ) -> Result<(), CalibrationError> {
+        let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
+        for (given, value) in &self.start_values {
+            let is_it = |p: &&Parameter| {
+                p.name() == given || reference(given).is_some_and(|of| reference(p.name()) == Some(of))
+            };
+            if let Some(parameter) = parameters.iter().find(is_it) {
+                let name = parameter.name().to_owned();
+                let alias = if *given == name { String::new() } else { format!(" (as '{given}')") };
+                let message = format!(
+                    "it is fitted, and start_values gives it the value {value}{alias}: one of both counts"
+                );
+                return Err(CalibrationError::Parameter { name, message });
+            }
+        }
+        Ok(())
+    }
+
+    /// Without a start time of its own, refuses to simulate a long time before the recording that nobody may have thought
+    /// of.
+    pub(crate) fn check_begin(&self, start_time: f64) -> Result<(), CalibrationError> {
+        let begin = self.data.time()[0];
+        match self.data.sampling_interval() {
+            Some(interval) if self.start_time.is_none() && begin - start_time > MOST_BEFORE * interval => {
+                let [begin, start, before] = [begin, start_time, begin - start_time].map(Number);
+                Err(CalibrationError::Setup(format!(
+                    "{}: the recording begins at {begin} s, the simulation at {start} s. Give start_time = {begin} to start \
+                     with the recording, or start_time = {start} to simulate the {before} s before it as well",
+                    self.data.source()
+                )))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The inputs: each keeps the rows where it has a value.
+    pub(crate) fn input_table(&self) -> Result<Option<Inputs>, CalibrationError> {
+        if self.inputs.is_empty() {
+            return Ok(None);
+        }
+        let mut inputs = Inputs::new();
+        for (variable, column) in &self.inputs {
+            let values = self.data.column(column)?;
+            let rows = || self.data.time().iter().zip(values).filter(|(_, v)| !v.is_nan());
+            if rows().next().is_none() {
+                return Err(CalibrationError::Setup(format!(
+                    "all values of input column '{column}' are missing"
+                )));
+            }
+            let (times, values): (Vec<f64>, Vec<f64>) = rows().unzip();
+            inputs = inputs.series(variable, times, values);
+        }
+        Ok(Some(inputs))
+    }
 }
 
 /// How the simulations of a fit are made.
@@ -129,6 +194,9 @@ pub struct SimulationSettings {
     pub step_size: Option<f64>,
     /// Largest step of an adaptive method.
     pub max_step: Option<f64>,
+    /// Whether a co-simulation is told the derivatives of its inputs, see
+    /// [`SimulateOptions::input_derivatives`](fmi::SimulateOptions::input_derivatives); default: yes.
+    pub input_derivatives: Option<bool>,
     /// What happens when state events follow each other so closely that time hardly advances; default: the simulation
     /// counts as failed.
     pub chattering: ode::ChatteringPolicy,

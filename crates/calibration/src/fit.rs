@@ -1,6 +1,7 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
+use crate::effect::BoundSide;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
@@ -10,11 +11,13 @@ use dfo::{
 };
 use ode::Number;
 use ode::Stats;
+use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
+use std::time::Instant;
 
 /// Called after each iteration; `Break` ends the fit.
 pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
@@ -105,6 +108,16 @@ pub struct Fit {
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
+    /// Parameters that ended at a bound, by number: the best values may lie beyond.
+    pub at_bound: Vec<(usize, BoundSide)>,
+    /// Parameters that did not change the cost (by more than the relative tolerance of the simulations), by number: their
+    /// values say nothing.
+    pub without_effect: Vec<usize>,
+    /// Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
+    /// `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
+    /// show it, because they differ in one parameter alone). They are none of the run's evaluations, are not made where they
+    /// would exceed its budget or somebody ended it early, and are part of `stats`.
+    pub n_checks: usize,
     /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
     /// Those that failed or were given up count, those of a resumed fit from before do not.
     pub stats: Stats,
@@ -179,7 +192,8 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit(&self, options: FitOptions<'_>) -> Result<Fit, CalibrationError> {
-        let FitOptions { method, workers, start, tolerances, limits, observer, mut poll, .. } = options;
+        let FitOptions { method, workers, start, tolerances, limits, observer, poll, .. } = options;
+        let poll = RefCell::new(poll);
         let workers = workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
@@ -199,8 +213,9 @@ impl Calibration {
             self.adopt_solver(checkpoint)?;
         }
         // The race and the model's first-use test are not part of the time that the fit is given.
-        let solver = self.find_solver(poll.as_deref_mut())?;
+        let solver = self.find_solver(poll.borrow_mut().as_deref_mut())?;
         self.prepare()?;
+        let late = limits.max_time.and_then(|limit| Instant::now().checked_add(limit));
         let counted = Counted { calibration: self, cutoffs: options.cutoffs, stats: Mutex::default() };
         let mut run = dfo::minimize(ByRef(&counted))
             .start(&start)
@@ -230,24 +245,33 @@ impl Calibration {
         if let Some(observer) = observer {
             run = run.observer(observer);
         }
-        if let Some(poll) = poll {
-            run = run.poll(poll);
+        if poll.borrow().is_some() {
+            run = run.poll(|| poll.borrow_mut().as_mut().is_some_and(|poll| poll()));
         }
-        if let Some(flag) = options.cancel {
-            run = run.cancel(flag);
+        if let Some(flag) = &options.cancel {
+            run = run.cancel(Arc::clone(flag));
         }
-        let report = run.run().map_err(|e| self.name_parameter(e))?;
+        let mut report = run.run().map_err(|e| self.name_parameter(e))?;
+        let mut stats = *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
+        let is_late = || late.is_some_and(|late| Instant::now() >= late);
+        let is_flagged = || options.cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
+        let cancelled = || is_late() || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
+        let run = (start.as_slice(), &report);
+        let found = self.findings(run, &tolerances, limits.max_evaluations, &cancelled, &mut stats);
+        report.message += &self.remarks(&found);
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let rms = (report.fun / self.n_residuals() as f64).sqrt();
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
-        let stats = *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
         Ok(Fit {
             x: report.x.clone(),
             names,
             cost: report.fun,
             rms,
             start_cost,
+            at_bound: found.at_bound,
+            without_effect: found.without_effect,
+            n_checks: found.n_checks,
             stats,
             solver: solver.clone(),
             report,
@@ -287,7 +311,7 @@ impl Calibration {
 
     /// Typical size of a parameter: what the user said, else the model's nominal value, else the width of its box,
     /// else its start value, else 1. On a log scale: of its logarithm.
-    fn size_of(&self, parameter: &Parameter, start: f64) -> f64 {
+    pub(crate) fn size_of(&self, parameter: &Parameter, start: f64) -> f64 {
         let (lower, upper) = (parameter.lower(), parameter.upper());
         let usable = |size: f64| (size.is_finite() && size > 0.0).then_some(size);
         match parameter.scale_kind() {

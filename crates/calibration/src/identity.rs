@@ -23,10 +23,12 @@ pub(crate) fn identity(
         relative_tolerance,
         step_size,
         max_step,
+        input_derivatives,
         chattering,
         timeout,
         sharing: _,
     } = settings;
+    let held = if *input_derivatives == Some(false) { "not told" } else { "told" };
     let number = |value: Option<f64>| value.map_or_else(|| "by default".to_owned(), |v| format!("{v:?}"));
     all.extend(
         [
@@ -35,6 +37,7 @@ pub(crate) fn identity(
             ("relative tolerance", number(*relative_tolerance)),
             ("step size", number(*step_size)),
             ("largest step", number(*max_step)),
+            ("derivatives of the inputs", held.to_owned()),
             ("chattering", chattering.name().to_owned()),
             ("time limit of a simulation", number(timeout.map(|t| t.as_secs_f64()))),
         ]

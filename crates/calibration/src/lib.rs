@@ -7,6 +7,7 @@
 
 mod calibration;
 mod data;
+mod effect;
 mod error;
 mod experiment;
 mod fit;
@@ -14,11 +15,14 @@ mod identity;
 mod parameter;
 mod residual;
 mod solver;
+mod time_column;
+mod warning;
 
 pub use calibration::{Calibration, CalibrationBuilder};
 pub use data::Data;
 pub use dfo;
 pub use dfo::Kind;
+pub use effect::BoundSide;
 pub use error::CalibrationError;
 pub use experiment::{Experiment, SimulationSettings};
 pub use fit::{Fit, FitObserver, FitOptions};
@@ -26,3 +30,5 @@ pub use fmi;
 pub use parameter::{Parameter, Scale};
 pub use residual::quad_err;
 pub use solver::Solver;
+pub use time_column::TimeColumn;
+pub use warning::{SETUP_LOG_TARGET, SetupWarning};

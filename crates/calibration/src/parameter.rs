@@ -156,8 +156,9 @@ impl Parameter {
                 return bad(format!("is {}, so start {first} must be a whole number", self.kind));
             }
         }
-        if self.scale == Scale::Log && !self.fixed && (*start <= 0.0 || (lower.is_finite() && *lower < 0.0)) {
-            return bad(format!("a log scale wants positive values; start {first}, lower bound {low}"));
+        if self.scale == Scale::Log && !self.fixed && (*start <= 0.0 || (lower.is_finite() && *lower <= 0.0))
+        {
+            return bad(format!("a log scale needs values above 0; start {first}, lower bound {low}"));
         }
         if let Some(nominal) = self.nominal
             && !(nominal.is_finite() && nominal != 0.0)
@@ -180,7 +181,8 @@ mod tests {
             (p(0.5, 2.0, 1.0), "lower bound 2 is above upper bound 1"),
             (p(3.0, 0.0, 1.0), "start 3 is outside of the bounds 0 and 1"),
             (p(0.5, f64::NAN, 1.0), "NaN"),
-            (p(0.0, 0.0, 1.0).scale(Scale::Log), "positive"),
+            (p(0.0, f64::NEG_INFINITY, 1.0).scale(Scale::Log), "above 0; start 0"),
+            (p(0.5, 0.0, 1.0).scale(Scale::Log), "above 0; start 0.5, lower bound 0"),
             (p(0.5, 0.0, 1.0).nominal(0.0), "nominal 0"),
             (p(0.5, 0.0, 1.0).kind(Kind::Integer), "is integer, so start 0.5 must be a whole number"),
             (p(0.5, 0.1, 0.9).kind(Kind::Categorical), "is categorical, but between its bounds 0.1 and 0.9"),

@@ -1,6 +1,5 @@
 //! Simulated against measured, sample by sample while the simulation runs; no trajectory is stored.
 
-use dfo::Evaluation;
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
 
@@ -65,10 +64,12 @@ impl Comparison {
 
 /// Adds up squared residuals in the order in which the simulation delivers them (time by time, output by output within
 /// a time): one left-to-right sum, so that the cost has the same bits wherever it is computed, and never falls.
-#[derive(Debug)]
 pub(crate) struct Accumulator<'a> {
     comparison: &'a Comparison,
-    evaluation: &'a Evaluation<'a>,
+    /// The simulation ends when the sum is strictly above this.
+    cutoff: f64,
+    /// Asked before every step.
+    cancelled: &'a dyn Fn() -> bool,
     /// The sum so far; starts with what earlier experiments have left.
     pub(crate) sum: f64,
     /// Samples seen.
@@ -92,11 +93,11 @@ pub(crate) enum Stop {
 impl<'a> Accumulator<'a> {
     pub(crate) fn new(
         comparison: &'a Comparison,
-        evaluation: &'a Evaluation<'a>,
+        (cutoff, cancelled): (f64, &'a dyn Fn() -> bool),
         sum: f64,
         out: Option<&'a mut [f64]>,
     ) -> Self {
-        Self { comparison, evaluation, sum, seen: 0, out, stop: None }
+        Self { comparison, cutoff, cancelled, sum, seen: 0, out, stop: None }
     }
 
     /// Whether every requested time has been delivered.
@@ -130,15 +131,11 @@ impl Observer for Accumulator<'_> {
             }
         }
         self.seen = index + 1;
-        if self.sum > self.evaluation.cutoff {
-            self.end(Stop::AboveCutoff)
-        } else {
-            ControlFlow::Continue(())
-        }
+        if self.sum > self.cutoff { self.end(Stop::AboveCutoff) } else { ControlFlow::Continue(()) }
     }
 
     fn poll(&mut self) -> ControlFlow<()> {
-        if self.evaluation.cancelled() { self.end(Stop::Cancelled) } else { ControlFlow::Continue(()) }
+        if (self.cancelled)() { self.end(Stop::Cancelled) } else { ControlFlow::Continue(()) }
     }
 }
 
@@ -224,9 +221,8 @@ mod tests {
         );
         assert_eq!(times, [0.0, 1.0, 3.0]);
         assert_eq!(c.n_residuals(), 5);
-        let evaluation = Evaluation::new(0, 0, f64::INFINITY);
         let mut out = [NAN; 5];
-        let mut a = Accumulator::new(&c, &evaluation, 100.0, Some(&mut out));
+        let mut a = Accumulator::new(&c, (f64::INFINITY, &|| false), 100.0, Some(&mut out));
         for (i, t) in times.iter().enumerate() {
             let outputs = [0.0, 0.0];
             let s = Sample { time: *t, index: Some(i), side: Side::Right, states: &[], outputs: &outputs };
@@ -244,12 +240,11 @@ mod tests {
             a.sample(&Sample { time: 0.0, index: Some(i), side: Side::Right, states: &[], outputs: y })
                 .is_break()
         };
-        let evaluation = Evaluation::new(0, 0, 4.0);
-        let mut a = Accumulator::new(&c, &evaluation, 0.0, None);
+        let mut a = Accumulator::new(&c, (4.0, &|| false), 0.0, None);
         assert!(!sample(0, &[2.0], &mut a));
         assert!(sample(1, &[1e-3], &mut a));
         assert_eq!(a.stop, Some(Stop::AboveCutoff));
-        let mut a = Accumulator::new(&c, &evaluation, 0.0, None);
+        let mut a = Accumulator::new(&c, (4.0, &|| false), 0.0, None);
         assert!(sample(0, &[NAN], &mut a));
         assert_eq!(a.stop, Some(Stop::NotFinite(0)));
         assert!(!a.complete());

@@ -65,9 +65,14 @@ fn a_stiff_model_is_raced_once_and_the_winner_is_used_everywhere() {
     let methods: Vec<_> = race.entries.iter().map(|e| e.method).collect();
     assert_eq!(methods, [Method::Auto, Method::Bdf, Method::Radau5]);
     let winner = race.entries.iter().find(|e| e.method == solver.method).unwrap();
-    assert!(matches!(winner.verdict, Verdict::Agrees(d) if d <= 50.0), "{race:?}");
+    assert!(matches!(winner.verdict, Verdict::Agrees(d) if d <= 5.0), "{race:?}");
+    // At equal error no method that agrees takes less work.
+    let at_equal_error = |entry: &ode::Entry| match entry.verdict {
+        Verdict::Agrees(distance) => entry.work.unwrap() * distance.max(0.1).powf(1.0 / 6.0),
+        _ => f64::INFINITY,
+    };
     for entry in &race.entries {
-        assert!(winner.work <= entry.work, "{race:?}");
+        assert!(at_equal_error(winner) <= at_equal_error(entry), "{race:?}");
     }
     let fit = raced.fit(few(5)).unwrap();
     assert_eq!(fit.solver, solver);
@@ -146,4 +151,19 @@ fn a_fit_can_be_interrupted_in_the_race() {
         Err(other) => panic!("{other}"),
     }
     assert!(slow.fit(few(3)).is_ok());
+}
+
+#[test]
+#[ignore = "a table to read"]
+#[allow(clippy::print_stdout)]
+fn table() {
+    println!("{:?}", calibration(Method::Auto).solver().unwrap());
+    for method in [Method::Auto, Method::Bdf, Method::Radau5] {
+        let fit = calibration(method).fit(few(400)).unwrap();
+        let method = if method == Method::Auto { "race" } else { method.name() };
+        println!(
+            "{method}: cost {:e} at {:?} after {} evaluations",
+            fit.cost, fit.x, fit.report.n_evaluations
+        );
+    }
 }

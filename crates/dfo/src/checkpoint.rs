@@ -152,10 +152,11 @@ pub(crate) fn fingerprint(
             format!("{} points, {n_pinned} with costs ({:08x})", prior.len(), crc32fast::hash(&bytes)),
         ));
     }
+    all.extend(tags.iter().map(|(name, value)| (name.clone(), value.clone())));
+    // After the tags, which say in words what a hash cannot.
     if let Some(problem) = problem {
         all.push(named("problem", problem.to_owned()));
     }
-    all.extend(tags.iter().map(|(name, value)| (name.clone(), value.clone())));
     all
 }
 

@@ -30,7 +30,7 @@ pub enum Error {
         got: usize,
     },
     /// A bound is NaN, a lower bound is +inf or an upper bound is -inf.
-    #[error("the {side} bound of parameter {index} is {value}", value = Number(*.value))]
+    #[error("the {side} bound of x[{index}] is {value}", value = Number(*.value))]
     BadBound {
         /// `"lower"` or `"upper"`.
         side: &'static str,
@@ -40,7 +40,7 @@ pub enum Error {
         value: f64,
     },
     /// A lower bound lies above the upper bound.
-    #[error("parameter {index}: the lower bound {lower} is above the upper bound {upper}", lower = Number(*.lower), upper = Number(*.upper))]
+    #[error("x[{index}]: the lower bound {lower} is above the upper bound {upper}", lower = Number(*.lower), upper = Number(*.upper))]
     BoundsCrossed {
         /// Parameter, counted from 0.
         index: usize,
@@ -50,7 +50,7 @@ pub enum Error {
         upper: f64,
     },
     /// A coordinate of the start point is NaN or infinite.
-    #[error("start value {value} of parameter {index} is not finite", value = Number(*.value))]
+    #[error("x0[{index}] = {value} is not finite", value = Number(*.value))]
     StartNotFinite {
         /// Parameter, counted from 0.
         index: usize,
@@ -58,7 +58,7 @@ pub enum Error {
         value: f64,
     },
     /// The start point lies outside of the box.
-    #[error("start value {value} of parameter {index} lies outside of its bounds [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper))]
+    #[error("x0[{index}] = {value} lies outside of its bounds [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper))]
     StartOutside {
         /// Parameter, counted from 0.
         index: usize,
@@ -70,7 +70,7 @@ pub enum Error {
         upper: f64,
     },
     /// A parameter on a logarithmic scale has a start value or bound that has no logarithm.
-    #[error("parameter {index} is on a logarithmic scale, but its {what} is {value}", value = Number(*.value))]
+    #[error("x[{index}] is on a logarithmic scale, but its {what} is {value}", value = Number(*.value))]
     LogScale {
         /// Parameter, counted from 0.
         index: usize,
@@ -80,7 +80,7 @@ pub enum Error {
         value: f64,
     },
     /// An entry of a per-parameter option is out of range.
-    #[error("{name} of parameter {index} = {value} must be {range}", value = Number(*.value))]
+    #[error("{name} of x[{index}] = {value} must be {range}", value = Number(*.value))]
     ParameterOption {
         /// Name of the option.
         name: &'static str,
@@ -93,7 +93,7 @@ pub enum Error {
     },
     /// A discrete parameter has no value to take.
     #[error(
-        "parameter {index} is discrete, but between its bounds {lower} and {upper} there is no whole number", lower = Number(*.lower), upper = Number(*.upper)
+        "x[{index}] is discrete, but between its bounds {lower} and {upper} there is no whole number", lower = Number(*.lower), upper = Number(*.upper)
     )]
     NoWholeNumber {
         /// Parameter, counted from 0.
@@ -122,7 +122,7 @@ pub enum Error {
         name: String,
     },
     /// A method needs a finite range for each parameter.
-    #[error("{method} searches a box, but parameter {index} lies in [{lower}, {upper}]", lower = Number(*.lower), upper = Number(*.upper))]
+    #[error("{method} searches a box, but x[{index}] lies in [{lower}, {upper}]", lower = Number(*.lower), upper = Number(*.upper))]
     NeedsBox {
         /// The method.
         method: &'static str,
@@ -135,7 +135,7 @@ pub enum Error {
     },
     /// A barrier needs a start strictly inside of the bounds.
     #[error(
-        "start value {value} of parameter {index} must lie strictly between its bounds {lower} and {upper}", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
+        "x0[{index}] = {value} must lie strictly between its bounds {lower} and {upper}", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
     )]
     StartNotInterior {
         /// Parameter, counted from 0.
@@ -154,7 +154,7 @@ pub enum Error {
         method: &'static str,
     },
     /// A method cannot search over a discrete parameter.
-    #[error("{method} cannot search over parameter {index}, which is {kind}")]
+    #[error("{method} cannot search over x[{index}], which is {kind}")]
     NotContinuous {
         /// The method.
         method: &'static str,
@@ -173,7 +173,7 @@ pub enum Error {
     },
     /// A vertex of an initial simplex has a coordinate outside of the box, or not finite.
     #[error(
-        "initial simplex: coordinate {value} of vertex {vertex}, parameter {index}, must lie in [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
+        "initial simplex: coordinate {value} of vertex {vertex}, x[{index}], must lie in [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
     )]
     SimplexOutside {
         /// Vertex, counted from 0.

@@ -156,7 +156,7 @@ fn message<M: Method + ?Sized>(
             let limit = limits.max_time.map_or(seconds, |t| t.as_secs_f64());
             with_tests(format!("stopped at the time limit of {limit} s"))
         }
-        Termination::StoppedByObserver => with_tests("stopped by the observer".to_owned()),
+        Termination::StoppedByObserver => with_tests("stopped by the callback".to_owned()),
         Termination::Interrupted => with_tests("interrupted".to_owned()),
         Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
         Termination::NotSaved(reason) => with_tests(format!("stopped, for it cannot be saved: {reason}")),

@@ -32,7 +32,7 @@ fn start_points() {
     }
     let (e, text) = error(two().bounds(&[0.0, 3.0], &[2.0, 4.0]).unwrap().run());
     assert_eq!(e, Error::StartOutside { index: 1, value: 2.0, lower: 3.0, upper: 4.0 });
-    assert_eq!(text, "start value 2 of parameter 1 lies outside of its bounds [3, 4]");
+    assert_eq!(text, "x0[1] = 2 lies outside of its bounds [3, 4]");
 }
 
 #[test]
@@ -41,9 +41,9 @@ fn bounds() {
     assert_eq!(e, Error::Length { what: "bounds", expected: 2, got: 1 });
     assert_eq!(text, "bounds: 1 values given for 2 parameters");
     let crossed = two().bounds(&[0.0, 5.0], &[5.0, 0.0]).unwrap_err();
-    assert_eq!(crossed.to_string(), "parameter 1: the lower bound 5 is above the upper bound 0");
+    assert_eq!(crossed.to_string(), "x[1]: the lower bound 5 is above the upper bound 0");
     let tiny = two().bounds(&[0.0, 5e-12], &[5.0, -1e20]).unwrap_err();
-    assert_eq!(tiny.to_string(), "parameter 1: the lower bound 5e-12 is above the upper bound -1e20");
+    assert_eq!(tiny.to_string(), "x[1]: the lower bound 5e-12 is above the upper bound -1e20");
     assert!(matches!(two().bounds(&[0.0, f64::NAN], &[1.0, 1.0]), Err(Error::BadBound { index: 1, .. })));
     assert!(two().bounds(&[-INF, 2.0], &[INF, 2.0]).unwrap().run().is_ok());
 }
@@ -179,7 +179,7 @@ fn sizes_that_no_memory_holds_are_refused() {
     }
     let wide = minimize(sum).start(&[1.0]).bounds(&[0.0], &[1e20]).unwrap().kinds(&[Kind::Integer]);
     let (_, text) = error(wide.method(Genetic::default()).run());
-    assert!(text.contains("bound of parameter 0 = 1e20 must be at most 2^53"), "{text}");
+    assert!(text.contains("bound of x[0] = 1e20 must be at most 2^53"), "{text}");
 }
 
 #[test]
@@ -197,7 +197,7 @@ fn discrete_parameters_without_a_value_blame_their_bounds() {
         let run = run.unwrap().kinds(&[Kind::Continuous, Kind::Integer]);
         let (e, text) = error(run.method(Genetic::default()).run());
         assert!(matches!(e, Error::NoWholeNumber { index: 1, .. }), "{text}");
-        assert!(text.contains("parameter 1") && text.contains(&format!("{lower} and {upper}")), "{text}");
+        assert!(text.contains("[1]") && text.contains(&format!("{lower} and {upper}")), "{text}");
         // Nor is a start asked for that cannot be given.
         let run = dfo::by_hand().bounds(&[lower], &[upper]).unwrap().kinds(&[Kind::Categorical]);
         let e = run.method(Genetic::default()).optimizer().unwrap_err();
@@ -221,7 +221,7 @@ fn options_beyond_their_range_are_named_with_it() {
         "{e}"
     );
     let (_, text) = error(run().scales(&[1.0, 0.0]).run());
-    assert!(text.contains("nominal size of parameter 1 = 0 must be positive and finite"), "{text}");
+    assert!(text.contains("nominal size of x[1] = 0 must be positive and finite"), "{text}");
     let (_, text) = error(run().kinds(&[Kind::Continuous, Kind::Categorical]).run());
-    assert_eq!(text, "nelder-mead cannot search over parameter 1, which is categorical");
+    assert_eq!(text, "nelder-mead cannot search over x[1], which is categorical");
 }

@@ -201,9 +201,9 @@ fn ask_and_tell_in_any_order_is_the_driven_run() {
 #[test]
 fn a_run_by_hand_that_ends_anywhere_goes_on_from_its_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
-    let limits = Limits { max_evaluations: Some(145), ..Limits::default() };
+    let limits = Limits { max_evaluations: Some(150), ..Limits::default() };
     for (k, method) in methods().into_iter().enumerate() {
-        let whole = boxed(minimize(probe), &method).max_evaluations(145).trace_limit(100).run().unwrap();
+        let whole = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100).run().unwrap();
         let path = folder.path().join(k.to_string());
         let mut told = 0;
         // Left without a word after ever more answers, in the middle of rounds; the file is what was saved by hand.
@@ -234,7 +234,7 @@ fn a_run_by_hand_that_ends_anywhere_goes_on_from_its_checkpoint() {
             }
         }
         // The driven run takes the same file: it is over.
-        let again = boxed(minimize(probe), &method).max_evaluations(145).trace_limit(100);
+        let again = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100);
         let again = again.checkpoint(Checkpoint::new(&path).resume(Resume::Require)).run().unwrap();
         let n = whole.n_evaluations;
         assert_eq!((again.x, again.n_evaluations, again.message), (whole.x, n, whole.message));
@@ -396,4 +396,28 @@ fn generations_allocate_nothing_once_warm() {
     assert_eq!(measure(&DifferentialEvolution::default()), 0);
     assert_eq!(measure(&DifferentialEvolution::classic()), 0);
     assert_eq!(measure(&Genetic::default()), 0);
+}
+
+/// A run that its budget ended is over, whatever plan it had; it evaluates nothing and returns the same when resumed.
+#[test]
+fn a_run_that_its_budget_ended_stays_over() {
+    let folder = tempfile::tempdir().unwrap();
+    for (k, method) in methods().into_iter().enumerate() {
+        for budget in (30..200).step_by(3) {
+            let path = folder.path().join(format!("{k}-{budget}"));
+            let run = |cost: &(dyn Fn(&[f64]) -> f64 + Sync)| {
+                let run = boxed(minimize(|x: &[f64]| cost(x)), &method).max_evaluations(budget).workers(3);
+                run.checkpoint(Checkpoint::new(&path).interval(Duration::ZERO)).run().unwrap()
+            };
+            let first = run(&rosenbrock);
+            let again = run(&|_| panic!("on purpose: nothing is left to evaluate"));
+            assert_eq!(
+                (&again.x, again.fun, &again.message),
+                (&first.x, first.fun, &first.message),
+                "{method:?}"
+            );
+            let counts = |r: &Report| (r.n_evaluations, r.n_iterations, r.n_failed, r.termination.clone());
+            assert_eq!(counts(&again), counts(&first), "{method:?} {budget}");
+        }
+    }
 }

@@ -55,7 +55,7 @@ pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value, F
     let kind = variable.kind;
     let wrong =
         |given| FmiError::WrongType { name: variable.name.clone(), kind, value: value.clone(), given };
-    let in_range = |i: i128| match kind.range() {
+    let in_range = |i: i128| match variable.integer_range() {
         Some((least, most)) if (least..=most).contains(&i) => Ok(Value::Integer(i)),
         _ => Err(out_of_range(variable, value)),
     };
@@ -75,7 +75,8 @@ pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value, F
 }
 
 fn out_of_range(variable: &Variable, value: &Value) -> FmiError {
-    FmiError::OutOfRange { name: variable.name.clone(), kind: variable.kind, value: value.clone() }
+    let range = variable.integer_range().unwrap_or_default();
+    FmiError::OutOfRange { name: variable.name.clone(), kind: variable.kind, value: value.clone(), range }
 }
 
 /// The value with its sign (a Boolean: its truth) reversed.

@@ -16,6 +16,8 @@ pub struct StepOutcome {
     pub complete: bool,
     /// Where it stands otherwise, if it says so.
     pub reached: Option<f64>,
+    /// It stands there because it returned early (FMI 3.0): no more of the step is to be made.
+    pub early: bool,
     /// The model wishes to end the simulation here.
     pub terminate: bool,
     /// The model wants its events handled here: see [`Instance::handle_events`](Instance::handle_events).
@@ -48,8 +50,8 @@ impl Core {
             info = StepInfo::default();
             complete = self.call(|raw| raw.step_status(&mut info))?;
         }
-        let StepInfo { reached, terminate, event, may_have_ended, .. } = info;
-        Ok(Some(StepOutcome { complete, reached, terminate, event, may_have_ended }))
+        let StepInfo { reached, early, terminate, event, may_have_ended, .. } = info;
+        Ok(Some(StepOutcome { complete, reached, early, terminate, event, may_have_ended }))
     }
 }
 

@@ -135,12 +135,6 @@ pub enum FmiError {
         /// The folders (with their machine types) present.
         present: String,
     },
-    /// The FMU follows a version of the standard that can be described but not run.
-    #[error("FMI {version} can be inspected but not simulated by this version; FMI 2.0 can")]
-    UnsupportedVersion {
-        /// The version.
-        version: String,
-    },
     /// The FMU cannot be run in the way asked for.
     #[error("{model} offers no {wanted}; it offers {offered}")]
     NotOffered {
@@ -217,6 +211,22 @@ pub enum FmiError {
         /// Length given.
         found: usize,
     },
+    /// The FMU says that a value has more bytes than there can be.
+    #[error("{call}: the FMU has a value of {size} bytes, more than memory can hold")]
+    TooLarge {
+        /// The call.
+        call: &'static str,
+        /// The size it says.
+        size: usize,
+    },
+    /// A step that the model ended where it began, again and again, without an event.
+    #[error("{call} returned early at t = {time} without having gone on, and without an event", time = Number(*.time))]
+    NoProgress {
+        /// The call.
+        call: &'static str,
+        /// Time at which the model stands.
+        time: f64,
+    },
     /// The discrete states do not settle.
     #[error("the event iteration at t = {time} did not end after {limit} rounds", time = Number(*.time))]
     EventIteration {
@@ -265,7 +275,7 @@ pub enum FmiError {
         given: &'static str,
     },
     /// A number that the type of the variable has no room for.
-    #[error("{name} is of type {kind} ({} bits, from {} to {}), {value} does not fit", bits(*kind), range(*kind).0, range(*kind).1)]
+    #[error("{name} is of type {kind} ({} bits, from {} to {}), {value} does not fit", bits(*range), range.0, range.1)]
     OutOfRange {
         /// The variable.
         name: String,
@@ -273,6 +283,8 @@ pub enum FmiError {
         kind: VariableKind,
         /// The value.
         value: Value,
+        /// The smallest and the largest value that fit.
+        range: (i128, i128),
     },
     /// A variable that cannot be set, or not now.
     #[error("{name} cannot be set: {reason}")]
@@ -442,14 +454,8 @@ pub enum EntryProblem {
     Damaged(String),
 }
 
-/// Smallest and largest value of a type of integers.
-fn range(kind: VariableKind) -> (i128, i128) {
-    kind.range().unwrap_or_default()
-}
-
 /// Width of a type of integers.
-fn bits(kind: VariableKind) -> u32 {
-    let (least, most) = range(kind);
+fn bits((least, most): (i128, i128)) -> u32 {
     i128::BITS - (most - least).leading_zeros()
 }
 

@@ -15,16 +15,19 @@ use crate::reuse::{
 use crate::running::no_instance;
 use crate::simulation::Simulator;
 use crate::source;
-use crate::sys::{
-    FloatEnvironment, InterfaceKind, Library, LoadFrom, LogFilter, RawInstance, Request, Sizes,
-};
+use crate::sys::{InterfaceKind, Library, LoadFrom, LogFilter, RawInstance, Request, Sizes};
 use crate::trajectory::Trajectory;
 use std::ffi::CString;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
 
 const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated \
                              with it: it is run without";
+const STALE_OUTPUTS: &str = "variables read at a new point are those of an earlier one until the derivatives are computed: they are \
+                             computed before every reading";
 
 /// An opened FMU. Clones share everything and are cheap.
 ///
@@ -42,6 +45,10 @@ pub struct Fmu {
 struct Inner {
     /// The library of each way of running the model; found when first needed.
     stores: [Mutex<Option<StoreUse>>; 2],
+    /// The model computes its variables with the derivatives only.
+    has_stale_outputs: AtomicBool,
+    /// Of each way: how long the last simulation of a session took, in ns; 0: there was none.
+    last_runs: [AtomicU64; 2],
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
     /// Departures from the standard that showed in runs.
@@ -97,6 +104,8 @@ impl Fmu {
         }
         let inner = Inner {
             stores: Default::default(),
+            has_stale_outputs: AtomicBool::new(false),
+            last_runs: Default::default(),
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
             description,
@@ -190,8 +199,32 @@ impl Fmu {
     /// # Errors
     /// Options that do not fit the model, and everything that can go wrong in a simulation.
     pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+        self.simulate_with(options, &mut || ControlFlow::Continue(()))
+    }
+
+    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation there.
+    ///
+    /// # Errors
+    /// As [`simulate`](Self::simulate).
+    pub fn simulate_with(
+        &self,
+        options: &SimulateOptions,
+        poll: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Trajectory, FmiError> {
         let plan = Arc::new(SimulationPlan::new(self, options)?);
-        Simulator::new(Arc::clone(&plan))?.trajectory(plan.parameter_starts())
+        Simulator::new(Arc::clone(&plan))?.trajectory_with(plan.parameter_starts(), poll)
+    }
+
+    /// How long the last simulation of a [`Session`](crate::Session) of this FMU took, by any of its clones; loading the
+    /// library does not count. `None`: there was none.
+    pub fn last_run(&self, kind: InterfaceKind) -> Option<Duration> {
+        let nanoseconds = self.inner.last_runs[kind as usize].load(Ordering::Relaxed);
+        (nanoseconds > 0).then(|| Duration::from_nanos(nanoseconds))
+    }
+
+    pub(crate) fn note_run(&self, kind: InterfaceKind, took: Duration) {
+        let nanoseconds = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
+        self.inner.last_runs[kind as usize].store(nanoseconds.max(1), Ordering::Relaxed);
     }
 
     /// Makes a model-exchange instance. **This loads the library and runs its code.**
@@ -310,8 +343,6 @@ impl Fmu {
             log_filter: options.log_filter,
         };
         let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
-        // The FMU may change the floating-point mode of this thread and shall not.
-        let _guard = FloatEnvironment::standard();
         let refusal = match RawInstance::new(library, &request, sizes) {
             Err(FmiError::Call(refusal)) if request.event_mode => FmiError::Call(refusal),
             outcome => return outcome,
@@ -329,9 +360,11 @@ impl Fmu {
     pub fn quirks_seen(&self) -> Vec<Quirk> {
         let store = self.known_store(InterfaceKind::CoSimulation);
         let refused = store.is_some_and(|store| store.verdicts.is_event_mode_refused());
-        let quirk = || Quirk { kind: QuirkKind::Promise, message: NO_EVENT_MODE.to_owned(), line: 0 };
+        let stale = self.inner.has_stale_outputs.load(Ordering::Relaxed);
+        let quirk = |message: &str| Quirk { kind: QuirkKind::Promise, message: message.to_owned(), line: 0 };
         let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        seen.extend(refused.then(quirk));
+        let promises = [(refused, NO_EVENT_MODE), (stale, STALE_OUTPUTS)];
+        seen.extend(promises.into_iter().filter(|(is_seen, _)| *is_seen).map(|(_, message)| quirk(message)));
         seen
     }
 
@@ -346,10 +379,17 @@ impl Fmu {
         }
     }
 
+    /// Notes, and says once, that variables are computed with the derivatives only.
+    pub(crate) fn note_stale_outputs(&self) {
+        if !self.inner.has_stale_outputs.swap(true, Ordering::Relaxed) {
+            log::warn!("{}: {STALE_OUTPUTS}", self.description().model_name);
+        }
+    }
+
     /// Whether the FMU can be simulated, one way or the other; the interface that would be used.
     ///
     /// # Errors
-    /// [`FmiError::UnsupportedVersion`], [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
+    /// [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
     pub fn check_runnable(&self) -> Result<&Interface, FmiError> {
         self.check_interface(self.choose(Kind::Auto)?)
     }
@@ -410,7 +450,6 @@ impl Fmu {
     /// Whether the FMU can be run in this way; the interface.
     pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface, FmiError> {
         let description = self.description();
-        Library::check_version(&description.fmi_version)?;
         let interface = self.interface(kind).ok_or_else(|| FmiError::NotOffered {
             model: description.model_name.clone(),
             wanted: kind.to_string(),
@@ -535,9 +574,9 @@ impl Fmu {
             check,
         ) {
             // With the binaries of other platforms, for the message.
-            Err(FmiError::NoSources { .. }) => find(Part::Binaries)
+            Err(FmiError::NoSources { reason, .. }) => find(Part::Binaries)
                 .map(|found| found.path)
-                .map_err(|no_binary| self.with_own_path(no_binary)),
+                .map_err(|no_binary| self.no_library(no_binary, &reason)),
             outcome => outcome,
         }
     }
@@ -549,12 +588,14 @@ impl Fmu {
         Library::open(from, version, kind, &interface.model_identifier, &self.inner.options.loader)
     }
 
-    /// Says the path the user knows instead of that of the private folder.
-    fn with_own_path(&self, error: FmiError) -> FmiError {
-        match error {
-            FmiError::NoBinary { wanted, present, .. } => {
-                FmiError::NoBinary { path: self.path().to_owned(), wanted, present }
-            }
+    /// Says the path the user knows instead of that of the private folder, and why there is nothing to build either.
+    fn no_library(&self, no_binary: FmiError, no_sources: &str) -> FmiError {
+        match no_binary {
+            FmiError::NoBinary { wanted, present, .. } => FmiError::NoBinary {
+                path: self.path().to_owned(),
+                wanted,
+                present: format!("{present}; none can be built: {no_sources}"),
+            },
             other => other,
         }
     }

@@ -3,7 +3,7 @@
 //! Integers keep their sign, `UInt64` its bits, Booleans and clocks are 0 and 1, `Float32` travels as the bits of the
 //! equal `f64`.
 
-use crate::description::{Value, VariableKind};
+use crate::description::{Value, Variable, VariableKind};
 
 /// A lane as a number.
 pub(crate) fn number(kind: VariableKind, lane: i64) -> f64 {
@@ -44,6 +44,12 @@ pub(crate) fn lane_of_number(kind: VariableKind, x: f64) -> Option<i64> {
         VariableKind::Boolean | VariableKind::Clock => (x == 0.0 || x == 1.0).then_some(i64::from(x != 0.0)),
         kind => whole(x).and_then(|i| lane(kind, &Value::Integer(i))),
     }
+}
+
+/// Whether a number is a value of a variable.
+pub(crate) fn is_of(variable: &Variable, x: f64) -> bool {
+    let fits = |(least, most): (i128, i128)| whole(x).is_some_and(|i| (least..=most).contains(&i));
+    lane_of_number(variable.kind, x).is_some() && variable.integer_range().is_none_or(fits)
 }
 
 /// The nearest number of single precision.

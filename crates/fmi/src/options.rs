@@ -35,13 +35,17 @@ pub enum Kind {
 impl std::str::FromStr for Kind {
     type Err = FmiError;
 
-    /// `auto`, `me` or `cs`, whatever the case of the letters.
+    /// `auto`, `me` or `cs`, or the names in full (`ModelExchange`, `co-simulation`), whatever the case of the letters.
     fn from_str(text: &str) -> Result<Self, FmiError> {
-        match text.to_ascii_lowercase().as_str() {
+        let letters =
+            text.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
+        match letters.as_str() {
             "auto" => Ok(Kind::Auto),
-            "me" => Ok(Kind::ModelExchange),
-            "cs" => Ok(Kind::CoSimulation),
-            _ => Err(setting(format!("kind = '{text}' is none of 'auto', 'me', 'cs'"))),
+            "me" | "modelexchange" => Ok(Kind::ModelExchange),
+            "cs" | "cosimulation" => Ok(Kind::CoSimulation),
+            _ => Err(setting(format!(
+                "kind = '{text}' is none of 'auto', 'ME' (ModelExchange), 'CS' (CoSimulation)"
+            ))),
         }
     }
 }
@@ -62,6 +66,8 @@ pub struct SimulateOptions {
     /// Final time; default: that of the default experiment, else the last of `times`, else an error.
     pub final_time: Option<f64>,
     /// The times of the rows, ascending. A time listed twice gives the limit from the left, then that from the right.
+    /// Co-simulations without event mode have the former only: rows are read before the inputs of the next communication
+    /// step are set, so that what follows an input directly, and the input itself, are those of the step before.
     /// At most one of `times`, `output_interval` and `ncp`; without any there are 500 intervals.
     pub times: Option<Vec<f64>>,
     /// Distance of the rows; the last row is at the final time.
@@ -81,6 +87,10 @@ pub struct SimulateOptions {
     pub outputs: Option<Vec<String>>,
     /// Time-varying inputs.
     pub inputs: Option<Inputs>,
+    /// Whether co-simulations that extrapolate inputs (`canInterpolateInputs`, FMI 1.0 and 2.0) are told their derivatives
+    /// for the next step: that of the line to the inputs at its end. Default: yes. Inputs that are held over each step, as
+    /// with `Some(false)` and in most other tools, are farther from the truth, by an error of the order of the step.
+    pub input_derivatives: Option<bool>,
     /// Relative tolerance; default: that of the default experiment, else 1e-6.
     pub relative_tolerance: Option<f64>,
     /// How the model is run.
@@ -179,6 +189,13 @@ impl SimulateOptions {
     #[must_use]
     pub fn inputs(mut self, inputs: Inputs) -> Self {
         self.inputs = Some(inputs);
+        self
+    }
+
+    /// Sets [`input_derivatives`](Self::input_derivatives).
+    #[must_use]
+    pub fn input_derivatives(mut self, told: bool) -> Self {
+        self.input_derivatives = Some(told);
         self
     }
 
@@ -306,7 +323,7 @@ impl SimulateOptions {
         }
         let same = 100.0 * U * start.abs().max(end.abs()).max(end - start);
         let mut interval = self.output_interval;
-        let times = match (&self.times, self.output_interval, self.ncp) {
+        let times: Vec<f64> = match (&self.times, self.output_interval, self.ncp) {
             (Some(times), ..) => snap(times, start, end, same)?,
             (_, Some(interval), _) => intervals(start, end, same, interval)?,
             (_, _, Some(0)) => return Err(setting("ncp = 0: at least one interval is needed".to_owned())),
@@ -316,6 +333,9 @@ impl SimulateOptions {
                 uniform(start, end, same, n)?
             }
         };
+        if self.times.is_some() {
+            interval = common_interval(&times, start, same);
+        }
         Ok(Grid { start, end, same, times, interval })
     }
 }
@@ -355,6 +375,15 @@ fn uniform(start: f64, end: f64, same: f64, n: usize) -> Result<Vec<f64>, FmiErr
     }
     times.push(end);
     Ok(times)
+}
+
+/// The distance of rows that are given one by one, if it is the same for all and the first is at the start.
+fn common_interval(times: &[f64], start: f64, same: f64) -> Option<f64> {
+    let (first, last) = (times.first()?, times.last()?);
+    let n = times.len() - 1;
+    let interval = (last - first) / n as f64;
+    let is_regular = |(k, time): (usize, &f64)| (time - (start + k as f64 * interval)).abs() <= same;
+    (n > 1 && interval > same && times.iter().enumerate().all(is_regular)).then_some(interval)
 }
 
 /// Rows `interval` apart, and one at the end.

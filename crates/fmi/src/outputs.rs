@@ -282,6 +282,8 @@ pub(crate) struct OutputBuffers {
     lanes: Vec<i64>,
     texts: Vec<f64>,
     binaries: Vec<f64>,
+    /// Numbers read before, to be compared.
+    kept: (Vec<f64>, Vec<i64>),
     /// When the clocks recorded ticked last.
     pub(crate) ticked: Vec<f64>,
     /// The texts and binary values of the run.
@@ -296,6 +298,7 @@ impl OutputBuffers {
             lanes: vec![0; n_lanes],
             texts: vec![0.0; plan.texts.1],
             binaries: vec![0.0; plan.binaries.1],
+            kept: (vec![0.0; plan.n_reals], vec![0; n_lanes]),
             ticked: vec![f64::NAN; plan.clocks.len()],
             table: ValueTable::default(),
         }
@@ -333,6 +336,18 @@ impl OutputBuffers {
             })?;
         }
         Ok(())
+    }
+
+    /// Keeps the numbers as they were read.
+    pub(crate) fn keep(&mut self) {
+        self.kept.0.copy_from_slice(&self.reals);
+        self.kept.1.copy_from_slice(&self.lanes);
+    }
+
+    /// Whether the numbers read last are those kept, bit for bit.
+    pub(crate) fn are_as_kept(&self) -> bool {
+        let reals = self.reals.iter().zip(&self.kept.0);
+        reals.into_iter().all(|(now, then)| now.to_bits() == then.to_bits()) && self.lanes == self.kept.1
     }
 
     /// Puts the row together; times closer than `same` are one.

@@ -22,7 +22,7 @@ pub(crate) struct Communication {
     pub(crate) variable: bool,
     /// The stop time may be told: no step leads beyond it.
     pub(crate) ends_exactly: bool,
-    /// The FMU extrapolates inputs from their derivatives.
+    /// The FMU extrapolates inputs from their derivatives, and is told them.
     pub(crate) input_derivatives: bool,
     /// The FMU tells the derivatives of outputs at the end of a step.
     pub(crate) output_derivatives: bool,
@@ -74,7 +74,8 @@ impl Communication {
             step,
             variable,
             ends_exactly: variable,
-            input_derivatives: capabilities.can_interpolate_inputs,
+            input_derivatives: capabilities.can_interpolate_inputs
+                && options.input_derivatives != Some(false),
             output_derivatives: capabilities.max_output_derivative_order > 0,
         })
     }

@@ -176,6 +176,12 @@ impl Running {
         raw.ok().map(|(raw, _)| raw)
     }
 
+    /// Reads the outputs where the model stands.
+    pub(crate) fn read_outputs(&mut self) -> CallResult<()> {
+        let Self { plan, current, buffers, .. } = self;
+        current.call(|raw| buffers.read(plan.outputs(), raw))
+    }
+
     /// Hands what the FMU has logged in a run to the program's logger.
     pub(crate) fn pass_log_on(&self) {
         match &self.current.phase {

@@ -9,7 +9,9 @@ use crate::places::{Place, Starts, element_value};
 use crate::plan::SimulationPlan;
 use crate::simulation::Simulator;
 use crate::trajectory::Trajectory;
+use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// A model with the values set since it was loaded or reset. Every simulation starts from a freshly reset model with all
 /// these values, so that a second one gives the same bits.
@@ -91,6 +93,12 @@ impl Session {
             (self.values, self.pending) = (values, pending);
         }
         outcome
+    }
+
+    /// Names and values of what was set, in the order of setting.
+    pub fn values(&self) -> impl Iterator<Item = (&str, &Value)> {
+        let variables = &self.fmu.description().variables;
+        self.values.iter().map(|(index, value)| (variables[*index].name.as_str(), value))
     }
 
     /// Value of a variable: after a simulation its final value, unless it has been set since; before, the value set or the
@@ -175,12 +183,28 @@ impl Session {
     /// # Errors
     /// As [`Fmu::simulate`].
     pub fn simulate(&mut self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+        self.simulate_with(options, &mut || ControlFlow::Continue(()))
+    }
+
+    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation there, with the
+    /// rows so far and [`Termination::StoppedByObserver`](ode::Termination::StoppedByObserver).
+    ///
+    /// # Errors
+    /// As [`Fmu::simulate`].
+    pub fn simulate_with(
+        &mut self,
+        options: &SimulateOptions,
+        poll: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Trajectory, FmiError> {
         let plan = Arc::new(SimulationPlan::new(&self.fmu, &self.with_values(options))?);
         // Their instances go back to the FMU and are used again right away.
         self.last = None;
         self.initial = None;
         let mut simulator = Simulator::new(Arc::clone(&plan))?;
-        let trajectory = simulator.trajectory(plan.parameter_starts())?;
+        let begun = Instant::now();
+        let trajectory = simulator.trajectory_with(plan.parameter_starts(), poll);
+        self.fmu.note_run(plan.kind(), begun.elapsed());
+        let trajectory = trajectory?;
         self.last = Some(simulator);
         self.pending.clear();
         Ok(trajectory)

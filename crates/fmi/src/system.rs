@@ -7,7 +7,7 @@ use crate::input::{InputPlan, InputState};
 use crate::instance::{Core, Initialization, Instance};
 use crate::plan::SimulationPlan;
 use crate::running::{Phase, Running};
-use crate::sys::{Fault, RawInstance};
+use crate::sys::{Fault, RawInstance, look_now_and_then};
 use ode::{
     CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
 };
@@ -27,11 +27,37 @@ pub(crate) struct System {
     /// The point last committed: what `get` refers to after a run.
     last_time: f64,
     last_states: Vec<f64>,
+    /// Derivatives that nobody asked for.
+    unused: Vec<f64>,
     /// The time event that the model announced.
     announced: Option<f64>,
+    /// The derivatives were computed at the point last set.
+    is_evaluated: bool,
+    freshness: Freshness,
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and never gone back
     /// behind.
     floor: f64,
+}
+
+/// Samples at which a model has to answer the same with and without the derivatives computed before, while something has
+/// changed since the sample before, to be trusted in the rest of the run.
+const GOOD_SAMPLES: u32 = 8;
+
+/// Whether the model computes its variables when they are read, as the standard wants it, or only together with the
+/// derivatives: then those are computed before (seen in FMUs of OpenModelica 1.12). Judged anew in every run, by its own
+/// first samples, which are right in any case: so a run does not depend on those before it.
+#[derive(Debug, Clone, Copy)]
+enum Freshness {
+    /// So many samples went well.
+    Open(u32),
+    WhenRead,
+    WithDerivatives,
+}
+
+impl Default for Freshness {
+    fn default() -> Self {
+        Freshness::Open(0)
+    }
 }
 
 /// Same bits, so that NaN and signed zeros count as what they are.
@@ -46,9 +72,12 @@ impl System {
             sent: Vec::with_capacity(plan.inputs.continuous.start.len()),
             set_time: None,
             set_states: None,
+            is_evaluated: false,
+            freshness: Freshness::default(),
             states: vec![0.0; n],
             last_time: plan.start,
             last_states: vec![0.0; n],
+            unused: vec![0.0; n],
             announced: None,
             floor: f64::NEG_INFINITY,
             running: Running::new(plan),
@@ -69,6 +98,7 @@ impl System {
         self.running.current.phase = Phase::Event(instance.exit_initialization()?);
         self.set_time = None;
         self.set_states = None;
+        self.freshness = Freshness::default();
         self.announced = None;
         self.floor = f64::NEG_INFINITY;
         self.last_time = start;
@@ -91,6 +121,13 @@ impl System {
         self.running.current.trusted()?;
         let (time, states) = (self.last_time, self.last_states.clone());
         match self.set_point(time, &states) {
+            // The model may compute its variables with the derivatives only.
+            Ok(()) if matches!(self.running.current.phase, Phase::Continuous(_)) && !self.is_evaluated => {
+                self.evaluate().or_else(|error| match error {
+                    CallError::Failed(error) => Err(unbox(error)),
+                    CallError::Discard => Ok(()),
+                })?;
+            }
             Ok(()) => {}
             Err(CallError::Failed(error)) => return Err(unbox(error)),
             // The point was good when the step was completed; the value there is the best there is.
@@ -109,6 +146,7 @@ impl System {
     fn set_point(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         let t = t.max(self.floor);
         if !self.set_time.is_some_and(|set| same_bits(set, t)) {
+            self.is_evaluated = false;
             self.set_time = None;
             self.call(|raw| raw.set_time(t))?;
             self.set_inputs(t)?;
@@ -119,6 +157,7 @@ impl System {
         }
         let same = self.set_states.is_some() && self.states.iter().zip(x).all(|(a, b)| same_bits(*a, *b));
         if !same {
+            self.is_evaluated = false;
             self.set_states = None;
             self.call(|raw| raw.set_continuous_states(x))?;
             self.states.copy_from_slice(x);
@@ -143,6 +182,54 @@ impl System {
         current.call(|raw| raw.set_real(&plan.inputs.continuous.references, &inputs.continuous))?;
         sent.extend_from_slice(&inputs.continuous);
         Ok(())
+    }
+
+    /// Reads the outputs at the point last set.
+    fn read_outputs(&mut self) -> CallResult<()> {
+        let is_continuous = matches!(self.running.current.phase, Phase::Continuous(_));
+        let must_compare = match self.freshness {
+            _ if self.is_evaluated || !is_continuous || self.states.is_empty() => false,
+            Freshness::WhenRead => false,
+            Freshness::WithDerivatives => {
+                self.evaluate()?;
+                false
+            }
+            Freshness::Open(_) => true,
+        };
+        if must_compare { self.compare_outputs() } else { self.running.read_outputs() }
+    }
+
+    /// Reads the outputs, computes the derivatives and reads them again.
+    fn compare_outputs(&mut self) -> CallResult<()> {
+        self.running.buffers.keep();
+        self.running.read_outputs()?;
+        let has_changed = !self.running.buffers.are_as_kept();
+        self.running.buffers.keep();
+        self.evaluate()?;
+        self.running.read_outputs()?;
+        if !self.running.buffers.are_as_kept() {
+            self.freshness = Freshness::WithDerivatives;
+            self.running.plan.fmu().note_stale_outputs();
+        } else if let Freshness::Open(good) = self.freshness
+            && has_changed
+        {
+            self.freshness =
+                if good + 1 < GOOD_SAMPLES { Freshness::Open(good + 1) } else { Freshness::WhenRead };
+        }
+        Ok(())
+    }
+
+    /// Computes the derivatives at the point last set, for what the model computes along with them. A point without
+    /// derivatives is none to compare at.
+    fn evaluate(&mut self) -> CallResult<()> {
+        let Self { running, unused, .. } = self;
+        match running.current.call(|raw| raw.get_derivatives(unused)) {
+            Ok(()) | Err(CallError::Discard) => {
+                self.is_evaluated = true;
+                Ok(())
+            }
+            Err(error) => Err(error),
+        }
     }
 
     fn note_outcome(&mut self, outcome: &EventOutcome) {
@@ -292,6 +379,7 @@ impl HybridSystem for System {
         if is_new_time && self.running.plan.inputs.continuous.references.is_empty() {
             self.set_time = None;
             self.set_states = None;
+            self.is_evaluated = false;
             self.call(|raw| raw.right_hand_side(time, x, dx))?;
             self.set_time = Some(time);
             self.states.copy_from_slice(x);
@@ -300,6 +388,7 @@ impl HybridSystem for System {
             self.set_point(t, x)?;
             self.call(|raw| raw.get_derivatives(dx))?;
         }
+        self.is_evaluated = true;
         all_finite(dx)?;
         self.running.note(dx);
         Ok(())
@@ -329,6 +418,8 @@ impl HybridSystem for System {
                 outcome => outcome.map(|()| true),
             }
         })?;
+        // What it has computed on the way may belong to other points.
+        self.is_evaluated = false;
         if !is_there {
             return Ok(false);
         }
@@ -352,17 +443,16 @@ impl HybridSystem for System {
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
         if self.running.plan.outputs().needs_fmu() {
             self.set_point(t, x)?;
+            self.read_outputs()?;
         }
-        let Running { plan, current, buffers, .. } = &mut self.running;
-        if plan.outputs().needs_fmu() {
-            current.call(|raw| buffers.read(plan.outputs(), raw))?;
-        }
+        let Running { plan, buffers, .. } = &mut self.running;
         buffers.row(plan.outputs(), t, plan.same, x, y);
         self.running.note(y);
         Ok(())
     }
 
     fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
+        look_now_and_then();
         self.commit(t, x);
         self.running.note(x);
         if self.running.plan.completed_step_not_needed {

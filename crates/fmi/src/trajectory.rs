@@ -92,18 +92,22 @@ fn not_in_result<'a>(name: &str, present: impl Iterator<Item = &'a str>) -> FmiE
 }
 
 /// Writes samples into columns.
-#[derive(Debug)]
-pub(crate) struct Recorder {
+pub(crate) struct Recorder<'a> {
     time: Vec<f64>,
     columns: Vec<Vec<f64>>,
     sides: Vec<Side>,
     events: Vec<EventRecord>,
+    /// Asked before every step.
+    poll: &'a mut dyn FnMut() -> ControlFlow<()>,
 }
 
-impl Recorder {
+impl<'a> Recorder<'a> {
     /// # Errors
     /// [`FmiError::Memory`]: there are too many rows and columns.
-    pub(crate) fn new(plan: &SimulationPlan) -> Result<Self, FmiError> {
+    pub(crate) fn new(
+        plan: &SimulationPlan,
+        poll: &'a mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Self, FmiError> {
         let (rows, columns) = (plan.times().len(), plan.outputs().len() + 1);
         let cells = (rows as u64).saturating_mul(columns as u64);
         memory::check(|| format!("a result of {rows} rows and {columns} columns"), cells.saturating_mul(8))?;
@@ -112,6 +116,7 @@ impl Recorder {
             columns: (0..plan.outputs().len()).map(|_| Vec::with_capacity(rows)).collect(),
             sides: Vec::with_capacity(rows),
             events: Vec::new(),
+            poll,
         })
     }
 
@@ -147,7 +152,7 @@ impl Recorder {
     }
 }
 
-impl Observer for Recorder {
+impl Observer for Recorder<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         self.time.push(sample.time);
         self.sides.push(sample.side);
@@ -159,5 +164,9 @@ impl Observer for Recorder {
 
     fn event(&mut self, event: &EventRecord) {
         self.events.push(*event);
+    }
+
+    fn poll(&mut self) -> ControlFlow<()> {
+        (self.poll)()
     }
 }

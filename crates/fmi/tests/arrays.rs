@@ -419,9 +419,14 @@ fn texts_and_bytes_are_inputs() {
             .output_interval(0.25)
             .outputs(["word", "packet"]);
         let found = fmu.simulate(&options.clone().inputs(inputs())).unwrap();
-        let words = ["first", "second", "first", "first", "first"].map(|word| Value::String(word.into()));
+        // Without event mode a row is read before the inputs of the next step are set.
+        let late = kind == Kind::CoSimulation;
+        let words = if late { [1, 1, 2, 1, 1] } else { [1, 2, 1, 1, 1] };
+        let words = words.map(|word| Value::String(["none", "first", "second"][word].into()));
         assert_eq!(found.values_of("word").unwrap(), words);
-        let packets = [vec![], vec![], vec![0, 255], vec![0, 255], vec![0, 255]].map(Value::Binary);
+        let packet = vec![0, 255];
+        let third = if late { vec![] } else { packet.clone() };
+        let packets = [vec![], vec![], third, packet.clone(), packet].map(Value::Binary);
         assert_eq!(found.values_of("packet").unwrap(), packets);
         let plain = fmu.simulate(&options).unwrap();
         assert!(plain.values_of("word").unwrap().iter().all(|word| *word == Value::String("none".into())));

@@ -311,7 +311,56 @@ fn copies_are_used_again_by_who_opens_the_fmu_next() {
     assert_eq!((before, mapped()), (2, 2));
 }
 
-/// Verdicts, records and copies do not depend on who runs first.
+/// The library ends the process when two instances of it are alive in one copy.
+#[test]
+fn there_is_one_instance_in_a_copy() {
+    let faults = &["DIES_WITH_TWO_INSTANCES", "RESET_TO_ZERO"];
+    for folder in [evil(faults), evil_with_sibling(faults, "single")] {
+        let fmu = folder.open();
+        let truth = fmu.simulate(&options()).unwrap();
+        for k in [2.0, 3.0] {
+            // After one whose instance is idle: by a pool, by a session, by a plan with other settings, by hand.
+            let pool = pool(&fmu, options());
+            assert!(is_of(k, &pool.lend().unwrap().trajectory(&[k]).unwrap()));
+            let mut session = Session::new(fmu.clone());
+            session.set("k", k).unwrap();
+            assert!(is_of(k, &session.simulate(&options()).unwrap()));
+            assert!(is_of(k, &pool.lend().unwrap().trajectory(&[k]).unwrap()));
+            assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);
+            let first = options().start_value("x", 1.0);
+            assert_eq!(fmu.simulate(&first).unwrap().columns, truth.columns);
+            drop((pool, session));
+            fmu.instantiate().unwrap();
+        }
+    }
+}
+
+/// Many pools need no more copies than simulators run at once.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_copy_that_lies_in_a_pool_is_lent_to_another_pool() {
+    let fmu = Fmu::open(fmi::example_fmu("van_der_pol").unwrap()).unwrap();
+    let pools: Vec<Pool> = (0..5)
+        .map(|i| {
+            let options = SimulateOptions::new().final_time(1.0 + f64::from(i)).ncp(2).parameters(["mu"]);
+            Pool::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap()))
+        })
+        .collect();
+    let run = |pool: &Pool, mu: f64| pool.lend().unwrap().trajectory(&[mu]).unwrap();
+    let truths: Vec<Trajectory> = pools.iter().map(|pool| run(pool, 1.5)).collect();
+    for mu in [2.0, 1.5, 0.5, 1.5] {
+        for (pool, truth) in pools.iter().zip(&truths) {
+            let found = run(pool, mu);
+            assert!(mu != 1.5 || found == *truth);
+        }
+    }
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
+    let files = maps.lines().filter(|line| line.contains("van_der_pol.so"));
+    let files: std::collections::HashSet<_> =
+        files.filter_map(|line| line.split_whitespace().nth(4)).collect();
+    assert_eq!(files.len(), 1);
+}
+
 #[test]
 fn a_simulator_can_be_dropped_on_another_thread() {
     let folder = evil(&["DIES_WITH_TWO"]);

@@ -175,7 +175,7 @@ fn a_way_that_passed_while_more_was_set_is_tried_again() {
     // A pool finds it out, too.
     let folder = evil(&["RESET_TO_ZERO"]);
     let fmu = folder.open();
-    let mut pools = Vec::new();
+    let (mut pools, mut others) = (Vec::new(), Vec::new());
     for (options, reuse) in [(&setting, Reuse::Reset), (&plain, Reuse::Reinstantiate)] {
         let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, options).unwrap()));
         assert_eq!(pool.reuse().unwrap(), reuse);
@@ -183,6 +183,8 @@ fn a_way_that_passed_while_more_was_set_is_tried_again() {
             assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap().columns, truth.columns);
         }
         pools.push(pool);
+        // Which takes the copy that lies in the pool, with what was set in it.
+        others.push(fmu.instantiate().unwrap());
     }
 }
 

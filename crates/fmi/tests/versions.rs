@@ -103,9 +103,16 @@ fn inputs_of_all_types_reach_the_model_in_all_versions() {
         .inputs(inputs)
         .outputs(["x", "target", "gear", "limit", "enabled", "u"]);
     let truth = truth("switched_input", &options);
+    // Without event mode there are limits from the left only.
+    let mut left = truth.clone();
+    for row in (1..left.time.len()).filter(|row| truth.time[*row] == truth.time[row - 1]) {
+        left.columns.iter_mut().for_each(|column| column[row] = column[row - 1]);
+    }
     for kind in ExampleKind::ALL {
         let fmu = open("switched_input", kind);
-        agree(&format!("{kind:?}"), &truth, &fmu.simulate(&options).unwrap(), 1e-6);
+        let has_events = !matches!(kind, ExampleKind::Fmi1CoSimulation | ExampleKind::Fmi2CoSimulation);
+        let truth = if has_events { &truth } else { &left };
+        agree(&format!("{kind:?}"), truth, &fmu.simulate(&options).unwrap(), 1e-6);
     }
     // FMI 3.0 knows no input derivatives: held over steps of 1 ms they are good enough for this.
     let fmu = open("switched_input", ExampleKind::Fmi3);

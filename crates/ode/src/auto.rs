@@ -1,90 +1,129 @@
-//! Tsit5 while the system is not stiff, Radau5 while it is.
+//! An explicit method while the system is not stiff, an implicit one while it is.
 //!
-//! The test: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2: two stages at the end of a
-//! step tell how strongly the right-hand side answers to a change of the state; where the product with the step size
-//! stays at the limit of stability, it is stability and not accuracy that decides the step. Back: by a bound on the
-//! spectral radius of the Jacobian.
+//! What is stiff is found by trial: now and then Radau5 makes a few steps, and goes on if they advance more per right-hand
+//! side than those of the explicit method did. (That counts what matters. Estimates of eigenvalues do not: steps are held back
+//! by stability at one product with the step size where eigenvalues are real, at another one where they are imaginary, and at
+//! smaller ones where the tolerance is tight.) When to try is a question of cost alone: at once where the product
+//! of step size and eigenvalue, which the last two stages tell (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II,
+//! section IV.2), stays at the end of the interval of stability; else when the right-hand sides since the last trial are worth it.
 
+use crate::bdf::Bdf;
+use crate::dop853::Dop853;
 use crate::explicit_rk::ExplicitRk;
 use crate::radau5::Radau5;
 use crate::stepper::{Attempt, Consistency, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::TSIT5;
 
-/// The interval of stability of Tsit5 on the negative axis ends at 3.5; a step size that only stability holds back settles
-/// a little below.
-const LIMIT: f64 = 3.25;
-/// So many steps at the limit make it stiff; so many clean ones in a row make them forgotten.
-const STIFF_STEPS: u32 = 15;
+/// Below this tolerance DOP853 is the explicit method, which takes fewer right-hand sides from there on (`benches/work_precision.md`).
+const TIGHT: f64 = 1e-7;
+/// From so many states on BDF takes over from Radau5 where the largest eigenvalue is real and the system is not linear: fewer
+/// right-hand sides and a fifth of the linear algebra for the same error. For linear systems Radau5 needs one iteration a
+/// step and is the better one (dense diffusion and advection of `--tuning` in `benches/auto.rs`: half the right-hand sides),
+/// as it is near the imaginary axis, where BDF of order 3 to 5 is not stable, and for small systems, whose Jacobians cost little.
+const LARGE: usize = 16;
+/// Below this product of step size and largest eigenvalue no explicit method is held back by its stability.
+const FREE: f64 = 1.0;
+/// Steps at the limit of stability that make a trial; so many others in a row make them forgotten (6: dopri5.f of Hairer and
+/// Wanner, which has 15 for the former, because it then stops).
+const STIFF_STEPS: u32 = 2;
 const CLEAN_STEPS: u32 = 6;
-/// Also stiff: more than about half of many steps rejected (a running count that forgets).
-const TOO_MANY_REJECTIONS: f64 = 25.0;
-const FORGET: f64 = 0.98;
-/// At tight tolerances the two stages differ by slow parts of the solution and see too little. So after this many steps of
-/// Tsit5, or this many per evaluation of a Jacobian, the spectral radius is taken from a Jacobian.
-/// There the fast parts must be damped more strongly to stay within the tolerance: steps settle at a smaller product.
-const NEAR_LIMIT: f64 = 2.0;
-/// How small depends on the tolerance. So where the largest eigenvalue is real and negative, and the product above this,
-/// Radau5 makes so many steps on trial: the method that advances more per right-hand side goes on.
-const WORTH_A_TRIAL: f64 = 0.3;
-const TRIAL_STEPS: u32 = 15;
-/// The first steps of a trial, in which the step size grows, do not count.
-const TRIAL_START: u32 = 5;
-/// After a trial that Tsit5 won the next one waits twice as long, up to so many times.
-const MOST_PATIENCE: usize = 64;
-const PROBE_STEPS: usize = 100;
-const PROBE_STEPS_PER_COST: usize = 4;
-/// Back after so many steps that Tsit5 could have made with room to spare.
-const EASY: f64 = 1.5;
-const EASY_STEPS: u32 = 5;
+/// Right-hand sides that a trial is expected to waste, besides those of its Jacobian: four steps of Radau5, less what
+/// they advance. The first trial comes after as many of the explicit method; each one that is lost makes the next one wait twice as long.
+const WASTE: f64 = 30.0;
+/// A trial is won when so many more of its steps advanced more per right-hand side than less, and lost when so many more advanced less:
+/// the first ones must damp what the explicit method has left of fast parts, and then grow.
+const DECIDED: i32 = 4;
+/// So many steps in which the iterations of Newton's method contract by more than this tell that the system is not linear; of a linear
+/// one rounding leaves some 1e-8, the error of differences in the Jacobian.
+const NONLINEAR_STEPS: u32 = 3;
+const LINEAR: f64 = 1e-6;
+/// The cosine between an eigenvector and its image, up to which its eigenvalue counts as real and negative.
+const REAL: f64 = -0.9;
+/// Share of the past in the means of work and advance, per step.
+const FORGET: f64 = 0.9;
+/// Right-hand sides that a return to the explicit method must have saved at least: several trials.
+const RETURN: f64 = 10.0 * WASTE;
+
+/// The method in use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Active {
+    Tsit5,
+    Dop853,
+    Radau5,
+    Bdf,
+}
 
 #[derive(Debug)]
 pub(crate) struct Auto {
-    easy: ExplicitRk<7>,
-    stiff: Radau5,
-    is_stiff: bool,
+    tsit5: ExplicitRk<7>,
+    dop853: Dop853,
+    radau5: Radau5,
+    bdf: Bdf,
+    /// The explicit one of them that the tolerance asks for.
+    explicit: Active,
+    active: Active,
+    /// Radau5 has room for this system; BDF has.
+    radau5_has_begun: bool,
+    bdf_has_begun: bool,
     /// The system has a mass matrix, which only Radau5 takes.
-    only_stiff: bool,
+    only_radau5: bool,
+    /// Right-hand sides of a Jacobian, as far as they are known.
+    jacobian_cost: f64,
     hits: u32,
     clean: u32,
-    easy_steps: u32,
-    strain: f64,
-    /// Steps of Tsit5 since a Jacobian was looked at.
-    since_probe: usize,
-    /// So many more probes until the next trial, and how many there shall be after a trial lost.
-    until_trial: usize,
-    patience: usize,
-    /// Right-hand sides and time advanced since the last probe, or since the start of the trial.
+    /// Right-hand sides of the step in the making, and since the last trial.
     work: u64,
-    advanced: f64,
-    /// Steps left of a trial of Radau5, and the time that Tsit5 advanced per right-hand side before.
-    trial_left: u32,
-    pace: f64,
-    /// Below this product Tsit5 takes over again.
-    easy_limit: f64,
-    /// `h` times the estimated spectral radius, of the last good trial of Tsit5.
+    since_trial: f64,
+    patience: f64,
+    /// Means over the last steps of the explicit method.
+    mean_work: f64,
+    mean_advance: f64,
+    /// The method in use is on trial: so many steps in a row were better (or worse, below zero).
+    on_trial: bool,
+    balance: i32,
+    /// Steps of Radau5 that showed that the system is not linear.
+    nonlinear: u32,
+    /// The step size of the explicit method when the trial began.
+    explicit_h: f64,
+    /// BDF takes over at the next step.
+    bdf_is_next: bool,
+    /// The share of a step of Radau5, of order 5, that the first one of BDF, of order 1, begins with.
+    first_share: f64,
+    /// Right-hand sides that the explicit method would have saved in the steps of Radau5 so far.
+    saved: f64,
+    /// `h` times the estimated largest eigenvalue, of the last good step of the explicit method.
     response: f64,
 }
 
-impl Default for Auto {
-    fn default() -> Self {
+impl Auto {
+    pub(crate) fn new(rtol: f64) -> Self {
+        let explicit = if rtol < TIGHT { Active::Dop853 } else { Active::Tsit5 };
         Self {
-            easy: ExplicitRk::new(&TSIT5),
-            stiff: Radau5::default(),
-            is_stiff: false,
-            only_stiff: false,
+            tsit5: ExplicitRk::new(&TSIT5),
+            dop853: Dop853::default(),
+            radau5: Radau5::default(),
+            bdf: Bdf::default(),
+            explicit,
+            active: explicit,
+            radau5_has_begun: false,
+            bdf_has_begun: false,
+            only_radau5: false,
+            jacobian_cost: 0.0,
             hits: 0,
             clean: 0,
-            easy_steps: 0,
-            strain: 0.0,
-            since_probe: 0,
-            until_trial: 0,
-            patience: 1,
             work: 0,
-            advanced: 0.0,
-            trial_left: 0,
-            pace: 0.0,
-            easy_limit: EASY,
+            since_trial: 0.0,
+            patience: 0.0,
+            mean_work: 0.0,
+            mean_advance: 0.0,
+            on_trial: false,
+            balance: 0,
+            nonlinear: 0,
+            explicit_h: 0.0,
+            bdf_is_next: false,
+            first_share: rtol.powf(0.25),
+            saved: 0.0,
             response: 0.0,
         }
     }
@@ -93,67 +132,86 @@ impl Default for Auto {
 /// Calls the method in use.
 macro_rules! active {
     ($self:ident.$call:ident($($argument:expr),*)) => {
-        if $self.is_stiff { $self.stiff.$call($($argument),*) } else { $self.easy.$call($($argument),*) }
+        match $self.active {
+            Active::Tsit5 => $self.tsit5.$call($($argument),*),
+            Active::Dop853 => $self.dop853.$call($($argument),*),
+            Active::Radau5 => $self.radau5.$call($($argument),*),
+            Active::Bdf => $self.bdf.$call($($argument),*),
+        }
     };
 }
 
 impl Auto {
+    /// Right-hand sides of a step of the explicit method, and the end of its interval of stability on the negative axis, or a
+    /// little less, where steps settle that only stability holds back (dopri5.f and dop853.f: 3.25 and 6.1).
+    fn stages_and_limit(&self) -> (f64, f64) {
+        if self.explicit == Active::Tsit5 { (6.0, 3.25) } else { (12.0, 6.1) }
+    }
+
+    fn is_explicit(&self) -> bool {
+        self.active == self.explicit
+    }
+
+    /// Starts to count anew.
     fn calm(&mut self) {
         self.hits = 0;
         self.clean = 0;
-        self.easy_steps = 0;
-        self.strain = 0.0;
-        self.since_probe = 0;
-        self.work = 0;
-        self.advanced = 0.0;
-        self.trial_left = 0;
+        self.since_trial = 0.0;
+        self.saved = 0.0;
+        self.on_trial = false;
+        self.balance = 0;
     }
 
-    /// Looks at the Jacobian at the start of a step of Tsit5, now and then, and switches if it says so.
-    fn probe<S: HybridSystem + ?Sized>(
+    /// Lets Radau5 make the next steps, on trial, if it is time to.
+    fn try_radau5<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        trial: Trial<'_>,
+        h: f64,
     ) -> CallResult<()> {
-        let wait = PROBE_STEPS.max(PROBE_STEPS_PER_COST * self.stiff.jacobian_cost());
-        if self.since_probe < wait {
+        let is_due = self.response > FREE && self.since_trial >= self.patience * (self.jacobian_cost + WASTE);
+        let is_urgent = self.hits >= STIFF_STEPS && self.since_trial >= self.patience * self.jacobian_cost;
+        if !(is_due || is_urgent) {
             return Ok(());
         }
-        let pace = self.advanced / self.work.max(1) as f64;
-        let point = (trial.t, trial.x, self.easy.derivative());
-        self.since_probe = 0;
-        self.work = 0;
-        self.advanced = 0.0;
-        self.until_trial = self.until_trial.saturating_sub(1);
-        match self.stiff.spectral_radius(equations, point) {
-            Ok((radius, _)) if trial.h * radius > NEAR_LIMIT => self.become_stiff(),
-            Ok((radius, quotient))
-                if self.until_trial == 0 && trial.h * radius > WORTH_A_TRIAL && quotient < -0.9 * radius =>
-            {
-                self.become_stiff();
-                self.trial_left = TRIAL_STEPS;
-                self.pace = pace;
-                self.easy_limit = EASY.min(0.5 * trial.h * radius);
+        if !self.radau5_has_begun {
+            if self.radau5.begin(&*equations.system).is_err() {
+                // No room for its matrices: the explicit method goes on.
+                self.patience = f64::INFINITY;
+                return Ok(());
             }
-            // No Jacobian to be had here: as before.
-            Ok(_) | Err(CallError::Discard) => {}
-            Err(failed) => return Err(failed),
+            self.radau5_has_begun = true;
         }
+        let f = match self.explicit {
+            Active::Tsit5 => self.tsit5.derivative(),
+            _ => self.dop853.derivative(),
+        };
+        self.radau5.take_over(f);
+        self.calm();
+        self.active = Active::Radau5;
+        self.on_trial = true;
+        self.explicit_h = h;
+        self.nonlinear = 0;
         Ok(())
     }
 
-    fn become_stiff(&mut self) {
+    /// Back to the explicit method; the next trial waits longer.
+    fn leave_radau5(&mut self) {
+        let f = self.radau5.derivative();
+        match self.explicit {
+            Active::Tsit5 => self.tsit5.take_over(f),
+            _ => self.dop853.take_over(f),
+        }
         self.calm();
-        self.is_stiff = true;
-        self.easy_limit = EASY;
-        self.stiff.take_over(self.easy.derivative());
+        self.active = self.explicit;
+        self.patience *= 2.0;
     }
 
-    /// After an accepted step of Tsit5: is it stiff here?
-    fn became_stiff(&mut self) -> bool {
-        self.strain *= FORGET;
-        self.since_probe += 1;
-        if self.response > LIMIT {
+    /// After an accepted step of the explicit method.
+    fn watch_explicit(&mut self, work: f64, h: f64) {
+        self.mean_work = FORGET * self.mean_work + work;
+        self.mean_advance = FORGET * self.mean_advance + h;
+        self.since_trial += work;
+        if self.response > self.stages_and_limit().1 {
             self.hits += 1;
             self.clean = 0;
         } else {
@@ -162,35 +220,43 @@ impl Auto {
                 self.hits = 0;
             }
         }
-        self.hits >= STIFF_STEPS || self.strain > TOO_MANY_REJECTIONS
     }
 
-    /// After an accepted step of Radau5: would Tsit5 do?
-    fn became_easy(&mut self, h: f64) -> bool {
-        if self.trial_left > 0 {
-            return self.lost_trial();
+    /// After an accepted step of Radau5 on trial; returns the step size to go on with.
+    fn judge(&mut self, work: f64, h: f64, proposed: f64) -> f64 {
+        self.nonlinear += u32::from(self.radau5.contraction() > LINEAR);
+        let better = h * self.mean_work > self.mean_advance * work;
+        self.balance += if better { 1 } else { -1 };
+        if self.balance <= -DECIDED {
+            self.leave_radau5();
+            return self.explicit_h;
         }
-        let easy = self.stiff.stiffness(h).is_some_and(|response| response < self.easy_limit);
-        self.easy_steps = if easy { self.easy_steps + 1 } else { 0 };
-        !self.only_stiff && self.easy_steps >= EASY_STEPS
+        if self.balance >= DECIDED {
+            self.calm();
+        }
+        proposed
     }
-}
 
-impl Auto {
-    /// After a step of a trial of Radau5: has it come to its end, and was Tsit5 faster?
-    fn lost_trial(&mut self) -> bool {
-        self.trial_left -= 1;
-        if self.trial_left + TRIAL_START == TRIAL_STEPS {
-            self.work = 0;
-            self.advanced = 0.0;
+    /// After an accepted step of Radau5: is another method the better one? Returns the step size to go on with.
+    fn watch_radau5(&mut self, work: f64, h: f64, proposed: f64) -> f64 {
+        if self.only_radau5 {
+            return proposed;
         }
-        if self.trial_left > 0 {
-            return false;
+        self.nonlinear += u32::from(self.radau5.contraction() > LINEAR);
+        let (radius, cosine) = self.radau5.spectrum();
+        if self.radau5.derivative().len() >= LARGE {
+            self.bdf_is_next = self.nonlinear >= NONLINEAR_STEPS && cosine < REAL;
+            if self.bdf_is_next {
+                return self.first_share * proposed;
+            }
         }
-        let lost = self.advanced < self.pace * self.work as f64;
-        self.patience = if lost { (2 * self.patience).min(MOST_PATIENCE) } else { 1 };
-        self.until_trial = if lost { self.patience } else { 0 };
-        lost
+        // The right-hand sides that the explicit method would have saved. It takes over when they would have paid for coming back.
+        let (stages, limit) = self.stages_and_limit();
+        self.saved = (self.saved + work - stages * (h * radius / limit).max(1.0)).max(0.0);
+        if self.saved > self.patience * (self.jacobian_cost + RETURN) {
+            self.leave_radau5();
+        }
+        proposed
     }
 }
 
@@ -215,15 +281,25 @@ impl Stepper for Auto {
         active!(self.takes_long_steps())
     }
 
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) {
-        self.easy.begin(system);
-        self.stiff.begin(system);
-        self.only_stiff = system.mass_matrix().is_some();
-        self.is_stiff = self.only_stiff;
-        self.until_trial = 0;
-        self.patience = 1;
-        self.easy_limit = EASY;
+    fn evaluates_ends(&self) -> bool {
+        active!(self.evaluates_ends())
+    }
+
+    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
+        self.only_radau5 = system.mass_matrix().is_some();
+        self.active = if self.only_radau5 { Active::Radau5 } else { self.explicit };
+        active!(self.begin(system))?;
+        self.radau5_has_begun = self.only_radau5;
+        self.bdf_has_begun = false;
+        self.bdf_is_next = false;
+        let pattern = system.jacobian_pattern();
+        self.jacobian_cost = pattern.map_or(system.n_states(), |p| p.widest_column()) as f64;
+        self.patience = 1.0;
+        self.mean_work = 0.0;
+        self.mean_advance = 0.0;
+        self.work = 0;
         self.calm();
+        Ok(())
     }
 
     fn evaluate<S: HybridSystem + ?Sized>(
@@ -256,6 +332,19 @@ impl Stepper for Auto {
         active!(self.repeat());
     }
 
+    fn takes_jacobians(&self) -> bool {
+        active!(self.takes_jacobians())
+    }
+
+    fn undetermined<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &[f64],
+    ) -> Option<usize> {
+        active!(self.undetermined(equations, t, x))
+    }
+
     fn derivative(&self) -> &[f64] {
         active!(self.derivative())
     }
@@ -266,21 +355,36 @@ impl Stepper for Auto {
         trial: Trial<'_>,
         x_new: &mut [f64],
     ) -> CallResult<Attempt> {
-        if !self.is_stiff {
-            self.probe(equations, trial)?;
-        }
-        let before = equations.stats.right_hand_sides + equations.stats.directional_derivatives;
-        let attempt = active!(self.try_step(equations, trial, x_new))?;
-        self.work += equations.stats.right_hand_sides + equations.stats.directional_derivatives - before;
-        if !self.is_stiff {
-            match attempt {
-                Attempt::Good => {
-                    self.response = trial.h * self.easy.response(trial.x, x_new, equations.weights)
-                }
-                _ => self.strain += 1.0,
+        if self.is_explicit() {
+            self.try_radau5(equations, trial.h)?;
+        } else if std::mem::take(&mut self.bdf_is_next) {
+            if !self.bdf_has_begun {
+                self.bdf.begin(&*equations.system)?;
+                self.bdf_has_begun = true;
             }
+            self.bdf.take_over(trial.x, &mut self.radau5);
+            self.active = Active::Bdf;
         }
-        Ok(attempt)
+        let calls = |equations: &Equations<'_, S>| {
+            equations.stats.right_hand_sides + equations.stats.directional_derivatives
+        };
+        let before = calls(equations);
+        let attempt = active!(self.try_step(equations, trial, x_new));
+        self.work += calls(equations) - before;
+        let is_hopeless = matches!(attempt, Ok(Attempt::NotSolved { .. }) | Err(CallError::Discard));
+        if self.on_trial && is_hopeless {
+            // Equations or a Jacobian that cannot be had here: the explicit method does without.
+            self.leave_radau5();
+            return Ok(Attempt::NotSolved { h: self.explicit_h });
+        }
+        if matches!(attempt, Ok(Attempt::Good)) {
+            self.response = match self.active {
+                Active::Tsit5 => trial.h * self.tsit5.response(trial.x, x_new, equations.weights),
+                Active::Dop853 => trial.h * self.dop853.response(trial.x, x_new, equations.weights),
+                _ => 0.0,
+            };
+        }
+        attempt
     }
 
     fn error(&self) -> &[f64] {
@@ -306,19 +410,16 @@ impl Stepper for Auto {
 
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
         let proposed = active!(self.accept(h, theta));
-        self.advanced += theta * h;
+        let work = std::mem::take(&mut self.work) as f64;
         // At an event the method goes on as it is: the right-hand side of the end of the step is not known.
         if theta < 1.0 {
             return proposed;
         }
-        if self.is_stiff {
-            if self.became_easy(h) {
-                self.calm();
-                self.is_stiff = false;
-                self.easy.take_over(self.stiff.derivative());
-            }
-        } else if self.became_stiff() {
-            self.become_stiff();
+        match self.active {
+            Active::Radau5 if self.on_trial => return self.judge(work, h, proposed),
+            Active::Radau5 => return self.watch_radau5(work, h, proposed),
+            Active::Bdf => {}
+            Active::Tsit5 | Active::Dop853 => self.watch_explicit(work, h),
         }
         proposed
     }

@@ -13,6 +13,7 @@
 use crate::control::scaled_norm;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
+use crate::radau5::Radau5;
 use crate::stepper::{Attempt, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
@@ -121,6 +122,16 @@ impl Default for Bdf {
 }
 
 impl Bdf {
+    /// Takes over from Radau5 at `x`, with its Jacobian.
+    pub(crate) fn take_over(&mut self, x: &[f64], from: &mut Radau5) {
+        self.forget();
+        self.z[0].copy_from_slice(x);
+        self.f.copy_from_slice(from.derivative());
+        std::mem::swap(&mut self.jacobian, from.jacobian_mut());
+        self.has_jacobian = true;
+        self.jacobian_age = 0;
+    }
+
     /// Takes the decided order.
     fn change_order(&mut self) {
         let q = self.order;
@@ -180,11 +191,10 @@ impl Bdf {
             self.jacobian_is_suspect = false;
             self.jacobian_age = 0;
         }
-        let n = self.rhs.len();
         let j = &self.jacobian.values;
         equations.stats.decompositions += 1;
         equations.stats.linear_algebra += self.lu.operations().0;
-        let good = self.lu.decompose(|p| f64::from(p.is_multiple_of(n + 1)) - gamma * j[p]);
+        let good = self.lu.decompose(|p, on_diagonal| f64::from(on_diagonal) - gamma * j[p]);
         self.decomposed_gamma = if good { gamma } else { 0.0 };
         self.decomposition_age = 0;
         self.rate = 1.0;
@@ -344,10 +354,10 @@ impl Stepper for Bdf {
         true
     }
 
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) {
+    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
         let n = system.n_states();
-        self.jacobian.begin(system);
-        self.lu.begin(n, self.jacobian.pattern());
+        self.jacobian.begin(system)?;
+        self.lu.begin(n, self.jacobian.pattern())?;
         let Self { f, correction, last_correction, inverse, x, rhs, increment, z, z_new, .. } = self;
         let single = [f, correction, last_correction, inverse, x, rhs, increment];
         for v in single.into_iter().chain(z).chain(z_new) {
@@ -356,6 +366,7 @@ impl Stepper for Bdf {
         }
         self.has_jacobian = false;
         self.forget();
+        Ok(())
     }
 
     fn evaluate<S: HybridSystem + ?Sized>(
@@ -394,6 +405,10 @@ impl Stepper for Bdf {
 
     fn evaluates_ends(&self) -> bool {
         false
+    }
+
+    fn takes_jacobians(&self) -> bool {
+        true
     }
 
     fn derivative(&self) -> &[f64] {

@@ -75,6 +75,17 @@ pub(crate) fn dense_weights(theta: f64) -> [f64; STAGES] {
 }
 
 impl Dop853 {
+    /// As of [`ExplicitRk`](crate::explicit_rk::ExplicitRk): the last two stages lie at the end of the step both.
+    pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &crate::control::Weights) -> f64 {
+        weights.ratio(x, (&self.k[END], &self.k[END - 1]), (x_new, &self.stage))
+    }
+
+    /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
+    pub(crate) fn take_over(&mut self, f: &[f64]) {
+        self.k[0].copy_from_slice(f);
+        self.forget();
+    }
+
     fn stage<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -100,7 +111,7 @@ impl Stepper for Dop853 {
         true
     }
 
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) {
+    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
         let n = system.n_states();
         let Self { k, stage, error, dense, .. } = self;
         for v in k.iter_mut().chain(dense).chain([stage, error]) {
@@ -108,6 +119,7 @@ impl Stepper for Dop853 {
             v.resize(n, 0.0);
         }
         self.controller.restart();
+        Ok(())
     }
 
     fn evaluate<S: HybridSystem + ?Sized>(
@@ -141,10 +153,10 @@ impl Stepper for Dop853 {
             self.stage(equations, s, trial)?;
         }
         combine(x_new, x, h, terms(A[END], &self.k));
-        weighted_sum(&mut self.stage, h, terms(ERROR_3, &self.k));
+        weighted_sum(&mut self.error, h, terms(ERROR_3, &self.k));
+        let third = equations.weights.error_norm(x, x_new, &self.error);
         weighted_sum(&mut self.error, h, terms(ERROR_5, &self.k));
         // Of order 8 at a smooth place: the estimate of order 5, made smaller where that of order 3 is larger still.
-        let third = equations.weights.error_norm(x, x_new, &self.stage);
         let fifth = equations.weights.error_norm(x, x_new, &self.error);
         let both = fifth.hypot(0.1 * third);
         self.error_norm = if both == 0.0 { 0.0 } else { fifth * (fifth / both) };

@@ -4,7 +4,7 @@ use crate::auto::Auto;
 use crate::bdf::Bdf;
 use crate::control::Weights;
 use crate::dop853::Dop853;
-use crate::error::{ErrorKind, Report, SimulationError, Termination};
+use crate::error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
 use crate::event::Domains;
 use crate::explicit_rk::ExplicitRk;
 use crate::observer::Observer;
@@ -13,12 +13,14 @@ use crate::radau5::Radau5;
 use crate::sampling::Sampler;
 use crate::stats::Stats;
 use crate::stepper::Stepper;
-use crate::system::{CallError, EventCause, HybridSystem, InputStop};
+use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSystem, InputStop};
 use crate::tableau::{EULER, RK4, TSIT5};
 use crate::watched::{CallWatch, Watch, Watched, kind_of};
 
 mod events;
+mod evidence;
 mod inside;
+mod returns;
 mod samples;
 mod sliding;
 mod step;
@@ -107,7 +109,7 @@ impl Driver {
     pub fn new(options: Options) -> Result<Self, OptionsError> {
         options.check()?;
         let method = match options.method {
-            Method::Auto => MethodState::Auto(Box::default()),
+            Method::Auto => MethodState::Auto(Box::new(Auto::new(options.relative_tolerance))),
             Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
             Method::Radau5 => MethodState::Radau5(Box::default()),
             Method::Dop853 => MethodState::Dop853(Box::default()),
@@ -201,6 +203,8 @@ struct Run<'a, S: ?Sized, M, O: ?Sized> {
     input_stop: Option<InputStop>,
     sliding: Sliding,
     discards: u32,
+    not_finite: Option<NotFinite>,
+    undetermined: Option<usize>,
     worst_state: Option<usize>,
     last_event: Option<f64>,
     stats: Stats,
@@ -243,6 +247,8 @@ where
             input_stop: None,
             sliding: Sliding::new(span, same),
             discards: 0,
+            not_finite: None,
+            undetermined: None,
             worst_state: None,
             last_event: None,
             stats: Stats::default(),
@@ -262,14 +268,19 @@ where
         self.stats.samples = self.space.sampler.delivered();
         match exit {
             Exit::Normal(termination) => Ok(Report { termination, time: self.t, stats: self.stats }),
-            Exit::Error(kind) => Err(Box::new(SimulationError {
-                kind,
-                time: self.t,
-                step: self.h_tried,
-                worst_state: self.worst_state,
-                last_event: self.last_event,
-                stats: self.stats,
-            })),
+            Exit::Error(kind) => {
+                self.look_for_reasons(&kind);
+                Err(Box::new(SimulationError {
+                    kind,
+                    time: self.t,
+                    step: self.h_tried,
+                    worst_state: self.worst_state,
+                    last_event: self.last_event,
+                    not_finite: self.not_finite,
+                    undetermined: self.undetermined,
+                    stats: self.stats,
+                }))
+            }
         }
     }
 
@@ -295,7 +306,7 @@ where
         }
         let system = &*self.system;
         space.domains.begin(nz, |i| system.event_direction(i));
-        space.sampler.begin(self.system.n_outputs());
+        space.sampler.begin(self.system.n_outputs(), self.same);
         if let Some(m) = self.system.mass_matrix() {
             if m.len() != n * n || m.iter().any(|m| !m.is_finite()) {
                 return Err(ErrorKind::MassMatrix { given: m.len(), states: n }.into());
@@ -304,13 +315,14 @@ where
                 return Err(ErrorKind::MassMatrixNeedsRadau5.into());
             }
         }
-        self.stepper.begin(&*self.system);
+        self.stepper.begin(&*self.system).map_err(no_retreat)?;
 
         let given = if self.fixed_step.is_some() { self.fixed_step } else { self.options.max_step };
         if let Some(step) = given.filter(|step| start < end && *step <= 4.0 * self.same) {
             return Err(ErrorKind::StepBelowRounding { step, least: 4.0 * self.same }.into());
         }
-        let outcome = self.system.start(start, &mut self.space.x).map_err(no_retreat)?;
+        let outcome = self.system.start(start, &mut self.space.x);
+        let outcome = self.with_states(outcome)?;
         if outcome.terminate {
             // The model is still where it asked to end: nothing but its outputs may be asked for.
             self.sample_here(false)?;
@@ -328,6 +340,14 @@ where
         }
         self.sample_here(false)?;
         self.reached_end()
+    }
+
+    /// After the system was asked for its states.
+    fn with_states(&mut self, outcome: CallResult<EventOutcome>) -> Step<EventOutcome> {
+        if matches!(outcome, Err(CallError::Discard)) {
+            self.not_finite = NotFinite::first(Evaluated::State, self.t, &self.space.x);
+        }
+        outcome.map_err(no_retreat)
     }
 
     /// One accepted step with everything that belongs to it, or one rejected trial.
@@ -371,15 +391,15 @@ where
     /// The step is good: locate an event inside, sample, complete it, handle events, go on.
     fn commit(&mut self, end: f64, h: f64) -> Step<()> {
         let found = match self.look_inside(end, h)? {
-            Inside::Nothing => Found { at: end, end, h, crossed: false },
+            Inside::Nothing => Found { at: end, end, h, before: None },
             Inside::Crossing(found) => found,
             // As if the step had been refused.
             Inside::Again { h, why } => return self.shrink(h, why),
         };
-        let mut cause = EventCause { state: found.crossed, ..EventCause::default() };
-        let Found { at, end, h, .. } = found;
+        let Found { at, end, h, before } = found;
         let inside = at != end;
         let crossed = self.space.domains.mark();
+        let mut cause = EventCause { state: crossed.is_some(), ..EventCause::default() };
         if !self.sample_before(at, end, h)? {
             let h = self.stepper.refused(h);
             return self.shrink(h, Shrink::Refused);
@@ -387,6 +407,9 @@ where
         self.discards = 0;
         self.worst_state = None;
         self.show_step(at, end, h);
+        if let Some(before) = before {
+            self.take_slope_before(before, end, h)?;
+        }
 
         let theta = if inside { (at - self.t) / h } else { 1.0 };
         std::mem::swap(&mut self.space.x, &mut self.space.x_new);
@@ -404,19 +427,26 @@ where
         self.watch_events(cause, crossed)?;
         if eventful {
             self.sample_left()?;
-            self.take_slope(!inside && self.stepper.evaluates_ends())?;
+            if before.is_none() {
+                self.take_slope(!inside && self.stepper.evaluates_ends())?;
+            }
         }
         if let Some(stop) = stop {
             self.h = self.stepper.kink(self.h);
             self.input_stop = self.system.next_input_stop(at.max(stop.time));
         }
+        self.space.domains.settle();
         if eventful {
             self.visit_event(cause)?;
         } else {
             self.space.domains.advance(began);
         }
         let eventful = self.more_events_here(eventful)? || eventful;
-        self.sample_here(eventful)?;
+        // A crossing so near is at this instant: the samples here wait for it.
+        let waits = !eventful && !action.terminate && self.t < self.end - self.same;
+        if !(waits && self.space.domains.is_about_to_cross(began, self.t, self.same)) {
+            self.sample_here(eventful)?;
+        }
         if action.terminate {
             return finish(Termination::StoppedByModel);
         }

@@ -74,6 +74,11 @@ pub enum ErrorKind {
         /// States of the model.
         states: usize,
     },
+    /// An implicit method needs dense matrices of as many rows as there are states, and there is no room for them.
+    TooLargeForDense {
+        /// States of the model.
+        states: usize,
+    },
     /// The model has a mass matrix, which this method cannot take.
     MassMatrixNeedsRadau5,
     /// The equations of a singular mass matrix that have no derivative in them do not hold at the start or after an event,
@@ -108,6 +113,12 @@ pub enum ErrorKind {
         /// The indicator that crossed last.
         indicator: usize,
     },
+    /// An event indicator came back to zero sooner after its event than instants can be told apart: its events accumulate
+    /// there (Zeno), and the solution behind would not be that of the model.
+    EventsAccumulate {
+        /// The indicator.
+        indicator: usize,
+    },
     /// So many time events in a row announced the next one for the same instant, or for one a hair later.
     TimeEventLoop(u64),
     /// The model announced a time event that lies in the past.
@@ -130,6 +141,7 @@ impl ErrorKind {
             Self::StepBelowRounding { .. } => "the steps asked for are too small".to_owned(),
             Self::NoConvergence => "the equations of the implicit method do not converge".to_owned(),
             Self::MassMatrix { .. } => "the mass matrix cannot be used".to_owned(),
+            Self::TooLargeForDense { .. } => "there is no room for dense matrices".to_owned(),
             Self::MassMatrixNeedsRadau5 => "the mass matrix needs solver radau5".to_owned(),
             Self::Inconsistent { .. } => "the states are not consistent".to_owned(),
             Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
@@ -142,10 +154,92 @@ impl ErrorKind {
             }
             Self::Cancelled => "cancelled".to_owned(),
             Self::Chattering { indicator, .. } => format!("chattering (event indicator {indicator})"),
+            Self::EventsAccumulate { indicator } => {
+                format!("events accumulate (event indicator {indicator})")
+            }
             Self::TimeEventLoop(_) => "time events that do not let time advance".to_owned(),
             Self::EventInThePast(_) => "a time event in the past".to_owned(),
             Self::Model(e) => e.to_string(),
         }
+    }
+}
+
+/// What was evaluated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Evaluated {
+    /// The states that the model has at its start or made in an event.
+    State,
+    /// The right-hand side.
+    Derivative,
+    /// The event indicators.
+    EventIndicator,
+    /// The model's own Jacobian, by columns.
+    Jacobian,
+}
+
+/// A value that is NaN or infinite.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NotFinite {
+    /// Of what.
+    pub what: Evaluated,
+    /// Its position, counted from zero.
+    pub index: usize,
+    /// The value.
+    pub value: f64,
+    /// The time it was evaluated at.
+    pub time: f64,
+    /// What the model calls it, where somebody who knows has filled that in.
+    pub name: Option<String>,
+}
+
+impl NotFinite {
+    pub(crate) fn first(what: Evaluated, time: f64, values: &[f64]) -> Option<Self> {
+        let index = values.iter().position(|v| !v.is_finite())?;
+        Some(Self { what, index, value: values[index], time, name: None })
+    }
+}
+
+impl fmt::Display for NotFinite {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { what, index, value, time, name } = self;
+        match what {
+            Evaluated::State => write!(f, "state {index}")?,
+            Evaluated::Derivative => write!(f, "the derivative of state {index}")?,
+            Evaluated::EventIndicator => write!(f, "event indicator {index}")?,
+            Evaluated::Jacobian => write!(f, "entry {index} of the Jacobian, by columns,")?,
+        }
+        if let Some(name) = name {
+            write!(f, " ({name})")?;
+        }
+        write!(f, " is {} at t = {}", Number(*value), Number(*time))
+    }
+}
+
+/// There is no room for dense matrices of so many rows.
+#[derive(Debug)]
+pub(crate) struct TooLargeForDense {
+    pub(crate) states: usize,
+}
+
+impl fmt::Display for TooLargeForDense {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let n = self.states as f64;
+        let gigabytes = 8e-9 * n * n;
+        write!(
+            f,
+            "an implicit method needs a dense Jacobian of {0} x {0} entries ({gigabytes:.1} GB), and one or three times as \
+             much for its factors: give the sparsity pattern of the Jacobian, or take an explicit method (tsit5, dop853)",
+            self.states
+        )
+    }
+}
+
+impl std::error::Error for TooLargeForDense {}
+
+impl From<TooLargeForDense> for ErrorKind {
+    fn from(TooLargeForDense { states }: TooLargeForDense) -> Self {
+        Self::TooLargeForDense { states }
     }
 }
 
@@ -162,6 +256,11 @@ pub struct SimulationError {
     pub worst_state: Option<usize>,
     /// Time of the last event.
     pub last_event: Option<f64>,
+    /// The value that was not finite where the model could not be evaluated, if one was found.
+    pub not_finite: Option<NotFinite>,
+    /// With a singular mass matrix, where steps or consistent states failed: an equation without derivatives that does not
+    /// determine the states it should, which is so in systems of index 2 or higher.
+    pub undetermined: Option<usize>,
     /// What it had cost.
     pub stats: Stats,
 }
@@ -212,6 +311,7 @@ impl fmt::Display for SimulationError {
                     "the mass matrix must have {states} x {states} finite entries by columns, {given} were given"
                 );
             }
+            ErrorKind::TooLargeForDense { states } => return TooLargeForDense { states: *states }.fmt(f),
             ErrorKind::MassMatrixNeedsRadau5 => {
                 return write!(f, "a system with a mass matrix can only be integrated by radau5 (or auto)");
             }
@@ -223,9 +323,10 @@ impl fmt::Display for SimulationError {
                      equation {equation}, in which no derivative stands, has the residual {residual}"
                 )?;
             }
-            ErrorKind::DiscardedAtRestart => {
-                write!(f, "the model cannot be evaluated at its own state at t = {t}")?
-            }
+            ErrorKind::DiscardedAtRestart => match &self.not_finite {
+                Some(value) => write!(f, "{value}")?,
+                None => write!(f, "the model cannot be evaluated at its own state at t = {t}")?,
+            },
             ErrorKind::TooManySteps(n) => write!(f, "the limit of {n} steps was reached at t = {t}")?,
             ErrorKind::TooManyEvents(n) => write!(f, "the limit of {n} events was reached at t = {t}")?,
             ErrorKind::TooManyRightHandSides(n) => {
@@ -246,6 +347,13 @@ impl fmt::Display for SimulationError {
                     "chattering at t = {t}: {events} state events within {within} (last: event indicator {indicator})"
                 )?;
             }
+            ErrorKind::EventsAccumulate { indicator } => {
+                write!(
+                    f,
+                    "chattering at t = {t}: event indicator {indicator} comes back to zero sooner after its event than \
+                     steps can resolve (its events accumulate there)"
+                )?;
+            }
             ErrorKind::TimeEventLoop(n) => {
                 write!(f, "{n} time events at t = {t}, each announcing another one there or a hair later")?
             }
@@ -254,6 +362,16 @@ impl fmt::Display for SimulationError {
                 write!(f, "the model announced its next time event for {next}, which lies before t = {t}")?;
             }
             ErrorKind::Model(e) => write!(f, "at t = {t}: {e}")?,
+        }
+        if let (ErrorKind::StepTooSmall { .. }, Some(value)) = (&self.kind, &self.not_finite) {
+            write!(f, ": {value}")?;
+        }
+        if let Some(equation) = self.undetermined {
+            write!(
+                f,
+                "; the problem looks like index 2 or higher: equation {equation}, in which no derivative stands, does not \
+                 determine the states it should (their block of the Jacobian is singular)"
+            )?;
         }
         if let Some(i) = self.worst_state {
             write!(f, "; largest error in state {i}")?;

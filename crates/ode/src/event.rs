@@ -5,6 +5,10 @@
 
 use crate::system::{CallResult, Direction};
 
+mod returns;
+
+pub(crate) use returns::Slopes;
+
 /// Which indicators are positive, and the values they were read from.
 #[derive(Debug, Default)]
 pub(crate) struct Domains {
@@ -25,6 +29,14 @@ pub(crate) struct Domains {
     before_time: Option<f64>,
     /// +1, -1 or 0 per indicator, once [`crossings`](Self::mark) has been called.
     pub(crate) crossings: Vec<i8>,
+    /// How far behind zero an indicator was where its last event was located, until it has been seen to move on.
+    overshoots: Vec<Option<f64>>,
+    /// Those that were seen to be on their way out of the domain since then, and have not been seen outside.
+    leaving: Vec<bool>,
+    /// Slopes at the start of the step of the indicators that may come back in it; NaN: of no interest.
+    slopes: Vec<f64>,
+    /// Indicators that chatter: their crossings count at the ends of steps.
+    sliding: Vec<bool>,
 }
 
 /// Where the first change of domain in a step was found.
@@ -32,6 +44,8 @@ pub(crate) struct Domains {
 pub(crate) struct Located {
     /// First known point of the new domain (the right end of the final bracket).
     pub(crate) time: f64,
+    /// Last known point before the change (its left end).
+    pub(crate) before: f64,
     /// Evaluations of the indicators it took.
     pub(crate) evaluations: u64,
 }
@@ -61,12 +75,19 @@ impl Domains {
             &mut self.discarded,
             &mut self.before,
             &mut self.from,
+            &mut self.slopes,
         ] {
             v.clear();
             v.resize(n, 0.0);
         }
         self.crossings.clear();
         self.crossings.resize(n, 0);
+        self.overshoots.clear();
+        self.overshoots.resize(n, None);
+        for v in [&mut self.sliding, &mut self.leaving] {
+            v.clear();
+            v.resize(n, false);
+        }
         self.directions.clear();
         self.directions.extend((0..n).map(direction));
         self.before_time = None;
@@ -92,9 +113,14 @@ impl Domains {
         if self.counts_since.is_some() { &self.from } else { &self.base }
     }
 
+    /// Whether the change of an indicator is an event that is to be located.
+    fn is_located(&self, i: usize, from: f64, to: f64) -> bool {
+        !self.sliding[i] && crosses(self.directions[i], from, to)
+    }
+
     /// Whether any indicator has an event between two points.
     fn any_crosses(&self, from: &[f64], to: &[f64]) -> bool {
-        self.directions.iter().zip(from.iter().zip(to)).any(|(d, (from, to))| crosses(*d, *from, *to))
+        from.iter().zip(to).enumerate().any(|(i, (from, to))| self.is_located(i, *from, *to))
     }
 
     /// Whether any indicator has left the domain it was in, so that it is an event.
@@ -102,21 +128,58 @@ impl Domains {
         self.any_crosses(self.reference(), &self.end)
     }
 
-    /// Writes down the direction of every crossing up to the end that is an event; returns the first that crossed.
+    /// Writes down the direction of every crossing up to the end that is an event; returns the first that crossed, those
+    /// that do not slide before those that do.
     pub(crate) fn mark(&mut self) -> Option<usize> {
-        let mut first = None;
         let from = if self.counts_since.is_some() { &self.from } else { &self.base };
         for (i, c) in self.crossings.iter_mut().enumerate() {
-            *c = match (crosses(self.directions[i], from[i], self.end[i]), self.end[i] > 0.0) {
+            let from = if self.sliding[i] { self.base[i] } else { from[i] };
+            *c = match (crosses(self.directions[i], from, self.end[i]), self.end[i] > 0.0) {
                 (true, true) => 1,
                 (true, false) => -1,
                 _ => 0,
             };
-            if *c != 0 && first.is_none() {
-                first = Some(i);
+            if *c != 0 {
+                self.overshoots[i] = Some(self.end[i].abs());
             }
         }
-        first
+        let crossed = |i: &usize| self.crossings[*i] != 0;
+        (0..self.len()).filter(crossed).min_by_key(|i| self.sliding[*i])
+    }
+
+    /// Those marked slide from now on.
+    pub(crate) fn slide_marked(&mut self) {
+        self.sliding.iter_mut().zip(&self.crossings).for_each(|(s, c)| *s |= *c != 0);
+    }
+
+    /// Whether an indicator that was marked is zero: the crossing is there, or yet to come.
+    pub(crate) fn crossed_on_zero(&self) -> bool {
+        self.end.iter().zip(&self.crossings).any(|(end, crossing)| *end == 0.0 && *crossing != 0)
+    }
+
+    /// Whether an indicator that slides is among those marked.
+    pub(crate) fn any_sliding_crossed(&self) -> bool {
+        self.sliding.iter().zip(&self.crossings).any(|(slides, crossing)| *slides && *crossing != 0)
+    }
+
+    /// This indicator slides from now on.
+    pub(crate) fn slide(&mut self, i: usize) {
+        self.sliding[i] = true;
+    }
+
+    /// No indicator slides any more.
+    pub(crate) fn stop_sliding(&mut self) {
+        self.sliding.fill(false);
+    }
+
+    /// Whether this indicator slides.
+    pub(crate) fn slides(&self, i: usize) -> bool {
+        self.sliding[i]
+    }
+
+    /// Whether the event at the end of the step has left the indicators as they were, `base` being those after it.
+    pub(crate) fn unmoved(&self) -> bool {
+        self.base.iter().zip(&self.end).all(|(after, before)| (after - before).abs() <= 1e-3 * before.abs())
     }
 
     /// Nothing crossed.
@@ -129,6 +192,25 @@ impl Domains {
         std::mem::swap(&mut self.before, &mut self.base);
         std::mem::swap(&mut self.base, &mut self.end);
         self.before_time = Some(start);
+    }
+
+    /// A step is over, with events at its end or not: which indicators are still where their last event has left them.
+    pub(crate) fn settle(&mut self) {
+        for i in 0..self.len() {
+            let (from, to) = (self.base[i], self.end[i]);
+            let stays = to.abs() < from.abs() || to == from && self.was_at_zero(i, 0.0);
+            self.leaving[i] &= self.crossings[i] == 0 && !flipped(from, to);
+            if self.crossings[i] == 0 && (flipped(from, to) || !(stays || self.leaving[i])) {
+                self.overshoots[i] = None;
+            }
+        }
+    }
+
+    /// Whether an indicator that goes on as in the step before, from `began` to `now`, may change its domain within the time
+    /// `same`.
+    pub(crate) fn is_about_to_cross(&self, began: f64, now: f64, same: f64) -> bool {
+        let reach = 2.0 * same / (now - began);
+        self.base.iter().zip(&self.before).any(|(z, last)| z.abs() < reach * (z - last).abs())
     }
 
     /// The indicators go on from the current point without a past.
@@ -159,52 +241,31 @@ impl Domains {
         (t > start && t < end && beyond).then_some(t)
     }
 
-    /// Whether the first step after an event, or of a run, has led indicator `i` from next to zero on into the domain where
-    /// it was: it may have left that right behind the start, and come back.
-    pub(crate) fn leaves_zero(&self, i: usize) -> bool {
-        let (z0, z2) = (self.base[i], self.end[i]);
-        self.before_time.is_none() && !flipped(z0, z2) && z0.abs() < 1e-3 * z2.abs()
-    }
-
-    /// Where the parabola through the values of such an indicator at the start, at the point looked at last, and at the
-    /// end comes to a turning point in the other domain.
-    pub(crate) fn return_point(&self, i: usize, start: f64, mid: f64, end: f64) -> Option<f64> {
-        let (z0, z1, z2) = (self.base[i], self.mid[i], self.end[i]);
-        let (s1, s2) = ((z1 - z0) / (mid - start), (z2 - z1) / (end - mid));
-        let curvature = (s2 - s1) / (end - start);
-        let slope = s1 - curvature * (mid - start);
-        let t = start - 0.5 * slope / curvature;
-        let turns = self.leaves_zero(i) && t > start && t < end;
-        (turns && flipped(z0, z0 + 0.5 * slope * (t - start))).then_some(t)
-    }
-
-    /// Reads the indicators at a point inside the step to `end`. Where one has an event before that point, or behind it
-    /// because it came back to where it was at the start, the right end of the bracket is returned; the indicators there
-    /// are those at the end then.
+    /// Reads the indicators at a point inside the step behind those looked at before. `true`: one has an event before it,
+    /// and the indicators there are those at the end then. If one has changed otherwise, changes count from here.
     pub(crate) fn changed_at(
         &mut self,
         t: f64,
-        end: f64,
         evaluate: impl FnOnce(f64, &mut [f64]) -> CallResult<()>,
-    ) -> CallResult<Option<f64>> {
+    ) -> CallResult<bool> {
         evaluate(t, &mut self.mid)?;
-        if self.any_crosses(&self.base, &self.mid) {
+        if self.any_crosses(self.reference(), &self.mid) {
             std::mem::swap(&mut self.end, &mut self.mid);
-            return Ok(Some(t));
+            return Ok(true);
         }
-        let behind = self.any_crosses(&self.mid, &self.end);
-        if behind {
-            std::mem::swap(&mut self.from, &mut self.mid);
+        if self.reference().iter().zip(&self.mid).any(|(from, mid)| flipped(*from, *mid)) {
+            self.from.copy_from_slice(&self.mid);
             self.counts_since = Some(t);
         }
-        Ok(behind.then_some(end))
+        Ok(false)
     }
 
     /// All indicators that change in the bracket only jump between a value and its negative: they tell nothing but the
     /// domain.
     fn only_jumps(&self) -> bool {
-        let all = self.reference().iter().zip(&self.end).zip(&self.lo).zip(&self.directions);
-        all.filter(|(((_, e), lo), d)| crosses(**d, **lo, **e)).all(|(((b, e), lo), _)| *b == -*e && b == lo)
+        let from = self.reference();
+        let located = |i: &usize| self.is_located(*i, self.lo[*i], self.end[*i]);
+        (0..self.len()).filter(located).all(|i| from[i] == -self.end[i] && from[i] == self.lo[i])
     }
 
     /// Finds the first event in `(t_lo, t_hi]`, where `end` holds the indicators at its end, and `base` (or those that
@@ -273,7 +334,7 @@ impl Domains {
             }
             newest_is_hi = crossed;
         }
-        Ok(Located { time: hi, evaluations })
+        Ok(Located { time: hi, before: lo, evaluations })
     }
 
     /// Among the indicators that change inside the bracket, the one whose secant predicts the earliest crossing.
@@ -281,7 +342,7 @@ impl Domains {
         let mut best = (f64::INFINITY, 0);
         for i in 0..self.base.len() {
             let (a, b) = (self.lo[i], self.end[i]);
-            if crosses(self.directions[i], a, b) {
+            if self.is_located(i, a, b) {
                 let t = lo + (hi - lo) * (a / (a - b)).clamp(0.0, 1.0);
                 let t = if t.is_nan() { lo } else { t };
                 if t < best.0 {
@@ -422,10 +483,8 @@ mod tests {
                 out.copy_from_slice(&z(t));
                 Ok(())
             };
-            let mut hi = d.changed().then_some(1.0);
-            if let Some(t) = look {
-                hi = d.changed_at(t, 1.0, read).unwrap();
-            }
+            let before = look.filter(|t| d.changed_at(*t, read).unwrap());
+            let hi = before.or_else(|| d.changed().then_some(1.0));
             let lo = d.counts_since().unwrap_or(0.0);
             let found = d.locate(lo, hi?, (1e-12, 1e-12), read).unwrap();
             assert!(d.changed());

@@ -58,7 +58,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         self.tableau.error.is_some()
     }
 
-    fn begin<M: HybridSystem + ?Sized>(&mut self, system: &M) {
+    fn begin<M: HybridSystem + ?Sized>(&mut self, system: &M) -> CallResult<()> {
         let n = system.n_states();
         for k in &mut self.k {
             k.resize(n, 0.0);
@@ -67,6 +67,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         self.error.clear();
         self.error.resize(n, 0.0);
         self.controller.restart();
+        Ok(())
     }
 
     fn evaluate<M: HybridSystem + ?Sized>(

@@ -1,5 +1,6 @@
 //! The Jacobian of the right-hand side: from the model, from directional derivatives, or from coloured differences.
 
+use crate::lu;
 use crate::stepper::Equations;
 use crate::system::{CallError, CallResult, HybridSystem};
 
@@ -42,6 +43,25 @@ impl JacobianPattern {
         Some(pattern)
     }
 
+    /// The same with the places of the diagonal.
+    pub(crate) fn with_diagonal(&self) -> Self {
+        let (mut starts, mut rows) = (vec![0], Vec::new());
+        for k in 0..self.n_states() {
+            let column = self.column(k);
+            let at = column.partition_point(|&i| i < k);
+            rows.extend(&column[..at]);
+            rows.push(k);
+            rows.extend(column[at..].iter().filter(|&&i| i != k));
+            starts.push(rows.len());
+        }
+        Self { starts, rows }
+    }
+
+    /// Where columns begin, and the rows of all of them.
+    pub(crate) fn into_columns(self) -> (Vec<usize>, Vec<usize>) {
+        (self.starts, self.rows)
+    }
+
     /// Number of states.
     pub fn n_states(&self) -> usize {
         self.starts.len().saturating_sub(1)
@@ -55,6 +75,11 @@ impl JacobianPattern {
     /// The rows of column `k`, ascending.
     pub(crate) fn column(&self, k: usize) -> &[usize] {
         &self.rows[self.starts[k]..self.starts[k + 1]]
+    }
+
+    /// The largest number of rows of a column: the least number of evaluations that a Jacobian may take.
+    pub(crate) fn widest_column(&self) -> usize {
+        self.starts.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(0)
     }
 
     /// How many evaluations a Jacobian of this pattern takes.
@@ -108,33 +133,54 @@ enum Source {
     Differences,
 }
 
-/// A dense Jacobian by columns, and what is needed to make a new one without allocating.
+/// A Jacobian by columns, and what is needed to make a new one without allocating.
 #[derive(Debug, Default)]
 pub(crate) struct Jacobian {
     n: usize,
     source: Source,
+    /// As the system gave it; the places that are filled in: with the diagonal where the values are sparse.
+    given: Option<JacobianPattern>,
     pattern: Option<JacobianPattern>,
     groups: Groups,
-    /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`.
+    is_sparse: bool,
+    /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`; where they are sparse only the places of the
+    /// pattern are kept, one after the other.
     pub(crate) values: Vec<f64>,
+    /// Room for a dense Jacobian of the system itself, where the values are sparse.
+    dense: Vec<f64>,
     point: Vec<f64>,
     column: Vec<f64>,
 }
 
 impl Jacobian {
     /// Makes room for the system and colours its pattern. A pattern of the wrong size is as good as none.
-    pub(crate) fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) {
+    ///
+    /// # Errors
+    /// There is no room for a dense matrix of this size.
+    pub(crate) fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
         let n = system.n_states();
         self.n = n;
-        self.source = Source::User;
-        self.values.resize(n * n, 0.0);
+        self.source = if system.has_jacobian() { Source::User } else { Source::Directional };
         self.point.resize(n, 0.0);
         self.column.resize(n, 0.0);
-        let pattern = system.jacobian_pattern().filter(|p| p.n_states() == n);
-        if pattern != self.pattern.as_ref() {
-            self.pattern = pattern.cloned();
+        let given = system.jacobian_pattern().filter(|p| p.n_states() == n);
+        // A mass matrix has places of its own.
+        let is_sparse = given.is_some_and(lu::is_sparse) && system.mass_matrix().is_none();
+        if given != self.given.as_ref() || is_sparse != self.is_sparse {
+            self.given = given.cloned();
+            self.is_sparse = is_sparse;
+            self.pattern = given.map(|p| if is_sparse { p.with_diagonal() } else { p.clone() });
             self.groups = self.pattern.as_ref().map(Groups::new).unwrap_or_default();
         }
+        match &self.pattern {
+            Some(pattern) if is_sparse => self.values.resize(pattern.n_entries(), 0.0),
+            _ if self.values.len() == n * n => {}
+            _ => lu::make_room(&mut self.values, n, 0.0)?,
+        }
+        if is_sparse && system.has_jacobian() && self.dense.len() != n * n {
+            lu::make_room(&mut self.dense, n, 0.0)?;
+        }
+        Ok(())
     }
 
     /// The places that may differ from zero, if they are known.
@@ -144,12 +190,45 @@ impl Jacobian {
 
     /// Calls `f(i, k, value)` for every entry that may differ from zero, column by column.
     pub(crate) fn each(&self, mut f: impl FnMut(usize, usize, f64)) {
-        for (k, column) in self.values.chunks_exact(self.n.max(1)).enumerate() {
+        for k in 0..self.n {
             match &self.pattern {
-                Some(pattern) => pattern.column(k).iter().for_each(|&i| f(i, k, column[i])),
-                None => column.iter().enumerate().for_each(|(i, j)| f(i, k, *j)),
+                Some(pattern) if self.is_sparse => {
+                    let values = &self.values[pattern.starts[k]..pattern.starts[k + 1]];
+                    pattern.column(k).iter().zip(values).for_each(|(&i, j)| f(i, k, *j));
+                }
+                Some(pattern) => pattern.column(k).iter().for_each(|&i| f(i, k, self.values[i + self.n * k])),
+                None => {
+                    let column = &self.values[self.n * k..self.n * (k + 1)];
+                    column.iter().enumerate().for_each(|(i, j)| f(i, k, *j));
+                }
             }
         }
+    }
+
+    /// Fills in a column: `value(i)` in row `i`.
+    fn fill(&mut self, k: usize, value: impl Fn(&[f64], usize) -> f64) {
+        let Self { n, pattern, is_sparse, values, column, .. } = self;
+        match pattern {
+            Some(pattern) if *is_sparse => {
+                let into = &mut values[pattern.starts[k]..pattern.starts[k + 1]];
+                into.iter_mut().zip(pattern.column(k)).for_each(|(j, &i)| *j = value(column, i));
+            }
+            Some(pattern) => pattern.column(k).iter().for_each(|&i| values[i + *n * k] = value(column, i)),
+            None => {
+                let into = &mut values[*n * k..*n * (k + 1)];
+                into.iter_mut().enumerate().for_each(|(i, j)| *j = value(column, i));
+            }
+        }
+    }
+
+    /// The columns of a group.
+    fn group(&self, g: usize) -> std::ops::Range<usize> {
+        if self.pattern.is_some() { self.groups.starts[g]..self.groups.starts[g + 1] } else { g..g + 1 }
+    }
+
+    /// The column at this place of the list of all groups.
+    fn column_at(&self, place: usize) -> usize {
+        if self.pattern.is_some() { self.groups.columns[place] } else { place }
     }
 
     /// How many evaluations it takes.
@@ -173,7 +252,15 @@ impl Jacobian {
         equations.stats.jacobians += 1;
         self.values.fill(0.0);
         if self.source == Source::User {
-            if equations.system.jacobian(t, x, &mut self.values)? {
+            let into = if self.is_sparse { &mut self.dense } else { &mut self.values };
+            into.fill(0.0);
+            if equations.system.jacobian(t, x, into)? {
+                if self.is_sparse {
+                    let Self { pattern: Some(pattern), values, dense, n, .. } = self else { return Ok(()) };
+                    let n = *n;
+                    let places = (0..n).flat_map(|k| pattern.column(k).iter().map(move |i| i + n * k));
+                    values.iter_mut().zip(places).for_each(|(j, p)| *j = dense[p]);
+                }
                 return if all_finite(&self.values) { Ok(()) } else { Err(CallError::Discard) };
             }
             self.values.fill(0.0);
@@ -198,13 +285,12 @@ impl Jacobian {
         x: &[f64],
         g: usize,
     ) -> CallResult<bool> {
-        let single = [g];
-        let columns = match &self.pattern {
-            Some(_) => &self.groups.columns[self.groups.starts[g]..self.groups.starts[g + 1]],
-            None => &single[..],
-        };
+        let columns = self.group(g);
         self.point.fill(0.0);
-        columns.iter().for_each(|&k| self.point[k] = 1.0);
+        for place in columns.clone() {
+            let k = self.column_at(place);
+            self.point[k] = 1.0;
+        }
         if !equations.system.directional_derivative(t, x, &self.point, &mut self.column)? {
             return Ok(false);
         }
@@ -212,12 +298,8 @@ impl Jacobian {
         if !all_finite(&self.column) {
             return Err(CallError::Discard);
         }
-        for &k in columns {
-            let into = &mut self.values[k * self.n..(k + 1) * self.n];
-            match &self.pattern {
-                Some(pattern) => pattern.column(k).iter().for_each(|&i| into[i] = self.column[i]),
-                None => into.copy_from_slice(&self.column),
-            }
+        for place in columns {
+            self.fill(self.column_at(place), |column, i| column[i]);
         }
         Ok(true)
     }
@@ -230,14 +312,11 @@ impl Jacobian {
         (t, x, f): (f64, &[f64], &[f64]),
         g: usize,
     ) -> CallResult<()> {
-        let single = [g];
-        let columns = match &self.pattern {
-            Some(_) => &self.groups.columns[self.groups.starts[g]..self.groups.starts[g + 1]],
-            None => &single[..],
-        };
+        let columns = self.group(g);
         for share in LADDER {
             self.point.copy_from_slice(x);
-            for &k in columns {
+            for place in columns.clone() {
+                let k = self.column_at(place);
                 let delta = (f64::EPSILON / 2.0).sqrt() * x[k].abs().max(equations.weights.scale(k));
                 self.point[k] += share * if f[k] < 0.0 { -delta } else { delta };
             }
@@ -246,18 +325,11 @@ impl Jacobian {
                 Ok(()) | Err(CallError::Discard) => continue,
                 Err(failed) => return Err(failed),
             }
-            for &k in columns {
+            for place in columns {
+                let k = self.column_at(place);
                 // The difference of the points as they are stored is exact.
                 let delta = self.point[k] - x[k];
-                let into = &mut self.values[k * self.n..(k + 1) * self.n];
-                match &self.pattern {
-                    Some(p) => p.column(k).iter().for_each(|&i| into[i] = (self.column[i] - f[i]) / delta),
-                    None => {
-                        for ((j, new), old) in into.iter_mut().zip(&self.column).zip(f) {
-                            *j = (new - old) / delta;
-                        }
-                    }
-                }
+                self.fill(k, |column, i| (column[i] - f[i]) / delta);
             }
             return Ok(());
         }
@@ -325,6 +397,9 @@ mod tests {
         fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
             self.pattern.as_ref()
         }
+        fn has_jacobian(&self) -> bool {
+            true
+        }
         fn jacobian(&mut self, _: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
             if self.own {
                 j.copy_from_slice(&self.exact(x));
@@ -357,7 +432,7 @@ mod tests {
         let mut f = vec![0.0; chain.n];
         chain.derivatives(0.0, x, &mut f).unwrap();
         let (mut jacobian, mut stats) = (Jacobian::default(), Stats::default());
-        jacobian.begin(chain);
+        jacobian.begin(chain).unwrap();
         let mut equations = Equations { system: chain, weights: &weights, stats: &mut stats };
         let result = jacobian.evaluate(&mut equations, (0.0, x, &f));
         let exact = chain.exact(x);

@@ -26,7 +26,7 @@ mod tableau;
 mod watched;
 
 pub use driver::Driver;
-pub use error::{ErrorKind, Report, SimulationError, Termination};
+pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
 pub use jacobian::JacobianPattern;
 pub use number::Number;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};

@@ -1,8 +1,10 @@
 //! Decompositions of real and complex matrices: dense with partial pivoting, in place, without allocation once there is
 //! room; sparse where the pattern is known and it is worth it.
 
+use crate::error::TooLargeForDense;
 use crate::jacobian::JacobianPattern;
-use nalgebra::{ComplexField, DMatrix};
+use crate::system::{CallError, CallResult};
+use nalgebra::ComplexField;
 use sparse::SparseLu;
 
 mod sparse;
@@ -12,6 +14,26 @@ mod sparse;
 /// (0.4 %) in a ninetieth (74 us instead of 6.9 ms); a square grid of 196 states (2.4 %) in the same time and solved in a quarter.
 const SPARSE_ROWS: usize = 100;
 const SPARSE_SHARE: f64 = 0.05;
+
+/// Dense matrices of more rows are refused: 2 GB each (4 GB if complex), and hours for one decomposition.
+const MOST_DENSE_ROWS: usize = 16384;
+
+/// Whether matrices of this pattern are kept and decomposed as sparse ones.
+pub(crate) fn is_sparse(pattern: &JacobianPattern) -> bool {
+    let n = pattern.n_states();
+    n >= SPARSE_ROWS && (pattern.n_entries() as f64) <= SPARSE_SHARE * (n as f64) * (n as f64)
+}
+
+/// Makes a list of the entries of a dense matrix of `n` rows, unless there is no room for it.
+pub(crate) fn make_room<T: Clone>(list: &mut Vec<T>, n: usize, zero: T) -> CallResult<()> {
+    let entries = n.saturating_mul(n);
+    list.clear();
+    if n > MOST_DENSE_ROWS || list.try_reserve_exact(entries).is_err() {
+        return Err(CallError::failed(TooLargeForDense { states: n }));
+    }
+    list.resize(entries, zero);
+    Ok(())
+}
 
 /// The factors of a square matrix.
 #[derive(Debug)]
@@ -32,22 +54,23 @@ impl<T: Scalar> Default for Lu<T> {
 }
 
 impl<T: Scalar> Lu<T> {
-    /// Makes room for `n` rows; for all their places, or for those of a pattern and the diagonal.
-    pub(crate) fn begin(&mut self, n: usize, pattern: Option<&JacobianPattern>) {
-        let worth_it = |p: &&JacobianPattern| {
-            n >= SPARSE_ROWS && (p.n_entries() as f64) <= SPARSE_SHARE * (n as f64) * (n as f64)
-        };
-        match (pattern.filter(worth_it), &self.sparse) {
+    /// Makes room for `n` rows; for all their places, or for those of a [sparse](is_sparse) pattern and the diagonal.
+    ///
+    /// # Errors
+    /// There is no room for a dense matrix of this size.
+    pub(crate) fn begin(&mut self, n: usize, pattern: Option<&JacobianPattern>) -> CallResult<()> {
+        match (pattern.filter(|p| is_sparse(p)), &self.sparse) {
             (None, _) => self.sparse = None,
             (Some(pattern), Some(sparse)) if sparse.pattern() == pattern => {}
             (Some(pattern), _) => self.sparse = SparseLu::new(pattern),
         }
-        self.dense.resize(if self.sparse.is_some() { 0 } else { n });
+        self.dense.resize(if self.sparse.is_some() { 0 } else { n })
     }
 
-    /// Fills in the matrix entry by entry (`entry` gets the position in a list by columns) and decomposes it; `false`:
-    /// it is singular or has entries that are not finite.
-    pub(crate) fn decompose(&mut self, entry: impl FnMut(usize) -> T) -> bool {
+    /// Fills in the matrix entry by entry and decomposes it; `entry` gets the position in the list of all places by columns (of
+    /// those of the pattern and the diagonal if it is sparse), and whether it lies on the diagonal. `false`: it is singular or
+    /// has entries that are not finite.
+    pub(crate) fn decompose(&mut self, entry: impl FnMut(usize, bool) -> T) -> bool {
         match &mut self.sparse {
             Some(sparse) => sparse.decompose(entry),
             None => self.dense.decompose(entry),
@@ -83,29 +106,30 @@ impl<T: Scalar> Lu<T> {
 /// The factors of a square matrix `P A = L U` in one matrix, and the row exchanges.
 #[derive(Debug)]
 struct DenseLu<T> {
-    a: DMatrix<T>,
+    a: Vec<T>,
     pivots: Vec<usize>,
 }
 
 impl<T: ComplexField<RealField = f64> + Copy> Default for DenseLu<T> {
     fn default() -> Self {
-        Self { a: DMatrix::zeros(0, 0), pivots: Vec::new() }
+        Self { a: Vec::new(), pivots: Vec::new() }
     }
 }
 
 impl<T: ComplexField<RealField = f64> + Copy> DenseLu<T> {
-    fn resize(&mut self, n: usize) {
-        if self.a.nrows() != n {
-            self.a = DMatrix::zeros(n, n);
+    fn resize(&mut self, n: usize) -> CallResult<()> {
+        if self.pivots.len() != n {
+            make_room(&mut self.a, n, T::zero())?;
             self.pivots = vec![0; n];
         }
+        Ok(())
     }
 
-    fn decompose(&mut self, mut entry: impl FnMut(usize) -> T) -> bool {
-        let n = self.a.nrows();
-        let a = self.a.as_mut_slice();
+    fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
+        let n = self.pivots.len();
+        let a = &mut self.a[..];
         for (p, a) in a.iter_mut().enumerate() {
-            *a = entry(p);
+            *a = entry(p, p.is_multiple_of(n + 1));
         }
         for k in 0..n {
             let column = &a[k * n..(k + 1) * n];
@@ -141,8 +165,8 @@ impl<T: ComplexField<RealField = f64> + Copy> DenseLu<T> {
     }
 
     fn solve(&self, b: &mut [T]) {
-        let n = self.a.nrows();
-        let a = self.a.as_slice();
+        let n = self.pivots.len();
+        let a = &self.a[..];
         // The rows of earlier columns of L are not exchanged along, so exchanges and elimination alternate.
         for k in 0..n {
             b.swap(k, self.pivots[k]);
@@ -166,7 +190,7 @@ impl<T: ComplexField<RealField = f64> + Copy> DenseLu<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Complex, DVector};
+    use nalgebra::{Complex, DMatrix, DVector};
 
     /// Numbers in (-1, 1) without a pattern.
     fn noise(seed: &mut u64) -> f64 {
@@ -182,8 +206,8 @@ mod tests {
             let x = DVector::from_fn(n, |_, _| noise(&mut seed));
             let mut b = &a * &x;
             let mut lu = Lu::default();
-            lu.begin(n, None);
-            assert!(lu.decompose(|p| a.as_slice()[p]));
+            lu.begin(n, None).unwrap();
+            assert!(lu.decompose(|p, _| a.as_slice()[p]));
             lu.solve(b.as_mut_slice());
             assert!((b - x).amax() < 1e-11);
 
@@ -191,11 +215,18 @@ mod tests {
             let x = DVector::from_fn(n, |_, _| Complex::new(noise(&mut seed), noise(&mut seed)));
             let mut b = &a * &x;
             let mut lu = Lu::default();
-            lu.begin(n, None);
-            assert!(lu.decompose(|p| a.as_slice()[p]));
+            lu.begin(n, None).unwrap();
+            assert!(lu.decompose(|p, _| a.as_slice()[p]));
             lu.solve(b.as_mut_slice());
             assert!((b - x).norm() < 1e-11);
         }
+    }
+
+    /// Where the places of a sparse matrix, and those of its diagonal, lie in a list of all.
+    fn positions(pattern: &JacobianPattern) -> Vec<usize> {
+        let n = pattern.n_states();
+        let whole = pattern.with_diagonal();
+        (0..n).flat_map(|k| whole.column(k).iter().map(move |i| i + n * k).collect::<Vec<_>>()).collect()
     }
 
     /// A square grid of `m * m` places, each depending on its neighbours.
@@ -218,6 +249,7 @@ mod tests {
         let mut seed = 3;
         for m in [10, 17] {
             let (n, pattern) = (m * m, grid(m));
+            let places = positions(&pattern);
             let mut a = DMatrix::zeros(n, n);
             for k in 0..n {
                 a[(k, k)] = noise(&mut seed) + 1.5;
@@ -225,11 +257,11 @@ mod tests {
             }
             let x = DVector::from_fn(n, |_, _| noise(&mut seed));
             let mut lu = Lu::default();
-            lu.begin(n, Some(&pattern));
+            lu.begin(n, Some(&pattern)).unwrap();
             assert!(lu.sparse.is_some());
             for _ in 0..2 {
                 let mut b = &a * &x;
-                assert!(lu.decompose(|p| a.as_slice()[p]));
+                assert!(lu.decompose(|p, _| a.as_slice()[places[p]]));
                 lu.solve(b.as_mut_slice());
                 assert!((b - &x).amax() < 1e-10);
                 a *= 3.0;
@@ -238,45 +270,45 @@ mod tests {
             let (a, x) = (a.map(|v| turn * v), x.map(|v| Complex::new(v, 1.0)));
             let mut b = &a * &x;
             let mut lu = Lu::default();
-            lu.begin(n, Some(&pattern));
-            assert!(lu.decompose(|p| a.as_slice()[p]));
+            lu.begin(n, Some(&pattern)).unwrap();
+            assert!(lu.decompose(|p, _| a.as_slice()[places[p]]));
             lu.solve(b.as_mut_slice());
             assert!((b - x).norm() < 1e-9);
         }
         let mut lu = Lu::<f64>::default();
-        lu.begin(100, Some(&grid(10)));
-        assert!(!lu.decompose(|_| f64::NAN));
-        assert!(!lu.decompose(|p| if p == 0 { f64::INFINITY } else { 1.0 }));
-        lu.begin(99, None);
+        lu.begin(100, Some(&grid(10))).unwrap();
+        assert!(!lu.decompose(|_, _| f64::NAN));
+        assert!(!lu.decompose(|p, _| if p == 0 { f64::INFINITY } else { 1.0 }));
+        lu.begin(99, None).unwrap();
         assert!(lu.sparse.is_none());
         // Small or full: dense.
-        lu.begin(64, Some(&grid(8)));
+        lu.begin(64, Some(&grid(8))).unwrap();
         assert!(lu.sparse.is_none());
         let full = JacobianPattern::new(100, (0..100).flat_map(|i| (0..100).map(move |k| (i, k)))).unwrap();
-        lu.begin(100, Some(&full));
+        lu.begin(100, Some(&full)).unwrap();
         assert!(lu.sparse.is_none());
     }
 
     #[test]
     fn singular_and_broken_matrices_are_refused() {
         let mut lu = Lu::default();
-        lu.begin(2, None);
-        assert!(!lu.decompose(|p| [1.0, 2.0, 2.0, 4.0][p]));
-        assert!(!lu.decompose(|p| [f64::NAN, 2.0, 2.0, 4.0][p]));
-        assert!(!lu.decompose(|p| [1.0, f64::INFINITY, 2.0, 4.0][p]));
-        assert!(lu.decompose(|p| [0.0, 2.0, 2.0, 0.0][p]));
+        lu.begin(2, None).unwrap();
+        assert!(!lu.decompose(|p, _| [1.0, 2.0, 2.0, 4.0][p]));
+        assert!(!lu.decompose(|p, _| [f64::NAN, 2.0, 2.0, 4.0][p]));
+        assert!(!lu.decompose(|p, _| [1.0, f64::INFINITY, 2.0, 4.0][p]));
+        assert!(lu.decompose(|p, _| [0.0, 2.0, 2.0, 0.0][p]));
     }
 
     #[test]
     fn operations_follow_from_sizes() {
         let (mut real, mut complex) = (Lu::<f64>::default(), Lu::<Complex<f64>>::default());
         assert_eq!(real.operations(), (0, 0));
-        real.begin(30, None);
-        complex.begin(30, None);
+        real.begin(30, None).unwrap();
+        complex.begin(30, None).unwrap();
         assert_eq!(real.operations(), (18_000, 1800));
         assert_eq!(complex.operations(), (72_000, 7200));
         // 10 * 10 places, 180 neighbours in both directions: 460 places, 1380 in the factors.
-        real.begin(100, Some(&grid(10)));
+        real.begin(100, Some(&grid(10))).unwrap();
         assert!(real.sparse.is_some());
         assert_eq!(real.operations(), (1380 * 1380 / 100, 2 * 1380));
     }
@@ -310,17 +342,18 @@ mod tests {
             }
             let (mut dense, mut sparse) = (Lu::default(), Lu::default());
             let (mut dense_complex, mut sparse_complex) = (Lu::default(), Lu::default());
-            dense.begin(n, None);
-            dense_complex.begin(n, None);
-            sparse.begin(n, Some(&pattern));
-            sparse_complex.begin(n, Some(&pattern));
-            let turned = |p: usize| Complex::new(a[p], if p.is_multiple_of(n + 1) { 3.0 } else { 0.0 });
+            dense.begin(n, None).unwrap();
+            dense_complex.begin(n, None).unwrap();
+            sparse.begin(n, Some(&pattern)).unwrap();
+            sparse_complex.begin(n, Some(&pattern)).unwrap();
+            let places = positions(&pattern);
+            let turned = |v: f64, diagonal: bool| Complex::new(v, if diagonal { 3.0 } else { 0.0 });
             let mut x = vec![1.0; n];
             let times = [
-                microseconds(|| assert!(dense.decompose(|p| a[p]))),
-                microseconds(|| assert!(sparse.decompose(|p| a[p]))),
-                microseconds(|| assert!(dense_complex.decompose(turned))),
-                microseconds(|| assert!(sparse_complex.decompose(turned))),
+                microseconds(|| assert!(dense.decompose(|p, _| a[p]))),
+                microseconds(|| assert!(sparse.decompose(|p, _| a[places[p]]))),
+                microseconds(|| assert!(dense_complex.decompose(|p, d| turned(a[p], d)))),
+                microseconds(|| assert!(sparse_complex.decompose(|p, d| turned(a[places[p]], d)))),
                 microseconds(|| dense.solve(&mut x)),
                 microseconds(|| sparse.solve(&mut x)),
             ]

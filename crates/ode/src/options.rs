@@ -10,7 +10,9 @@ use std::time::Duration;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Method {
-    /// [`Tsit5`](Self::Tsit5), and [`Radau5`](Self::Radau5) where a test made at every step finds the system stiff.
+    /// [`Tsit5`](Self::Tsit5), below a relative tolerance of 1e-7 [`Dop853`](Self::Dop853); where steps of an implicit method, made on
+    /// trial, advance more per right-hand side, [`Radau5`](Self::Radau5), or, for nonlinear systems of 16 states and more whose
+    /// largest eigenvalue is real, [`Bdf`](Self::Bdf).
     #[default]
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.
@@ -95,10 +97,11 @@ pub enum ChatteringPolicy {
     /// time stands still.
     Warn,
     /// Go on in steps of [`SLIDING_STEP`](Self::SLIDING_STEP) of the span, at whose ends the events happen wherever in the
-    /// step the indicators crossed, until a hundred such steps have passed without a state event. Where the vector fields
+    /// step the indicators that chatter crossed, until a hundred such steps have passed without a state event. Where the vector fields
     /// on both sides point to each other, the solution slides between them as Filippov defines it, up to an error of
-    /// the order of this step (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988, section 8);
-    /// counted in [`Stats::chattering`](crate::Stats::chattering), too. Methods with a fixed step end with the error.
+    /// the order of this step (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988, section 8).
+    /// Where events change states and accumulate (bounces), the indicator is held at zero. The other indicators are located
+    /// as ever. Counted in [`Stats::chattering`](crate::Stats::chattering), too. Methods with a fixed step end with the error.
     Slide,
 }
 
@@ -164,17 +167,18 @@ pub struct Options {
     /// Also sample both sides of every event.
     pub record_events: bool,
     /// Points inside each step at which the event indicators are looked at too, so that a crossing and its return do not
-    /// hide in one step. Default: one for methods that take long steps (DOP853, Radau5, BDF) and where a step is more
-    /// than three times as long as the one before, else none. Whatever this is, the turning point of a parabola through
-    /// the last three values is looked at where it lies near zero; and, unless this is zero, the middle of the first step
-    /// after an event from which an indicator goes on into the domain where it is, and a turning point right behind it.
+    /// hide in one step; each is compared with the one before. Default: one for methods that take long steps (DOP853, Radau5, BDF) and where a step is more
+    /// than three times as long as the one before, else none, and none where an event is known to lie in the step. Whatever
+    /// this is, the turning point of a parabola through the last three values is looked at where it lies near zero; and
+    /// an indicator next to zero after its event, that leads out of its domain, is followed until it is seen there or the
+    /// run ends with [`ErrorKind::EventsAccumulate`](crate::ErrorKind).
     pub interior_samples: Option<u32>,
     /// Locate indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead of to rounding:
     /// a fifth of the evaluations less, for models that have many such. Default `false`.
     pub loose_jump_indicators: bool,
     /// Limits; default none.
     pub limits: Limits,
-    /// Answer to chattering; default an error.
+    /// Answer to chattering, and to events that accumulate; default an error.
     pub chattering: ChatteringPolicy,
     /// Set from outside to end the run at its next step or evaluation with [`ErrorKind::Cancelled`](crate::ErrorKind).
     pub cancel: Option<Arc<AtomicBool>>,

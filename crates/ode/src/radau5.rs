@@ -46,6 +46,7 @@ pub(crate) struct Radau5 {
     decomposed_h: f64,
     /// There is a Jacobian; it was made at the current point; the last one converged too slowly.
     has_jacobian: bool,
+    spectrum: Option<(f64, f64)>,
     jacobian_is_fresh: bool,
     wants_jacobian: bool,
     f: Vec<f64>,
@@ -80,55 +81,47 @@ pub(crate) struct Radau5 {
 }
 
 impl Radau5 {
-    /// Weighted norm of the Jacobian times `h`, an upper bound of the spectral radius; `None` without a Jacobian.
-    pub(crate) fn stiffness(&mut self, h: f64) -> Option<f64> {
-        if !self.has_jacobian || self.mass.is_some() {
-            return None;
-        }
-        let Self { jacobian, inverse, stage_x: rows, .. } = self;
-        rows.fill(0.0);
-        jacobian.each(|i, k, j| rows[i] += j.abs() / inverse[k]);
-        Some(h * rows.iter().zip(&*inverse).map(|(row, inverse)| row * inverse).fold(0.0, f64::max))
-    }
-
-    /// How many evaluations a Jacobian takes.
-    pub(crate) fn jacobian_cost(&self) -> usize {
-        self.jacobian.cost()
-    }
-
-    /// The spectral radius of the Jacobian at `(t, x)`, where the right-hand side is `f`, by vector iteration: mean growth
-    /// over the last half of twenty products, so that complex pairs count with their modulus; and the Rayleigh quotient
-    /// of the last product, which is minus that where the eigenvalue is real and negative.
-    pub(crate) fn spectral_radius<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        point: (f64, &[f64], &[f64]),
-    ) -> CallResult<(f64, f64)> {
+    /// The spectral radius of the last Jacobian, by vector iteration (the mean growth over the last half of twenty products, so
+    /// that complex pairs count with their modulus), and the cosine between the last vector and its image: -1 where the
+    /// largest eigenvalue is real and negative. Found once for each Jacobian.
+    pub(crate) fn spectrum(&mut self) -> (f64, f64) {
         const HALF: i32 = 10;
-        self.has_jacobian = false;
-        self.jacobian.evaluate(equations, point)?;
-        equations.weights.inverse_at(point.1, 1.0, &mut self.inverse);
+        if let Some(known) = self.spectrum {
+            return known;
+        }
         let Self { jacobian, inverse, stage_x: v, error: product, .. } = self;
         for (i, (v, inverse)) in v.iter_mut().zip(&*inverse).enumerate() {
             *v = (1.0 + 0.1 * i as f64) / inverse;
         }
-        let (mut growth, mut quotient) = (1.0, 0.0);
+        let (mut growth, mut cosine) = (1.0, 0.0);
         for count in 0..2 * HALF {
             product.fill(0.0);
             jacobian.each(|i, k, j| product[i] += j * v[k]);
             let (before, after) = (scaled_norm(v, inverse), scaled_norm(product, inverse));
             if after == 0.0 || !after.is_finite() {
-                return Ok((0.0, 0.0));
+                (growth, cosine) = (0.0, 0.0);
+                break;
             }
             if count >= HALF {
                 growth *= (after / before).powf(1.0 / f64::from(HALF));
             }
-            let weighted = |(i, (v, p)): (usize, (&f64, &f64))| v * inverse[i] * (p * inverse[i]);
-            let dot: f64 = v.iter().zip(&*product).enumerate().map(weighted).sum();
-            quotient = dot / (before * before * v.len() as f64);
+            let weighted = |((v, p), w): ((&f64, &f64), &f64)| v * w * (p * w);
+            let dot: f64 = v.iter().zip(&*product).zip(&*inverse).map(weighted).sum();
+            cosine = dot / (before * after * v.len() as f64);
             v.iter_mut().zip(&*product).for_each(|(v, p)| *v = p / after);
         }
-        Ok((growth, quotient))
+        *self.spectrum.insert((growth, cosine))
+    }
+
+    /// The rate of convergence of Newton's method in the last step; 0 where one iteration was enough.
+    pub(crate) fn contraction(&self) -> f64 {
+        if self.newton_count > 1 { self.theta } else { 0.0 }
+    }
+
+    /// Hands over the Jacobian.
+    pub(crate) fn jacobian_mut(&mut self) -> &mut Jacobian {
+        self.has_jacobian = false;
+        &mut self.jacobian
     }
 
     /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
@@ -140,17 +133,16 @@ impl Radau5 {
     }
 
     fn decompose(&mut self, h: f64, stats: &mut Stats) -> bool {
-        let n = self.f.len();
         let (j, mass) = (&self.jacobian.values, self.mass.as_deref());
-        let m = |p: usize| match mass {
+        let m = |p: usize, on_diagonal: bool| match mass {
             Some(m) => m[p],
-            None => f64::from(p.is_multiple_of(n + 1)),
+            None => f64::from(on_diagonal),
         };
         let (gamma, eigen) = (GAMMA / h, Complex::new(ALPHA / h, BETA / h));
         stats.decompositions += 2;
         stats.linear_algebra += self.real.operations().0 + self.complex.operations().0;
-        let good = self.real.decompose(|p| gamma * m(p) - j[p])
-            && self.complex.decompose(|p| eigen * m(p) - Complex::new(j[p], 0.0));
+        let good = self.real.decompose(|p, d| gamma * m(p, d) - j[p])
+            && self.complex.decompose(|p, d| eigen * m(p, d) - Complex::new(j[p], 0.0));
         self.decomposed_h = if good { h } else { 0.0 };
         good
     }
@@ -231,9 +223,9 @@ impl Stepper for Radau5 {
         true
     }
 
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) {
+    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
         let n = system.n_states();
-        self.jacobian.begin(system);
+        self.jacobian.begin(system)?;
         match (system.mass_matrix(), &mut self.mass) {
             (None, mass) => *mass = None,
             (Some(m), Some(mass)) => {
@@ -243,12 +235,12 @@ impl Stepper for Radau5 {
             (Some(m), mass) => *mass = Some(m.to_vec()),
         }
         if let Some(mass) = &self.mass {
-            self.algebraic.begin(n, mass);
+            self.algebraic.begin(n, mass)?;
         }
         // A mass matrix has places of its own.
         let pattern = self.jacobian.pattern().filter(|_| self.mass.is_none());
-        self.real.begin(n, pattern);
-        self.complex.begin(n, pattern);
+        self.real.begin(n, pattern)?;
+        self.complex.begin(n, pattern)?;
         self.trial.begin(n);
         self.last.begin(n);
         self.terms.begin(n);
@@ -265,6 +257,7 @@ impl Stepper for Radau5 {
         self.jacobian_is_fresh = false;
         self.wants_jacobian = false;
         self.forget();
+        Ok(())
     }
 
     fn evaluate<S: HybridSystem + ?Sized>(
@@ -326,6 +319,21 @@ impl Stepper for Radau5 {
         self.is_repetition = true;
     }
 
+    fn takes_jacobians(&self) -> bool {
+        true
+    }
+
+    fn undetermined<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &[f64],
+    ) -> Option<usize> {
+        self.mass.as_ref()?;
+        self.has_jacobian = false;
+        self.algebraic.undetermined(equations, &mut self.jacobian, t, x)
+    }
+
     fn derivative(&self) -> &[f64] {
         &self.f
     }
@@ -349,6 +357,7 @@ impl Stepper for Radau5 {
             if !self.has_jacobian || self.wants_jacobian {
                 self.jacobian.evaluate(equations, (t, x, &self.f))?;
                 self.has_jacobian = true;
+                self.spectrum = None;
                 self.jacobian_is_fresh = true;
                 self.wants_jacobian = false;
                 self.decomposed_h = 0.0;

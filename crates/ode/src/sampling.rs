@@ -10,6 +10,8 @@ pub(crate) struct Sampler {
     cursor: usize,
     outputs: Vec<f64>,
     delivered: u64,
+    /// Times closer than this are one.
+    same: f64,
 }
 
 /// Where the system stands: the point at which outputs are evaluated.
@@ -32,7 +34,8 @@ impl Sampler {
         })
     }
 
-    pub(crate) fn begin(&mut self, n_outputs: usize) {
+    pub(crate) fn begin(&mut self, n_outputs: usize, same: f64) {
+        self.same = same;
         self.cursor = 0;
         self.delivered = 0;
         self.outputs.clear();
@@ -51,7 +54,7 @@ impl Sampler {
 
     /// Whether the next requested time is listed once more after it.
     fn twice(&self, times: &[f64]) -> bool {
-        self.cursor + 1 < times.len() && times[self.cursor + 1] == times[self.cursor]
+        self.cursor + 1 < times.len() && times[self.cursor + 1] - times[self.cursor] <= self.same
     }
 
     fn emit<S, O>(

@@ -80,8 +80,8 @@ pub(crate) trait Stepper {
         false
     }
 
-    /// Starts a run: makes room, forgets everything.
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S);
+    /// Starts a run: makes room, forgets everything. It fails where there is no room for its matrices.
+    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()>;
 
     /// Takes `(t, x)` as the current point and evaluates the right-hand side there; the step sizes and the slow parts of
     /// the past (Jacobians, differences) are kept.
@@ -119,6 +119,23 @@ pub(crate) trait Stepper {
     /// where it was [evaluated](Self::evaluate).
     fn evaluates_ends(&self) -> bool {
         true
+    }
+
+    /// Whether it makes use of Jacobians.
+    fn takes_jacobians(&self) -> bool {
+        false
+    }
+
+    /// After a failure at `(t, x)`: an equation without derivatives that does not determine the states it should, neither
+    /// there nor nearby, as in systems of index 2 or higher. `None`: there is none.
+    fn undetermined<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+        x: &[f64],
+    ) -> Option<usize> {
+        let _ = (equations, t, x);
+        None
     }
 
     /// The right-hand side at the current point, or an estimate of it.

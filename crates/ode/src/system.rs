@@ -147,6 +147,11 @@ pub trait HybridSystem {
         None
     }
 
+    /// Whether [`jacobian`](Self::jacobian) is to be asked, for which room for a dense matrix is made. Read once per run.
+    fn has_jacobian(&self) -> bool {
+        false
+    }
+
     /// Fills in the Jacobian by columns: `j[i + n * k]` is the derivative of `dx[i]` with respect to `x[k]`. All
     /// entries are zero when it is called. `Ok(false)`: the model has none (decided once per run).
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
@@ -244,6 +249,9 @@ macro_rules! hand_on {
         }
         fn jacobian_pattern(&$self) -> Option<&JacobianPattern> {
             $inner.jacobian_pattern()
+        }
+        fn has_jacobian(&$self) -> bool {
+            $inner.has_jacobian()
         }
         fn mass_matrix(&$self) -> Option<&[f64]> {
             $inner.mass_matrix()

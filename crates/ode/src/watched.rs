@@ -1,7 +1,7 @@
 //! A system that answers no more once the run was cancelled or its time is up, so that a long step ends as well, and whose
 //! calls are timed.
 
-use crate::error::ErrorKind;
+use crate::error::{ErrorKind, TooLargeForDense};
 use crate::jacobian::JacobianPattern;
 use crate::options::Options;
 use crate::stats::{Seconds, Stats};
@@ -143,6 +143,9 @@ impl<S: HybridSystem + ?Sized> HybridSystem for Watched<'_, S> {
 pub(crate) fn kind_of(error: Box<dyn std::error::Error + Send + Sync>) -> ErrorKind {
     match error.downcast::<Stopped>() {
         Ok(stopped) => (*stopped).into(),
-        Err(error) => ErrorKind::Model(error),
+        // A matrix for which there is no room.
+        Err(error) => {
+            error.downcast::<TooLargeForDense>().map_or_else(ErrorKind::Model, |large| (*large).into())
+        }
     }
 }

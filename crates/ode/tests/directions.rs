@@ -118,3 +118,51 @@ fn a_return_inside_a_step_is_an_event() {
         }
     }
 }
+
+/// `x' = 1` with an indicator that crosses three times within a step of RK4: upward, downward, upward.
+struct Thrice(Direction);
+
+impl HybridSystem for Thrice {
+    fn n_states(&self) -> usize {
+        1
+    }
+    fn n_event_indicators(&self) -> usize {
+        1
+    }
+    fn event_direction(&self, _: usize) -> Direction {
+        self.0
+    }
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x[0] = t0;
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, _: f64, _: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx[0] = 1.0;
+        Ok(())
+    }
+    fn event_indicators(&mut self, _: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        z[0] = (x[0] - 0.32) * (x[0] - 0.5) * (x[0] - 0.68);
+        Ok(())
+    }
+}
+
+#[test]
+fn interior_samples_see_each_crossing_of_a_long_step() {
+    for (direction, expected) in [
+        (Direction::Both, vec![0.32, 0.5, 0.68]),
+        (Direction::Down, vec![0.5]),
+        (Direction::Up, vec![0.32, 0.68]),
+    ] {
+        let mut seen = Recorder::default();
+        let options = Options {
+            method: Method::Rk4,
+            step_size: Some(1.0),
+            interior_samples: Some(9),
+            ..Options::default()
+        };
+        Driver::new(options).unwrap().run(&mut Thrice(direction), 0.0, 2.0, &[], &mut seen).unwrap();
+        let times = seen.event_times();
+        assert_eq!(times.len(), expected.len(), "{direction:?}: {times:?}");
+        assert!(times.iter().zip(&expected).all(|(t, e)| (t - e).abs() < 1e-12), "{direction:?}: {times:?}");
+    }
+}

@@ -4,13 +4,15 @@ use crate::description::Fmu;
 use crate::error;
 use crate::files;
 use crate::fmu_error;
-use crate::interrupt::Watch;
+use crate::interrupt::{Watch, fits_here};
 use crate::logs;
 use crate::report::{self, LastSeen, Listener};
 use crate::settings::{self, Options, Settings};
 use crate::trajectory::Counts;
 use crate::values;
-use calibration::{CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings};
+use calibration::{
+    CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings, TimeColumn,
+};
 use dfo::{Progress, Termination};
 use fmi::FmiError;
 use fmi::OpenOptions;
@@ -18,11 +20,11 @@ use numpy::PyArray1;
 use ode::{Entry, Verdict};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{IntoPyDict, PyDict};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 /// `pydfo.Parameter`, field by field.
 #[derive(FromPyObject)]
@@ -39,13 +41,7 @@ pub(crate) struct ParameterFields {
 
 impl ParameterFields {
     fn check(self, py: Python<'_>) -> PyResult<Parameter> {
-        let scale = match self.scale.as_str() {
-            "linear" => Scale::Linear,
-            "log" => Scale::Log,
-            other => {
-                return Err(PyValueError::new_err(format!("scale = '{other}' is none of 'linear', 'log'")));
-            }
-        };
+        let scale = settings::word("scale", &self.scale, &[("linear", Scale::Linear), ("log", Scale::Log)])?;
         let kind = settings::kind("kind", &self.kind)?;
         let mut parameter = Parameter::new(self.name, self.start)
             .bounds(self.lower, self.upper)
@@ -72,6 +68,10 @@ pub(crate) struct ExperimentFields {
     /// A CSV file; None: `columns`.
     path: Option<PathBuf>,
     columns: Vec<(String, Vec<f64>)>,
+    /// Names of columns that are not among them.
+    left_out: Vec<String>,
+    /// Name of the column of times; None: "time".
+    time: Option<String>,
     /// Variable, column, weight.
     outputs: Vec<(String, String, f64)>,
     /// Variable, column.
@@ -85,6 +85,7 @@ pub(crate) struct ExperimentFields {
     solver: String,
     step_size: Option<f64>,
     max_step: Option<f64>,
+    input_derivatives: bool,
     chattering: String,
     sharing: String,
 }
@@ -102,6 +103,7 @@ impl ExperimentFields {
             relative_tolerance: self.relative_tolerance,
             step_size: self.step_size,
             max_step: self.max_step,
+            input_derivatives: Some(self.input_derivatives),
             timeout: timeout.transpose()?,
             chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
             sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,
@@ -114,13 +116,10 @@ impl ExperimentFields {
     }
 
     fn experiment(self, start_values: Vec<(String, fmi::Value)>) -> Result<Experiment, CalibrationError> {
-        let data = match self.path {
-            Some(path) => Data::from_csv(path)?,
-            None => {
-                let mut columns = self.columns.into_iter();
-                let time = columns.next().map(|(_, values)| values).unwrap_or_default();
-                Data::from_columns(time, columns)?
-            }
+        let data = match (self.path, &self.time) {
+            (Some(path), None) => Data::from_csv(path)?,
+            (Some(path), Some(time)) => Data::from_csv_with_time(path, time)?,
+            (None, time) => Data::from_table(self.columns, time.as_deref())?.left_out(self.left_out),
         };
         let mut experiment = Experiment::new(data);
         for (variable, column, weight) in self.outputs {
@@ -142,25 +141,53 @@ impl ExperimentFields {
     }
 }
 
+/// Position of the column of times among columns of these names, and the length of its unit in s as a fraction.
+#[pyfunction]
+#[pyo3(signature = (names, time=None))]
+pub(crate) fn find_time(names: Vec<String>, time: Option<&str>) -> PyResult<(usize, (f64, f64))> {
+    let found = TimeColumn::find(names.iter().map(String::as_str), time);
+    found.map(|column| (column.index, column.unit)).map_err(PyValueError::new_err)
+}
+
 /// A calibration; `pydfo.Calibration` is its face.
 #[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
 pub(crate) struct PyCalibration {
     inner: Arc<calibration::Calibration>,
+    /// How long the last evaluation took, in ns; 0: there was none.
+    last: Arc<AtomicU64>,
 }
 
 impl PyCalibration {
-    /// Computes something on another thread, without the lock; Ctrl-C sets the flag that it is given.
+    /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C ends it at
+    /// the next step.
     fn compute<T: Send + 'static>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&calibration::Calibration, Arc<AtomicBool>) -> Result<T, CalibrationError>
+        work: impl FnOnce(&calibration::Calibration, &dyn Fn() -> bool) -> Result<T, CalibrationError>
         + Send
         + 'static,
     ) -> PyResult<T> {
-        let watch = Watch::new(py)?;
-        let inner = Arc::clone(&self.inner);
-        let flag = watch.stop().flag();
-        let result = watch.run_briefly(move || work(&inner, flag))?;
+        let last = self.last.load(Ordering::Relaxed);
+        let last = (last > 0).then(|| Duration::from_nanos(last));
+        let (inner, took) = (Arc::clone(&self.inner), Arc::clone(&self.last));
+        let timed = move |cancelled: &dyn Fn() -> bool| {
+            let begun = Instant::now();
+            let result = work(&inner, cancelled);
+            took.store(
+                u64::try_from(begun.elapsed().as_nanos()).unwrap_or(u64::MAX).max(1),
+                Ordering::Relaxed,
+            );
+            result
+        };
+        let watch;
+        let result = if fits_here(last) {
+            watch = Watch::without_handler(py);
+            Some(watch.run_here(timed))
+        } else {
+            watch = Watch::new(py)?;
+            let flag = watch.stop().flag();
+            watch.run_briefly(move || timed(&|| flag.load(Ordering::Relaxed)))?
+        };
         logs::pass_on(py)?;
         if let Some(e) = watch.stop().take_raised() {
             return Err(e);
@@ -206,7 +233,12 @@ impl PyCalibration {
         });
         logs::pass_on(py)?;
         let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self { inner: Arc::new(inner) })
+        Ok(Self { inner: Arc::new(inner), last: Arc::default() })
+    }
+
+    /// What may not be meant as it was given.
+    fn warnings(&self) -> Vec<String> {
+        self.inner.warnings().iter().map(ToString::to_string).collect()
     }
 
     #[getter]
@@ -221,8 +253,8 @@ impl PyCalibration {
 
     /// The same, chosen if it is not yet.
     fn solver(&self, py: Python<'_>) -> PyResult<&'static str> {
-        self.compute(py, |calibration, cancel| {
-            calibration.solver_until(&|| cancel.load(Ordering::Relaxed)).map(|solver| solver.method.name())
+        self.compute(py, |calibration, cancelled| {
+            calibration.solver_until(cancelled).map(|solver| solver.method.name())
         })
     }
 
@@ -243,12 +275,12 @@ impl PyCalibration {
     }
 
     fn cost(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<f64> {
-        self.compute(py, move |calibration, cancel| calibration.cost_until(&x, &cancel))
+        self.compute(py, move |calibration, cancelled| calibration.cost_until(&x, cancelled))
     }
 
     fn residuals<'py>(&self, py: Python<'py>, x: Vec<f64>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let residuals =
-            self.compute(py, move |calibration, cancel| calibration.residuals_until(&x, &cancel))?;
+            self.compute(py, move |calibration, cancelled| calibration.residuals_until(&x, cancelled))?;
         Ok(PyArray1::from_vec(py, residuals))
     }
 
@@ -260,8 +292,8 @@ impl PyCalibration {
         x: Vec<f64>,
         times: Option<Vec<f64>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let trajectories = self.compute(py, move |calibration, cancel| {
-            calibration.simulate_until(&x, times.as_deref(), cancel)
+        let trajectories = self.compute(py, move |calibration, cancelled| {
+            calibration.simulate_until(&x, times.as_deref(), cancelled)
         })?;
         let columns = PyDict::new(py);
         for trajectory in trajectories {
@@ -351,6 +383,11 @@ impl PyCalibration {
                 }
                 let result = report::to_python(py, &fit.report)?;
                 result.setattr("stats", Counts::new(&fit.stats))?;
+                let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
+                result.setattr("at_bound", at_bound.into_py_dict(py)?)?;
+                let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
+                result.setattr("without_effect", inert)?;
+                result.setattr("n_checks", fit.n_checks)?;
                 Some(result)
             }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),

@@ -74,7 +74,7 @@ fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
         Some(number) => {
             let text = error.to_string();
             let reason = text.split(" (os error").next().unwrap_or(&text);
-            PyOSError::new_err((number, format!("{action}: {reason}"), path.to_path_buf()))
+            PyOSError::new_err((number, format!("{action}: {reason}"), path.as_os_str().to_owned()))
         }
         None => PyOSError::new_err(format!("{action} {}: {error}", path.display())),
     }

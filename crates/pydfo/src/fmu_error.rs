@@ -34,6 +34,9 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
         | FmiError::UnknownExample { .. } => BadModelValueError::new_err(message),
         FmiError::Call(failure) => simulation(py, error, message, failure.time),
         FmiError::EventIteration { time, .. } => simulation(py, error, message, Some(*time)),
+        FmiError::Simulation(inner) if matches!(inner.kind, ode::ErrorKind::TooLargeForDense { .. }) => {
+            PyMemoryError::new_err(message)
+        }
         FmiError::Simulation(inner) => simulation(py, error, message, Some(inner.time)),
         _ => FmuError::new_err(message),
     }

@@ -1,4 +1,5 @@
-//! Ctrl-C: the calling thread looks for Python's signals while work goes on elsewhere, or inside of a Python function.
+//! Ctrl-C: the calling thread looks for Python's signals while work goes on elsewhere, between two steps of a short
+//! simulation, or inside of a Python function.
 //!
 //! While a [`Watch`] lives, SIGINT is handled by us: the first one raises a flag, so that no further evaluation starts
 //! and simulations stop at their next step, while a Python function that is running is left to end; from the second
@@ -11,15 +12,72 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::PyTuple;
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex, MutexGuard};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How long the calling thread waits at most before it looks for signals.
 const PATIENCE: Duration = Duration::from_millis(20);
+
+/// Work that took less than this the last time is done on the calling thread: handing it to another one takes up to 0.5 ms.
+const SHORT: Duration = Duration::from_millis(50);
+
+/// Stack that the calling thread must have left for that: what 8 MiB, the usual limit of a main thread, leave when an
+/// interpreter has used some.
+const LEAST_STACK: usize = 7 << 20;
+
+/// Whether work that took this long the last time (`None`: it was never done) can be done on the calling thread.
+pub(crate) fn fits_here(last: Option<Duration>) -> bool {
+    last.is_some_and(|took| took < SHORT)
+        && stacker::remaining_stack().is_some_and(|left| left >= LEAST_STACK)
+}
+
+/// Polls between two readings of the clock, which takes as long as a step of a small model does...
+const POLLS_PER_READING: u32 = 16;
+
+/// ... unless so many take longer than this: then the clock is read at each.
+const SLOW: Duration = Duration::from_millis(1);
+
+/// Says when [`PATIENCE`] is over, to somebody who asks before every step.
+struct PollClock {
+    start: Instant,
+    polls: Cell<u32>,
+    /// Times since the start: of the last reading, and of the next look.
+    read: Cell<Duration>,
+    due: Cell<Duration>,
+    polls_per_reading: Cell<u32>,
+}
+
+impl PollClock {
+    fn new() -> Self {
+        Self {
+            start: Instant::now(),
+            polls: Cell::new(0),
+            read: Cell::new(Duration::ZERO),
+            due: Cell::new(PATIENCE),
+            polls_per_reading: Cell::new(POLLS_PER_READING),
+        }
+    }
+
+    fn is_due(&self) -> bool {
+        self.polls.set(self.polls.get() + 1);
+        if self.polls.get() < self.polls_per_reading.get() {
+            return false;
+        }
+        let now = self.start.elapsed();
+        let is_slow = now - self.read.replace(now) > SLOW;
+        self.polls_per_reading.set(if is_slow { 1 } else { POLLS_PER_READING });
+        self.polls.set(0);
+        let is_due = now >= self.due.get();
+        if is_due {
+            self.due.set(now + PATIENCE);
+        }
+        is_due
+    }
+}
 
 /// The wish to end one piece of work.
 #[derive(Default)]
@@ -181,10 +239,16 @@ pub(crate) struct Watch<'py> {
 }
 
 impl<'py> Watch<'py> {
-    pub(crate) fn new(py: Python<'py>) -> PyResult<Self> {
+    /// Leaves SIGINT to the handler that is there: for work that calls no Python function, on the calling thread, which
+    /// looks for signals itself and otherwise leaves them to whatever comes next.
+    pub(crate) fn without_handler(py: Python<'py>) -> Self {
         let parent = AROUND.with_borrow(|around| around.last().cloned());
         let stop = Arc::new(Stop { parent, ..Stop::default() });
-        let mut watch = Self { py, stop, handler: None, previous: None };
+        Self { py, stop, handler: None, previous: None }
+    }
+
+    pub(crate) fn new(py: Python<'py>) -> PyResult<Self> {
+        let mut watch = Self::without_handler(py);
         let signals = Signals::get(py)?;
         let current = signals.handler(py)?;
         if let Ok(ours) = current.cast::<SigintHandler>() {
@@ -222,6 +286,21 @@ impl<'py> Watch<'py> {
         work: impl FnOnce(&Desk) -> T + Send + 'static,
     ) -> PyResult<Option<T>> {
         self.serve(work, Stop::look)
+    }
+
+    /// Runs `work` on the calling thread without the interpreter lock. What `work` is given is to be asked before every
+    /// step: it looks for signals every 20 ms, and says whether the work is to end.
+    pub(crate) fn run_here<T: Send>(&self, work: impl FnOnce(&dyn Fn() -> bool) -> T + Send) -> T {
+        let stop = &*self.stop;
+        self.py.detach(move || {
+            let clock = PollClock::new();
+            work(&|| {
+                if clock.is_due() {
+                    Python::attach(|py| stop.look(py));
+                }
+                stop.is_asked()
+            })
+        })
     }
 
     /// As [`run`](Self::run), but the first Ctrl-C does not wait for the work to notice.

@@ -31,7 +31,7 @@ mod core_module {
     use pyo3::prelude::*;
 
     #[pymodule_export]
-    use super::calibration::{PyCalibration, check_parameter};
+    use super::calibration::{PyCalibration, check_parameter, find_time};
     #[pymodule_export]
     use super::description::Fmu;
     #[pymodule_export]

@@ -3,6 +3,7 @@
 //! Lines are kept until the next return to Python: the threads that simulate must not wait for the interpreter lock.
 
 use crate::interrupt::lock;
+use calibration::SETUP_LOG_TARGET;
 use log::{Level, LevelFilter, Log, Metadata, Record};
 use pyo3::prelude::*;
 use std::sync::Mutex;
@@ -18,7 +19,8 @@ static KEEPER: Keeper = Keeper { lines: Mutex::new(Vec::new()) };
 
 impl Log for Keeper {
     fn enabled(&self, metadata: &Metadata<'_>) -> bool {
-        metadata.level() <= Level::Info
+        // What is doubtful about a setup is shown as a Python warning.
+        metadata.level() <= Level::Info && metadata.target() != SETUP_LOG_TARGET
     }
 
     fn log(&self, record: &Record<'_>) {

@@ -124,8 +124,10 @@ impl<'py> Given<'_, 'py> {
         for name in self.entries.keys() {
             let name = name.extract::<String>().unwrap_or_else(|_| name.to_string());
             if !self.known.contains(&&*name) {
+                let near = nearest(self.entries.py(), &name, &self.known);
+                let hint = near.map_or_else(|| ";".to_owned(), |near| format!("; did you mean '{near}'?"));
                 return Err(PyValueError::new_err(format!(
-                    "{} has no option '{name}'; it has {}, and every method has {COMMON}",
+                    "{} has no option '{name}'{hint} it has {}, and every method has {COMMON}",
                     self.method,
                     self.known.join(", ")
                 )));
@@ -239,4 +241,12 @@ pub(crate) fn method(name: &str, entries: &Bound<'_, PyDict>) -> PyResult<AnyMet
     }
     given.finish()?;
     Ok(method)
+}
+
+/// The name among those of a method's options that is most like `name`.
+fn nearest(py: Python<'_>, name: &str, known: &[&'static str]) -> Option<String> {
+    let names: Vec<&str> = known.iter().copied().chain(COMMON.split(", ")).collect();
+    let near =
+        py.import("difflib").and_then(|difflib| difflib.call_method1("get_close_matches", (name, names, 1)));
+    near.and_then(|near| near.extract::<Vec<String>>()).ok()?.pop()
 }

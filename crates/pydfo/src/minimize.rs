@@ -41,13 +41,10 @@ impl Problem {
         self,
         run: Minimize<'a, NelderMead>,
         stop: &Stop,
-        poll: Option<Box<dyn FnMut() -> bool + 'a>>,
+        poll: impl FnMut() -> bool + 'a,
         observer: Option<&'a mut Observer<'_>>,
     ) -> Result<Report, dfo::Error> {
-        let mut run = self.describe(run)?.cancel(stop.flag());
-        if let Some(poll) = poll {
-            run = run.poll(poll);
-        }
+        let run = self.describe(run)?.cancel(stop.flag()).poll(poll);
         match observer {
             Some(observer) => run.observer(observer).run(),
             None => run.run(),
@@ -91,7 +88,7 @@ pub(crate) fn minimize<'py>(
             true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch)),
             false => dfo::minimize(ByRef(&*objective)),
         };
-        problem.run(run, &stop, Some(Box::new(|| stop.poll(py))), observer)
+        problem.run(run, &stop, || stop.poll(py), observer)
     } else {
         let last_seen = Arc::new(LastSeen::default());
         let (objective, stop) = (Arc::clone(&objective), Arc::clone(&stop));
@@ -99,9 +96,7 @@ pub(crate) fn minimize<'py>(
         let outcome = watch.run(move |desk| {
             let mut hear = |progress: &Progress<'_>| seen.pass_on(progress, desk, hearing.as_ref());
             let run = dfo::minimize(ByRef(&*objective));
-            // The flag reaches evaluations on any thread; only the work around this one has to be asked.
-            let poll = stop.has_parent().then(|| Box::new(|| stop.is_asked()) as Box<dyn FnMut() -> bool>);
-            problem.run(run, &stop, poll, Some(&mut hear))
+            problem.run(run, &stop, || stop.is_asked(), Some(&mut hear))
         })?;
         match outcome {
             Some(outcome) => outcome,

@@ -1,15 +1,16 @@
-//! A model as scripts use it: values set and read, simulations on a thread of their own without the interpreter lock.
+//! A model as scripts use it: values set and read, simulations without the interpreter lock.
 
 use crate::description::Fmu;
 use crate::inputs::{self, Callbacks, Function, Table};
-use crate::interrupt::{Stop, Watch, lock};
+use crate::interrupt::{Desk, Stop, Watch, fits_here, lock};
 use crate::trajectory::Record;
 use crate::{fmu_error, logs, values};
 use fmi::description::Interval;
-use fmi::{Session, SimulateOptions};
+use fmi::{InterfaceKind, Session, SimulateOptions};
 use numpy::PyReadonlyArray1;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -20,6 +21,7 @@ pyo3::import_exception!(pydfo._errors, Interrupted);
 #[pyclass(frozen, module = "pydfo._core")]
 pub(crate) struct Model {
     fmu: fmi::Fmu,
+    kind: InterfaceKind,
     slot: Arc<Mutex<Slot>>,
 }
 
@@ -84,6 +86,7 @@ pub(crate) struct Request<'py> {
     max_step: Option<f64>,
     timeout: Option<f64>,
     record_events: bool,
+    input_derivatives: bool,
     chattering: String,
 }
 
@@ -94,7 +97,8 @@ impl Model {
         let fmu = fmu.get().fmu.clone();
         let kind = kind.parse().map_err(|e| fmu_error::raise(py, &e))?;
         let session = Box::new(Session::of_kind(fmu.clone(), kind));
-        Ok(Self { fmu, slot: Arc::new(Mutex::new(Slot::Here(session))) })
+        let kind = fmu.choose(kind).map_err(|e| fmu_error::raise(py, &e))?;
+        Ok(Self { fmu, kind, slot: Arc::new(Mutex::new(Slot::Here(session))) })
     }
 
     /// Values of variables.
@@ -144,27 +148,54 @@ impl Model {
         py.detach(|| matches!(*lock(&self.slot), Slot::Closed))
     }
 
+    /// Names of the variables that were set.
+    fn names_set(&self) -> PyResult<Vec<String>> {
+        self.with_session(|session| session.values().map(|(name, _)| name.to_owned()).collect())
+    }
+
+    /// On the calling thread if the last simulation of this FMU was short.
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Record<'py>> {
-        let watch = Watch::new(py)?;
+        let is_here = fits_here(self.fmu.last_run(self.kind));
+        // An input function is Python code: what a Ctrl-C does to it is up to our handler.
+        let watch = match is_here && request.functions.is_empty() {
+            true => Watch::without_handler(py),
+            false => Watch::new(py)?,
+        };
         let stop = Arc::clone(watch.stop());
         let (options, callbacks) = self.options(py, request, &stop)?;
         let mut loan = self.lend()?;
-        let releasing = callbacks.clone();
-        let outcome = watch.run(move |_| {
-            let outcome = loan.session.as_mut().map(|session| session.simulate(&options));
-            releasing.release();
+        let outcome = if is_here {
+            let run = |cancelled: &dyn Fn() -> bool| {
+                let mut poll = || match cancelled() {
+                    true => ControlFlow::Break(()),
+                    false => ControlFlow::Continue(()),
+                };
+                loan.session.as_mut().map(|session| session.simulate_with(&options, &mut poll))
+            };
+            let outcome = watch.run_here(run);
+            callbacks.release();
             drop(loan);
             outcome
-        });
+        } else {
+            let releasing = callbacks.clone();
+            let run = move |_: &Desk| {
+                let outcome = loan.session.as_mut().map(|session| session.simulate(&options));
+                releasing.release();
+                drop(loan);
+                outcome
+            };
+            watch.run(run)?.flatten()
+        };
         logs::pass_on(py)?;
-        let outcome = outcome?;
         if let Some(e) = callbacks.take_raised().or_else(|| stop.take_raised()) {
             return Err(e);
         }
-        match outcome.flatten() {
+        match outcome {
             Some(Ok(trajectory)) if !stop.is_asked() => Record::new(py, self.fmu.description(), trajectory),
             Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),
-            outcome => Err(interrupted(outcome.and_then(Result::err).as_ref())),
+            Some(Ok(trajectory)) => Err(interrupted(Some(trajectory.end_time))),
+            Some(Err(fmi::FmiError::Simulation(e))) => Err(interrupted(Some(e.time))),
+            _ => Err(interrupted(None)),
         }
     }
 }
@@ -198,8 +229,11 @@ impl Model {
     ) -> PyResult<(SimulateOptions, Callbacks)> {
         let flag = stop.flag();
         let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &flag)?;
-        let mut options =
-            SimulateOptions::new().inputs(inputs).cancel(flag).record_events(request.record_events);
+        let mut options = SimulateOptions::new()
+            .inputs(inputs)
+            .cancel(flag)
+            .record_events(request.record_events)
+            .input_derivatives(request.input_derivatives);
         options.start_time = request.start_time;
         options.final_time = request.final_time;
         options.times = request.times.map(|times| times.as_slice().map(<[f64]>::to_vec)).transpose()?;
@@ -239,12 +273,8 @@ fn closed() -> PyErr {
     PyValueError::new_err("the model has been closed")
 }
 
-/// Ctrl-C; `at` is the error with which the simulation ended, which knows the time.
-fn interrupted(at: Option<&fmi::FmiError>) -> PyErr {
-    match at {
-        Some(fmi::FmiError::Simulation(e)) => {
-            Interrupted::new_err(format!("the simulation was interrupted at t = {}", e.time))
-        }
-        _ => Interrupted::new_err("the simulation was interrupted"),
-    }
+/// Ctrl-C, at this time of the simulation.
+fn interrupted(time: Option<f64>) -> PyErr {
+    let at = time.map_or_else(String::new, |time| format!(" at t = {}", ode::Number(time)));
+    Interrupted::new_err(format!("the simulation was interrupted{at}"))
 }

@@ -7,7 +7,7 @@ use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use ode::{
     CallError, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, JacobianPattern, StepAction,
 };
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use std::sync::Arc;
 
@@ -69,11 +69,18 @@ impl<'py> PySystem<'py> {
         PyArray1::from_slice(self.py, x)
     }
 
-    fn keep(&mut self, t: f64, x: &[f64]) {
+    fn keep(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         if self.keeps_steps {
+            if let Err(full) = self.states.try_reserve(x.len()) {
+                let message =
+                    format!("no room for the states of step {}: {full}; give t_eval", self.times.len());
+                self.raised.get_or_insert(PyMemoryError::new_err(message.clone()));
+                return Err(CallError::failed(message));
+            }
             self.times.push(t);
             self.states.extend_from_slice(x);
         }
+        Ok(())
     }
 }
 
@@ -92,7 +99,7 @@ impl HybridSystem for PySystem<'_> {
 
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
         x.copy_from_slice(&self.x0);
-        self.keep(t0, x);
+        self.keep(t0, x)?;
         self.is_made = true;
         Ok(EventOutcome::default())
     }
@@ -103,6 +110,10 @@ impl HybridSystem for PySystem<'_> {
 
     fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
         self.pattern.as_ref()
+    }
+
+    fn has_jacobian(&self) -> bool {
+        !matches!(self.jacobian, JacobianSource::Differences)
     }
 
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
@@ -129,7 +140,7 @@ impl HybridSystem for PySystem<'_> {
             self.times.pop();
             self.states.truncate(self.states.len() - x.len());
         }
-        self.keep(t, x);
+        self.keep(t, x)?;
         Ok(())
     }
 
@@ -143,7 +154,7 @@ impl HybridSystem for PySystem<'_> {
     }
 
     fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
-        self.keep(t, x);
+        self.keep(t, x)?;
         self.is_made = false;
         Ok(StepAction::default())
     }
@@ -178,7 +189,7 @@ impl HybridSystem for PySystem<'_> {
             }
         })?;
         if outcome.states_changed {
-            self.keep(visit.time, x);
+            self.keep(visit.time, x)?;
             self.is_made = true;
         }
         Ok(outcome)

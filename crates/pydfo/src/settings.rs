@@ -154,10 +154,14 @@ fn time(name: &str, seconds: f64) -> PyResult<Duration> {
     })
 }
 
-fn word<T: Copy>(name: &str, given: &str, words: &[(&str, T)]) -> PyResult<T> {
-    words.iter().find(|(word, _)| *word == given).map(|(_, value)| *value).ok_or_else(|| {
+/// The value of a word, whatever the case of its letters.
+pub(crate) fn word<T: Copy>(name: &str, given: &str, words: &[(&str, T)]) -> PyResult<T> {
+    let found = words.iter().find(|(word, _)| word.eq_ignore_ascii_case(given));
+    found.map(|(_, value)| *value).ok_or_else(|| {
         let known: Vec<_> = words.iter().map(|(word, _)| format!("'{word}'")).collect();
-        PyValueError::new_err(format!("{name} = '{given}' is none of {}", known.join(", ")))
+        let meant = words.iter().find(|(word, _)| !given.is_empty() && word.starts_with(given));
+        let hint = meant.map_or_else(String::new, |(word, _)| format!("; did you mean '{word}'?"));
+        PyValueError::new_err(format!("{name} = '{given}' is none of {}{hint}", known.join(", ")))
     })
 }
 

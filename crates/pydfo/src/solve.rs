@@ -6,10 +6,10 @@ use crate::py_system::{Event, JacobianSource, PySystem, matrix};
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{
-    AbsoluteTolerance, Direction, Driver, ErrorKind, JacobianPattern, Limits, Method, Observer, Options,
-    OptionsError, Report, Sample, SimulationError, StepView, Termination,
+    AbsoluteTolerance, Direction, Driver, ErrorKind, Evaluated, JacobianPattern, Limits, Method, Number,
+    Observer, Options, OptionsError, Report, Sample, SimulationError, StepView, Termination,
 };
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::ops::ControlFlow;
@@ -184,11 +184,24 @@ pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bou
         n: problem.x0.len(),
     };
     let times = problem.times.as_deref().unwrap_or_default();
+    let n = problem.x0.len();
+    keeper.states.try_reserve_exact(times.len().saturating_mul(n)).map_err(|_| {
+        let gigabytes = 8e-9 * times.len() as f64 * n as f64;
+        PyMemoryError::new_err(format!(
+            "t_eval: {} times of {n} states take {gigabytes:.1} GB, for which there is no room",
+            times.len()
+        ))
+    })?;
     let outcome = driver.run(&mut system, problem.start, problem.end, times, &mut keeper);
     if let Err(e) = &outcome
         && is_misuse(&e.kind)
     {
         return Err(PyValueError::new_err(e.to_string()));
+    }
+    if let Err(e) = &outcome
+        && matches!(e.kind, ErrorKind::TooLargeForDense { .. })
+    {
+        return Err(PyMemoryError::new_err(e.to_string()));
     }
     let raised = system.raised.take();
     let result = result(py, system, keeper, &outcome)?;
@@ -237,6 +250,22 @@ fn is_misuse(kind: &ErrorKind) -> bool {
     )
 }
 
+/// The error in the words of `pydfo.ode.solve`: what returned a value that is not finite.
+fn message(error: &SimulationError, n: usize) -> String {
+    let message = error.to_string();
+    let Some(value) = &error.not_finite else { return message };
+    let (number, index, time) = (Number(value.value), value.index, Number(value.time));
+    let words = match value.what {
+        Evaluated::Derivative => format!("rhs returned {number} for component {index} at t = {time}"),
+        Evaluated::EventIndicator => format!("event {index} returned {number} at t = {time}"),
+        Evaluated::Jacobian => {
+            format!("jac returned {number} for entry [{}, {}] at t = {time}", index % n, index / n)
+        }
+        _ => return message,
+    };
+    message.replacen(&value.to_string(), &words, 1)
+}
+
 /// `pydfo.ode.OdeResult`
 fn result<'py>(
     py: Python<'py>,
@@ -255,7 +284,7 @@ fn result<'py>(
             };
             (status, message.to_owned(), report.time, &report.stats)
         }
-        Err(e) => (-1, e.to_string(), e.time, &e.stats),
+        Err(e) => (-1, message(e, n), e.time, &e.stats),
     };
     let fields = PyDict::new(py);
     let (times, states) =

@@ -96,3 +96,19 @@ def compiled(name, path, *defines, replacements=()):
         assert old in description
         description = description.replace(old, new)
     return write(path, description, files)
+
+
+def evil(path, *defines):
+    """The FMI 2.0 model with faults in C that the tests of the importer have (x' = -k x, y = x), for both kinds."""
+    source = Path(__file__).resolve().parents[2] / "fmi" / "tests" / "evil"
+    frontend = source.parents[1] / "models" / "frontend"
+    compiler = shutil.which("cc")
+    if compiler is None or (sys.platform, platform.machine()) != ("linux", "x86_64"):
+        pytest.skip("needs a C compiler on Linux")
+    library = path.with_suffix(".so")
+    options = ["-shared", "-fPIC", "-O1", "-ffp-contract=off", *(f"-D{define}" for define in defines)]
+    subprocess.run([compiler, *options, "-I", frontend, "-o", library, source / "evil.c", "-lm"], check=True)
+    description = (source / "modelDescription.xml").read_text(encoding="utf-8")
+    both = ME.replace('"m"', '"evil"') + '<CoSimulation modelIdentifier="evil" canHandleVariableCommunicationStepSize="true"/>'
+    description = description.replace(ME.replace('"m"', '"evil"'), both)
+    return write(path, description, {"binaries/linux64/evil.so": library.read_bytes()})

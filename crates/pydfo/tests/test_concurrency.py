@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -39,12 +40,14 @@ def test_the_four_points_of_a_round_are_evaluated_at_once():
         with lock:
             count += 1
             mine = count
-        # the three vertices first, then rounds of reflection, expansion and both contractions
+        # Shorter evaluations would not be handed over. The three vertices come first, then rounds of four points: the one
+        # that is needed and the most probable of those that may be.
+        time.sleep(0.002)
         if mine > 3:
             barrier.wait(PATIENCE)
         return rosenbrock(x)
 
-    res = fmin(func, [-1.2, 1.0], nbr_cores=4, max_iters=5, **QUIET)
+    res = fmin(func, [-1.2, 1.0], nbr_cores=4, max_iters=5, batch="four", **QUIET)
     assert res.batch == "four" and res.nit == 5
 
 
@@ -53,10 +56,11 @@ def test_four_workers_start_four_of_the_vertices_together(n):
     barrier = threading.Barrier(4)
 
     def func(x):
+        time.sleep(0.002)
         barrier.wait(PATIENCE)
         return float(np.sum(x**2))
 
-    assert fmin(func, np.ones(n), nbr_cores=4, max_iters=2, **QUIET).nit == 2
+    assert fmin(func, np.ones(n), nbr_cores=4, max_iters=2, batch="four", **QUIET).nit == 2
 
 
 def test_one_worker_is_the_calling_thread_and_more_are_not():

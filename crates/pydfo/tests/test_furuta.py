@@ -1,28 +1,19 @@
-"""The Furuta pendulum: trajectories of the original model, the objective of the paper's fit, events, and the way in which
-the paper's script uses a model."""
+"""The Furuta pendulum: trajectories, the objective of the paper's fit, events, and the way in which the paper's script uses a
+model. Trajectories and measurements of the original are compared where they are at hand."""
 
 from __future__ import annotations
 
 import shutil
-from pathlib import Path
 
 import fmus
 import numpy as np
 import pytest
+import recordings
 
 from pydfo import FMUModel, dfo, example_fmu
 
-#: Reference data, which are not part of the project.
-DATA = Path(__file__).resolve().parents[3].parent / "shared" / "data"
 NOMINAL, OPTIMAL = (0.012, 0.002), (0.010, 0.001)
 ANGLES = ["armJoint.phi", "pendulumJoint.phi"]
-
-
-def reference(name):
-    path = DATA / name
-    if not path.exists():
-        pytest.skip(f"no reference data: {path} does not exist")
-    return path
 
 
 def model(friction):
@@ -31,28 +22,54 @@ def model(friction):
     return pendulum
 
 
-def measurements():
-    loadmat = pytest.importorskip("scipy.io").loadmat
-    data = loadmat(reference("FurutaData.mat"))
-    return data["time"][:, 0], np.vstack([data["phi"][:, 0], data["theta"][:, 0]])
+@pytest.mark.parametrize("friction", [NOMINAL, OPTIMAL])
+def test_every_method_gives_the_same_trajectory(friction):
+    times = np.linspace(0, 40, 401)
+
+    def run(solver, rtol):
+        return model(friction).simulate(0, 40, times=times, output=ANGLES, solver=solver, relative_tolerance=rtol)
+
+    reference = run("dop853", 1e-12)
+    for solver in ("auto", "tsit5", "radau5"):
+        res = run(solver, 1e-8)
+        assert max(np.abs(res[angle] - reference[angle]).max() for angle in ANGLES) < 1e-6
 
 
-@pytest.mark.parametrize(("friction", "name"), [(NOMINAL, "nominal"), (OPTIMAL, "optimal")])
-def test_trajectories(friction, name):
-    expected = np.genfromtxt(reference(f"furuta_reference_{name}.csv"), delimiter=",", names=True, deletechars="")
+REFERENCES = [name for name in ("nominal", "optimal") if (recordings.PUBLISHED / f"furuta_reference_{name}.csv").is_file()]
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_trajectories_of_the_original(name):
+    path = recordings.PUBLISHED / f"furuta_reference_{name}.csv"
+    expected = np.genfromtxt(path, delimiter=",", names=True, deletechars="")
+    friction = NOMINAL if name == "nominal" else OPTIMAL
     res = model(friction).simulate(0, 40, times=expected["time"], output=ANGLES, relative_tolerance=1e-8)
     assert len(res.time) == 401
     for angle in ANGLES:
         assert np.abs(res[angle] - expected[angle]).max() < 1e-6
 
 
-@pytest.mark.parametrize(("friction", "cost", "within"), [(NOMINAL, 207.0783, 0.01), (OPTIMAL, 1.09246, 1e-3)])
-def test_the_objective_at_the_measured_times(friction, cost, within):
-    t_meas, y_meas = measurements()
-    res = model(friction).simulate(final_time=40, times=t_meas)
+def errors(friction, which):
+    """`quad_err` and the sum of squares written out, at the measured times."""
+    data = recordings.furuta(which)
+    y_meas = np.vstack([data["phi"], data["theta"]])
+    res = model(friction).simulate(final_time=40, times=data["time"])
     y_sim = np.vstack([res[angle] for angle in ANGLES])
-    assert dfo.quad_err(t_meas, y_meas, res["time"], y_sim) == pytest.approx(cost, abs=within)
-    assert np.sum((y_sim - y_meas) ** 2) == pytest.approx(cost, abs=within)
+    return dfo.quad_err(data["time"], y_meas, res["time"], y_sim), np.sum((y_sim - y_meas) ** 2)
+
+
+def test_at_the_true_frictions_the_objective_is_the_noise():
+    """Of the recording of our own: the same draws as in examples/data/generate_furuta.py."""
+    rng = np.random.default_rng(recordings.SEED)
+    noise = np.sum(rng.normal(0, 0.0305, 801) ** 2) + np.sum(rng.normal(0, 0.0207, 801) ** 2)
+    assert errors(OPTIMAL, "own") == pytest.approx((noise, noise), rel=1e-4)
+    assert errors(NOMINAL, "own")[0] > 100 * noise
+
+
+@pytest.mark.parametrize("which", recordings.at_hand("FurutaData.mat")[1:])
+@pytest.mark.parametrize(("friction", "cost", "within"), [(NOMINAL, 207.0783, 0.01), (OPTIMAL, 1.09246, 1e-3)])
+def test_the_objective_at_the_measured_times(friction, cost, within, which):
+    assert errors(friction, which) == pytest.approx((cost, cost), abs=within)
 
 
 @pytest.mark.parametrize(

@@ -208,8 +208,96 @@ def test_a_loop_of_short_work_can_be_interrupted(what):
     }[what]
     work()
     for _ in range(10):
-        press(0.02)
         with pytest.raises(KeyboardInterrupt):
+            # inside: starting the thread may take longer than it waits
+            press(0.02)
             deadline = time.monotonic() + 2.0
             while time.monotonic() < deadline:
                 work()
+
+
+def test_a_run_that_gets_long_on_the_calling_thread_can_be_interrupted():
+    model = pydfo.FMUModel(pydfo.example_fmu("van_der_pol"))
+    for _ in range(3):
+        model.simulate(final_time=1.0)
+    before = threading.active_count()
+    press(0.3)
+    start = time.monotonic()
+    with pytest.raises(pydfo.Interrupted, match="interrupted at t = ") as info:
+        model.simulate(final_time=1e9, output=["x0"], ncp=10)
+    assert time.monotonic() - start < 1.3 and before <= threading.active_count()
+    assert float(str(info.value).rpartition(" ")[2]) > 0.0
+    # and the model is as it was
+    assert model.simulate(final_time=1.0).termination == "finished"
+
+
+def test_a_cost_that_gets_long_on_the_calling_thread_can_be_interrupted():
+    # k = 1e-3 is simulated in no time; for k = 1e9 Tsit5 is limited by stability, with 1e9 steps
+    data = {"time": [0.0, 1.0], "x": [1.0, 0.4]}
+    parameters = [pydfo.Parameter("k", 1.0, 1e-3, 1e12)]
+    calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], parameters, solver="tsit5")
+    for _ in range(3):
+        calibration.cost([1e-3])
+    press(0.3)
+    start = time.monotonic()
+    with pytest.raises(pydfo.Interrupted):
+        calibration.cost([1e10])
+    assert time.monotonic() - start < 1.3
+    assert calibration.cost([1.0]) < 1.0
+
+
+@pytest.mark.parametrize("raises", [False, True])
+def test_input_functions_of_short_runs_are_awaited_and_end_the_run(raises):
+    """They are called with the interpreter lock, on whichever thread simulates."""
+    model = pydfo.FMUModel(pydfo.example_fmu("quad_tank"))
+    voltages = ("u1", "u2"), lambda t: (5.0, 5.0)
+    for _ in range(3):
+        model.simulate(final_time=1.0, input=voltages)
+    seen = []
+
+    def slow_voltages(t):
+        seen.append(threading.get_ident())
+        if raises and len(seen) > 3:
+            raise ArithmeticError("no voltage")
+        time.sleep(0.01)
+        return 5.0 + 0.1 * (t % 1.0), 5.0
+
+    if not raises:
+        press(0.3)
+    start = time.monotonic()
+    with pytest.raises(ArithmeticError if raises else pydfo.Interrupted):
+        model.simulate(final_time=1e6, input=(("u1", "u2"), slow_voltages))
+    assert time.monotonic() - start < 1.3
+    assert set(seen) == {threading.get_ident()}
+
+
+def test_the_first_run_leaves_the_calling_thread_and_short_ones_stay_on_it():
+    model = pydfo.FMUModel(pydfo.example_fmu("quad_tank"))
+    threads = []
+
+    def voltages(t):
+        threads.append(threading.get_ident())
+        return 5.0, 5.0
+
+    def used():
+        threads.clear()
+        model.simulate(final_time=1.0, input=(("u1", "u2"), voltages))
+        return set(threads) == {threading.get_ident()}
+
+    used()
+    assert used()
+
+    def elsewhere(size):
+        """On a thread with a stack of its own size."""
+        found = []
+        before = threading.stack_size(size)
+        try:
+            thread = threading.Thread(target=lambda: found.append(used()))
+            thread.start()
+        finally:
+            threading.stack_size(before)
+        thread.join()
+        return found[0]
+
+    assert elsewhere(16 << 20)
+    assert not elsewhere(1 << 20)

@@ -10,7 +10,7 @@ import fmus
 import numpy as np
 import pytest
 
-from pydfo import FMUModel, example_fmu
+from pydfo import Calibration, CheckpointError, FMUModel, Parameter, example_fmu
 
 K, T = 2.0, 0.5
 TIGHT = {"relative_tolerance": 1e-10}
@@ -247,3 +247,36 @@ def test_a_function_is_let_go_of_after_the_simulation():
     del holder
     gc.collect()
     assert gone() is None
+
+
+def test_input_derivatives_are_told_unless_they_are_not_wanted():
+    model = FMUModel(example_fmu("switched_input", kind="CS"))
+    # y' = (2 u - y) / 0.5 with u = 0.3 t, as a ramp, or held over steps of 0.25 s.
+    ramp = 0.6 * (2.0 - 0.5 * (1.0 - np.exp(-4.0)))
+    held = 0.0
+    for k in range(8):
+        target = 0.15 * k
+        held = target + (held - target) * np.exp(-0.5)
+    for options, expected in (({}, ramp), ({"input_derivatives": True}, ramp), ({"input_derivatives": False}, held)):
+        result = model.simulate(final_time=2.0, ncp=8, output="y", input={"u": lambda t: 0.3 * t}, **options)
+        assert result.final("y") == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_fit_belongs_to_what_its_inputs_were_told(tmp_path):
+    t = np.linspace(0.0, 2.0, 9)
+    data = {"time": t, "u": 0.3 * t, "y": 0.6 * (t - 0.5 * (1.0 - np.exp(-2.0 * t)))}
+
+    def calibration(told):
+        return Calibration(
+            example_fmu("switched_input", kind="CS"),
+            data,
+            ["y"],
+            Parameter("T", 0.4, 0.1, 1.0),
+            inputs=["u"],
+            input_derivatives=told,
+        )
+
+    assert calibration(True).cost([0.5]) < 1e-9 < calibration(False).cost([0.5])
+    calibration(True).fit(checkpoint=tmp_path / "fit", max_evaluations=20)
+    with pytest.raises(CheckpointError, match="derivatives of the inputs"):
+        calibration(False).fit(checkpoint=tmp_path / "fit", resume="require", max_evaluations=20)

@@ -275,7 +275,7 @@ def test_the_dense_output_of_no_step_is_the_start():
     with pytest.raises(ValueError, match="lies outside"):
         res.sol(1.5)
     res = ode.solve(lambda t, y: [math.nan], (0, 1), [3.0], dense_output=True)
-    assert not res.success and res.message == "the model cannot be evaluated at its own state at t = 0"
+    assert not res.success and res.message == "rhs returned NaN for component 0 at t = 0"
     assert res.nfev == 1 and res.sol(0.0).tolist() == [3.0]
 
 
@@ -299,6 +299,7 @@ def test_failures_are_results_that_say_why():
     assert res.t[-1] == res.end_time and res.y[0, -1] > 1e4
     res = ode.solve(lambda t, y: [math.log(y[0])] if y[0] > 0.5 else [math.nan], (0, 9), [0.6])
     assert not res.success and "cannot be evaluated beyond" in res.message
+    assert "rhs returned NaN for component 0 at t = " in res.message
     res = ode.solve(circle, (0, 100), [0.0, 1.0], max_steps=5)
     assert "limit of 5 steps" in res.message and len(res.t) <= 6
 
@@ -444,3 +445,18 @@ def test_simulations_inside_an_objective():
     cost = lambda p: float(((ode.solve(lambda t, y: -p[0] * y, (0, 2), [1.0], t_eval=t).y - measured) ** 2).sum())  # noqa: E731
     res = pydfo.fmin(cost, [0.5], lb=[0], ub=[5], x_tol=1e-7, f_tol=1e-14, stop="all", disp=False)
     assert abs(res.x[0] - 1.3) < 1e-5
+
+
+def test_many_states_take_no_matrix_where_none_is_needed() -> None:
+    n = 100_000
+    solution = ode.solve(lambda t, y: -y, (0, 1), np.ones(n), t_eval=[1.0])
+    assert solution.success and solution.njev == 0
+    assert np.allclose(solution.y[..., -1] if solution.y.shape[0] == n else solution.y[-1], np.exp(-1.0), rtol=1e-4)
+    for method in ("radau5", "bdf"):
+        with pytest.raises(MemoryError, match=r"100000 x 100000 entries \(80.0 GB\).*sparsity pattern"):
+            ode.solve(lambda t, y: -y, (0, 1), np.ones(n), method, t_eval=[1.0])
+
+
+def test_samples_for_which_there_is_no_room_are_refused() -> None:
+    with pytest.raises(MemoryError, match=r"t_eval: 10000000 times of 100000 states take 8000.0 GB"):
+        ode.solve(lambda t, y: -y, (0, 1), np.ones(100_000), t_eval=np.linspace(0, 1, 10_000_000))

@@ -30,7 +30,7 @@ def test_a_wrong_way_of_sharing_is_a_value_error_that_lists_the_right_ones():
 
 def test_the_fit_is_the_same_however_the_library_is_shared():
     fits = [
-        decay(example_fmu("dahlquist"), sharing=sharing).fit(workers=workers)
+        decay(example_fmu("dahlquist"), sharing=sharing).fit(workers=workers, batch="serial")
         for sharing in ("copies", "serial", "together")
         for workers in (1, 3)
     ]
@@ -65,9 +65,10 @@ def test_what_one_model_sets_does_not_reach_another():
 
 
 @pytest.mark.parametrize("how", ["close", "reset", "drop"])
-def test_letting_a_model_go_waits_for_no_simulation(how):
+def test_letting_a_model_go_waits_for_no_simulation(tmp_path, how):
     """The simulation needs the interpreter lock for its input, so nobody may wait for it with the lock held."""
-    path = example_fmu("switched_input")
+    once = tuple(text.replace("dahlquist", "switched_input") for text in ONCE)
+    path = fmus.changed("switched_input", tmp_path / "once.fmu", once)
     idle = FMUModel(path)
     idle.simulate(final_time=1.0)
     inside, go_on = threading.Event(), threading.Event()

@@ -85,7 +85,7 @@ def test_integers_and_choices_are_fitted_by_methods_that_can():
     calibration = Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[choice])
     fit = calibration.fit(rng=1, max_evaluations=200)
     assert fit.method == "ga" and fit.x.tolist() == [3.0]
-    with pytest.raises(ValueError, match=r"over parameter 0, which is categorical \(parameter 0 is 'k'\)"):
+    with pytest.raises(ValueError, match=r"over x\[0\], which is categorical \(x\[0\] is parameter 'k'\)"):
         calibration.fit(method="nelder-mead")
     held = Parameter("k", 2, 1, 5, kind="integer", fixed=True)
     assert Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[held]).fit().method == "nelder-mead"

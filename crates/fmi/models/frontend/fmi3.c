@@ -452,7 +452,7 @@ FMI3_EXPORT fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Bo
     if (enter_event_mode == NULL || terminate == NULL) {
         return translate(fail(in, "fmi3CompletedIntegratorStep", "NULL argument"));
     }
-    *enter_event_mode = false;
+    *enter_event_mode = wants_event(in);
     *terminate = false;
     return translate(commit(in, "fmi3CompletedIntegratorStep"));
 }
@@ -536,6 +536,8 @@ FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 time, fmi3F
     Instance *in = admit(instance, STEP, "fmi3DoStep");
     const Component *component = (const Component *)instance;
     ModelStatus status;
+    Situation before;
+    void *memory;
     (void)no_set_state_prior;
     if (in == NULL) {
         return fmi3Error;
@@ -543,8 +545,19 @@ FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 time, fmi3F
     if (event == NULL || terminate == NULL || early == NULL || reached == NULL) {
         return translate(fail(in, "fmi3DoStep", "NULL argument"));
     }
+    before = in->now;
+    memory = in->store.take(1, model.memory_size);
+    if (memory == NULL) {
+        return translate(fail(in, "fmi3DoStep", "out of memory"));
+    }
+    memcpy(memory, in->memory, model.memory_size);
     /* Without early return events inside of a step happen there; those at its end are left to event mode. */
     status = step_to(in, time, size, component->event_mode && component->early_return, "fmi3DoStep");
+    if (status == MODEL_DISCARD) { /* nothing has happened then */
+        memcpy(in->memory, memory, model.memory_size);
+        in->now = before;
+    }
+    in->store.give_back(memory);
     *event = in->now.again != 0;
     *terminate = in->now.ended != 0;
     *early = in->now.time < time + size;

@@ -404,6 +404,11 @@ static inline ModelStatus commit(Instance *in, const char *function) {
     return MODEL_OK;
 }
 
+/* Whether the model asks for an event at the end of a completed step. */
+static inline int wants_event(const Instance *in) {
+    return model.wants_event != NULL && model.wants_event(in->memory, in->now.time);
+}
+
 static inline void move_states(Instance *in, const double states[], size_t n) {
     /* Importers set the same point again before they ask for something else there: that costs no calculation. */
     if (n > 0 && memcmp(in->memory + model.states, states, n * sizeof(double)) != 0) {

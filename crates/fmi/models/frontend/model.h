@@ -94,6 +94,10 @@ typedef struct {
     /* One round of the event iteration. `events` comes in all zero. Optional: a model without events. */
     ModelStatus (*update)(void *memory, double time, ModelEvents *events, ModelProblem *problem);
 
+    /* At the end of a completed step of whoever integrates: whether the model asks for an event there (a step event),
+     * which lets `update` be called. Optional. */
+    int (*wants_event)(const void *memory, double time);
+
     /* Partial derivative of a calculated Real variable (value reference `unknown`) with respect to a state, input
      * or parameter (`known`) after a calculate at this point. Optional. */
     double (*partial)(const void *memory, unsigned unknown, unsigned known);

@@ -156,7 +156,7 @@ static inline ModelStatus go_on(Instance *in, double end, int stop_at_events, in
             in->now.time = target; /* not a rounding error beside it */
             in->now.stale = 1;
         }
-        if (event || in->now.time >= in->now.next_event) {
+        if (event || in->now.time >= in->now.next_event || wants_event(in)) {
             *at_event = stop_at_events;
             if (stop_at_events) {
                 break;

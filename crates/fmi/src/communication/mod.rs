@@ -1,5 +1,10 @@
 //! Co-simulation: the loop over communication points, which delivers the same samples as the integration of a model.
 //! Which points these are says [`Communication`].
+//!
+//! At each point the row is read first; the inputs of the next step are set just before the step. So rows are limits from
+//! the left, and those at the start are read after the initialization with the inputs of that time. Limits from the right
+//! exist in event mode only (FMI 3.0): at a point with events or jumps of inputs the row is read behind them, and a time
+//! listed twice has both.
 
 mod run;
 mod samples;
@@ -90,9 +95,11 @@ impl Stepping {
             limits,
             observer,
             t: plan.start,
+            origin: plan.start,
             passed: 0,
             on_grid: true,
             next_row: 0,
+            lengths: [f64::NAN; _],
             longest: f64::INFINITY,
             next_event: None,
             discards: 0,
@@ -116,7 +123,16 @@ impl Stepping {
             Exit::Normal(termination) => Ok(Report { termination, time, stats }),
             Exit::Error(kind) => {
                 self.running.current.broken |= matches!(kind, ErrorKind::Model(_));
-                let error = SimulationError { kind, time, step, worst_state: None, last_event: None, stats };
+                let error = SimulationError {
+                    kind,
+                    time,
+                    step,
+                    worst_state: None,
+                    last_event: None,
+                    not_finite: None,
+                    undetermined: None,
+                    stats,
+                };
                 Err(FmiError::Simulation(Box::new(error)))
             }
         }

@@ -8,7 +8,7 @@ use crate::intermediate::Between;
 use crate::plan::SimulationPlan;
 use crate::points::Communication;
 use crate::running::Running;
-use crate::sys::RawInstance;
+use crate::sys::{Fault, RawInstance, look_now_and_then};
 use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Stats, Termination};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -18,6 +18,9 @@ const MAX_DISCARDS: u32 = 12;
 
 /// Events at one instant before a run gives up.
 const MAX_EVENTS_HERE: u32 = 100;
+
+/// Lengths of steps that are remembered.
+const LENGTHS: usize = 4;
 
 /// Why the loop is left.
 pub(super) enum Exit {
@@ -41,10 +44,14 @@ pub(super) struct Run<'a> {
     pub(super) limits: &'a Limits,
     pub(super) observer: &'a mut dyn Observer,
     pub(super) t: f64,
+    /// Where the regular points count from: the start, or where a model that takes steps of one length only returned early.
+    pub(super) origin: f64,
     /// Regular points passed, and whether the run stands on the last of them.
     pub(super) passed: u64,
     pub(super) on_grid: bool,
     pub(super) next_row: usize,
+    /// Lengths of steps that were made, the last first.
+    pub(super) lengths: [f64; LENGTHS],
     /// Longest step after one was refused.
     pub(super) longest: f64,
     /// The time event that the model announced.
@@ -108,6 +115,7 @@ impl Run<'_> {
     /// One communication step with everything that belongs to it.
     pub(super) fn advance(&mut self) -> Step<()> {
         self.check_limits()?;
+        look_now_and_then();
         let target = self.target();
         self.tried = target.step;
         self.check_ticks(&target)?;
@@ -116,8 +124,8 @@ impl Run<'_> {
         if row_inside {
             self.read(Place::Before)?;
         }
-        if self.communication.input_derivatives && !self.plan.inputs.continuous.references.is_empty() {
-            self.timed(Call::Inputs, |run| run.set_input_derivatives(&target))?;
+        if !self.plan.inputs.driven.is_empty() {
+            self.timed(Call::Inputs, |run| run.set_inputs(&target))?;
         }
         let (limits, began, cancel) = (*self.limits, self.began, &self.plan.options.cancel);
         let goes_on = || {
@@ -149,16 +157,19 @@ impl Run<'_> {
 
     /// A step of which only a part was computed, or nothing.
     fn cut_short(&mut self, target: &Target, outcome: &StepOutcome, row_inside: bool) -> Step<()> {
-        let StepOutcome { reached, terminate, event, may_have_ended, .. } = *outcome;
+        let StepOutcome { reached, early, terminate, event, may_have_ended, .. } = *outcome;
         let same = self.plan.same;
         let can_retry = self.communication.variable;
         let reached = reached.map_or(self.t, |reached| reached.clamp(self.t, target.time));
-        if reached > self.t + same && (can_retry || terminate || may_have_ended) {
+        if reached > self.t + same && (can_retry || early || terminate || may_have_ended) {
             // The model stands there and goes on from there.
             self.discards = 0;
             let regular = target.regular && reached >= target.time - same;
             self.arrive(reached, regular, row_inside, event && !terminate)?;
-            return if can_retry || terminate {
+            if !can_retry && !regular {
+                (self.origin, self.passed, self.on_grid) = (reached, 0, true);
+            }
+            return if can_retry || early || terminate {
                 Ok(())
             } else {
                 Err(Exit::Normal(Termination::StoppedByModel))
@@ -183,8 +194,11 @@ impl Run<'_> {
                 return Err(Exit::Normal(Termination::StoppedByModel));
             }
             let core = self.stepping.running.current.core()?;
-            let fault = core.raw.step_refused();
-            return Err(core.error(fault).into());
+            let call = core.raw.step_function();
+            return Err(match early {
+                true => FmiError::NoProgress { call, time: self.t }.into(),
+                false => core.error(Fault::Discard(call)).into(),
+            });
         }
         self.longest = 0.5 * target.step;
         Ok(())
@@ -203,20 +217,19 @@ impl Run<'_> {
         self.arrive_at(time, event)
     }
 
-    /// The model stands at a communication point: samples, inputs and events.
+    /// The model stands at a communication point: samples and events. Inputs change here in event mode only, where there
+    /// is one; else they are set when the row has been read, just before the next step (FMI 2.0.5, section 4.2.4: outputs
+    /// that are read after inputs were set, with no step between, may be anything).
     fn arrive_at(&mut self, time: f64, event: bool) -> Step<()> {
         self.t = time;
         self.sample_left()?;
-        let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
-        let ended = event_mode && self.set_inputs_at_events(event)?;
-        if !event_mode && !self.plan.inputs.driven.is_empty() {
-            self.timed(Call::Inputs, Self::set_inputs)?;
-        }
         if self.stepping.running.digest.is_some() {
             // Steps between requested times count too.
             self.read(Place::After)?;
             self.stepping.running.note(&self.stepping.after);
         }
+        let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
+        let ended = event_mode && self.handle_events(event)?;
         self.sample_here()?;
         if ended {
             return Err(Exit::Normal(Termination::StoppedByModel));
@@ -250,9 +263,9 @@ impl Run<'_> {
         Ok(())
     }
 
-    fn target(&self) -> Target {
+    fn target(&mut self) -> Target {
         let (plan, same) = (self.plan, self.plan.same);
-        let grid = self.communication.step.map(|step| (plan.start + (self.passed + 1) as f64 * step, step));
+        let grid = self.communication.step.map(|step| (self.origin + (self.passed + 1) as f64 * step, step));
         if !self.communication.variable
             && let Some((time, step)) = grid
         {
@@ -274,9 +287,21 @@ impl Run<'_> {
         let step = match grid {
             // From one regular point to the next, unless rounding would lead beyond the end.
             Some((_, step)) if regular && self.on_grid && self.t + step <= plan.end => step,
-            _ => time - self.t,
+            _ => self.length(time - self.t),
         };
         Target { time, step, regular }
+    }
+
+    /// A length that was used before, where this one is the same but for rounding.
+    fn length(&mut self, length: f64) -> f64 {
+        let is_same =
+            |known: &&f64| (**known - length).abs() <= self.plan.same && self.t + **known <= self.plan.end;
+        if let Some(known) = self.lengths.iter().find(is_same) {
+            return *known;
+        }
+        self.lengths.rotate_right(1);
+        self.lengths[0] = length;
+        length
     }
 
     /// Refuses to step over a tick: a model that takes steps of one length only may not be able to stop there.
@@ -320,10 +345,10 @@ impl Run<'_> {
         }
     }
 
-    /// Inputs from this point on, where the model has an event mode: what jumps, does so there. Returns whether the
-    /// model ends the simulation.
-    fn set_inputs_at_events(&mut self, event: bool) -> Step<bool> {
-        let jumped = self.timed(Call::Inputs, Self::compute_inputs)?;
+    /// The events of this point, in event mode: those of the model, and the jumps of inputs. Returns whether the model ends
+    /// the simulation.
+    fn handle_events(&mut self, event: bool) -> Step<bool> {
+        let jumped = self.stepping.running.inputs.pass(&self.plan.inputs, self.t);
         let cause = EventCause {
             input: jumped,
             step: event,
@@ -331,7 +356,6 @@ impl Run<'_> {
             state: false,
         };
         if cause == EventCause::default() {
-            self.timed(Call::Inputs, Self::set_continuous_inputs)?;
             return Ok(false);
         }
         let outcome = self.timed(Call::Events, Self::visit_event_mode)?;
@@ -345,6 +369,7 @@ impl Run<'_> {
     }
 
     fn visit_event_mode(&mut self) -> Step<EventOutcome> {
+        self.compute_continuous()?;
         let Running { inputs, current, clocks, buffers, .. } = &mut self.stepping.running;
         let core = current.core()?;
         core.call(RawInstance::enter_event_mode)?;
@@ -356,28 +381,33 @@ impl Run<'_> {
         })?)
     }
 
-    /// Inputs from this point on, where the model has no event mode.
-    fn set_inputs(&mut self) -> Step<()> {
-        self.compute_inputs()?;
-        let Running { inputs, current, .. } = &mut self.stepping.running;
-        inputs.set_held(current.core()?, &self.plan.inputs)?;
-        self.set_continuous_inputs()
-    }
-
-    /// Goes on to the inputs at this point; whether any of them jumped.
-    fn compute_inputs(&mut self) -> Step<bool> {
-        let inputs = &mut self.stepping.running.inputs;
-        let jumped = inputs.pass(&self.plan.inputs, self.t);
-        if inputs.continuous_at(&self.plan.inputs, self.t) {
-            Ok(jumped)
-        } else {
-            Err(inputs.bad_function_value(self.t).into())
+    /// The inputs of the next step, and their derivatives: where there is an event mode only the continuous ones, for the
+    /// others were set there.
+    fn set_inputs(&mut self, target: &Target) -> Step<()> {
+        let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
+        if !event_mode {
+            self.stepping.running.inputs.pass(&self.plan.inputs, self.t);
         }
+        self.compute_continuous()?;
+        let Running { inputs, current, .. } = &mut self.stepping.running;
+        let core = current.core()?;
+        if !event_mode {
+            inputs.set_held(core, &self.plan.inputs)?;
+        }
+        let references = &self.plan.inputs.continuous.references;
+        core.set_reals(references, &inputs.continuous)?;
+        if self.communication.input_derivatives && !references.is_empty() {
+            self.set_input_derivatives(target)?;
+        }
+        Ok(())
     }
 
-    fn set_continuous_inputs(&mut self) -> Step<()> {
-        let Running { inputs, current, .. } = &mut self.stepping.running;
-        let references = &self.plan.inputs.continuous.references;
-        Ok(current.core()?.set_reals(references, &inputs.continuous)?)
+    /// Computes the continuous inputs at this point.
+    fn compute_continuous(&mut self) -> Step<()> {
+        let inputs = &mut self.stepping.running.inputs;
+        match inputs.continuous_at(&self.plan.inputs, self.t) {
+            true => Ok(()),
+            false => Err(inputs.bad_function_value(self.t).into()),
+        }
     }
 }

@@ -10,7 +10,9 @@ use super::parse::Draft;
 use super::quirks::Quirks;
 use super::structure::Structure;
 use super::unit::Unit;
-use super::variable::{Causality, Dimension, Initial, TypeDefinition, Value, Variability, Variable};
+use super::variable::{
+    Causality, Dimension, Initial, TypeDefinition, Value, Variability, Variable, VariableKind,
+};
 use crate::archive::MODEL_DESCRIPTION;
 use crate::error::FmiError;
 use std::collections::{HashMap, HashSet};
@@ -30,8 +32,9 @@ pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription, FmiError> {
     check_header(&model, &mut quirks);
     check_units(&model, &mut quirks);
     check_structure(&model, &mut quirks);
-    for variable in &model.variables {
+    for variable in &mut model.variables {
         budget.check(0)?;
+        variable.is_narrow = model.fmi_version.major < 3 && variable.kind == VariableKind::Enumeration;
         check_range(variable, &mut quirks);
         if model.fmi_version.has_table_of_combinations() {
             check_roles(variable, &mut quirks);

@@ -78,6 +78,9 @@ impl std::fmt::Debug for NameIndex {
 /// Longest name for which similar ones are looked for.
 const LONGEST_WANTED: usize = 100;
 
+/// Letters that make a word, where names share no more than a part.
+const SHORTEST_WORD: usize = 4;
+
 /// At most `n` of the names that resemble `wanted`, the most similar first, in the order of the file where they
 /// are equally similar.
 pub(super) fn nearest<'a>(wanted: &str, names: impl Iterator<Item = &'a str>, n: usize) -> Vec<&'a str> {
@@ -123,10 +126,19 @@ impl Search {
         {
             return Some(1);
         }
-        if self.name.len().abs_diff(self.wanted.len()) > self.limit {
-            return None;
-        }
-        self.edits()
+        let is_near = self.name.len().abs_diff(self.wanted.len()) <= self.limit;
+        let edits = if is_near { self.edits() } else { None };
+        edits.or_else(|| self.shares_a_word().then_some(self.limit + 1))
+    }
+
+    /// Whether a name contains the wanted one, or begins as it does, half of it at least: `fricScale`, `joint.friction` for
+    /// `friction`.
+    fn shares_a_word(&self) -> bool {
+        let same = self.name.iter().zip(&self.wanted).take_while(|(a, b)| a == b).count();
+        let n = self.wanted.len();
+        n >= SHORTEST_WORD
+            && ((same >= SHORTEST_WORD && 2 * same >= n)
+                || self.name.windows(n).any(|part| part == self.wanted))
     }
 
     /// Insertions, deletions, replacements and swaps of neighbours between the two names (optimal string alignment),

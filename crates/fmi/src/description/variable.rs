@@ -61,6 +61,16 @@ pub struct Variable {
     pub clock: Option<Box<ClockTiming>>,
     /// It can be set or read while a co-simulation makes a step (FMI 3.0).
     pub intermediate_update: bool,
+    /// Its value is an `int` whatever its type: enumerations of FMI 1.0 and 2.0.
+    pub(crate) is_narrow: bool,
+}
+
+impl Variable {
+    /// Smallest and largest value of a variable of an integer type.
+    pub(crate) fn integer_range(&self) -> Option<(i128, i128)> {
+        let kind = if self.is_narrow { VariableKind::Integer } else { self.kind };
+        kind.range()
+    }
 }
 
 /// Extent of an array in one direction.

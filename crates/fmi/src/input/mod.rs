@@ -460,10 +460,7 @@ fn check_held(variable: &Variable, column: Column) -> Result<Column, FmiError> {
     if !kind.is_number() {
         return Err(bad(variable, "text and binary inputs cannot vary with time".to_owned()));
     }
-    let misfit = column
-        .values
-        .iter()
-        .position(|v| kind != VariableKind::Real && lanes::lane_of_number(kind, *v).is_none());
+    let misfit = column.values.iter().position(|v| kind != VariableKind::Real && !lanes::is_of(variable, *v));
     let Some(row) = misfit else { return Ok(column) };
     let what = match kind {
         VariableKind::Boolean | VariableKind::Clock => "0 or 1".to_owned(),

@@ -53,6 +53,7 @@ impl Core {
             Fault::Failed(failed) => *failed,
             Fault::Unusable(library) => return FmiError::LibraryUnusable { library },
             Fault::Missing(function) => return FmiError::MissingFunction { function },
+            Fault::TooLarge { call, size } => return FmiError::TooLarge { call, size },
             Fault::Length { call, expected, found } => return FmiError::Length { call, expected, found },
         };
         let mut failure = CallFailure::from(failed);

@@ -156,6 +156,18 @@ impl SimulationPlan {
         Ok(())
     }
 
+    /// What the model calls a value that was not finite: the state that it is, or is the derivative of.
+    pub(crate) fn name_of(&self, value: &ode::NotFinite) -> Option<String> {
+        let description = self.fmu.description();
+        match value.what {
+            ode::Evaluated::State | ode::Evaluated::Derivative => {
+                let state = states(description, self.structure()).get(value.index).copied()??;
+                Some(description.variables[state].name.clone())
+            }
+            _ => None,
+        }
+    }
+
     /// Sizes of arrays.
     pub(crate) fn structure(&self) -> &Structure {
         &self.values.structure

@@ -5,7 +5,7 @@ use crate::beginning::StartValues;
 use crate::error::FmiError;
 use crate::instance;
 use crate::simulation::Runner;
-use crate::sys::{FloatEnvironment, RawInstance};
+use crate::sys::{CallEnvironment, RawInstance};
 use ode::{ErrorKind, Ignore, Observer};
 use std::sync::Arc;
 use std::time::Instant;
@@ -77,7 +77,7 @@ impl Runner {
 
     /// Brings an instance that is new or was reset to the start of a trial run; whether that went well.
     fn begin_probe(&mut self, raw: RawInstance, start_values: &StartValues, parameters: &[f64]) -> bool {
-        let _guard = FloatEnvironment::standard();
+        let _environment = CallEnvironment::enter();
         self.engine.initialize(raw, start_values, parameters).is_ok()
     }
 
@@ -90,7 +90,7 @@ impl Runner {
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
-        let _guard = FloatEnvironment::standard();
+        let _environment = CallEnvironment::enter();
         self.engine.running().begin_digest();
         let outcome = self.engine.run(&self.plan, steps, observer);
         let digest = self.engine.running().end_digest().map_or(Probe::Nothing, Probe::Digest);

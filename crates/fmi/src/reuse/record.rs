@@ -11,7 +11,7 @@ use crate::fmu::Fmu;
 use crate::instance::Core;
 use crate::plan::Setting;
 use crate::simulation::{Prepared, Runner};
-use crate::sys::{Experiment, FloatEnvironment, InterfaceKind, Library, LoadFrom, RawInstance};
+use crate::sys::{CallEnvironment, Experiment, InterfaceKind, Library, LoadFrom, RawInstance};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -106,7 +106,8 @@ impl Runner {
         // Where there is no other copy to ask later, this one is asked before anything is set.
         let new = |key: &&SetKey| recorded.binary_search(key).is_err() && !is_known(key);
         let new: Vec<SetKey> = wanted.iter().filter(new).copied().collect();
-        if !new.is_empty() && !store.may_copy() {
+        let may_ask_later = plan.sharing == Sharing::Copies && store.may_copy();
+        if !new.is_empty() && !may_ask_later {
             lease.copy().free_idle();
             let defaults = read_defaults(plan.fmu(), plan.kind, lease.library(), &new);
             store.defaults().extend(defaults);
@@ -208,7 +209,7 @@ fn variables<'a>(fmu: &'a Fmu, keys: &[SetKey]) -> HashMap<SetKey, &'a Variable>
 fn read_defaults(fmu: &Fmu, kind: InterfaceKind, library: &Arc<Library>, keys: &[SetKey]) -> Defaults {
     let variables = variables(fmu, keys);
     let mut core = initialized(fmu, kind, library).ok();
-    let _guard = FloatEnvironment::standard();
+    let _environment = CallEnvironment::enter();
     let mut value = |key: &SetKey| {
         let variable = variables.get(key)?;
         let answer = core.as_mut().and_then(|core| core.value(variable).ok());
@@ -228,7 +229,7 @@ fn described_defaults(fmu: &Fmu, keys: &[SetKey]) -> Defaults {
 /// initialization.
 fn initialized(fmu: &Fmu, kind: InterfaceKind, library: &Arc<Library>) -> Result<Core, FmiError> {
     let raw = fmu.instantiate_for_runs(library, kind)?;
-    let _guard = FloatEnvironment::standard();
+    let _environment = CallEnvironment::enter();
     let mut core = Core::new(raw, fmu.clone(), None);
     let start = fmu.description().default_experiment.start_time.unwrap_or(0.0);
     let experiment = Experiment { tolerance: None, start, stop: None };

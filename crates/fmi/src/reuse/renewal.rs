@@ -4,7 +4,7 @@ use super::Reuse;
 use crate::error::FmiError;
 use crate::instance;
 use crate::simulation::Runner;
-use crate::sys::{FloatEnvironment, RawInstance};
+use crate::sys::RawInstance;
 
 impl Runner {
     /// A new instance; where saved states bring instances back, with the state to bring back.
@@ -12,21 +12,24 @@ impl Runner {
         if self.reuse() == Some(Reuse::Restore) {
             return self.new_with_origin();
         }
+        self.instantiate()
+    }
+
+    /// A new instance, and no other in its copy of the library: an idle one is freed before.
+    fn instantiate(&self) -> Result<RawInstance, FmiError> {
+        if let Some(lease) = &self.lease {
+            lease.copy().free_idle();
+        }
         self.plan.fmu().instantiate_for_runs(self.library()?, self.plan.kind)
     }
 
     /// A new instance with its state saved, unless the FMU refuses that: then it is not asked again.
     pub(crate) fn new_with_origin(&self) -> Result<RawInstance, FmiError> {
-        let new = || self.plan.fmu().instantiate_for_runs(self.library()?, self.plan.kind);
-        let mut raw = new()?;
-        let saved = {
-            let _guard = FloatEnvironment::standard();
-            raw.save_origin()
-        };
-        if saved.is_err() {
+        let mut raw = self.instantiate()?;
+        if raw.save_origin().is_err() {
             self.refuse_restore();
             drop(raw);
-            return new();
+            return self.instantiate();
         }
         Ok(raw)
     }

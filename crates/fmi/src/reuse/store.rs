@@ -76,6 +76,9 @@ impl Source {
 pub(crate) trait Tenant: Send + Sync {
     /// Gives the copy up, if no call is under way.
     fn evict(&self) -> Eviction;
+
+    /// Whether nothing is lost when it does: it is a simulator that lies in a pool.
+    fn is_dormant(&self) -> bool;
 }
 
 /// What became of a request to give a copy up.
@@ -217,7 +220,12 @@ impl Drop for Waiting<'_> {
 /// What is to be done about a request.
 enum Move {
     Use(Arc<LoadedCopy>, u64, Source),
-    Make { original: bool, source: Source },
+    Make {
+        original: bool,
+        source: Source,
+    },
+    /// Ask those who would not miss theirs before a further copy is made.
+    Ask(Vec<Option<Weak<dyn Tenant>>>),
     Free(Vec<Option<Weak<dyn Tenant>>>),
 }
 
@@ -248,15 +256,21 @@ impl CopyStore {
         request: &CopyRequest<'_>,
         wait: &mut dyn FnMut() -> bool,
     ) -> Result<Option<CopyLease>, FmiError> {
+        let mut asked_dormant = false;
         loop {
             let seen = self.state().changes;
-            match self.next_move(request) {
+            match self.next_move(request, asked_dormant) {
                 Move::Use(copy, id, source) => {
                     return self.entrust(copy, id, request, &source).map(Some);
                 }
                 Move::Make { original, source } => {
                     let made = self.make(original, &source, request);
                     self.made(original, request, made)?;
+                }
+                Move::Ask(holders) => {
+                    let mut tenants = holders.iter().flatten().filter_map(Weak::upgrade);
+                    asked_dormant =
+                        !tenants.any(|tenant| tenant.is_dormant() && tenant.evict() == Eviction::Done);
                 }
                 Move::Free(holders) => {
                     let _waiting = Waiting::new(&self.waiting);
@@ -281,7 +295,8 @@ impl CopyStore {
         }
     }
 
-    /// A copy that nobody uses and for which `fits` holds, or a new one; `None` where there is none without waiting.
+    /// A copy that nobody uses and for which `fits` holds, or a new one (for an owner that asks for copies); `None` where there is
+    /// none without waiting.
     pub(crate) fn lend_if_free(
         self: &Arc<Self>,
         request: &CopyRequest<'_>,
@@ -298,7 +313,7 @@ impl CopyStore {
             drop(state);
             return self.entrust(copy, id, request, &source).ok();
         }
-        if state.refused.is_some() {
+        if state.refused.is_some() || request.sharing != Sharing::Copies {
             return None;
         }
         state.making += 1;
@@ -317,7 +332,7 @@ impl CopyStore {
         self.entrust(copy, id, request, &source).ok()
     }
 
-    fn next_move(&self, request: &CopyRequest<'_>) -> Move {
+    fn next_move(&self, request: &CopyRequest<'_>, asked_dormant: bool) -> Move {
         let source = self.state().source.clone();
         // Read from the file before anything of it is run, and before the lock: it takes a while.
         let reason = source.as_ref().and_then(|source| self.shared_state(source)).map(str::to_owned);
@@ -354,6 +369,9 @@ impl CopyStore {
         let may_make = !state.original_taken
             || (state.refused.is_none() && state.one_at_a_time.is_none())
             || nothing_there;
+        if may_make && state.original_taken && !asked_dormant {
+            return Move::Ask(holders(&mut state.loans.iter()));
+        }
         if may_make {
             let original = !std::mem::replace(&mut state.original_taken, true);
             state.making += 1;

@@ -85,9 +85,12 @@ impl Engine {
                     probe = Driver::new(options)?;
                     &mut probe
                 };
-                driver
-                    .run(&mut **system, plan.start, plan.end, &plan.times, observer)
-                    .map_err(FmiError::Simulation)
+                driver.run(&mut **system, plan.start, plan.end, &plan.times, observer).map_err(|mut error| {
+                    if let Some(value) = &mut error.not_finite {
+                        value.name = plan.name_of(value);
+                    }
+                    FmiError::Simulation(error)
+                })
             }
             Engine::Stepping(stepping) => stepping.run(&limited(plan.options.limits), observer),
         }

@@ -14,6 +14,7 @@ use ode::{Observer, Report};
 use runner::Tenancy;
 use std::cell::Cell;
 use std::marker::PhantomData;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 /// Runs one plan over and over, each time from a freshly reset instance: the same parameters give the same bits, whatever
@@ -89,9 +90,21 @@ impl Simulator {
     /// # Errors
     /// As [`run`](Self::run).
     pub fn trajectory(&mut self, parameters: &[f64]) -> Result<Trajectory, FmiError> {
+        self.trajectory_with(parameters, &mut || ControlFlow::Continue(()))
+    }
+
+    /// As [`trajectory`](Self::trajectory); `poll` is asked before every step, and `Break` ends the simulation there.
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub fn trajectory_with(
+        &mut self,
+        parameters: &[f64],
+        poll: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Trajectory, FmiError> {
         self.plan.values.check_parameters(parameters)?;
         let plan = Arc::clone(&self.plan);
-        let mut recorder = Recorder::new(&plan)?;
+        let mut recorder = Recorder::new(&plan, poll)?;
         let mut runner = self.runner();
         let report = runner.run(parameters, &mut recorder)?;
         let running = runner.engine.running();

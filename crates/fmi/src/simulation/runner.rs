@@ -6,7 +6,7 @@ use crate::error::FmiError;
 use crate::plan::{Setting, SimulationPlan};
 use crate::reuse::{CopyLease, CopyRequest, Eviction, ReadBackBuffers, Reuse, Sharing, Tenant};
 use crate::running::no_instance;
-use crate::sys::{FloatEnvironment, InterfaceKind, Library, LoadFrom, RawInstance};
+use crate::sys::{CallEnvironment, InterfaceKind, Library, LoadFrom, RawInstance};
 use ode::{ErrorKind, Observer, Report, Seconds, SimulationError, Stats};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError, Weak};
@@ -49,6 +49,8 @@ pub(crate) struct Tenancy {
     runner: Mutex<Runner>,
     /// The copy is kept between runs.
     pinned: AtomicBool,
+    /// It lies in a pool: nobody asks for the values of its last run.
+    dormant: AtomicBool,
     /// The thread that uses it, or has pinned it.
     user: Mutex<Option<ThreadId>>,
 }
@@ -88,12 +90,14 @@ impl Tenancy {
                 lease: None,
             }),
             pinned: AtomicBool::new(false),
+            dormant: AtomicBool::new(false),
             user: Mutex::new(None),
         }))
     }
 
-    /// Keeps the copy between runs, or lets others have it.
+    /// Keeps the copy between runs, or lets others have it, to whom its values mean nothing.
     pub(crate) fn pin(&self, pinned: bool) {
+        self.dormant.store(!pinned, Ordering::Release);
         *self.user() = pinned.then(|| std::thread::current().id());
         self.pinned.store(pinned, Ordering::Release);
         if !pinned {
@@ -140,6 +144,10 @@ impl Tenant for Tenancy {
         runner.give_up();
         runner.evicted = true;
         Eviction::Done
+    }
+
+    fn is_dormant(&self) -> bool {
+        self.dormant.load(Ordering::Acquire)
     }
 }
 
@@ -259,6 +267,8 @@ impl Runner {
             step: 0.0,
             worst_state: None,
             last_event: None,
+            not_finite: None,
+            undetermined: None,
             stats: Stats::default(),
         }))
     }
@@ -291,12 +301,10 @@ impl Runner {
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
         self.settle_in(Some(&mut *observer))?;
-        let guard = FloatEnvironment::standard();
+        let _environment = CallEnvironment::enter();
         self.start(parameters)?;
         let (starting, elsewhere) =
             (self.began.elapsed().as_secs_f64(), self.engine.running().seconds_elsewhere());
-        // Instantiating or initializing may have changed the floating-point mode.
-        guard.assert();
         let mut outcome = self.engine.run(&self.plan, None, observer);
         self.engine.running().pass_log_on();
         let stats = match &mut outcome {
@@ -314,13 +322,12 @@ impl Runner {
         if self.evicted {
             return Err(FmiError::Disturbed { library: self.plan.fmu().path().to_owned() });
         }
-        let _guard = FloatEnvironment::standard();
         self.engine.value(variable)
     }
 
     pub(super) fn initialize_only(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.settle_in(None)?;
-        let _guard = FloatEnvironment::standard();
+        let _environment = CallEnvironment::enter();
         self.start(parameters)?;
         self.engine.settle()
     }

@@ -1,15 +1,14 @@
 //! What a version of FMI has to supply: its functions in house types, and the names it has for them.
 
-use super::callbacks::{Current, Environment};
+use super::callbacks::{Callbacks, Current};
+use super::environment::restore_default;
 use super::functions::{LifeFunctions, PointFunctions, StateFunctions, StepFunctions, call, optional};
 use super::{
     Component, EventInfo, Experiment, IntervalAnswer, MidStep, Request, StatePointer, Status, StepInfo,
     status,
 };
 use crate::description::{Interval, VariableKind};
-use std::any::Any;
 use std::ffi::c_char;
-use std::sync::Arc;
 
 /// The calls, in house words; [`Binding::name`] gives the standard's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,9 +52,10 @@ pub(super) enum Call {
     StepBooleanStatus,
     CancelStep,
     SetInputDerivatives,
-    GetInterval,
-    GetShift,
-    SetInterval,
+    /// Of clocks; as a fraction or not.
+    GetInterval(bool),
+    GetShift(bool),
+    SetInterval(bool),
     EvaluateDiscreteStates,
     GetOutputDerivatives,
 }
@@ -65,13 +65,15 @@ impl Call {
     pub(super) fn in_brackets(self) -> &'static str {
         match self {
             Call::SetupExperiment => "(experiment)",
+            Call::Reset => "(reset)",
+            Call::Get(_) | Call::Set(_) => "(variables of this type)",
             Call::SaveState | Call::RestoreState | Call::FreeState => "(saved states)",
             Call::SerializedSize | Call::Serialize | Call::Deserialize => "(serialized states)",
             Call::DirectionalDerivative => "(directional derivatives)",
             Call::EnterEventMode | Call::EnterContinuousTimeMode | Call::EnterStepMode => "(modes)",
             Call::EnterConfiguration | Call::ExitConfiguration => "(configuration mode)",
             Call::CountStates | Call::CountIndicators => "(number of states)",
-            Call::GetInterval | Call::GetShift | Call::SetInterval => "(clocks)",
+            Call::GetInterval(_) | Call::GetShift(_) | Call::SetInterval(_) => "(clocks)",
             Call::EvaluateDiscreteStates => "(evaluation of discrete states)",
             Call::StepStatus | Call::StepRealStatus | Call::StepBooleanStatus | Call::CancelStep => {
                 "(pending steps)"
@@ -114,13 +116,6 @@ macro_rules! optional_of {
         let (component, _current) = unsafe { $self.enter($component) };
         optional!(functions.$function, component $(, $argument)*)
     }};
-}
-
-/// A live component and what it needs to stay alive.
-pub(super) struct Created {
-    pub(super) component: Component,
-    /// Structures whose address the FMU was given.
-    pub(super) keep: Arc<dyn Any + Send + Sync>,
 }
 
 /// Getters and setters of one library in house types.
@@ -205,7 +200,8 @@ pub(super) trait Binding: Send + Sync {
     fn steps(&self) -> Option<&StepFunctions> {
         None
     }
-    unsafe fn instantiate(&self, request: &Request<'_>, environment: &Environment) -> Option<Created>;
+    /// The callbacks must never be freed, nor used for another live component. NULL: refused.
+    unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> Component;
     unsafe fn free_instance(&self, component: Component) {
         // SAFETY: the caller's promises are those of the trait.
         unsafe { (self.life().free)(component) }
@@ -308,7 +304,8 @@ pub(super) trait Binding: Send + Sync {
     unsafe fn get_derivatives(&self, component: Component, derivatives: &mut [f64]) -> Status {
         of!(self, point, get_derivatives, component, derivatives.as_mut_ptr(), derivatives.len())
     }
-    /// Time, states and derivatives: the calls of a right-hand side in one, up to the first that fails.
+    /// Time, states and derivatives: the calls of a right-hand side in one, up to the first that fails. Each starts in the
+    /// default floating-point mode if the first does.
     unsafe fn right_hand_side(
         &self,
         component: Component,
@@ -323,10 +320,12 @@ pub(super) trait Binding: Send + Sync {
             if !is_good(status) {
                 return (Call::SetTime, status);
             }
+            restore_default();
             let status = self.set_continuous_states(component, states);
             if !is_good(status) {
                 return (Call::SetContinuousStates, status);
             }
+            restore_default();
             (Call::GetDerivatives, self.get_derivatives(component, derivatives))
         }
     }
@@ -338,19 +337,26 @@ pub(super) trait Binding: Send + Sync {
     }
     /// One communication step. `Discard` is for steps of which nothing or only a part was computed, also because the
     /// model ends the simulation; `Pending` for steps that go on.
-    unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status;
-    /// The same for models that call back during the step; `keep` is what was made with the component.
+    unsafe fn do_step(
+        &self,
+        component: Component,
+        span: (f64, f64),
+        no_set_state_prior: bool,
+        info: &mut StepInfo,
+    ) -> Status;
+    /// The same for models that call back during the step; `callbacks` are those the component was made with.
     unsafe fn do_step_with(
         &self,
         component: Component,
-        (time, step): (f64, f64),
+        span: (f64, f64),
+        no_set_state_prior: bool,
         info: &mut StepInfo,
-        keep: &(dyn Any + Send + Sync),
+        callbacks: &Callbacks,
         mid_step: &mut dyn MidStep,
     ) -> Status {
-        let _ = (keep, mid_step);
+        let _ = (callbacks, mid_step);
         // SAFETY: the caller's promises are those of `do_step`.
-        unsafe { self.do_step(component, time, step, info) }
+        unsafe { self.do_step(component, span, no_set_state_prior, info) }
     }
     /// How a pending step stands; as for `do_step`.
     unsafe fn step_status(&self, component: Component, info: &mut StepInfo) -> Status {

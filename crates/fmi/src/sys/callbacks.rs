@@ -6,12 +6,13 @@
 //! goes to the instance that is being called on the thread it comes from; messages from threads of the FMU's own are lost.
 
 use super::Status;
+use std::any::Any;
 use std::collections::VecDeque;
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicI32, AtomicU8, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// Bytes of a message that are kept.
 const LONGEST_TEXT: usize = 2047;
@@ -119,7 +120,8 @@ fn copy_lossy(bytes: &[u8], target: &mut String) {
 #[derive(Debug)]
 pub(super) struct Log {
     lines: Mutex<Lines>,
-    filter: LogFilter,
+    /// A [`LogFilter`].
+    filter: AtomicU8,
     /// Lines that may still be logged; below zero for errors only.
     credit: AtomicI32,
     /// Lines beyond the rate limit.
@@ -130,7 +132,7 @@ impl Log {
     pub(super) fn new(filter: LogFilter) -> Self {
         Self {
             lines: Mutex::new(Lines { kept: VecDeque::with_capacity(LINES), dropped: 0 }),
-            filter,
+            filter: AtomicU8::new(filter as u8),
             credit: AtomicI32::new(BURST),
             refused: AtomicU64::new(0),
         }
@@ -147,7 +149,10 @@ impl Log {
 
     /// Whether a line is to be expanded and kept.
     fn admits(&self, status: Status) -> bool {
-        if !self.filter.lets_pass(status) {
+        const FILTERS: [LogFilter; 4] =
+            [LogFilter::All, LogFilter::Warnings, LogFilter::Errors, LogFilter::Nothing];
+        let filter = FILTERS[usize::from(self.filter.load(Ordering::Relaxed)) % FILTERS.len()];
+        if !filter.lets_pass(status) {
             return false;
         }
         let least = if is_error(status) { -ERRORS_BEYOND } else { 0 };
@@ -178,6 +183,55 @@ impl Log {
         lines.dropped = 0;
         self.credit.store(BURST, Ordering::Relaxed);
         self.refused.store(0, Ordering::Relaxed);
+    }
+}
+
+/// Everything that an FMU is given for calling back. FMUs are known whose threads log on when their instance is gone, so none
+/// of it is ever freed: the library hands it on to its next instance ([`Library`](super::Library)), which gets such lines.
+#[derive(Debug)]
+pub(super) struct Callbacks {
+    environment: Arc<Environment>,
+    /// What a version of the standard needs besides, at an address that does not change.
+    keep: OnceLock<Arc<dyn Any + Send + Sync>>,
+    log: Arc<Log>,
+}
+
+impl Callbacks {
+    pub(super) fn new(filter: LogFilter) -> Self {
+        let log = Arc::new(Log::new(filter));
+        Self { environment: Arc::new(Environment::new(&log)), keep: OnceLock::new(), log }
+    }
+
+    pub(super) fn environment(&self) -> &Environment {
+        &self.environment
+    }
+
+    pub(super) fn log(&self) -> &Log {
+        &self.log
+    }
+
+    /// What the version keeps, made if there is nothing yet.
+    pub(super) fn keep<T: Any + Send + Sync>(&self, make: impl FnOnce(&Environment) -> T) -> *const T {
+        let kept = self.keep.get_or_init(|| Arc::new(make(&self.environment)));
+        // Of another type only if the instances of one library followed different versions.
+        kept.downcast_ref::<T>().map_or(std::ptr::null(), std::ptr::from_ref)
+    }
+
+    /// What the version keeps.
+    pub(super) fn kept<T: Any>(&self) -> Option<&T> {
+        self.keep.get()?.downcast_ref()
+    }
+
+    /// For another instance.
+    pub(super) fn renew(&self, filter: LogFilter) {
+        self.log.filter.store(filter as u8, Ordering::Relaxed);
+        self.log.clear();
+    }
+
+    /// Never used again by us; what was logged is forgotten.
+    pub(super) fn abandon(self) {
+        self.log.lines().kept = VecDeque::new();
+        std::mem::forget(self);
     }
 }
 
@@ -373,6 +427,69 @@ mod tests {
         // SAFETY: a NULL environment is ignored.
         unsafe { fmufit_fmi2_log(std::ptr::null_mut(), null(), 0, null(), c"lost".as_ptr()) };
         assert_eq!(texts(&log).len(), 5);
+    }
+
+    #[test]
+    fn texts_that_were_not_meant_as_formats_stay_as_they_are() {
+        for text in [
+            c"100 % successfully",
+            c"% s and % d",
+            c"%5$s %1$n",
+            c"%*d %.*s %-5d %+d %#x %'d",
+            c"50 %, then 100 %",
+            c"%hhn %ln %lln %zn",
+            c"%Lf %LF %jd %td %qd",
+            c"%ls %lc %hs %lls %zs %lp %hf %llf %zg",
+            c"%C %S %m %a %A %o %X %E %G %F",
+            c"%99999999999d %.123456789f %1234s",
+            c"%.",
+            c"%l",
+            c"%5",
+            c"%.-3f",
+            c"%%%",
+            c"%v",
+        ] {
+            let log = Log::new(LogFilter::All);
+            send(&Environment::new(&log), text.as_ptr());
+            assert_eq!(texts(&log), [text.to_str().unwrap()], "{text:?}");
+        }
+    }
+
+    #[test]
+    fn plain_conversions_of_all_sizes_are_expanded() {
+        let log = Log::new(LogFilter::All);
+        let environment = Environment::new(&log);
+        let environment: *mut c_void = (&raw const environment).cast_mut().cast();
+        // SAFETY: the arguments fit the formats.
+        unsafe {
+            let (null, format) = (null(), c"%5d|%03d|%ld|%lld|%zu|%hd|%u|%x|%lx|%i".as_ptr());
+            let (int, long, long_long) = (7 as c_int, -8 as std::ffi::c_long, -9i64);
+            let (size, short, unsigned, hex) = (10usize, 11 as c_int, 12u32, 255u32);
+            fmufit_fmi2_log(
+                environment,
+                null,
+                0,
+                null,
+                format,
+                int,
+                int,
+                long,
+                long_long,
+                size,
+                short,
+                unsigned,
+                hex,
+                255 as std::ffi::c_ulong,
+                int,
+            );
+            let format = c"%.3f|%8.2e|%g|%lf|%c|%.2s|%6s|%%|%.0f".as_ptr();
+            let (x, text) = (1.5f64, c"text".as_ptr());
+            fmufit_fmi2_log(environment, null, 0, null, format, x, x, x, x, 65 as c_int, text, text, 2.0f64);
+        }
+        assert_eq!(
+            texts(&log),
+            ["    7|007|-8|-9|10|11|12|ff|ff|7", "1.500|1.50e+00|1.5|1.500000|A|te|  text|%|2"]
+        );
     }
 
     #[test]

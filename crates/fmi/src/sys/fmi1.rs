@@ -3,8 +3,8 @@
 //! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks; a component here is therefore a
 //! box around the FMU's, with what has to be remembered between calls. Names carry the model identifier as prefix.
 
-use super::binding::{Binding, Call, Created, Values};
-use super::callbacks::{Current, Environment, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
+use super::binding::{Binding, Call, Values};
+use super::callbacks::{Callbacks, Current, Environment, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
 use super::functions::{
     Interface, LifeFunctions, PointFunctions, StepFunctions, Table, ValueFunctions, call, model, optional,
     table,
@@ -14,7 +14,6 @@ use super::{Component, EventInfo, Experiment, InterfaceKind, Request, Status, St
 use crate::description::VariableKind;
 use crate::error::FmiError;
 use std::ffi::{c_char, c_int, c_void};
-use std::sync::Arc;
 
 /// `fmiBoolean`.
 type Boolean = c_char;
@@ -186,7 +185,7 @@ macro_rules! within {
 }
 
 /// The standard's names.
-fn name(kind: InterfaceKind, call: Call) -> &'static str {
+pub(super) fn name(kind: InterfaceKind, call: Call) -> &'static str {
     let of = |me, cs| if kind == InterfaceKind::ModelExchange { me } else { cs };
     match call {
         Call::Instantiate => of("fmiInstantiateModel", "fmiInstantiateSlave"),
@@ -194,7 +193,7 @@ fn name(kind: InterfaceKind, call: Call) -> &'static str {
         Call::EnterInitialization => of("fmiSetTime", "fmiInitializeSlave"),
         Call::ExitInitialization => of("fmiInitialize", "fmiInitializeSlave"),
         Call::Terminate => of("fmiTerminate", "fmiTerminateSlave"),
-        Call::Reset => of("fmiReset", "fmiResetSlave"),
+        Call::Reset if kind == InterfaceKind::CoSimulation => "fmiResetSlave",
         Call::Get(VariableKind::Real) => "fmiGetReal",
         Call::Get(VariableKind::Boolean) => "fmiGetBoolean",
         Call::Get(VariableKind::String) => "fmiGetString",
@@ -217,6 +216,7 @@ fn name(kind: InterfaceKind, call: Call) -> &'static str {
         Call::SetInputDerivatives => "fmiSetRealInputDerivatives",
         Call::FreeInstance => of("fmiFreeModelInstance", "fmiFreeSlaveInstance"),
         Call::StepRealStatus => "fmiGetRealStatus",
+        Call::GetOutputDerivatives => "fmiGetRealOutputDerivatives",
         other => other.in_brackets(),
     }
 }
@@ -248,7 +248,8 @@ impl Binding for Fmi1 {
         self.interface.steps()
     }
 
-    unsafe fn instantiate(&self, request: &Request<'_>, environment: &Environment) -> Option<Created> {
+    unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> Component {
+        let environment = callbacks.environment();
         // SAFETY: the caller keeps the environment until the component is gone.
         let current = unsafe { Current::set(environment) };
         let slave = match &self.interface {
@@ -283,7 +284,7 @@ impl Binding for Fmi1 {
         };
         drop(current);
         if slave.is_null() {
-            return None;
+            return slave;
         }
         let boxed = Boxed {
             slave,
@@ -292,7 +293,7 @@ impl Binding for Fmi1 {
             announced: None,
             made_progress: true,
         };
-        Some(Created { component: Box::into_raw(Box::new(boxed)).cast(), keep: Arc::new(()) })
+        Box::into_raw(Box::new(boxed)).cast()
     }
 
     unsafe fn free_instance(&self, component: Component) {
@@ -381,7 +382,13 @@ impl Binding for Fmi1 {
         status
     }
 
-    unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status {
+    unsafe fn do_step(
+        &self,
+        component: Component,
+        (time, step): (f64, f64),
+        _: bool,
+        info: &mut StepInfo,
+    ) -> Status {
         let Interface::CoSimulation(functions, steps) = &self.interface else { return Status::Missing };
         // SAFETY: the caller's promises are those of the trait.
         let new_step = unsafe { Boxed::of(component) }.made_progress;

@@ -1,7 +1,7 @@
 //! The functions of an FMI 2.0 library (FMI 2.0.x, sections 2.1, 3.2 and 4.2), bound by name.
 
-use super::binding::{Binding, Call, Created, Values};
-use super::callbacks::{Environment, fmufit_allocate, fmufit_fmi2_log, fmufit_free};
+use super::binding::{Binding, Call, Values};
+use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi2_log, fmufit_free};
 use super::functions::{
     Interface, LifeFunctions, Plain, PointFunctions, StateFunctions, StepFunctions, Table, ValueFunctions,
     call, model, optional, table,
@@ -11,7 +11,6 @@ use super::{Component, EventInfo, Experiment, InterfaceKind, Request, Status, St
 use crate::description::VariableKind;
 use crate::error::FmiError;
 use std::ffi::{c_char, c_int, c_void};
-use std::sync::Arc;
 
 /// `fmi2Boolean`.
 type Boolean = c_int;
@@ -136,7 +135,7 @@ impl Fmi2 {
 }
 
 /// The standard's names.
-fn name(call: Call) -> &'static str {
+pub(super) fn name(call: Call) -> &'static str {
     match call {
         Call::Instantiate => "fmi2Instantiate",
         Call::SetDebugLogging => "fmi2SetDebugLogging",
@@ -207,8 +206,8 @@ impl Binding for Fmi2 {
         self.interface.steps()
     }
 
-    unsafe fn instantiate(&self, request: &Request<'_>, environment: &Environment) -> Option<Created> {
-        let callbacks = Arc::new(CallbackFunctions {
+    unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> Component {
+        let functions = callbacks.keep(|environment| CallbackFunctions {
             logger: fmufit_fmi2_log,
             allocate_memory: fmufit_allocate,
             free_memory: fmufit_free,
@@ -216,20 +215,18 @@ impl Binding for Fmi2 {
             component_environment: std::ptr::from_ref(environment).cast_mut().cast(),
         });
         let resources = file_uri(request.resources);
-        // SAFETY: the strings end in NUL; the callbacks are on the heap and kept with the component, the environment by the
-        // caller.
-        let component = unsafe {
+        // SAFETY: the strings end in NUL; the callbacks are on the heap and never freed.
+        unsafe {
             (self.common.instantiate)(
                 request.name.as_ptr(),
                 if request.kind == InterfaceKind::ModelExchange { MODEL_EXCHANGE } else { CO_SIMULATION },
                 request.guid.as_ptr(),
                 resources.as_ptr(),
-                Arc::as_ptr(&callbacks),
+                functions,
                 request.visible.into(),
                 request.logging.into(),
             )
-        };
-        if component.is_null() { None } else { Some(Created { component, keep: callbacks }) }
+        }
     }
 
     unsafe fn set_debug_logging(&self, component: Component, on: bool) -> Status {
@@ -319,10 +316,15 @@ impl Binding for Fmi2 {
         status
     }
 
-    unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status {
+    unsafe fn do_step(
+        &self,
+        component: Component,
+        (time, step): (f64, f64),
+        no_set_state_prior: bool,
+        info: &mut StepInfo,
+    ) -> Status {
         let Interface::CoSimulation(functions, steps) = &self.interface else { return Status::Missing };
-        // The master never goes back behind a communication point.
-        let status = call!(functions.do_step, component, time, step, 1);
+        let status = call!(functions.do_step, component, time, step, no_set_state_prior.into());
         // SAFETY: as for this call.
         unsafe { steps.explain(component, status, info) };
         status

@@ -1,7 +1,7 @@
 //! The functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
-use super::binding::{Binding, Call, Created, Values};
-use super::callbacks::{Environment, fmi3_log};
+use super::binding::{Binding, Call, Values};
+use super::callbacks::{Callbacks, fmi3_log};
 use super::fmi3_clocks::ClockFunctions;
 use super::fmi3_functions::{
     CompletedStep, Count, DirectionalDerivative, DoStep, EnterInitialization, Flag, GetOutputDerivatives,
@@ -20,9 +20,7 @@ use super::{
 };
 use crate::description::Interval;
 use crate::error::FmiError;
-use std::any::Any;
 use std::ffi::{CString, c_int, c_void};
-use std::sync::Arc;
 
 /// The functions of one library. The standard demands nearly all of them; FMUs that leave out what they do not need are
 /// known, so only what every simulation needs must be there.
@@ -107,7 +105,7 @@ impl Fmi3 {
 }
 
 /// The standard's names.
-fn name(kind: InterfaceKind, call: Call) -> &'static str {
+pub(super) fn name(kind: InterfaceKind, call: Call) -> &'static str {
     match call {
         Call::Instantiate => match kind {
             InterfaceKind::ModelExchange => "fmi3InstantiateModelExchange",
@@ -142,9 +140,12 @@ fn name(kind: InterfaceKind, call: Call) -> &'static str {
         Call::GetEventIndicators => "fmi3GetEventIndicators",
         Call::GetNominals => "fmi3GetNominalsOfContinuousStates",
         Call::DoStep => "fmi3DoStep",
-        Call::GetInterval => "fmi3GetInterval",
-        Call::GetShift => "fmi3GetShift",
-        Call::SetInterval => "fmi3SetInterval",
+        Call::GetInterval(false) => "fmi3GetIntervalDecimal",
+        Call::GetInterval(true) => "fmi3GetIntervalFraction",
+        Call::GetShift(false) => "fmi3GetShiftDecimal",
+        Call::GetShift(true) => "fmi3GetShiftFraction",
+        Call::SetInterval(false) => "fmi3SetIntervalDecimal",
+        Call::SetInterval(true) => "fmi3SetIntervalFraction",
         Call::EvaluateDiscreteStates => "fmi3EvaluateDiscreteStates",
         Call::GetOutputDerivatives => "fmi3GetOutputDerivatives",
         Call::FreeInstance => "fmi3FreeInstance",
@@ -174,21 +175,18 @@ impl Binding for Fmi3 {
         Some(&self.states)
     }
 
-    unsafe fn instantiate(&self, request: &Request<'_>, environment: &Environment) -> Option<Created> {
+    unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> Component {
         // FMI 3.0 wants a path, ending in a separator; NULL where there are no resources.
         let mut path = request.resources.to_string_lossy().into_owned();
         path.push(std::path::MAIN_SEPARATOR);
         let resources = CString::new(path).unwrap_or_default();
         let resources = if request.resources.is_dir() { resources.as_ptr() } else { std::ptr::null() };
-        let mut keep: Arc<dyn Any + Send + Sync> = Arc::new(());
-        let mut environment_of: *mut c_void = std::ptr::from_ref(environment).cast_mut().cast();
-        if let Interface::CoSimulation(..) = &self.interface {
-            let step_environment = Arc::new(StepEnvironment::new(environment));
-            environment_of = Arc::as_ptr(&step_environment).cast_mut().cast();
-            keep = step_environment;
-        }
-        // SAFETY: the strings end in NUL; the environment is kept by the caller until the component is gone.
-        let component = unsafe {
+        let environment: *mut c_void = match &self.interface {
+            Interface::ModelExchange(..) => std::ptr::from_ref(callbacks.environment()).cast_mut().cast(),
+            Interface::CoSimulation(..) => callbacks.keep(StepEnvironment::new).cast_mut().cast(),
+        };
+        // SAFETY: the strings end in NUL; the environment is on the heap and never freed.
+        unsafe {
             match &self.interface {
                 Interface::ModelExchange(functions, _) => (functions.instantiate)(
                     request.name.as_ptr(),
@@ -196,7 +194,7 @@ impl Binding for Fmi3 {
                     resources,
                     request.visible,
                     request.logging,
-                    environment_of,
+                    environment,
                     fmi3_log,
                 ),
                 Interface::CoSimulation(functions, ()) => (functions.instantiate)(
@@ -209,13 +207,12 @@ impl Binding for Fmi3 {
                     request.early_return,
                     request.intermediate.as_ptr(),
                     request.intermediate.len(),
-                    environment_of,
+                    environment,
                     fmi3_log,
                     intermediate_update,
                 ),
             }
-        };
-        if component.is_null() { None } else { Some(Created { component, keep }) }
+        }
     }
 
     unsafe fn set_debug_logging(&self, component: Component, on: bool) -> Status {
@@ -335,48 +332,50 @@ impl Binding for Fmi3 {
         status
     }
 
-    unsafe fn do_step(&self, component: Component, time: f64, step: f64, info: &mut StepInfo) -> Status {
+    unsafe fn do_step(
+        &self,
+        component: Component,
+        (time, step): (f64, f64),
+        no_set_state_prior: bool,
+        info: &mut StepInfo,
+    ) -> Status {
         let Interface::CoSimulation(functions, ()) = &self.interface else { return Status::Missing };
         let (mut event, mut terminate, mut early): (Flag, Flag, Flag) = (0, 0, 0);
-        let mut reached = time;
+        let mut reached = f64::NAN;
         let result = call!(
             functions.do_step,
             component,
             time,
             step,
-            // The master never goes back behind a communication point.
-            true,
+            no_set_state_prior,
             &raw mut event,
             &raw mut terminate,
             &raw mut early,
             &raw mut reached
         );
-        info.event = event != 0;
-        info.terminate = terminate != 0;
-        match result {
-            Status::Ok | Status::Warning if early != 0 || terminate != 0 => {
-                info.reached = Some(reached);
-                Status::Discard
-            }
-            Status::Discard => {
-                info.reached = Some(reached);
-                Status::Discard
-            }
-            other => other,
+        // Only then do the arguments mean something. After a discard the model stands where it did before (FMI 3.0.x,
+        // section 2.2.4), whatever they say.
+        if matches!(result, Status::Ok | Status::Warning) {
+            info.event = event != 0;
+            info.terminate = terminate != 0;
+            info.early = early != 0;
+            info.reached = ((info.early || info.terminate) && reached.is_finite()).then_some(reached);
         }
+        if info.early || info.reached.is_some() { Status::Discard } else { result }
     }
 
     unsafe fn do_step_with(
         &self,
         component: Component,
-        (time, step): (f64, f64),
+        span: (f64, f64),
+        no_set_state_prior: bool,
         info: &mut StepInfo,
-        keep: &(dyn Any + Send + Sync),
+        callbacks: &Callbacks,
         mid_step: &mut dyn MidStep,
     ) -> Status {
         // SAFETY: the caller's promises are those of `do_step`.
-        let mut make = || unsafe { self.do_step(component, time, step, info) };
-        match keep.downcast_ref::<StepEnvironment>() {
+        let mut make = || unsafe { self.do_step(component, span, no_set_state_prior, info) };
+        match callbacks.kept::<StepEnvironment>() {
             Some(environment) => {
                 environment.during(mid_step, component, self.values.functions.set_float64, make)
             }

@@ -2,6 +2,7 @@
 //! it. An FMU that calls it at another time, from within itself or from two threads at once is answered and ignored.
 
 use super::callbacks::Environment;
+use super::environment::OwnMode;
 use super::{Component, MidStep, Status, Update, status};
 use std::ffi::{c_int, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -111,6 +112,7 @@ pub(super) unsafe extern "C" fn intermediate_update(
         Err(TryLockError::WouldBlock) => return,
     };
     let Some(guest) = guest.as_mut() else { return };
+    let _mode = OwnMode::enter();
     // A panic must not unwind into C.
     let _ = catch_unwind(AssertUnwindSafe(|| {
         // SAFETY: the guest is there while its owner is inside of the step, and the mutex keeps others out.

@@ -1,14 +1,16 @@
 //! A loaded shared library of an FMU with its function table; what all users of the library share is in `shared.rs`.
 
 use super::binding::Binding;
-use super::platform::{self, FloatEnvironment, Handle};
-use super::{InterfaceKind, Shared, fmi1, fmi2, fmi3};
+use super::callbacks::Callbacks;
+use super::environment::CallEnvironment;
+use super::platform::{self, Handle};
+use super::{InterfaceKind, LogFilter, Shared, fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
 use crate::open_options::LoaderOptions;
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// An open library and the functions found in it.
 pub(crate) struct Library {
@@ -16,6 +18,8 @@ pub(crate) struct Library {
     binding: Box<dyn Binding>,
     shared: Arc<Shared>,
     path: PathBuf,
+    /// Callbacks of instances that are gone, which a thread of the FMU may still use.
+    retired: Mutex<Vec<Callbacks>>,
     /// Last: closed, if at all, when the tables are gone (invariant 1).
     handle: Arc<Handle>,
 }
@@ -36,14 +40,6 @@ impl fmt::Debug for Library {
 }
 
 impl Library {
-    /// Refuses versions of the standard for which there is no binding.
-    pub(crate) fn check_version(version: &FmiVersion) -> Result<(), FmiError> {
-        match version.major {
-            1..=3 => Ok(()),
-            _ => Err(FmiError::UnsupportedVersion { version: version.text.clone() }),
-        }
-    }
-
     /// Loads the library, where it is not loaded already, and looks up the functions of one interface. **This runs foreign
     /// code** (the library's constructors).
     ///
@@ -56,7 +52,6 @@ impl Library {
         model_identifier: &str,
         options: &LoaderOptions,
     ) -> Result<Self, FmiError> {
-        Self::check_version(version)?;
         let (shared, handle, path) = match from {
             LoadFrom::Loaded(library) => {
                 (Arc::clone(&library.shared), Arc::clone(&library.handle), &*library.path)
@@ -75,15 +70,14 @@ impl Library {
                 _ => Box::new(fmi3::Fmi3::load(&symbols, kind)?),
             }
         };
-        Ok(Self { binding, shared, path: path.to_owned(), handle })
+        Ok(Self { binding, shared, path: path.to_owned(), retired: Mutex::default(), handle })
     }
 
     fn load(path: &Path, options: &LoaderOptions) -> Result<(Arc<Shared>, Arc<Handle>), FmiError> {
         platform::check(options).map_err(|option| FmiError::BadSetting {
             problem: format!("the loader of this system has no option {option}"),
         })?;
-        // Loading code linked with -ffast-math changes the floating-point mode of this thread.
-        let _guard = FloatEnvironment::standard();
+        let _environment = CallEnvironment::enter();
         let shared = Shared::of(path)?;
         if shared.is_fatal() {
             return Err(FmiError::LibraryUnusable { library: path.to_owned() });
@@ -108,9 +102,27 @@ impl Library {
         &self.shared
     }
 
+    /// Callbacks for a new instance.
+    pub(super) fn callbacks(&self, filter: LogFilter) -> Callbacks {
+        let retired = self.retired.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        retired.inspect(|known| known.renew(filter)).unwrap_or_else(|| Callbacks::new(filter))
+    }
+
+    /// Takes the callbacks of an instance that is gone.
+    pub(super) fn retire(&self, callbacks: Callbacks) {
+        self.retired.lock().unwrap_or_else(PoisonError::into_inner).push(callbacks);
+    }
+
     /// The file.
     pub(crate) fn path(&self) -> &Path {
         &self.path
+    }
+}
+
+impl Drop for Library {
+    fn drop(&mut self) {
+        let retired = self.retired.get_mut().unwrap_or_else(PoisonError::into_inner);
+        retired.drain(..).for_each(Callbacks::abandon);
     }
 }
 

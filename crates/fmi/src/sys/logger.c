@@ -30,18 +30,45 @@ static size_t bounded_length(const char *text, size_t limit)
     return n;
 }
 
-/* Whether a format holds nothing but complete conversions that only read. A lone % at the end, an unknown
- * conversion, or %n (which writes) make the message plain text. */
-static int is_harmless(const char *format)
+/* At most three digits: a field of a million places is no message. */
+static const char *skip_digits(const char *format)
+{
+    int n;
+    for (n = 0; n < 3 && *format >= '0' && *format <= '9'; n++) {
+        format++;
+    }
+    return format;
+}
+
+/* Whether a format holds nothing but plain conversions: %s %c %p, %f %g %e, %d %i %u %x (also of long, short and size_t
+ * arguments) with a width and a precision in digits, and %%. Anything else makes the message plain text: texts that
+ * were never meant as formats ("100 % successful") would read arguments that are not there, %n writes. */
+static int is_plain(const char *format)
 {
     while (*format != '\0') {
+        const char *size;
         if (*format++ != '%') {
             continue;
         }
-        while (*format != '\0' && strchr(" -+#0'123456789.*hlLjzt", *format) != NULL) {
+        if (*format == '%') {
             format++;
+            continue;
         }
-        if (*format == '\0' || strchr("diouxXeEfFgGaAcsp%", *format) == NULL) {
+        format = skip_digits(format);
+        if (*format == '.') {
+            format = skip_digits(format + 1);
+        }
+        size = format;
+        if (*format == 'h' || *format == 'z') {
+            format++;
+        } else if (*format == 'l') {
+            format += format[1] == 'l' ? 2 : 1;
+        }
+        if (*format == '\0') {
+            return 0;
+        }
+        if (strchr("diux", *format) == NULL && !(format == size && strchr("scpfge", *format) != NULL) &&
+            !(format == size + 1 && *size == 'l' && strchr("fge", *format) != NULL)) {
             return 0;
         }
         format++;
@@ -62,7 +89,7 @@ static void expand(const struct fmufit_environment *environment, int status, con
     if (message == NULL) {
         message = "";
     }
-    if (is_harmless(message)) {
+    if (is_plain(message)) {
         written = vsnprintf(text, sizeof text, message, arguments);
     }
     if (written >= 0) {

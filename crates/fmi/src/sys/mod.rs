@@ -9,9 +9,10 @@
 //!    it, and is freed once, on drop. `RawInstance` may move to another thread (`Send`): FMI functions of one
 //!    instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1); so it is not
 //!    `Sync`, and every method takes `&mut self`.
-//! 3. **Addresses that an FMU keeps stay put.** The callback structure and the environment it names are on the
-//!    heap (in `Arc`s, whose contents do not move) and dropped after the component. The environment is shared with C code that may log from a thread of its own; all
-//!    it reaches is a mutex around the log lines, and no foreign code is ever called while that mutex is held.
+//! 3. **Addresses that an FMU keeps stay put.** What it is given for calling back ([`Callbacks`](callbacks::Callbacks)) is on
+//!    the heap (in `Arc`s, whose contents do not move) and never freed, for threads of an FMU may outlive its component. It
+//!    is shared with C code; all that this reaches is a mutex around the log lines, and no foreign code is ever called
+//!    while that mutex is held.
 //! 4. **Lengths are checked in release builds.** Slices handed to an FMU together with a count have that count, and
 //!    vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at instantiation.
 //!    A mismatch is a typed error and the FMU is not called.
@@ -22,9 +23,8 @@
 //! 7. **No panic crosses into C.** The sink of the logger catches unwinding; the rest of the callbacks are C.
 //! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`; the outside holds
 //!    tokens that say whose they are. The table is freed with the instance.
-//! 9. **The floating-point environment** that an FMU (or the loading of it) leaves behind is undone by
-//!    [`FloatEnvironment`].
-//!
+//! 9. **What an FMU (or the loading of it) changes in its thread or process** is undone: the floating-point mode after
+//!    every call, before any arithmetic of ours; the rest by [`CallEnvironment`].
 //! 10. **Buffers of small numbers** are handed out as what an FMU takes them for (`packed.rs`): never more elements than
 //!     there are lanes of 64 bits, and only types of which any bits are a value.
 //!
@@ -35,6 +35,7 @@
 
 mod binding;
 mod callbacks;
+mod environment;
 mod fmi1;
 mod fmi2;
 mod fmi3;
@@ -51,8 +52,8 @@ mod raw_instance;
 mod shared;
 
 pub use callbacks::{LogFilter, LogLine};
+pub(crate) use environment::{CallEnvironment, look_now_and_then};
 pub(crate) use library::{Library, LoadFrom};
-pub(crate) use platform::FloatEnvironment;
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
 pub(crate) use shared::Shared;
 
@@ -188,6 +189,8 @@ impl fmt::Display for InterfaceKind {
 pub(crate) struct StepInfo {
     /// How far the model got, where that is not the end of the step (or not known to be).
     pub(crate) reached: Option<f64>,
+    /// The model returned before the end of the step and goes on from where it got (FMI 3.0).
+    pub(crate) early: bool,
     /// The model wishes to end the simulation.
     pub(crate) terminate: bool,
     /// The model knows how far it got but has no word for the end of a simulation: it may have meant that.
@@ -248,6 +251,122 @@ pub(crate) struct Experiment {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The functions of the standard, without prefix (FMI 1.0 for model exchange and for co-simulation, FMI 2.0.4, FMI 3.0.1).
+    const FMI1: &str = "GetModelTypesPlatform GetVersion InstantiateModel FreeModelInstance SetDebugLogging SetTime \
+        SetContinuousStates CompletedIntegratorStep SetReal SetInteger SetBoolean SetString Initialize GetDerivatives \
+        GetEventIndicators GetReal GetInteger GetBoolean GetString EventUpdate GetContinuousStates \
+        GetNominalContinuousStates GetStateValueReferences Terminate GetTypesPlatform InstantiateSlave InitializeSlave \
+        TerminateSlave ResetSlave FreeSlaveInstance SetRealInputDerivatives GetRealOutputDerivatives CancelStep DoStep \
+        GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus";
+    const FMI2: &str = "GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment \
+        EnterInitializationMode ExitInitializationMode Terminate Reset GetReal GetInteger GetBoolean GetString SetReal \
+        SetInteger SetBoolean SetString GetFMUstate SetFMUstate FreeFMUstate SerializedFMUstateSize SerializeFMUstate \
+        DeSerializeFMUstate GetDirectionalDerivative EnterEventMode NewDiscreteStates EnterContinuousTimeMode \
+        CompletedIntegratorStep SetTime SetContinuousStates GetDerivatives GetEventIndicators GetContinuousStates \
+        GetNominalsOfContinuousStates SetRealInputDerivatives GetRealOutputDerivatives DoStep CancelStep GetStatus \
+        GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus";
+    const FMI3: &str = "GetVersion SetDebugLogging InstantiateModelExchange InstantiateCoSimulation \
+        InstantiateScheduledExecution FreeInstance EnterInitializationMode ExitInitializationMode EnterEventMode Terminate \
+        Reset GetFloat32 GetFloat64 GetInt8 GetUInt8 GetInt16 GetUInt16 GetInt32 GetUInt32 GetInt64 GetUInt64 GetBoolean \
+        GetString GetBinary GetClock SetFloat32 SetFloat64 SetInt8 SetUInt8 SetInt16 SetUInt16 SetInt32 SetUInt32 SetInt64 \
+        SetUInt64 SetBoolean SetString SetBinary SetClock GetNumberOfVariableDependencies GetVariableDependencies \
+        GetFMUState SetFMUState FreeFMUState SerializedFMUStateSize SerializeFMUState DeserializeFMUState \
+        GetDirectionalDerivative GetAdjointDerivative EnterConfigurationMode ExitConfigurationMode GetIntervalDecimal \
+        GetIntervalFraction GetShiftDecimal GetShiftFraction SetIntervalDecimal SetIntervalFraction SetShiftDecimal \
+        SetShiftFraction EvaluateDiscreteStates UpdateDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime \
+        SetContinuousStates GetContinuousStateDerivatives GetEventIndicators GetContinuousStates \
+        GetNominalsOfContinuousStates GetNumberOfEventIndicators GetNumberOfContinuousStates EnterStepMode \
+        GetOutputDerivatives DoStep ActivateModelPartition";
+
+    #[test]
+    fn functions_are_called_what_the_standard_calls_them() {
+        use crate::description::VariableKind::{
+            Binary, Boolean, Clock, Enumeration, Float32, Int8, Int16, Int64, Integer, Real, String, UInt8,
+            UInt16, UInt32, UInt64,
+        };
+        let kinds = [
+            Real,
+            Float32,
+            Integer,
+            Int8,
+            Int16,
+            Int64,
+            UInt8,
+            UInt16,
+            UInt32,
+            UInt64,
+            Boolean,
+            String,
+            Binary,
+            Enumeration,
+            Clock,
+        ];
+        let mut calls = vec![
+            Call::Instantiate,
+            Call::SetDebugLogging,
+            Call::SetupExperiment,
+            Call::EnterInitialization,
+            Call::ExitInitialization,
+            Call::Terminate,
+            Call::Reset,
+            Call::FreeInstance,
+            Call::EnterConfiguration,
+            Call::ExitConfiguration,
+            Call::CountStates,
+            Call::CountIndicators,
+            Call::EnterStepMode,
+            Call::SaveState,
+            Call::RestoreState,
+            Call::FreeState,
+            Call::SerializedSize,
+            Call::Serialize,
+            Call::Deserialize,
+            Call::DirectionalDerivative,
+            Call::EnterEventMode,
+            Call::NewDiscreteStates,
+            Call::EnterContinuousTimeMode,
+            Call::CompletedIntegratorStep,
+            Call::SetTime,
+            Call::SetContinuousStates,
+            Call::GetContinuousStates,
+            Call::GetDerivatives,
+            Call::GetEventIndicators,
+            Call::GetNominals,
+            Call::DoStep,
+            Call::StepStatus,
+            Call::StepRealStatus,
+            Call::StepBooleanStatus,
+            Call::CancelStep,
+            Call::SetInputDerivatives,
+            Call::EvaluateDiscreteStates,
+            Call::GetOutputDerivatives,
+        ];
+        calls.extend(kinds.into_iter().flat_map(|kind| [Call::Get(kind), Call::Set(kind)]));
+        calls.extend(
+            [false, true]
+                .into_iter()
+                .flat_map(|f| [Call::GetInterval(f), Call::GetShift(f), Call::SetInterval(f)]),
+        );
+        for kind in [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation] {
+            for call in &calls {
+                for (name, prefix, known) in [
+                    (fmi1::name(kind, *call), "fmi", FMI1),
+                    (fmi2::name(*call), "fmi2", FMI2),
+                    (fmi3::name(kind, *call), "fmi3", FMI3),
+                ] {
+                    let is_known = name
+                        .strip_prefix(prefix)
+                        .is_some_and(|name| known.split_whitespace().any(|known| known == name));
+                    assert!(is_known || name.starts_with('('), "{prefix}, {call:?}: {name}");
+                }
+            }
+        }
+        assert_eq!(
+            fmi1::name(InterfaceKind::CoSimulation, Call::GetOutputDerivatives),
+            "fmiGetRealOutputDerivatives"
+        );
+    }
 
     #[test]
     fn uris_are_percent_encoded() {

@@ -176,6 +176,9 @@ FMI3_EXPORT fmi3Status fmi3GetBinary(fmi3Instance i, const fmi3ValueReference r[
     for (j = 0; j < n; j++) {
         if (r[j] == 23) {
             s[j] = m->n_bytes; v[j] = m->bytes;
+#ifdef HUGE_BINARY
+            s[j] = (size_t)1 << (8 * sizeof(size_t) - 1);
+#endif
         } else if (r[j] == 28) {
             s[j] = m->n_packet; v[j] = m->packet;
         } else if (r[j] == 25) { /* longer with time, and empty at first */

@@ -5,8 +5,19 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#ifdef FLUSHES
+#if defined(FLUSHES) || defined(FLOAT_IN)
 #include <xmmintrin.h>
+#endif
+#ifdef SIGNALS_IN
+#include <signal.h>
+#endif
+#include <locale.h>
+#ifdef LOGS_LATE
+#include <pthread.h>
+#include <unistd.h>
+#endif
+#ifdef SLOW
+#include <unistd.h>
 #endif
 
 #if defined(_WIN32)
@@ -24,6 +35,11 @@ typedef struct {
     int has_u; /* set at this instant */
     int is_late; /* in initialization mode or beyond */
 #endif
+#ifdef LATCHES
+    double u;
+    int is_set, is_spoiled; /* u was set since the last step; and something was read since */
+#endif
+    double y; /* x where the derivatives were computed last */
     int restored;
     double restored_k;
     fmi2CallbackFunctions functions;
@@ -69,6 +85,35 @@ static void thread_ends(void *p) { (void)p; }
 __attribute__((constructor)) static void make_key(void) { pthread_key_create(&key, thread_ends); }
 #endif
 
+/* What an FMU does to its thread and its process, and where: FLOAT_IN, SIGNALS_IN, LOCALE_IN. */
+enum { INSTANTIATE = 1, SET_TIME, DERIVATIVES, STEP, FREE, INITIALIZE };
+
+static void upset(int where) {
+    (void)where;
+#ifdef FLOAT_IN
+    if (where == FLOAT_IN) {
+        unsigned short x87;
+        __asm__ volatile("fnstcw %0" : "=m"(x87));
+#ifdef ROUNDS_UP
+        _mm_setcsr((_mm_getcsr() & ~0x6000u) | 0x4000u);
+        x87 = (unsigned short)((x87 & ~0x0c00u) | 0x0800u);
+#else /* unmasks all exceptions */
+        _mm_setcsr(_mm_getcsr() & ~0x1fbfu);
+        x87 &= (unsigned short)~0x3fu;
+#endif
+        __asm__ volatile("fnclex; fldcw %0" : : "m"(x87));
+    }
+#endif
+#ifdef SIGNALS_IN
+    if (where == SIGNALS_IN) {
+        signal(SIGINT, SIG_IGN);
+        signal(SIGFPE, SIG_IGN);
+    }
+#endif
+#ifdef LOCALE_IN
+    if (where == LOCALE_IN) setlocale(LC_ALL, getenv("EVIL_LOCALE"));
+#endif
+}
 #ifdef DIES_WITH_TWO
 /* Two threads in this library at once end the process. */
 static int inside;
@@ -83,12 +128,20 @@ static void leave(void) { __atomic_fetch_sub(&inside, 1, __ATOMIC_SEQ_CST); }
 #define leave()
 #endif
 
+#ifdef DIES_WITH_TWO_INSTANCES
+static int alive;
+#endif
+
 #ifdef LARGE_TLS
 /* Static thread-local storage is set aside once per process and is small. */
 static __thread volatile char large[LARGE_TLS] __attribute__((tls_model("initial-exec")));
 #endif
 
 static void start_values(Model *m) {
+    m->y = 1;
+#ifdef LATCHES
+    m->u = m->is_set = m->is_spoiled = 0;
+#endif
     m->time = 0;
     m->x = 1;
 #if !defined(STATIC_PARAMETERS) && !defined(KEPT_IN_SIBLING)
@@ -109,6 +162,21 @@ static void say(Model *m, fmi2Status status, const char *text) {
     m->functions.logger(m->functions.componentEnvironment, "evil", status, "logAll", text);
 }
 
+#ifdef LOGS_LATE
+/* The standard keeps the structure alive as long as the instance; the thread uses it longer. */
+static const fmi2CallbackFunctions *given;
+
+static void *log_late(void *functions) {
+    const fmi2CallbackFunctions *known = functions;
+    int i;
+    for (i = 0; i < 20; i++) {
+        usleep(2000);
+        known->logger(known->componentEnvironment, "evil", fmi2Warning, "logAll", "late %d", i);
+    }
+    return NULL;
+}
+#endif
+
 EXPORT const char *fmi2GetTypesPlatform(void) { return "default"; }
 EXPORT const char *fmi2GetVersion(void) { return "2.0"; }
 
@@ -121,6 +189,9 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     return NULL;
 #endif
     enter();
+#ifdef DIES_WITH_TWO_INSTANCES
+    if (alive++ > 0) abort();
+#endif
     m = functions->allocateMemory(1, sizeof *m);
     leave();
     if (m == NULL) return NULL;
@@ -147,13 +218,27 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
 #ifdef FLUSHES
     _mm_setcsr(_mm_getcsr() | 0x8040);
 #endif
+    upset(INSTANTIATE);
+#ifdef LOGS_LATE
+    given = functions;
+#endif
     return m;
 }
 
 EXPORT void fmi2FreeInstance(fmi2Component c) {
     Model *m = c;
     if (m->fatal) abort();
+    upset(FREE);
+#ifdef LOGS_LATE
+    {
+        pthread_t thread;
+        if (pthread_create(&thread, NULL, log_late, (void *)given) == 0) pthread_detach(thread);
+    }
+#endif
     enter();
+#ifdef DIES_WITH_TWO_INSTANCES
+    alive--;
+#endif
     m->functions.freeMemory(m);
     leave();
 }
@@ -175,6 +260,7 @@ EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
 
 EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     (void)c;
+    upset(INITIALIZE);
 #ifdef OVERRIDES_K
     K((Model *)c) = 1.5;
 #endif
@@ -254,7 +340,16 @@ EXPORT fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
 EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference *vr, size_t n, fmi2Real *value) {
     Model *m = c;
     size_t i;
+#ifdef LATCHES
+    m->is_spoiled |= m->is_set;
+#endif
     for (i = 0; i < n; i++) {
+#ifdef STALE_OUTPUTS
+        if (vr[i] == 3) {
+            value[i] = m->y;
+            continue;
+        }
+#endif
 #ifdef TRUSTS_REFERENCES
         static double table[7];
         if (vr[i] > 6) {
@@ -305,6 +400,13 @@ EXPORT fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference *vr, siz
             }
             m->u = value[i];
             m->has_u = 1;
+            break;
+#endif
+#ifdef LATCHES
+        case 7:
+            m->u = value[i];
+            m->is_set = 1;
+            m->is_spoiled = 0;
             break;
 #endif
         default: return fmi2Error;
@@ -363,6 +465,9 @@ EXPORT fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { (void)c; return
 EXPORT fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set, fmi2Boolean *event,
                                               fmi2Boolean *terminate) {
     (void)c; (void)no_set;
+#ifdef REPORTS_PRIOR
+    ((Model *)c)->n = no_set;
+#endif
     *event = fmi2False;
     *terminate = fmi2False;
 #ifdef ENDS_ITSELF
@@ -376,6 +481,7 @@ EXPORT fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     if (time != ((Model *)c)->time) ((Model *)c)->has_u = 0;
 #endif
     ((Model *)c)->time = time;
+    upset(SET_TIME);
     return fmi2OK;
 }
 
@@ -397,6 +503,14 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
     if (n != 1) return fmi2Error;
     enter();
     dx[0] = -K(m) * m->x;
+    m->y = m->x;
+#ifdef USES_STRTOD
+    dx[0] = -strtod("1.5", NULL) * m->x;
+#endif
+#ifdef SLOW
+    usleep(SLOW);
+#endif
+    upset(DERIVATIVES);
     leave();
 #ifdef ONE_SET
     dx[0] = m->u;
@@ -491,6 +605,13 @@ EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real *x
 
 /* Co-simulation: the exact solution. */
 static void solve(Model *m, double h) {
+#ifdef LATCHES
+    /* Without fresh inputs, or when values were read since they were set, nothing is integrated. */
+    if (m->is_set && !m->is_spoiled) m->x += m->u * h;
+    m->is_set = m->is_spoiled = 0;
+    m->time += h;
+    return;
+#endif
     m->x *= exp(-K(m) * h);
     m->time += h;
 }
@@ -498,6 +619,20 @@ static void solve(Model *m, double h) {
 EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set) {
     Model *m = c;
     (void)no_set;
+#ifdef REPORTS_PRIOR
+    m->n = no_set;
+#endif
+#ifdef ONE_LENGTH
+    if (m->polls == 0) m->k = step;
+    /* The last step ends at the stop time. */
+    if (step != m->k && fabs(step - m->k) < 1e-9 && time < ONE_LENGTH) {
+        say(m, fmi2Error, "a step of nearly the same length");
+        return fmi2Error;
+    }
+    m->polls = -1;
+    m->time = time + step;
+    return fmi2OK;
+#endif
     if (fabs(time - m->time) > 1e-12) {
         say(m, fmi2Error, "the step begins elsewhere");
         return fmi2Error;
@@ -530,6 +665,7 @@ EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2
     m->polls = 3;
 #endif
     solve(m, step);
+    upset(STEP);
     return m->polls > 0 ? fmi2Pending : fmi2OK;
 }
 

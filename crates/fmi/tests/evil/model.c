@@ -33,6 +33,7 @@ enum {
     PAST_EVENT,
     ENDS_ITSELF,
     FAILING_EVENT,
+    STEP_EVENTS,
     LEAKS = 90,
     PRINTS,
     SEGFAULTS,
@@ -76,6 +77,9 @@ static ModelStatus calculate(void *instance, double time, ModelProblem *problem)
     memory->derivative = -rate * memory->x;
     memory->indicator = 1;
     switch (memory->fault) {
+    case STEP_EVENTS:
+        memory->derivative = 1;
+        break;
     case HUGE_VALUES:
         memory->derivative = 1e307;
         break;
@@ -123,6 +127,11 @@ static ModelStatus update(void *instance, double time, ModelEvents *events, Mode
         /* Every event is the reason of the next one. */
         if (time >= memory->next) memory->next = time + 1e-12;
         break;
+    case STEP_EVENTS:
+        /* As a selection of states: the model goes on with an equal point that suits it better. */
+        events->states_changed = memory->x >= 1.5;
+        if (events->states_changed) memory->x -= 1;
+        break;
     case ENDLESS_EVENTS:
         events->again = 1;
         break;
@@ -149,6 +158,12 @@ static ModelStatus update(void *instance, double time, ModelEvents *events, Mode
     return MODEL_OK;
 }
 
+static int wants_event(const void *instance, double time) {
+    const Memory *memory = (const Memory *)instance;
+    (void)time;
+    return memory->fault == STEP_EVENTS && memory->x >= 1.5;
+}
+
 const ModelDefinition model = {
     .identifier = "dahlquist",
     .token = "{9686edb1-c995-41e0-a850-2ee5a2df2214}",
@@ -163,4 +178,5 @@ const ModelDefinition model = {
     .initialize = initialize,
     .calculate = calculate,
     .update = update,
+    .wants_event = wants_event,
 };

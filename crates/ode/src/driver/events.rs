@@ -5,8 +5,23 @@ use super::{ErrorKind, Run, Space, Step, finish, kind_of, no_retreat, read_indic
 use crate::control::{initial_step, probe_step};
 use crate::error::Termination;
 use crate::observer::{EventRecord, Observer};
-use crate::stepper::{Consistency, Equations, Stepper};
-use crate::system::{CallError, EventCause, EventOutcome, EventVisit, HybridSystem};
+use crate::stepper::{Consistency, Equations, Stepper, Trial};
+use crate::system::{CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem};
+
+/// Slopes are the same if in a step they move no state by more than this share of its tolerance.
+const SAME_SLOPE: f64 = 0.1;
+
+/// A slope that cannot be had, just behind the border of what the model can be asked for, counts as a change.
+fn or_change(evaluated: CallResult<()>, slope: &mut [f64]) -> Step<()> {
+    match evaluated {
+        Ok(()) => Ok(()),
+        Err(CallError::Discard) => {
+            slope.fill(f64::NAN);
+            Ok(())
+        }
+        Err(failed) => Err(no_retreat(failed)),
+    }
+}
 
 impl<S, M, O> Run<'_, S, M, O>
 where
@@ -28,8 +43,8 @@ where
             self.t = self.t.max(next.min(self.end));
         }
         let visit = EventVisit { time: self.t, cause, crossings: &space.domains.crossings };
-        let outcome = self.system.handle_event(&visit, &mut space.x).map_err(no_retreat)?;
-        space.domains.clear_marks();
+        let outcome = self.system.handle_event(&visit, &mut space.x);
+        let outcome = self.with_states(outcome)?;
         self.count(cause);
         self.last_event = Some(self.t);
         self.observer.event(&EventRecord { time: self.t, cause });
@@ -41,7 +56,9 @@ where
             self.sample_here(true)?;
             return finish(Termination::StoppedByModel);
         }
-        self.resume(outcome)
+        let resumed = self.resume(outcome, cause);
+        self.space.domains.clear_marks();
+        resumed
     }
 
     fn count(&mut self, cause: EventCause) {
@@ -53,7 +70,7 @@ where
         stats.input_events += u64::from(cause.input);
     }
 
-    /// Before an event: the right-hand side on its left side, which decides whether the method must be restarted. It is
+    /// Before an event without a crossing: the right-hand side on its left side, which decides whether the method must be restarted. It is
     /// evaluated where it is not known: slopes of polynomials differ from it by more than a restart is worth, beside stiff
     /// components by any amount.
     pub(super) fn take_slope(&mut self, known: bool) -> Step<()> {
@@ -63,30 +80,34 @@ where
             return Ok(());
         }
         let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
-        match equations.derivatives(self.t, x, slope) {
-            Ok(()) => {}
-            // Just behind the border of what it can be asked for: that counts as a change.
-            Err(CallError::Discard) => slope.fill(f64::NAN),
-            Err(failed) => return Err(no_retreat(failed)),
-        }
-        Ok(())
+        or_change(equations.derivatives(self.t, x, slope), slope)
     }
 
-    /// After an event: reads the right-hand side and the indicators anew. When neither the states (their values before
-    /// are in `x_mid`) nor the slope have changed to speak of, the step size is kept; otherwise a new one is estimated.
-    fn resume(&mut self, outcome: EventOutcome) -> Step<()> {
+    /// After an event: reads the right-hand side and the indicators anew. Where the states (their values before are in
+    /// `x_mid`), the slopes on both sides and, if one of them has crossed, the indicators show that nothing has changed to
+    /// speak of, the method goes on as before; otherwise it begins anew, with a step size of its own.
+    fn resume(&mut self, outcome: EventOutcome, cause: EventCause) -> Step<()> {
         let before = self.h;
+        let on_zero = self.space.domains.crossed_on_zero();
         let Space { x, x_mid, weights, .. } = &*self.space;
         // Written so that a NaN counts as a change.
         let same_states = !outcome.states_changed || weights.distance(x, x, x_mid) < 1e-3;
-        let same_states = !self.evaluate_here()? && same_states;
+        let mut same = !self.evaluate_here()? && same_states;
+        if outcome.states_changed && self.sliding.step().is_some() && self.hold_at_zero()? {
+            self.evaluate_here()?;
+            same = false;
+        }
         // Still at the start the first step is estimated when its events are over; fixed steps know no past.
         if before == 0.0 || self.fixed_step.is_some() {
             return Ok(());
         }
+        same = same && !outcome.nominals_changed && (!cause.state || self.space.domains.unmoved());
         let Space { x, slope, weights, .. } = &*self.space;
-        let same_slope = before * weights.distance(x, self.stepper.derivative(), slope) < 0.1;
-        if !(same_states && same_slope) || outcome.nominals_changed {
+        same = same && weights.are_close(x, self.stepper.derivative(), slope, SAME_SLOPE / before);
+        if same || (cause.state && on_zero) {
+            same &= self.goes_on_as_here(before)?;
+        }
+        if !same {
             self.stats.restarts += 1;
             self.stepper.forget();
             if self.sliding.step().is_none() {
@@ -97,6 +118,42 @@ where
         Ok(())
     }
 
+    /// The right-hand side before a state event, from its own side: at the time `before`, in the trial of size `h` that
+    /// ends at `end` and is still to be committed. Behind it a right-hand side that depends on time may have switched.
+    pub(super) fn take_slope_before(&mut self, before: f64, end: f64, h: f64) -> Step<()> {
+        if self.space.x.is_empty() || self.fixed_step.is_some() {
+            return Ok(());
+        }
+        let Space { x, x_mid, slope, weights, .. } = &mut *self.space;
+        let before = before - self.same;
+        if before <= self.t {
+            slope.copy_from_slice(self.stepper.derivative());
+            return Ok(());
+        }
+        self.stepper.interpolate(Trial { t: self.t, end, h, x }, (before - self.t) / h, x_mid);
+        let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
+        or_change(equations.derivatives(before, x_mid, slope), slope)
+    }
+
+    /// Whether the right-hand side right behind the event is that at the event. One that switches there may do so behind it;
+    /// then that is the one to go on with.
+    fn goes_on_as_here(&mut self, h: f64) -> Step<bool> {
+        let behind = self.t + self.same;
+        if self.space.x.is_empty() || behind > self.end {
+            return Ok(true);
+        }
+        let Space { x, x_mid, x_new, weights, .. } = &mut *self.space;
+        let dx = self.stepper.derivative();
+        x_mid.iter_mut().zip(x.iter().zip(dx)).for_each(|(p, (x, d))| *p = x + self.same * d);
+        let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
+        or_change(equations.derivatives(behind, x_mid, x_new), x_new)?;
+        let same = weights.are_close(x, dx, x_new, SAME_SLOPE / h);
+        if !same && x_new.iter().all(|d| d.is_finite()) {
+            self.stepper.evaluate(&mut equations, behind, x_mid).map_err(no_retreat)?;
+        }
+        Ok(same)
+    }
+
     /// Right-hand side and event indicators at the current point. `true`: for its algebraic equations states were changed.
     pub(super) fn evaluate_here(&mut self) -> Step<bool> {
         let mut corrected = false;
@@ -104,10 +161,14 @@ where
         if !space.x.is_empty() {
             let mut equations =
                 Equations { system: &mut *self.system, weights: &space.weights, stats: &mut self.stats };
-            self.stepper.evaluate(&mut equations, self.t, &space.x).map_err(no_retreat)?;
+            let mut evaluated = self.stepper.evaluate(&mut equations, self.t, &space.x);
             if !space.x.iter().chain(self.stepper.derivative()).all(|v| v.is_finite()) {
-                return Err(ErrorKind::DiscardedAtRestart.into());
+                evaluated = evaluated.and(Err(CallError::Discard));
             }
+            evaluated.map_err(|error| self.refused_here(error))?;
+            let space = &mut *self.space;
+            let mut equations =
+                Equations { system: &mut *self.system, weights: &space.weights, stats: &mut self.stats };
             match self.stepper.make_consistent(&mut equations, self.t, &mut space.x).map_err(no_retreat)? {
                 Consistency::Holds => {}
                 Consistency::Corrected => {
@@ -119,10 +180,12 @@ where
                 }
             }
         }
+        let space = &mut *self.space;
         if space.domains.len() > 0 {
             space.domains.forget();
             self.stats.event_indicators += 1;
-            read_indicators(self.system, self.t, &space.x, &mut space.domains.base).map_err(no_retreat)?;
+            let read = read_indicators(self.system, self.t, &space.x, &mut space.domains.base);
+            read.map_err(|error| self.refused_here(error))?;
         }
         Ok(corrected)
     }

@@ -1,5 +1,6 @@
 //! Looking inside a step that meets the tolerance: crossings of indicators, and the step that ends at one.
 
+use super::returns::Return;
 use super::step::{Shrink, Tried};
 use super::{Run, Space, Step, U, kind_of, no_retreat, read_indicators};
 use crate::observer::Observer;
@@ -28,8 +29,8 @@ pub(super) struct Found {
     /// End and size of the trial that the stepper holds now.
     pub(super) end: f64,
     pub(super) h: f64,
-    /// An indicator has changed its domain there.
-    pub(super) crossed: bool,
+    /// A time before the first change of an indicator that is an event at the cut; `None`: there is none.
+    pub(super) before: Option<f64>,
 }
 
 impl<S, M, O> Run<'_, S, M, O>
@@ -43,33 +44,16 @@ where
     pub(super) fn look_inside(&mut self, end: f64, h: f64) -> Step<Inside> {
         let mut ready = false;
         self.space.domains.look();
-        if self.sliding.step().is_some() {
-            return self.slide_over(end, h);
-        }
-        let mut bracket = self.space.domains.changed().then_some(end);
-        let points = if bracket.is_none() { self.interior_points(end) } else { 0 };
-        for i in 0..points + self.space.domains.len() {
-            if bracket.is_some() {
-                break;
-            }
-            let at = if i < points {
-                Some(self.t + h * (i + 1) as f64 / (points + 1) as f64)
-            } else {
-                self.space.domains.turning_point(i - points, self.t, end)
-            };
-            if let Some(at) = at.filter(|at| *at > self.t && *at < end) {
-                match self.changed_at(at, end, h, &mut ready) {
-                    Ok(found) => bracket = found,
-                    Err(error) => return self.cannot_stand(h, error),
-                }
-            }
-        }
-        if bracket.is_none() {
-            match self.right_behind_the_start(end, h, &mut ready) {
-                Ok(found) => bracket = found,
-                Err(error) => return self.cannot_stand(h, error),
-            }
-        }
+        let behind = match self.look_for_return(end, h, &mut ready) {
+            Ok(Return::Nothing) => None,
+            Ok(Return::Found(at)) => Some(at),
+            Ok(Return::Unseen { indicator, shorter }) => return self.unseen(indicator, shorter, h),
+            Err(error) => return self.cannot_stand(h, error),
+        };
+        let bracket = match self.bracket(behind, end, h, &mut ready) {
+            Ok(bracket) => bracket,
+            Err(error) => return self.cannot_stand(h, error),
+        };
         let sampled = self.space.sampler.due_before(self.times, end - self.same).is_some();
         if (bracket.is_some() || sampled || self.observer.wants_steps())
             && let Err(error) = self.make_ready(end, h, &mut ready)
@@ -82,38 +66,35 @@ where
         }
     }
 
-    /// Looks for a way out of a domain and back that is much shorter than the first step after an event: a ball that
-    /// bounces less and less would fall through the floor there. The right end of what brackets it.
-    fn right_behind_the_start(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<Option<f64>> {
-        let indicators = 0..self.space.domains.len();
-        let leaves_zero = |i| self.space.domains.leaves_zero(i);
-        if self.options.interior_samples == Some(0)
-            || self.space.x.is_empty()
-            || !indicators.clone().any(leaves_zero)
-        {
-            return Ok(None);
+    /// The right end of what brackets the first event in the trial, or one of the first: the indicators are looked at
+    /// `behind` a return, at points inside where that is asked for or the step is long, and where they may have turned.
+    fn bracket(
+        &mut self,
+        behind: Option<f64>,
+        end: f64,
+        h: f64,
+        ready: &mut bool,
+    ) -> CallResult<Option<f64>> {
+        let asked = self.options.interior_samples.is_some();
+        let points = if asked || !self.space.domains.changed() { self.interior_points(end) } else { 0 };
+        let start = self.t;
+        let inside = (1..=points).map(|i| start + h * i as f64 / (points + 1) as f64);
+        for at in behind.into_iter().chain(inside) {
+            if self.changed_at(at, end, h, ready)? {
+                return Ok(Some(at));
+            }
         }
-        let mid = self.t + 0.5 * h;
-        if mid <= self.t || mid >= end {
-            return Ok(None);
+        for i in 0..self.space.domains.len() {
+            if self.space.domains.changed() {
+                return Ok(Some(end));
+            }
+            if let Some(at) = self.space.domains.turning_point(i, self.t, end)
+                && self.changed_at(at, end, h, ready)?
+            {
+                return Ok(Some(at));
+            }
         }
-        if let Some(found) = self.changed_at(mid, end, h, ready)? {
-            return Ok(Some(found));
-        }
-        let turn = indicators.filter_map(|i| self.space.domains.return_point(i, self.t, mid, end)).next();
-        turn.map_or(Ok(None), |at| self.changed_at(at, end, h, ready))
-    }
-
-    /// While the solution slides a crossing counts where the step ends.
-    fn slide_over(&mut self, end: f64, h: f64) -> Step<Inside> {
-        let sampled = self.space.sampler.due_before(self.times, end - self.same).is_some();
-        if (sampled || self.observer.wants_steps())
-            && let Err(error) = self.make_ready(end, h, &mut false)
-        {
-            return self.cannot_stand(h, error);
-        }
-        let crossed = self.space.domains.changed();
-        Ok(if crossed { Inside::Crossing(Found { at: end, end, h, crossed }) } else { Inside::Nothing })
+        Ok(self.space.domains.changed().then_some(end))
     }
 
     /// At how many points inside the step the indicators are looked at whatever they were.
@@ -131,7 +112,7 @@ where
     }
 
     /// Has the method interpolate inside the trial, once.
-    fn make_ready(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
+    pub(super) fn make_ready(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
         if !std::mem::replace(ready, true) {
             let Space { x, x_new, weights, .. } = &*self.space;
             let trial = Trial { t: self.t, end, h, x };
@@ -141,14 +122,19 @@ where
         Ok(())
     }
 
-    /// Looks at the indicators at a point inside the trial; the right end of what brackets an event.
-    fn changed_at(&mut self, at: f64, end: f64, h: f64, ready: &mut bool) -> CallResult<Option<f64>> {
+    /// Looks at the indicators at a point inside the trial, unless changes count from a later one; `true`: one has an
+    /// event before it.
+    fn changed_at(&mut self, at: f64, end: f64, h: f64, ready: &mut bool) -> CallResult<bool> {
+        let since = self.space.domains.counts_since().unwrap_or(self.t);
+        if at <= since || at >= end {
+            return Ok(false);
+        }
         self.make_ready(end, h, ready)?;
         let Space { x, x_mid, domains, .. } = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x };
         self.stepper.interpolate(trial, (at - self.t) / h, x_mid);
         self.stats.event_indicators += 1;
-        domains.changed_at(at, end, |t, z| read_indicators(self.system, t, x_mid, z))
+        domains.changed_at(at, |t, z| read_indicators(self.system, t, x_mid, z))
     }
 
     fn cannot_stand(&mut self, h: f64, error: CallError) -> Step<Inside> {
@@ -162,7 +148,8 @@ where
     fn locate(&mut self, hi: f64, end: f64, h: f64) -> Step<Inside> {
         let Space { x, x_new, x_mid, domains, .. } = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x };
-        let tolerance = (100.0 * U * (self.t.abs() + h)).max(4.0 * U * end.abs());
+        // The event is at the requested times that it is located next to.
+        let tolerance = (100.0 * U * (self.t.abs() + h)).max(4.0 * U * end.abs()).min(0.25 * self.same);
         let for_jumps = if self.options.loose_jump_indicators { 1e-10 * self.t.abs().max(h) } else { 0.0 };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
         let lo = domains.counts_since().unwrap_or(self.t);
@@ -181,14 +168,14 @@ where
                 self.stats.event_indicators += 1;
                 read_indicators(system, end, x_new, &mut domains.end).map_err(no_retreat)?;
             }
-            let crossed = domains.changed();
-            return Ok(Inside::Crossing(Found { at: end, end, h, crossed }));
+            let before = domains.changed().then_some(located.before);
+            return Ok(Inside::Crossing(Found { at: end, end, h, before }));
         }
         if self.stepper.repeats_step_at_event() {
             return self.polish(located.time, hi, tolerance);
         }
         stepper.interpolate(trial, (located.time - trial.t) / h, x_new);
-        Ok(Inside::Crossing(Found { at: located.time, end, h, crossed: true }))
+        Ok(Inside::Crossing(Found { at: located.time, end, h, before: Some(located.before) }))
     }
 
     /// Repeats the step so that it ends at the event, because the method is more exact at the ends of its steps than
@@ -208,9 +195,9 @@ where
                 Tried::Again { h, why } => return Ok(Inside::Again { h, why }),
             }
             let crossed = self.space.domains.changed();
-            let found = Found { at: guess, end: guess, h, crossed };
+            let found = |before: f64| Found { at: guess, end: guess, h, before: crossed.then_some(before) };
             if guess >= hi || rounds >= MAX_REPETITIONS {
-                return Ok(Inside::Crossing(found));
+                return Ok(Inside::Crossing(found(lo.max(guess - 8.0 * enough))));
             }
             let root = if crossed {
                 hi = guess;
@@ -219,7 +206,7 @@ where
                 lo = guess;
                 self.root_beyond(guess, hi, h, tight)
             };
-            let root = match root {
+            let (before, root) = match root {
                 Ok(root) => root,
                 Err(error) => return self.cannot_stand(h, error),
             };
@@ -228,7 +215,7 @@ where
                 let Space { x_new, domains, .. } = &mut *self.space;
                 self.stats.event_indicators += 1;
                 return match read_indicators(self.system, guess, x_new, &mut domains.end) {
-                    Ok(()) => Ok(Inside::Crossing(found)),
+                    Ok(()) => Ok(Inside::Crossing(found(before))),
                     Err(error) => self.cannot_stand(h, error),
                 };
             }
@@ -244,9 +231,9 @@ where
         }
     }
 
-    /// The first crossing between `lo` and `hi` by the interpolant of the trial of size `h` that ends at `end`;
+    /// A bracket of the first crossing between `lo` and `hi` by the interpolant of the trial of size `h` that ends at `end`;
     /// `domains.end` holds the indicators at `hi`, of which at least one has changed.
-    fn root_between(&mut self, lo: f64, hi: f64, end: f64, h: f64, tight: f64) -> CallResult<f64> {
+    fn root_between(&mut self, lo: f64, hi: f64, end: f64, h: f64, tight: f64) -> CallResult<(f64, f64)> {
         let Space { x, x_mid, domains, .. } = &mut *self.space;
         let lo = domains.counts_since().map_or(lo, |from| lo.max(from));
         let trial = Trial { t: self.t, end, h, x };
@@ -256,11 +243,11 @@ where
             read_indicators(system, t, x_mid, z)
         })?;
         self.stats.event_indicators += located.evaluations;
-        Ok(located.time)
+        Ok((located.before, located.time))
     }
 
     /// The first crossing after the end of the trial of size `h` by its interpolant, continued up to `hi` at most.
-    fn root_beyond(&mut self, end: f64, hi: f64, h: f64, tight: f64) -> CallResult<f64> {
+    fn root_beyond(&mut self, end: f64, hi: f64, h: f64, tight: f64) -> CallResult<(f64, f64)> {
         let mut reach = tight;
         loop {
             let at = (end + reach).min(hi);
@@ -272,7 +259,7 @@ where
                 return self.root_between(end, at, end, h, tight);
             }
             if at >= hi || reach > 0.1 * h {
-                return Ok(hi);
+                return Ok((end, hi));
             }
             reach *= 32.0;
         }

@@ -79,7 +79,7 @@ impl Sliding {
         }
     }
 
-    /// The step to try, if the solution slides: crossings inside of it are not located.
+    /// The step to try, if the solution slides: crossings of the indicators that slide are not located in it.
     pub(super) fn step(&self) -> Option<f64> {
         self.step
     }
@@ -89,20 +89,26 @@ impl Sliding {
         self.step = self.step.map(|_| h);
     }
 
-    fn begin(&mut self) {
-        self.step = Some(self.usual);
-        self.clean = 0;
+    /// Length of a step while it slides.
+    pub(super) fn usual(&self) -> f64 {
+        self.usual
     }
 
-    /// A step was accepted, with a state event at its end or not.
-    fn advance(&mut self, state_event: bool) {
+    /// Slides from now on; the length of the next step.
+    pub(super) fn begin(&mut self) -> f64 {
+        self.step = Some(self.usual);
+        self.clean = 0;
+        self.state_events.forget();
+        self.usual
+    }
+
+    /// A step was accepted, with a crossing of an indicator that slides or not. `false`: nothing slides any more.
+    fn advance(&mut self, crossing: bool) -> bool {
         if self.step.is_some() {
-            self.clean = if state_event { 0 } else { self.clean + 1 };
+            self.clean = if crossing { 0 } else { self.clean + 1 };
             self.step = (self.clean < CLEAN_STEPS).then_some(self.usual);
-            if self.step.is_none() {
-                self.state_events.forget();
-            }
         }
+        self.step.is_some()
     }
 }
 
@@ -112,10 +118,13 @@ where
     M: Stepper,
     O: Observer + ?Sized,
 {
-    /// Watches the events at the end of a step for chattering; `crossed` is an indicator that has crossed.
+    /// Watches the events at the end of a step for chattering; `crossed` is an indicator that has crossed, one that does not
+    /// slide if there is any.
     pub(super) fn watch_events(&mut self, cause: EventCause, crossed: Option<usize>) -> Step<()> {
-        let slides = self.sliding.step.is_some();
-        self.sliding.advance(cause.state);
+        let slides = crossed.is_some_and(|i| self.space.domains.slides(i));
+        if self.sliding.step.is_some() && !self.sliding.advance(self.space.domains.any_sliding_crossed()) {
+            self.space.domains.stop_sliding();
+        }
         let events = ChatteringGuard::EVENTS as u64;
         if cause.time && self.sliding.time_events.record(self.t).is_some() {
             return Err(ErrorKind::TimeEventLoop(events).into());
@@ -126,6 +135,7 @@ where
         let Some(within) = self.sliding.state_events.record(self.t) else { return Ok(()) };
         match self.options.chattering {
             ChatteringPolicy::Slide if self.fixed_step.is_none() && !self.space.x.is_empty() => {
+                self.space.domains.slide_marked();
                 self.sliding.begin();
             }
             ChatteringPolicy::Warn if within > ChatteringGuard::still(self.same) => {}

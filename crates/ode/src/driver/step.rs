@@ -25,6 +25,8 @@ pub(super) enum Shrink {
     NotSolved,
     /// The model refused a point of it.
     Refused,
+    /// An event indicator left its domain and came back in it, which was not seen.
+    Returned,
 }
 
 impl<S, M, O> Run<'_, S, M, O>

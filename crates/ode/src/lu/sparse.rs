@@ -18,8 +18,8 @@ pub(crate) struct SparseLu<T> {
     /// With the diagonal.
     places: SymbolicSparseColMat<usize>,
     analysis: SymbolicLu<usize>,
-    /// Of each place its position in a list of all entries by columns, and its number.
-    positions: Vec<usize>,
+    /// Of each place whether it lies on the diagonal, and its number.
+    on_diagonal: Vec<bool>,
     values: Vec<T>,
     factors: Option<Lu<usize, T>>,
 }
@@ -28,22 +28,14 @@ impl<T: Scalar> SparseLu<T> {
     /// For matrices of this pattern and a full diagonal. `None`: the library cannot take it.
     pub(crate) fn new(pattern: &JacobianPattern) -> Option<Self> {
         let n = pattern.n_states();
-        let (mut starts, mut rows) = (vec![0], Vec::new());
-        for k in 0..n {
-            let column = pattern.column(k);
-            let at = column.partition_point(|&i| i < k);
-            rows.extend(&column[..at]);
-            rows.push(k);
-            rows.extend(column[at..].iter().filter(|&&i| i != k));
-            starts.push(rows.len());
-        }
-        let column_of = |k: usize| starts[k]..starts[k + 1];
-        let positions: Vec<usize> =
-            (0..n).flat_map(|k| rows[column_of(k)].iter().map(move |i| i + n * k)).collect();
+        let whole = pattern.with_diagonal();
+        let on_diagonal: Vec<bool> =
+            (0..n).flat_map(|k| whole.column(k).iter().map(move |i| *i == k)).collect();
+        let (starts, rows) = whole.into_columns();
         let places = SymbolicSparseColMat::new_checked(n, n, starts, None, rows);
         let analysis = SymbolicLu::try_new(places.as_ref()).ok()?;
-        let values = vec![<T as nalgebra::ComplexField>::from_real(0.0); positions.len()];
-        Some(Self { pattern: pattern.clone(), places, analysis, positions, values, factors: None })
+        let values = vec![<T as nalgebra::ComplexField>::from_real(0.0); on_diagonal.len()];
+        Some(Self { pattern: pattern.clone(), places, analysis, on_diagonal, values, factors: None })
     }
 
     pub(crate) fn pattern(&self) -> &JacobianPattern {
@@ -52,9 +44,9 @@ impl<T: Scalar> SparseLu<T> {
 
     /// Reads the entries of the pattern and decomposes; `false`: some are not finite, or the pattern is singular. A
     /// matrix that is singular by its numbers gives solutions that are not finite.
-    pub(crate) fn decompose(&mut self, mut entry: impl FnMut(usize) -> T) -> bool {
-        for (value, p) in self.values.iter_mut().zip(&self.positions) {
-            *value = entry(*p);
+    pub(crate) fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
+        for (p, (value, on_diagonal)) in self.values.iter_mut().zip(&self.on_diagonal).enumerate() {
+            *value = entry(p, *on_diagonal);
             if !nalgebra::ComplexField::is_finite(value) {
                 return false;
             }

@@ -19,6 +19,9 @@ const CONSISTENT: f64 = 0.1;
 const CONVERGED: f64 = 1e-3;
 const MAX_NEWTON: u32 = 30;
 const LEAST_DAMPING: f64 = 1e-3;
+/// Entries below this are zero, as far as differences of right-hand sides can tell: some hundred times the square root of
+/// the unit round-off.
+const SINGULAR: f64 = 1e-6;
 
 /// The algebraic part of a mass matrix, and room for Newton's method.
 #[derive(Debug, Default)]
@@ -42,22 +45,23 @@ pub(super) struct Algebraic {
 
 impl Algebraic {
     /// For a mass matrix of `n` states, by columns.
-    pub(super) fn begin(&mut self, n: usize, mass: &[f64]) {
+    pub(super) fn begin(&mut self, n: usize, mass: &[f64]) -> CallResult<()> {
         if self.n == n && self.mass == mass {
-            return;
+            return Ok(());
         }
         self.n = n;
         self.mass.clear();
         self.mass.extend_from_slice(mass);
         self.split();
         let m = self.names.len();
-        self.lu.begin(m, None);
+        self.lu.begin(m, None)?;
         self.matrix.resize(m * m, 0.0);
         self.residual.resize(m, 0.0);
         let Self { step, start, along, trial, inverse, .. } = self;
         for v in [step, start, along, trial, inverse] {
             v.resize(n, 0.0);
         }
+        Ok(())
     }
 
     /// Gaussian elimination with complete pivoting of the matrix, its rows and columns scaled to a largest entry of 1.
@@ -124,6 +128,12 @@ impl Algebraic {
 
     /// `false`: they do not decide the states, by this Jacobian.
     fn decompose(&mut self, jacobian: &Jacobian) -> bool {
+        self.fill_matrix(jacobian);
+        self.lu.decompose(|p, _| self.matrix[p])
+    }
+
+    /// `l J z` over all `l` and `z`.
+    fn fill_matrix(&mut self, jacobian: &Jacobian) {
         let (n, m) = (self.n, self.names.len());
         self.matrix.fill(0.0);
         for (b, z) in self.columns.chunks_exact(n).enumerate() {
@@ -133,7 +143,6 @@ impl Algebraic {
                 self.matrix[a + m * b] = l.iter().zip(&self.step).map(|(l, v)| l * v).sum();
             }
         }
-        self.lu.decompose(|p| self.matrix[p])
     }
 
     /// Makes Newton's step of the residuals; the largest share of a tolerance by which it moves a state.
@@ -198,6 +207,43 @@ impl Algebraic {
         Ok(Consistency::Holds)
     }
 
+    /// An equation that does not determine the states it should, near `(t, x)`: at a point where each state is moved by a
+    /// share of its size, so that an index that rises at `(t, x)` alone, where solutions end, is not taken for a higher
+    /// index. `None`: there is none, or that point cannot be evaluated.
+    pub(super) fn undetermined<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        jacobian: &mut Jacobian,
+        t: f64,
+        x: &[f64],
+    ) -> Option<usize> {
+        let (n, m) = (self.n, self.names.len());
+        let sizes: Vec<f64> =
+            x.iter().enumerate().map(|(i, x)| x.abs().max(equations.weights.scale(i))).collect();
+        // Shares that have nothing in common.
+        let near: Vec<f64> =
+            (0..n).map(|i| x[i] + (0.05 + 0.05 * ((i + 1) as f64).sqrt().fract()) * sizes[i]).collect();
+        let mut f = vec![0.0; n];
+        equations.derivatives(t, &near, &mut f).ok()?;
+        jacobian.evaluate(equations, (t, &near, &f)).ok()?;
+        self.fill_matrix(jacobian);
+        // Rows in units of the largest effect of a state of its size.
+        for (a, l) in self.rows.chunks_exact(n).enumerate() {
+            self.along.fill(0.0);
+            jacobian.each(|i, k, j| self.along[k] += l[i] * j);
+            let largest = self.along.iter().zip(&sizes).map(|(v, size)| (v * size).abs()).fold(0.0, f64::max);
+            if largest == 0.0 {
+                return Some(self.names[a]);
+            }
+            for (b, z) in self.columns.chunks_exact(n).enumerate() {
+                let size = z.iter().zip(&sizes).filter(|(z, _)| **z != 0.0);
+                let size = size.map(|(z, size)| size / z.abs()).fold(f64::INFINITY, f64::min);
+                self.matrix[a + m * b] *= size / largest;
+            }
+        }
+        singular_row(&mut self.matrix, m).map(|a| self.names[a])
+    }
+
     /// The equation with the largest residual, seen against what changes of the states within their tolerances make, if
     /// it is larger than that.
     fn worst(&mut self, jacobian: &Jacobian) -> Option<(usize, f64)> {
@@ -251,6 +297,30 @@ impl Algebraic {
     }
 }
 
+/// A row of a matrix of `m` rows, by columns, that depends on the others, as far as differences can tell.
+fn singular_row(matrix: &mut [f64], m: usize) -> Option<usize> {
+    let mut rows: Vec<usize> = (0..m).collect();
+    let mut columns = rows.clone();
+    for done in 0..m {
+        let places = (done..m).flat_map(|i| (done..m).map(move |k| (i, k)));
+        let size = |&(i, k): &(usize, usize)| matrix[rows[i] + m * columns[k]].abs();
+        let (i, k) = places.max_by(|p, q| size(p).total_cmp(&size(q)))?;
+        if size(&(i, k)) < SINGULAR {
+            return Some(rows[done]);
+        }
+        rows.swap(done, i);
+        columns.swap(done, k);
+        let (row, column) = (rows[done], columns[done]);
+        for &i in &rows[done + 1..] {
+            let factor = matrix[i + m * column] / matrix[row + m * column];
+            for &k in &columns[done..] {
+                matrix[i + m * k] -= factor * matrix[row + m * k];
+            }
+        }
+    }
+    None
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -259,7 +329,7 @@ mod tests {
     fn split<const N: usize>(m: [[f64; N]; N]) -> (Vec<usize>, Vec<f64>, Vec<f64>) {
         let mut a = Algebraic::default();
         let by_columns: Vec<f64> = (0..N * N).map(|p| m[p % N][p / N]).collect();
-        a.begin(N, &by_columns);
+        a.begin(N, &by_columns).unwrap();
         (a.names, a.rows, a.columns)
     }
 

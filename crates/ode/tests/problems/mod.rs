@@ -4,8 +4,10 @@
 #![allow(dead_code, unreachable_pub)]
 
 pub mod hybrid;
+pub mod large;
 pub mod nonstiff;
 pub mod stiff;
+pub mod tuning;
 
 use ode::*;
 use std::ops::ControlFlow;
@@ -16,12 +18,32 @@ pub struct Problem {
     pub name: &'static str,
     pub x0: Vec<f64>,
     pub end: f64,
-    pub f: fn(&[f64], &mut [f64]),
+    pub f: fn(f64, &[f64], &mut [f64]),
+    /// Which derivatives depend on which states, where that is known.
+    pub pattern: Option<JacobianPattern>,
+    /// Of the states at the end, each `stride`-th.
     pub reference: Vec<f64>,
+    pub stride: usize,
     /// Absolute tolerance per relative tolerance.
     pub atol: f64,
     /// The error is the largest one over the largest component, not the largest relative one.
     pub by_largest: bool,
+}
+
+impl Default for Problem {
+    fn default() -> Self {
+        Self {
+            name: "",
+            x0: Vec::new(),
+            end: 1.0,
+            f: |_, _, _| {},
+            pattern: None,
+            reference: Vec::new(),
+            stride: 1,
+            atol: 1.0,
+            by_largest: false,
+        }
+    }
 }
 
 impl HybridSystem for Problem {
@@ -32,9 +54,12 @@ impl HybridSystem for Problem {
         x.copy_from_slice(&self.x0);
         Ok(EventOutcome::default())
     }
-    fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
-        (self.f)(x, dx);
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        (self.f)(t, x, dx);
         Ok(())
+    }
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        self.pattern.as_ref()
     }
 }
 
@@ -58,15 +83,28 @@ impl Problem {
     pub fn digits(&self, x: &[f64]) -> f64 {
         let largest = self.reference.iter().fold(0.0f64, |a, r| a.max(r.abs()));
         let error = |(r, x): (&f64, &f64)| (x - r).abs() / if self.by_largest { largest } else { r.abs() };
-        -self.reference.iter().zip(x).map(error).fold(0.0, f64::max).max(1e-17).log10()
+        -self
+            .reference
+            .iter()
+            .zip(x.iter().step_by(self.stride))
+            .map(error)
+            .fold(0.0, f64::max)
+            .max(1e-17)
+            .log10()
+    }
+
+    /// Runs it; the state at the end and what it cost.
+    pub fn end_state(&self, options: Options) -> Result<(Vec<f64>, Stats), Box<SimulationError>> {
+        let mut last = Last(Vec::new());
+        let mut driver = Driver::new(options).unwrap();
+        let report = driver.run(&mut self.clone(), 0.0, self.end, &[self.end], &mut last)?;
+        Ok((last.0, report.stats))
     }
 
     /// Runs it; correct digits and what they cost.
     pub fn solve(&self, options: Options) -> Result<(f64, Stats), Box<SimulationError>> {
-        let mut last = Last(Vec::new());
-        let mut driver = Driver::new(options).unwrap();
-        let report = driver.run(&mut self.clone(), 0.0, self.end, &[self.end], &mut last)?;
-        Ok((self.digits(&last.0), report.stats))
+        let (x, stats) = self.end_state(options)?;
+        Ok((self.digits(&x), stats))
     }
 
     pub fn run(&self, method: Method, rtol: f64) -> (f64, Stats) {
@@ -75,4 +113,29 @@ impl Problem {
             Err(e) => panic!("{} by {} at {rtol:e}: {e} {:?}", self.name, method.name(), e.stats),
         }
     }
+}
+
+/// The problems on which `auto` is held against the best method.
+pub fn judging() -> Vec<Problem> {
+    use {large::*, nonstiff::*, stiff::*};
+    vec![
+        hires(),
+        rober(),
+        orego(),
+        vdpol(),
+        vdpolm(),
+        e5_1e3(),
+        e5_1e5(),
+        pollu(),
+        ring_modulator(),
+        medical_akzo(),
+        brusselator(),
+        brusselator_line(),
+        heat(),
+        beam(),
+        pleiades(),
+        two_body(),
+        lorenz(),
+        van_der_pol(),
+    ]
 }

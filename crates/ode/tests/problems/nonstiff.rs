@@ -7,13 +7,13 @@ pub fn van_der_pol() -> Problem {
         name: "VDP mu=1",
         x0: vec![2.0, 0.0],
         end: 20.0,
-        f: |y, d| {
+        f: |_, y, d| {
             d[0] = y[1];
             d[1] = (1.0 - y[0] * y[0]) * y[1] - y[0];
         },
         reference: vec![2.008149762174948592, -4.250887527320214699e-2],
         atol: 1e-2,
-        by_largest: false,
+        ..Problem::default()
     }
 }
 
@@ -22,13 +22,13 @@ pub fn brusselator() -> Problem {
         name: "Brusselator",
         x0: vec![1.5, 3.0],
         end: 20.0,
-        f: |y, d| {
+        f: |_, y, d| {
             d[0] = 1.0 + y[0] * y[0] * y[1] - 4.0 * y[0];
             d[1] = 3.0 * y[0] - y[0] * y[0] * y[1];
         },
         reference: vec![4.986370712683478486e-1, 4.596780349452011183],
         atol: 1e-2,
-        by_largest: false,
+        ..Problem::default()
     }
 }
 
@@ -40,7 +40,7 @@ pub fn pleiades() -> Problem {
         name: "Pleiades",
         x0,
         end: 3.0,
-        f: |y, d| {
+        f: |_, y, d| {
             d[..14].copy_from_slice(&y[14..]);
             for i in 0..7 {
                 let (mut ax, mut ay) = (0.0, 0.0);
@@ -85,7 +85,7 @@ pub fn pleiades() -> Problem {
             -1.947020434263291901,
         ],
         atol: 1e-2,
-        by_largest: false,
+        ..Problem::default()
     }
 }
 
@@ -95,7 +95,7 @@ pub fn arenstorf() -> Problem {
         name: "Arenstorf",
         x0: x0.clone(),
         end: 17.0652165601579625588917206249,
-        f: |y, d| {
+        f: |_, y, d| {
             let mu = 0.012277471;
             let nu = 1.0 - mu;
             let d1 = ((y[0] + mu).powi(2) + y[1] * y[1]).powf(1.5);
@@ -108,6 +108,43 @@ pub fn arenstorf() -> Problem {
         reference: x0,
         atol: 1e-2,
         by_largest: true,
+        ..Problem::default()
+    }
+}
+
+/// A planet on an ellipse of eccentricity 0.6, three times around: it returns to where it began.
+pub fn two_body() -> Problem {
+    let x0 = vec![0.4, 0.0, 0.0, 2.0];
+    Problem {
+        name: "Two-body",
+        x0: x0.clone(),
+        end: 6.0 * std::f64::consts::PI,
+        f: |_, y, d| {
+            let r3 = (y[0] * y[0] + y[1] * y[1]).powf(1.5);
+            d.copy_from_slice(&[y[2], y[3], -y[0] / r3, -y[1] / r3]);
+        },
+        reference: x0,
+        atol: 1e-2,
+        by_largest: true,
+        ..Problem::default()
+    }
+}
+
+/// E. N. Lorenz, Deterministic nonperiodic flow, Journal of the Atmospheric Sciences 20 (1963) 130-141.
+pub fn lorenz() -> Problem {
+    Problem {
+        name: "Lorenz",
+        x0: vec![1.0, 1.0, 1.0],
+        end: 10.0,
+        f: |_, y, d| {
+            d[0] = 10.0 * (y[1] - y[0]);
+            d[1] = y[0] * (28.0 - y[2]) - y[1];
+            d[2] = y[0] * y[1] - 8.0 / 3.0 * y[2];
+        },
+        reference: vec![-4.902687541158402, -3.7438729218116897, 24.69085810283557],
+        atol: 1e-2,
+        by_largest: true,
+        ..Problem::default()
     }
 }
 

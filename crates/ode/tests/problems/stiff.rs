@@ -3,7 +3,7 @@
 use super::Problem;
 
 #[rustfmt::skip]
-fn hires_rhs(y: &[f64], d: &mut [f64]) {
+fn hires_rhs(_: f64, y: &[f64], d: &mut [f64]) {
     let r = 280.0 * y[5] * y[7];
     d[0] = -1.71 * y[0] + 0.43 * y[1] + 8.32 * y[2] + 0.0007;
     d[1] = 1.71 * y[0] - 8.75 * y[1];
@@ -23,7 +23,7 @@ fn hires_until(end: f64, reference: [f64; 8]) -> Problem {
         f: hires_rhs,
         reference: reference.to_vec(),
         atol: 1e-4,
-        by_largest: false,
+        ..Problem::default()
     }
 }
 
@@ -59,7 +59,7 @@ pub fn hires_421() -> Problem {
     )
 }
 
-fn rober_rhs(y: &[f64], d: &mut [f64]) {
+fn rober_rhs(_: f64, y: &[f64], d: &mut [f64]) {
     let (a, b, c) = (0.04 * y[0], 1e4 * y[1] * y[2], 3e7 * y[1] * y[1]);
     d[0] = -a + b;
     d[1] = a - b - c;
@@ -68,7 +68,7 @@ fn rober_rhs(y: &[f64], d: &mut [f64]) {
 
 fn rober_until(name: &'static str, end: f64, reference: [f64; 3]) -> Problem {
     let x0 = vec![1.0, 0.0, 0.0];
-    Problem { name, x0, end, f: rober_rhs, reference: reference.to_vec(), atol: 1e-8, by_largest: false }
+    Problem { name, x0, end, f: rober_rhs, reference: reference.to_vec(), atol: 1e-8, ..Problem::default() }
 }
 
 pub fn rober() -> Problem {
@@ -88,14 +88,14 @@ pub fn orego() -> Problem {
         name: "OREGO",
         x0: vec![1.0, 2.0, 3.0],
         end: 360.0,
-        f: |y, d| {
+        f: |_, y, d| {
             d[0] = 77.27 * (y[1] + y[0] * (1.0 - 8.375e-6 * y[0] - y[1]));
             d[1] = (y[2] - (1.0 + y[0]) * y[1]) / 77.27;
             d[2] = 0.161 * (y[0] - y[2]);
         },
         reference: vec![1.000814870318522716, 1.228178521549887984e3, 1.320554942846508288e2],
         atol: 1e-2,
-        by_largest: false,
+        ..Problem::default()
     }
 }
 
@@ -104,13 +104,13 @@ fn vdpol_from(name: &'static str, x0: [f64; 2], reference: [f64; 2]) -> Problem 
         name,
         x0: x0.to_vec(),
         end: 2.0,
-        f: |y, d| {
+        f: |_, y, d| {
             d[0] = y[1];
             d[1] = ((1.0 - y[0] * y[0]) * y[1] - y[0]) / 1e-6;
         },
         reference: reference.to_vec(),
         atol: 1e-2,
-        by_largest: false,
+        ..Problem::default()
     }
 }
 
@@ -127,13 +127,13 @@ pub fn vdpolm() -> Problem {
         name: "VDPOLM",
         x0: vec![2.0, 0.0],
         end: 2000.0,
-        f: |y, d| {
+        f: |_, y, d| {
             d[0] = y[1];
             d[1] = 1000.0 * (1.0 - y[0] * y[0]) * y[1] - y[0];
         },
         reference: vec![1.706167732170465008, -8.928097010248165478e-4],
         atol: 1e-4,
-        by_largest: false,
+        ..Problem::default()
     }
 }
 
@@ -142,7 +142,7 @@ fn e5_until(name: &'static str, end: f64, reference: [f64; 4]) -> Problem {
         name,
         x0: vec![1.76e-3, 0.0, 0.0, 0.0],
         end,
-        f: |y, d| {
+        f: |_, y, d| {
             let (a, b, c) = (7.89e-10 * y[0], 1.1e7 * y[0] * y[2], 1.13e3 * 1e6 * y[1] * y[2]);
             let e = 1.13e3 * y[3];
             d[0] = -a - b;
@@ -152,7 +152,7 @@ fn e5_until(name: &'static str, end: f64, reference: [f64; 4]) -> Problem {
         },
         reference: reference.to_vec(),
         atol: 1e-14,
-        by_largest: false,
+        ..Problem::default()
     }
 }
 
@@ -183,7 +183,7 @@ pub fn e5_1e5() -> Problem {
 }
 
 #[rustfmt::skip]
-fn pollu_rhs(y: &[f64], d: &mut [f64]) {
+fn pollu_rhs(_: f64, y: &[f64], d: &mut [f64]) {
     let r = [
         0.35 * y[0], 0.266e2 * y[1] * y[3], 0.123e5 * y[4] * y[1], 0.86e-3 * y[6], 0.82e-3 * y[6],
         0.15e5 * y[6] * y[5], 0.13e-3 * y[8], 0.24e5 * y[8] * y[5], 0.165e5 * y[10] * y[1], 0.9e4 * y[10] * y[0],
@@ -246,7 +246,7 @@ pub fn pollu() -> Problem {
             5.682943292316393443e-5,
         ],
         atol: 1e-14,
-        by_largest: false,
+        ..Problem::default()
     }
 }
 

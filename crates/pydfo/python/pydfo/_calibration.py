@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple, SupportsFloat, SupportsIndex
@@ -12,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _data, _options
-from ._errors import BadCalibrationError
+from ._errors import BadCalibrationError, CalibrationWarning
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
 from ._parameter import Parameter
@@ -33,6 +34,8 @@ class ExperimentFields:
 
     path: str | None
     columns: _data.Columns
+    left_out: list[str]
+    time: str | None
     outputs: list[tuple[str, str, float]]
     inputs: list[tuple[str, str]]
     start_values: list[tuple[str, Any]]
@@ -44,6 +47,7 @@ class ExperimentFields:
     solver: str
     step_size: float | None
     max_step: float | None
+    input_derivatives: bool
     chattering: str
     sharing: str
 
@@ -72,7 +76,7 @@ def _pairs(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> 
         return [(_options.choice(name, variable), _options.choice(name, column)) for variable, column in value.items()]
     if isinstance(value, Iterable):
         return [(_options.choice(name, variable), variable) for variable in value]
-    raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {value!r}")
+    raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {_options.show(value)}")
 
 
 def _weights(
@@ -98,7 +102,7 @@ def _path(model: Any) -> str:
     path = getattr(model, "path", None)
     if isinstance(path, (str, os.PathLike)):
         return os.fspath(path)
-    raise TypeError(f"model must be the path of an FMU or an FMUModel, not {model!r}")
+    raise TypeError(f"model must be the path of an FMU or an FMUModel, not {_options.show(model)}")
 
 
 class Calibration:
@@ -111,10 +115,12 @@ class Calibration:
     Parameters
     ----------
     model : path or FMUModel
-        The FMU. Values that were set in an FMUModel do not count; give them as `start_values`.
+        The FMU. Values that were set in an FMUModel do not count (a warning says so); give them as `start_values`.
     data : path, dict of arrays, DataFrame or structured array
-        The recording: a column ``time`` (in s, ascending, intervals as they come) and what was measured. NaN, None and
-        empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate.
+        The recording: a column of times (ascending, intervals as they come) and what was measured. NaN, None and
+        empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate, and where no
+        commas do, numbers may have decimal commas. The times are those of the column (or the named index of a DataFrame)
+        ``time``, in any case; a unit in brackets or parentheses is read, ``time [ms]``: s, ms, us, min, h, d.
     outputs : dict of str to str, or list of str
         Which output of the model was measured by which column; a list if they have the same names. A simulation in which
         one of them is NaN or infinite where something was measured counts as failed.
@@ -131,7 +137,7 @@ class Calibration:
         Per output, what its residuals are multiplied with (default 1): the inverse of the standard deviation of its noise,
         if that is known.
     start_values : dict, optional
-        Values of other parameters and start values of variables, by name.
+        Values of other parameters and start values of variables, by name; not of those that are fitted.
     relative_tolerance : float, optional
         Of the integration; default: that of the model's default experiment, else 1e-6.
     solver : str
@@ -144,15 +150,26 @@ class Calibration:
         What happens when state events follow each other so closely that time hardly advances, as in `FMUModel.simulate`;
         a simulation that ends with the error counts as failed.
     start_time : float, optional
-        Where simulations start, in s; default: the model's default experiment, else 0.
+        Where simulations start, in s; default: the model's default experiment, else 0. It must be given where the recording
+        begins more than ten of its sampling intervals later.
     kind : {"auto", "ME", "CS"}, optional
         How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
+    input_derivatives : bool
+        Whether co-simulations are told the derivatives of their inputs, as in `FMUModel.simulate`.
     sharing : {"copies", "serial", "together"}
         How simulations that run in parallel share the FMU's library; no cost depends on it. "copies": each worker loads a
         copy of its own, with static variables of its own; where copies would still share state or no further one can be
         loaded, simulations run one at a time, and the log says why. "serial": one loaded library, one simulation at a
         time. "together": one loaded library, in which all workers run at the same time. You say that the FMU is
         thread-safe then; where it is not, results are wrong or the process ends.
+    time : str, optional
+        Name of the column of times, where it is not ``time``; its unit may be left out.
+
+    Warns
+    -----
+    CalibrationWarning
+        A column that is not used has the name of an input that nothing drives; the recording of an input does not cover the
+        simulation, outside of it the first and the last value are held; values set in an FMUModel do not count.
 
     Raises
     ------
@@ -184,26 +201,33 @@ class Calibration:
         start_time: SupportsFloat | None = None,
         kind: str | None = None,
         chattering: Literal["error", "warn", "slide"] = "error",
+        input_derivatives: bool = True,
         sharing: Literal["copies", "serial", "together"] = "copies",
+        time: str | None = None,
     ) -> None:
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
             if not isinstance(parameter, Parameter):
-                raise TypeError(f"parameters must be Parameters, not {parameter!r}")
+                raise TypeError(
+                    f"parameters must be a list of pydfo.Parameter(name, start, lower, upper), not of {_options.show(parameter)}"
+                )
         pairs = _pairs("outputs", outputs)
         driven = _pairs("inputs", inputs)
-        path, columns = _data.read(data, [column for _, column in pairs + driven])
+        named = None if time is None else _options.choice("time", time)
+        table = _data.read(data, [column for _, column in pairs + driven], named)
         span = None
         if window is not None:
-            if len(window) != 2:
-                raise ValueError(f"window must be two times, not {window!r}")
+            if np.shape(window) != (2,):
+                raise ValueError(f"window must be two times, not {_options.show(window)}")
             span = (_options.number("window", window[0]), _options.number("window", window[1]))
         experiment = ExperimentFields(
-            path=path,
-            columns=columns,
+            path=table.path,
+            columns=table.columns,
+            left_out=table.left_out,
+            time=named,
             outputs=_weights(pairs, weights),
             inputs=driven,
-            start_values=list((start_values or {}).items()),
+            start_values=_options.pairs("start_values", start_values),
             window=span,
             kind=_options.choice("kind", getattr(model, "kind", "auto") if kind is None else kind),
             start_time=_options.optional_number("start_time", start_time),
@@ -213,12 +237,23 @@ class Calibration:
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
+            input_derivatives=bool(input_derivatives),
             sharing=_options.choice("sharing", sharing),
         )
         self._model = _path(model)
         opened = getattr(model, "_fmu", None)
         source = opened if isinstance(opened, _core.Fmu) else self._model
         self._native = _core.Calibration(source, experiment, list(self._parameters))
+        for warning in self._native.warnings():
+            warnings.warn(warning, CalibrationWarning, stacklevel=2)
+        given = set(self.names).union(start_values or ())
+        if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
+            warnings.warn(
+                f"values set in an FMUModel do not count in a calibration: {_options.listed(forgotten)}; give them as "
+                "start_values, if they shall",
+                CalibrationWarning,
+                stacklevel=2,
+            )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -245,9 +280,10 @@ class Calibration:
         """The integration method of all simulations, in fits and outside of them.
 
         The one that was named; or, with "auto", the winner of a race at the parameters' start values, which is held at the
-        first use and counts work, never time: if the model is not stiff there, "auto" stays (Tsit5, which gives way to Radau5
-        where the model becomes stiff); else BDF, Radau5 and "auto" are compared, and the one with the least work is taken
-        of those whose samples are within 50 tolerances of a simulation with a tenth of the tolerance. A fit that is
+        first use and counts work, never time: if the model is not stiff there, "auto" stays (an explicit method, which gives
+        way to an implicit one where the model becomes stiff); else BDF, Radau5 and "auto" are compared, and the one with the
+        least work for the same error is taken of those whose samples are within 5 tolerances of a simulation with a tenth
+        of the tolerance. A fit that is
         resumed from a checkpoint takes the method from there. See `race` for the numbers.
         """
         return self._native.solver()
@@ -270,6 +306,10 @@ class Calibration:
 
     def cost(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> float:
         """The sum of the squared weighted residuals.
+
+        The interpreter lock is released meanwhile. If the last evaluation took less than 50 ms, the calling thread simulates
+        and looks for Ctrl-C every 20 ms, between two steps; else another thread simulates, so that Ctrl-C gives control back
+        even if a call of the FMU does not return.
 
         Parameters
         ----------

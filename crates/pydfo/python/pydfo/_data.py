@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from . import _core, _options
 from ._errors import BadCalibrationError
 
 FloatArray = npt.NDArray[np.float64]
@@ -17,8 +19,20 @@ Path = str | os.PathLike[str]
 Columns = list[tuple[str, list[float]]]
 
 
-def read(data: Any, needed: list[str]) -> tuple[str | None, Columns]:
-    """The path of a CSV file, or the columns of a table in memory: the time first, then those needed.
+@dataclass(frozen=True)
+class Table:
+    """A recording, as the native code reads it."""
+
+    #: A CSV file, or None.
+    path: str | None
+    #: The columns in memory: the times first, in the unit that their name says, then those needed.
+    columns: Columns
+    #: Names of the other columns.
+    left_out: list[str]
+
+
+def read(data: Any, needed: list[str], time: str | None) -> Table:
+    """The path of a CSV file, or the columns of a table in memory; `time` names the column of times.
 
     Raises
     ------
@@ -28,19 +42,21 @@ def read(data: Any, needed: list[str]) -> tuple[str | None, Columns]:
         There is no column of times, or one of those needed is missing or holds text.
     """
     if isinstance(data, (str, os.PathLike)):
-        return os.fspath(data), []
+        return Table(os.fspath(data), [], [])
     table = _columns(data)
-    time = next((name for name in table if name.lower() == "time"), None)
-    if time is None:
-        raise BadCalibrationError(f"data: there is no column 'time'; there are: {_names(table)}")
-    columns = [(time, _numbers(time, table[time]))]
+    names = list(table)
+    try:
+        at = names[_core.find_time(names, time)[0]]
+    except ValueError as e:
+        raise BadCalibrationError(f"data: {e}") from None
+    columns = [(at, _numbers(at, table[at]))]
     for name in dict.fromkeys(needed):
-        if name == time:
+        if name == at:
             continue
         if name not in table:
-            raise BadCalibrationError(f"data: there is no column '{name}'; there are: {_names(table)}")
+            raise BadCalibrationError(f"data: there is no column '{name}'; there are: {_options.listed(names)}")
         columns.append((name, _numbers(name, table[name])))
-    return None, columns
+    return Table(None, columns, [name for name in names if name != at and name not in needed])
 
 
 def _columns(data: Any) -> dict[str, Any]:
@@ -52,16 +68,13 @@ def _columns(data: Any) -> dict[str, Any]:
     if hasattr(data, "columns") and hasattr(data, "__getitem__"):
         table = {str(name): data[name] for name in data.columns}
         index = getattr(data, "index", None)
-        if str(getattr(index, "name", "")).lower() == "time":
-            table.setdefault("time", index)
+        name = getattr(index, "name", None)
+        if isinstance(name, str):
+            table.setdefault(name, index)
         return table
     raise TypeError(
         f"data must be the path of a CSV file, a dict of arrays, a DataFrame or a structured array, not {type(data).__name__}"
     )
-
-
-def _names(table: dict[str, Any]) -> str:
-    return ", ".join(f"'{name}'" for name in table)
 
 
 def _numbers(name: str, values: Any) -> list[float]:
@@ -76,7 +89,7 @@ def _numbers(name: str, values: Any) -> list[float]:
             values = np.where(np.asarray(mask), np.nan, values)
     array = np.asarray(values)
     if array.dtype.kind in "mM":
-        raise BadCalibrationError(f"data: column '{name}' holds dates; times are numbers, in s")
+        raise BadCalibrationError(f"data: column '{name}' holds dates; times are numbers, in s or in the unit in the name of their column")
     if array.ndim != 1:
         raise BadCalibrationError(f"data: column '{name}' must be one-dimensional, not of shape {array.shape}")
     if array.dtype.kind in "fiub":

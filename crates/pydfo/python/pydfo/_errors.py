@@ -18,6 +18,7 @@ __all__ = [
     "BadCalibrationError",
     "BadModelValueError",
     "CalibrationError",
+    "CalibrationWarning",
     "CheckpointError",
     "FmuError",
     "Interrupted",
@@ -82,6 +83,11 @@ class CalibrationError(PydfoError):
 
 class BadCalibrationError(CalibrationError, ValueError):
     """Data, parameters or settings of a calibration that do not fit together."""
+
+
+class CalibrationWarning(UserWarning):
+    """A calibration can be evaluated, but perhaps it is not what was meant: a column that is not used has the name of an
+    input, the recording of an input does not cover the simulation, values set in an `FMUModel` do not count."""
 
 
 class NoResult(CalibrationError):

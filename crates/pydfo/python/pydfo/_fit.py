@@ -39,6 +39,16 @@ class Fit(OptimizeResult):
         The methods that were compared, if there was a race.
     start_cost, start_rms : float or None
         The same as `cost` and `rms` at the start; None if the simulation failed there.
+    at_bound : dict of str to {"lower", "upper"}
+        Parameters that ended at one of their bounds: the best values may lie beyond.
+    without_effect : list of str
+        Parameters that did not change the cost, by more than the relative tolerance of the simulations: their values say
+        nothing.
+    n_checks : int
+        Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
+        `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
+        show it, because they differ in one parameter alone). They do not count in ``nfev``, are not made where they would
+        exceed its limit or somebody ended the fit early, and are part of `stats`.
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
@@ -48,6 +58,11 @@ class Fit(OptimizeResult):
         vars(self).update(vars(result))
         counts = vars(self).pop("stats", None)
         self.stats = None if counts is None else SimulationStats(**counts)
+        if "at_bound" not in vars(self):
+            # Interrupted twice.
+            self.at_bound: dict[str, str] = {}
+            self.without_effect: list[str] = []
+            self.n_checks = 0
         self._calibration = calibration
         self.start = start
         self.solver = solver

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from . import _core, _options
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -58,7 +60,7 @@ def normalize(given: Any, inputs: list[str]) -> tuple[list[Table], list[Function
 def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
     for name in given:
         if not isinstance(name, str):
-            raise TypeError(f"names of inputs must be strings, not {name!r}")
+            raise TypeError(f"names of inputs must be strings, not {_options.show(name)}")
     functions = [Function([name], value) for name, value in given.items() if callable(value)]
     constants = {name: [value] for name, value in given.items() if not callable(value) and np.ndim(value) == 0}
     names = [name for name, value in given.items() if not callable(value) and np.ndim(value) > 0]
@@ -70,20 +72,24 @@ def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
 
 
 def _frame(given: Any) -> Table:
-    names = [str(name) for name in given.columns]
-    if "time" in names:
-        return _table(names, lambda name: given[name].to_numpy(), "the DataFrame")
+    columns: dict[str, Any] = {str(name): given[name] for name in given.columns}
     index = getattr(given, "index", None)
-    if getattr(index, "name", None) != "time":
-        raise ValueError(f"the DataFrame has no column 'time', and no index of that name; it has: {', '.join(names)}")
-    times = _column("time", np.asarray(index))
-    return _columns(times, {name: given[name].to_numpy() for name in names})
+    name = getattr(index, "name", None)
+    if isinstance(name, str):
+        columns.setdefault(name, index)
+    return _table(list(columns), lambda name: columns[name].to_numpy(), "the DataFrame")
 
 
 def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Table:
-    if "time" not in names:
-        raise ValueError(f"{what} of inputs has no 'time'; it has: {', '.join(names)}")
-    return _columns(_column("time", column("time")), {name: column(name) for name in names if name != "time"})
+    """Times in s: those of the column "time", with the unit that its name says."""
+    try:
+        at, (numerator, denominator) = _core.find_time(list(names))
+    except ValueError as e:
+        raise ValueError(f"{what} of inputs: {e}") from None
+    times = _column(names[at], column(names[at]))
+    if numerator != denominator:
+        times = times * numerator / denominator
+    return _columns(times, {name: column(name) for k, name in enumerate(names) if k != at})
 
 
 def _columns(times: FloatArray, given: Mapping[str, Any]) -> Table:
@@ -124,7 +130,7 @@ def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:
     try:
         matrix = np.asarray(data, dtype=np.float64)
     except (TypeError, ValueError):
-        raise TypeError(f"the matrix of inputs must be numbers, not {data!r}") from None
+        raise TypeError(f"the matrix of inputs must be numbers, not {_options.show(data)}") from None
     if matrix.ndim != 2 or matrix.shape[1] != len(names) + 1:
         raise ValueError(
             f"the matrix of inputs has the shape {matrix.shape}: time and {len(names)} inputs need {len(names) + 1} columns"

@@ -44,6 +44,7 @@ class Request:
     max_step: float | None
     timeout: float | None
     record_events: bool
+    input_derivatives: bool
     chattering: str
 
 
@@ -254,7 +255,7 @@ class FMUModel:
         """
         if isinstance(name, str):
             return self._model.get([name])[0]
-        return self._model.get(_names("name", name))
+        return self._model.get(_options.names("name", name))
 
     def set(self, name: str | Iterable[str], value: object) -> None:
         """Sets parameters, start values, or constant values of inputs, for all simulations from now on.
@@ -281,7 +282,7 @@ class FMUModel:
         if isinstance(name, str):
             self._model.set([name], [value])
             return
-        names = _names("name", name)
+        names = _options.names("name", name)
         if isinstance(value, np.ndarray):
             values = list(np.atleast_1d(value))
         elif isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
@@ -316,10 +317,20 @@ class FMUModel:
         timeout: SupportsFloat | None = None,
         record_events: bool = False,
         chattering: Literal["error", "warn", "slide"] = "error",
+        input_derivatives: bool = True,
     ) -> SimulationResult:
         """Simulates from a freshly reset model with all values that were `set`.
 
-        The interpreter lock is released meanwhile. Times are in s.
+        Times are in s. The interpreter lock is released meanwhile. If the last simulation of this FMU took less than 50 ms
+        (and 7 MiB of stack are left), the calling thread simulates, and looks for Ctrl-C every 20 ms, between two steps; a
+        call of the FMU that does not return then blocks it. Else another thread simulates: a Ctrl-C ends the simulation at
+        its next step, and a second one gives control back at once.
+
+        Rows of co-simulations (``kind="CS"``) are read when a communication step has ended, before the inputs of the next
+        one are set: at a time when inputs jump they are the values before the jump, also of what follows the inputs
+        directly, and an input that is recorded is the one of the step that has ended. The row at the start is read after
+        the initialization with the inputs of that time. Only a model with an event mode (FMI 3.0) lets inputs jump there:
+        then the row is the one after the jump, and a time listed twice gives both.
 
         Parameters
         ----------
@@ -361,7 +372,8 @@ class FMUModel:
         relative_tolerance : float, optional
             Default: that of the default experiment, else 1e-6.
         solver : {"auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"}
-            The method (model exchange); the last two have a fixed step. "CVode" is taken as "auto".
+            The method (model exchange); the last two have a fixed step. "CVode" and SciPy's "RK45", "Radau" and "LSODA" are
+            taken as "auto", "tsit5", "radau5" and "auto".
         step_size : float, optional
             Model exchange: step of the methods with a fixed step; default: a 500th of the span. Co-simulation: the
             communication step; default: that of the default experiment, else the distance of the rows.
@@ -375,6 +387,10 @@ class FMUModel:
             What happens when more than a hundred state events in a row let time hardly advance: the simulation fails; or it
             goes on, and a warning is logged; or it goes on in small steps along the surface where the events are, which
             is the solution where the model pushes against it from both sides.
+        input_derivatives : bool
+            Co-simulations of FMI 1.0 and 2.0 that extrapolate continuous inputs (``canInterpolateInputs``) are told their
+            derivatives before each step: those of the line to the inputs at its end. With False inputs are held over each
+            step, as by most other tools.
 
         Returns
         -------
@@ -400,29 +416,25 @@ class FMUModel:
             if final_time is not None:
                 raise ValueError("final_time and stop_time mean the same; give one of them")
             final_time = stop_time
-        if not isinstance(solver, str):
-            raise TypeError(f"solver must be a string, not {solver!r}")
-        if solver.lower() == "cvode":
-            _log.info("solver %r is taken as 'auto'", solver)
-            solver = "auto"
         tables, functions = _inputs.normalize(input, self.description.inputs) if input is not None else ([], [])
         request = Request(
             start_time=_number("start_time", start_time),
             final_time=_number("final_time", final_time),
             times=None if times is None else np.ascontiguousarray(_options.vector("times", times)),
             output_interval=_number("output_interval", output_interval),
-            ncp=_options.limit("ncp", _number("ncp", ncp), 1),
-            start_values=_pairs(start_values),
+            ncp=_options.limit("ncp", ncp, 1),
+            start_values=_options.pairs("start_values", start_values),
             clock_intervals=_intervals(clock_intervals),
             outputs=self._outputs(output),
             tables=tables,
             functions=functions,
             relative_tolerance=_number("relative_tolerance", relative_tolerance),
-            solver=solver,
+            solver=_options.solver(solver),
             step_size=_number("step_size", step_size),
             max_step=_number("max_step", max_step),
             timeout=_number("timeout", timeout),
             record_events=bool(record_events),
+            input_derivatives=bool(input_derivatives),
             chattering=_options.choice("chattering", chattering),
         )
         result = SimulationResult(**self._model.simulate(request))
@@ -433,7 +445,14 @@ class FMUModel:
     def _outputs(self, output: str | Iterable[str] | None) -> list[str] | None:
         if output is None:
             return None
-        return [output] if isinstance(output, str) else _names("output", output)
+        return [output] if isinstance(output, str) else _options.names("output", output)
+
+    def _names_set(self) -> list[str]:
+        """Names of the variables that were set; none while or after nobody may ask."""
+        try:
+            return self._model.names_set()
+        except (RuntimeError, ValueError):
+            return []
 
     def close(self) -> None:
         """Frees the instance of the model; only `description` and `path` can be used afterwards."""
@@ -454,28 +473,7 @@ class FMUModel:
 
 
 def _number(argument: str, value: SupportsFloat | None) -> float | None:
-    if isinstance(value, (str, bytes)):
-        raise TypeError(f"{argument} must be a number, not {value!r}")
     return _options.optional_number(argument, value)
-
-
-def _names(argument: str, names: Iterable[str]) -> list[str]:
-    if isinstance(names, (bytes, Mapping)) or not isinstance(names, Iterable):
-        raise TypeError(f"{argument} must be a name or a list of names, not {names!r}")
-    listed = list(names)
-    for name in listed:
-        if not isinstance(name, str):
-            raise TypeError(f"{argument} must be a name or a list of names; {name!r} is not a name")
-    return listed
-
-
-def _pairs(values: Mapping[str, object] | None) -> list[tuple[str, object]]:
-    if values is None:
-        return []
-    if not isinstance(values, Mapping):
-        raise TypeError(f"start_values must be a dict of names and values, not {values!r}")
-    _names("start_values", list(values))
-    return list(values.items())
 
 
 def _intervals(
@@ -484,8 +482,8 @@ def _intervals(
     if intervals is None:
         return []
     if not isinstance(intervals, Mapping):
-        raise TypeError(f"clock_intervals must be a dict of names and intervals, not {intervals!r}")
-    _names("clock_intervals", list(intervals))
+        raise TypeError(f"clock_intervals must be a dict of names and intervals, not {_options.show(intervals)}")
+    _options.names("clock_intervals", list(intervals))
     return [(name, _interval(name, interval)) for name, interval in intervals.items()]
 
 
@@ -493,5 +491,5 @@ def _interval(name: str, interval: SupportsFloat | tuple[int, int]) -> float | t
     if not isinstance(interval, tuple):
         return _options.number(f"the interval of {name}", interval)
     if len(interval) != 2 or not all(isinstance(part, int) and 0 <= part < 2**64 for part in interval):
-        raise TypeError(f"the interval of {name} must be a number or (counter, resolution), not {interval!r}")
+        raise TypeError(f"the interval of {name} must be a number or (counter, resolution), not {_options.show(interval)}")
     return interval

@@ -6,8 +6,9 @@ import difflib
 import logging
 import operator
 import os
+import reprlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, SupportsFloat, SupportsIndex
 
@@ -21,11 +22,27 @@ FloatArray = npt.NDArray[np.float64]
 _log = logging.getLogger("pydfo")
 
 
+_shortened = reprlib.Repr()
+_shortened.maxstring = _shortened.maxother = 80
+
+
+def show(value: object) -> str:
+    """A value for a message: of long ones the beginning."""
+    return " ".join(_shortened.repr(value).split())
+
+
 #: The names of the methods; "auto" stands for one of them.
 METHODS = ("nelder-mead", "barrier", "de", "de-classic", "ga")
 
 #: The methods that sample a box and need no start.
 SAMPLERS = ("de", "de-classic", "ga")
+
+#: Other names of the methods.
+_SYNONYMS: Mapping[str, str] = {
+    **dict.fromkeys(("neldermead", "nm", "simplex", "fmin"), "nelder-mead"),
+    **dict.fromkeys(("differential-evolution", "differentialevolution", "l-shade", "lshade"), "de"),
+    **dict.fromkeys(("genetic", "genetic-algorithm"), "ga"),
+}
 
 #: What the methods that are to come will be called.
 LATER = ("least-squares", "quadratic-model", "cma-es", "multistart", "pattern-search")
@@ -60,6 +77,28 @@ class Options:
     problem: str | None = None
     unlimited: bool = False
 
+
+#: Arguments that may be taken for options.
+_ARGUMENTS = frozenset(
+    ("max_evaluations", "max_iterations", "max_time", "target", "workers", "rng", "callback", "bounds", "checkpoint", "resume")
+)
+
+#: Options of SciPy's methods and their likes, and what they are called here.
+_FOREIGN: Mapping[str, str] = {
+    **dict.fromkeys(("maxiter", "maxit", "max_iter", "niter"), "the argument max_iterations"),
+    **dict.fromkeys(("maxfev", "maxfun", "maxeval", "max_nfev"), "the argument max_evaluations"),
+    **dict.fromkeys(("xatol", "xtol", "xrtol"), "the option x_tol"),
+    **dict.fromkeys(("fatol", "ftol", "atol", "frtol"), "the option f_tol"),
+    "tol": "the options x_tol and f_tol",
+    "seed": "the argument rng",
+    "maxtime": "the argument max_time",
+    "adaptive": 'the option coefficients="adaptive"',
+    "popsize": "the option population",
+    "mutation": "the option weight",
+    "recombination": "the option probability",
+    "init": "the option sampling",
+    "disp": "a callback (in fit and fmin the argument disp)",
+}
 
 #: A limit of time beyond this, in s, is none: 30 million years.
 ENDLESS = 1e15
@@ -108,8 +147,13 @@ def build(
 ) -> Options:
     """What the user chose about a run over `n` parameters. What is not the method's own is taken out of `options`."""
     if options is not None and not isinstance(options, Mapping):
-        raise TypeError(f"options must be a dict, not {options!r}")
+        raise TypeError(f"options must be a dict, not {show(options)}")
     own = {choice("the name of an option", name): value for name, value in (options or {}).items()}
+    for name in own:
+        if name in _ARGUMENTS:
+            raise ValueError(f"{name} is an argument, not one of the options")
+        if name in _FOREIGN:
+            raise ValueError(f"there is no option '{name}'; what other tools call so is {_FOREIGN[name]} here")
 
     def take(name: str) -> Any:
         return own.pop(name, defaults.get(name))
@@ -157,13 +201,13 @@ def build(
 def method_name(method: str, kinds: Sequence[str] = ()) -> str:
     """The method of a name. "auto" is Nelder-Mead; differential evolution with integer parameters, the genetic
     algorithm with categorical ones."""
-    name = choice("method", method).lower().replace("_", "-")
+    name = choice("method", method).strip().lower().replace("_", "-").replace(" ", "-")
     if name == "auto":
         return "ga" if "categorical" in kinds else "de" if "integer" in kinds else "nelder-mead"
     if name in LATER:
         raise MethodNotAvailable(f"method = {method!r} is not in this version; there are: {', '.join(METHODS)}")
     if name not in METHODS:
-        near = difflib.get_close_matches(name, METHODS, 1)
+        near = [_SYNONYMS[name]] if name in _SYNONYMS else difflib.get_close_matches(name, METHODS, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise ValueError(f"method = {method!r} is none of 'auto', {', '.join(map(repr, METHODS))}{hint}")
     return name
@@ -178,7 +222,7 @@ def seed(rng: int | np.random.Generator | None) -> int | None:
     try:
         value = operator.index(rng)
     except TypeError:
-        raise TypeError(f"rng must be a whole number, a numpy.random.Generator or None, not {rng!r}") from None
+        raise TypeError(f"rng must be a whole number, a numpy.random.Generator or None, not {show(rng)}") from None
     if not 0 <= value < 2**64:
         raise ValueError(f"rng = {value} must be from 0 to 2**64 - 1")
     return value
@@ -212,7 +256,7 @@ def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str
         points = np.ma.filled(np.ma.asarray(points, dtype=np.float64), np.nan)
         costs = np.ma.filled(np.ma.asarray(costs, dtype=np.float64), np.nan)
     except (TypeError, ValueError):
-        raise TypeError(f"warm_start must be a result, a trace, or points (m, n) and costs (m,), not {value!r}") from None
+        raise TypeError(f"warm_start must be a result, a trace, or points (m, n) and costs (m,), not {show(value)}") from None
     if points.ndim != 2 or points.shape[1] != n or costs.shape != points.shape[:1]:
         raise ValueError(f"warm_start: points of shape {points.shape}, costs of shape {costs.shape}; (m, {n}) and (m,) fit")
     return list(zip(points.tolist(), costs.tolist())), problem
@@ -234,7 +278,7 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
     try:
         pairs = [tuple(pair) for pair in bounds]
     except TypeError:
-        raise TypeError(f"bounds must be pairs of numbers or None, or an object with lb and ub, not {bounds!r}") from None
+        raise TypeError(f"bounds must be pairs of numbers or None, or an object with lb and ub, not {show(bounds)}") from None
     for index, pair in enumerate(pairs):
         if len(pair) != 2:
             raise ValueError(f"bounds[{index}] has {len(pair)} values, not two: {pair!r}")
@@ -249,11 +293,11 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
 def number(name: str, value: SupportsFloat | SupportsIndex) -> float:
     """The argument `name` as a float."""
     if isinstance(value, (str, bytes)):
-        raise TypeError(f"{name} must be a number, not {value!r}")
+        raise TypeError(f"{name} must be a number, not {show(value)}")
     try:
         return float(value)
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a number, not {value!r}") from None
+        raise TypeError(f"{name} must be a number, not {show(value)}") from None
 
 
 def optional_number(name: str, value: SupportsFloat | SupportsIndex | None) -> float | None:
@@ -264,7 +308,7 @@ def optional_number(name: str, value: SupportsFloat | SupportsIndex | None) -> f
 def choice(name: str, value: str) -> str:
     """The argument `name`, which must be a string."""
     if not isinstance(value, str):
-        raise TypeError(f"{name} must be a string, not {value!r}")
+        raise TypeError(f"{name} must be a string, not {show(value)}")
     return value
 
 
@@ -288,7 +332,7 @@ def worker_count(name: str, value: SupportsIndex | None, default: int | None) ->
     try:
         count = operator.index(value)
     except TypeError:
-        raise TypeError(f"{name} must be a whole number, not {value!r}") from None
+        raise TypeError(f"{name} must be a whole number, not {show(value)}") from None
     if count == -1:
         return all_cores()
     if count < 1:
@@ -311,7 +355,7 @@ def vector(name: str, value: npt.ArrayLike) -> FloatArray:
             raise TypeError
         array = array.astype(np.float64)
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be numbers, not {value!r}") from None
+        raise TypeError(f"{name} must be numbers, not {show(value)}") from None
     if array.ndim > 1:
         raise ValueError(f"{name} must be one-dimensional, not of shape {array.shape}")
     return np.atleast_1d(array)
@@ -337,7 +381,7 @@ def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | No
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise TypeError(f"initial_simplex must be numbers, not {value!r}") from None
+        raise TypeError(f"initial_simplex must be numbers, not {show(value)}") from None
     if array.ndim == 2 and array.shape[1] == n:
         return array.tolist(), None
     if array.shape == (n,):
@@ -348,9 +392,52 @@ def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | No
     )
 
 
-def solver(name: str) -> str:
-    """The name of an integration method; ``CVode``, which other tools have, stands for "auto"."""
-    if choice("solver", name).lower() == "cvode":
-        _log.info("there is no CVode here: solver='auto' is used instead")
-        return "auto"
-    return name
+def names(argument: str, given: Iterable[str]) -> list[str]:
+    """The argument `argument`, which must be names."""
+    if isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable):
+        raise TypeError(f"{argument} must be a name or a list of names, not {show(given)}")
+    listed = list(given)
+    for name in listed:
+        if not isinstance(name, str):
+            raise TypeError(f"{argument} must be a name or a list of names; {show(name)} is not a name")
+    return listed
+
+
+def pairs(argument: str, given: Mapping[str, object] | None) -> list[tuple[str, object]]:
+    """The argument `argument`, which must be names with values."""
+    if given is None:
+        return []
+    if not isinstance(given, Mapping):
+        raise TypeError(f"{argument} must be a dict of names and values, not {show(given)}")
+    names(argument, list(given))
+    return list(given.items())
+
+
+#: Names beyond these are counted only.
+MOST_LISTED = 20
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words in quotes, not too many of them."""
+    shown = ", ".join(f"'{word}'" for word in words[:MOST_LISTED])
+    more = len(words) - MOST_LISTED
+    return f"{shown} and {more} more" if more > 0 else shown
+
+
+#: Solvers of other tools, and those that stand for them here.
+SOLVERS: Mapping[str, str] = {
+    "rk45": "tsit5",
+    "radau": "radau5",
+    "lsoda": "auto",
+    "cvode": "auto",
+    "cvodes": "auto",
+}
+
+
+def solver(name: str, argument: str = "solver") -> str:
+    """The name of an integration method; those of SciPy and ``CVode``, which other tools have, stand for one of ours."""
+    ours = SOLVERS.get(choice(argument, name).lower())
+    if ours is None:
+        return name
+    _log.info("there is no %s here: %s=%r is used instead", name, argument, ours)
+    return ours

@@ -24,9 +24,6 @@ FloatArray = npt.NDArray[np.float64]
 
 _log = logging.getLogger("pydfo")
 
-#: Names of SciPy's methods and what stands for them here.
-_ALIASES = {"rk45": "tsit5", "radau": "radau5", "lsoda": "auto", "cvode": "auto"}
-
 
 @dataclass(frozen=True)
 class _Problem:
@@ -213,9 +210,11 @@ def solve(
     x0 : array_like, shape (n,)
         States at the start.
     method : str
-        "auto" (Tsit5, and Radau5 where a test made at every step finds the system stiff), "tsit5", "dop853" (for tight
-        tolerances), "radau5" (stiff), "bdf" (stiff, expensive right-hand side, few events); with a fixed `step`, "rk4"
-        and "euler". SciPy's names "RK45", "Radau" and "LSODA" stand for "tsit5", "radau5" and "auto".
+        "auto" (Tsit5, below rtol 1e-7 DOP853; where an implicit method advances more per right-hand side Radau5, or BDF for
+        nonlinear systems of 16 states and more), "tsit5", "dop853" (for tight tolerances), "radau5" (stiff), "bdf" (stiff,
+        expensive right-hand side, few events); with a fixed `step`, "rk4" and "euler". SciPy's names "RK45", "Radau" and
+        "LSODA" stand for "tsit5", "radau5" and "auto". "radau5" and "bdf" take dense matrices of n x n entries unless
+        `jac_sparsity` tells otherwise; a MemoryError says so before they are too large.
     t_eval : array_like, shape (m,), optional
         When to store the solution: ascending, within the span. A time at which `on_event` changes the state holds the
         value after it; listed twice, the values before and after. By default the ends of the steps are stored.
@@ -250,9 +249,10 @@ def solve(
     step : float, optional
         Step of "rk4" and "euler"; by default a 500th of the span.
     interior_samples : int, optional
-        At how many points inside each step the events are looked at besides its end, so that a crossing and its return
-        do not hide in one step. By default one where steps are long, or where an event function is next to zero at the
-        start of the first step after an event.
+        At how many points inside each step the events are looked at besides its end, each compared with the one before,
+        so that a crossing and its return do not hide in one step. By default one where steps are long. An event function
+        next to zero after its event, and on its way back, is always followed: its next crossing is found, or the run
+        fails and says so.
     chattering : {"error", "warn", "slide"}
         What to do where events follow each other while time hardly advances (a hundred within 1e-6 of the span, or within
         1e-3 where the span is longer than 1000): fail; go on and log a warning (an error still where time stands still);
@@ -311,13 +311,12 @@ def solve(
         return (lambda *given: function(*given, *extra)) if extra else function
 
     times = None if t_eval is None else _options.vector("t_eval", t_eval).tolist()
-    name = _options.choice("method", method)
     problem = _Problem(
         rhs=bind(rhs),
         start=start,
         end=end,
         x0=x.tolist(),
-        method=_ALIASES.get(name.lower(), name),
+        method=_options.solver(method, "method"),
         times=times,
         dense_output=bool(dense_output),
         events=[(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(events))],

@@ -283,6 +283,7 @@ pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) ->
         start: None,
         derivative: None,
         reinit: false,
+        is_narrow: false,
         negated: false,
         dimensions: Vec::new(),
         aliases: Vec::new(),

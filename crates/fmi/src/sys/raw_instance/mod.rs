@@ -1,13 +1,13 @@
 //! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
 
-use super::callbacks::{Environment, Log};
+use super::callbacks::Callbacks;
+use super::environment::{CallEnvironment, OneCall};
 use super::{
     Call, Component, EventInfo, Experiment, IntervalAnswer, Library, LogLine, Qualifier, Request, Status,
 };
 use crate::description::Interval;
 use crate::error::FmiError;
 use saved_states::SavedStates;
-use std::any::Any;
 use std::mem::ManuallyDrop;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -16,11 +16,13 @@ use values::ValueBuffers;
 pub(crate) use saved_states::SavedSlot;
 
 /// Runs one call: the component is alive, `$body` is evaluated with the binding and the component, its status checked.
+/// The thread is set up for it, and nothing of what it changes there is left.
 macro_rules! run {
     ($self:ident, $call:expr, |$binding:ident, $component:ident| $body:expr) => {{
         $self.alive($call)?;
         let status = {
             let ($binding, $component) = ($self.library.binding(), $self.component);
+            let _call = crate::sys::environment::OneCall::enter();
             // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of this
             // macro or are those of the slices passed.
             unsafe { $body }
@@ -57,6 +59,8 @@ pub(crate) enum Fault {
     Unusable(PathBuf),
     /// A slice of the wrong length; the FMU was not called.
     Length { call: &'static str, expected: usize, found: usize },
+    /// A value of a size that none can have.
+    TooLarge { call: &'static str, size: usize },
 }
 
 /// A call that returned an error.
@@ -86,10 +90,8 @@ pub(crate) struct RawInstance {
     saved: SavedStates,
     buffers: Box<ValueBuffers>,
     orders: Vec<i32>,
-    // What the component may reach; dropped by hand, after it, and not at all when it is dead.
-    keep: ManuallyDrop<Arc<dyn Any + Send + Sync>>,
-    environment: ManuallyDrop<Arc<Environment>>,
-    log: ManuallyDrop<Arc<Log>>,
+    // What the component may reach; given up by hand, after it, and not at all when it is dead.
+    callbacks: ManuallyDrop<Callbacks>,
     library: ManuallyDrop<Arc<Library>>,
 }
 
@@ -113,12 +115,13 @@ impl RawInstance {
         if library.shared().is_fatal() {
             return Err(FmiError::LibraryUnusable { library: library.path().to_owned() });
         }
-        let log = Arc::new(Log::new(request.log_filter));
-        let environment = Arc::new(Environment::new(&log));
-        // SAFETY: the environment and the log it points to are on the heap and kept until the component is gone.
-        let created = unsafe { library.binding().instantiate(request, &environment) };
-        let Some(created) = created else {
-            let (log, dropped) = log.last(LINES_IN_ERRORS);
+        let _environment = CallEnvironment::enter();
+        let callbacks = library.callbacks(request.log_filter);
+        // SAFETY: the callbacks are never freed: they are leaked, or go back to the library.
+        let component = unsafe { library.binding().instantiate(request, &callbacks) };
+        if component.is_null() {
+            let (log, dropped) = callbacks.log().last(LINES_IN_ERRORS);
+            library.retire(callbacks);
             return Err(FmiError::from(Failed {
                 call: library.binding().name(Call::Instantiate),
                 status: Status::Error,
@@ -126,9 +129,9 @@ impl RawInstance {
                 log,
                 dropped,
             }));
-        };
+        }
         Ok(Self {
-            component: created.component,
+            component,
             dead: false,
             sizes,
             event_mode: request.event_mode,
@@ -137,9 +140,7 @@ impl RawInstance {
             saved: SavedStates::default(),
             buffers: Box::default(),
             orders: Vec::new(),
-            keep: ManuallyDrop::new(created.keep),
-            environment: ManuallyDrop::new(environment),
-            log: ManuallyDrop::new(log),
+            callbacks: ManuallyDrop::new(callbacks),
             library: ManuallyDrop::new(Arc::clone(library)),
         })
     }
@@ -166,17 +167,17 @@ impl RawInstance {
 
     /// The last lines the FMU logged, and how many earlier ones were dropped.
     pub(crate) fn log(&self) -> (Vec<LogLine>, u64) {
-        self.log.last(usize::MAX)
+        self.callbacks.log().last(usize::MAX)
     }
 
     /// Forgets the log.
     pub(crate) fn clear_log(&mut self) {
-        self.log.clear();
+        self.callbacks.log().clear();
     }
 
     /// What an error about `call` carries.
     pub(crate) fn failed(&self, call: &'static str, status: Status) -> Failed {
-        let (log, dropped) = self.log.last(LINES_IN_ERRORS);
+        let (log, dropped) = self.callbacks.log().last(LINES_IN_ERRORS);
         Failed { call, status, time: self.time, log, dropped }
     }
 
@@ -307,7 +308,7 @@ impl RawInstance {
     }
 
     pub(crate) fn new_discrete_states(&mut self, info: &mut EventInfo) -> Outcome {
-        self.log.go_on();
+        self.callbacks.log().go_on();
         run!(self, Call::NewDiscreteStates, |b, c| b.new_discrete_states(c, info))
     }
 
@@ -317,16 +318,17 @@ impl RawInstance {
 
     /// Returns whether the model wants an event, and whether it wants to end.
     pub(crate) fn completed_integrator_step(&mut self) -> Result<(bool, bool), Fault> {
-        self.log.go_on();
+        self.callbacks.log().go_on();
         let (mut event, mut terminate) = (false, false);
+        let no_set_state_prior = !self.saved.may_be_restored();
         run!(self, Call::CompletedIntegratorStep, |b, c| {
-            b.completed_integrator_step(c, true, &mut event, &mut terminate)
+            b.completed_integrator_step(c, no_set_state_prior, &mut event, &mut terminate)
         })?;
         Ok((event, terminate))
     }
 
     pub(crate) fn set_time(&mut self, time: f64) -> Outcome {
-        self.log.go_on();
+        self.callbacks.log().go_on();
         self.time = Some(time);
         run!(self, Call::SetTime, |b, c| b.set_time(c, time))
     }
@@ -346,11 +348,14 @@ impl RawInstance {
         self.length(Call::SetContinuousStates, self.sizes.states, states.len())?;
         self.length(Call::GetDerivatives, self.sizes.states, derivatives.len())?;
         self.alive(Call::SetTime)?;
-        self.log.go_on();
+        self.callbacks.log().go_on();
         self.time = Some(time);
-        // SAFETY: the component is alive and ours alone (`&mut self`), both slices have as many places as it has states.
-        let (call, status) =
-            unsafe { self.library.binding().right_hand_side(self.component, time, states, derivatives) };
+        let (call, status) = {
+            let _call = OneCall::enter();
+            // SAFETY: the component is alive and ours alone (`&mut self`), both slices have as many places as it has
+            // states.
+            unsafe { self.library.binding().right_hand_side(self.component, time, states, derivatives) }
+        };
         self.check(call, status)
     }
 
@@ -373,13 +378,14 @@ impl RawInstance {
     pub(crate) fn get_interval(&mut self, clock: u32, fraction: bool) -> Result<IntervalAnswer, Fault> {
         let mut answer =
             IntervalAnswer { qualifier: Qualifier::NotYetKnown, interval: Interval::Decimal(0.0) };
-        run!(self, Call::GetInterval, |b, c| b.get_interval(c, clock, fraction, &mut answer))?;
+        run!(self, Call::GetInterval(fraction), |b, c| b.get_interval(c, clock, fraction, &mut answer))?;
         Ok(answer)
     }
 
     /// Gives a clock an interval.
     pub(crate) fn set_interval(&mut self, clock: u32, interval: Interval) -> Outcome {
-        run!(self, Call::SetInterval, |b, c| b.set_interval(c, clock, interval))
+        let fraction = matches!(interval, Interval::Fraction(..));
+        run!(self, Call::SetInterval(fraction), |b, c| b.set_interval(c, clock, interval))
     }
 
     /// Computes the discrete states without updating them.
@@ -389,7 +395,7 @@ impl RawInstance {
 
     /// From the start to the first tick of a clock.
     pub(crate) fn get_shift(&mut self, clock: u32, fraction: bool, shift: &mut Interval) -> Outcome {
-        run!(self, Call::GetShift, |b, c| b.get_shift(c, clock, fraction, shift))
+        run!(self, Call::GetShift(fraction), |b, c| b.get_shift(c, clock, fraction, shift))
     }
 }
 
@@ -399,16 +405,15 @@ impl Drop for RawInstance {
             // Invariant 6: no further call, and what the component may still reach is leaked: library, callbacks, log.
             return;
         }
+        let _environment = CallEnvironment::enter();
         let binding = self.library.binding();
         // SAFETY: the component is alive and made these states.
         unsafe { self.saved.free(binding, self.component) };
         // SAFETY: the component is alive, ours alone, and gone after this.
         unsafe { binding.free_instance(self.component) };
-        // SAFETY: nothing refers to these any more, and they are dropped once; the library last.
+        // SAFETY: both are given up once; the library last.
         unsafe {
-            ManuallyDrop::drop(&mut self.keep);
-            ManuallyDrop::drop(&mut self.environment);
-            ManuallyDrop::drop(&mut self.log);
+            self.library.retire(ManuallyDrop::take(&mut self.callbacks));
             ManuallyDrop::drop(&mut self.library);
         }
     }

@@ -40,6 +40,13 @@ impl SavedStates {
         self.slots.clear();
     }
 
+    /// Whether somebody holds a state of a point passed, to which this run may be taken back. The state that the instance
+    /// had when it was new begins another run.
+    pub(super) fn may_be_restored(&self) -> bool {
+        let held = self.slots.iter().filter(|slot| slot.token.strong_count() > 0).count();
+        held > usize::from(self.origin.is_some())
+    }
+
     /// A place whose token is gone, or a new one; and the memory that it has.
     fn vacant_slot(&mut self) -> (usize, StatePointer) {
         let vacant = self.slots.iter().position(|slot| slot.token.strong_count() == 0);

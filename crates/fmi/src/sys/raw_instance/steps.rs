@@ -13,16 +13,18 @@ impl RawInstance {
         info: &mut StepInfo,
         mid_step: &mut dyn MidStep,
     ) -> Result<bool, Fault> {
-        self.log.go_on();
+        self.callbacks.log().go_on();
         self.time = Some(time);
-        let outcome =
-            run!(self, Call::DoStep, |b, c| b.do_step_with(c, (time, step), info, &**self.keep, mid_step));
+        let no_set_state_prior = !self.saved.may_be_restored();
+        let outcome = run!(self, Call::DoStep, |b, c| {
+            b.do_step_with(c, (time, step), no_set_state_prior, info, &self.callbacks, mid_step)
+        });
         completed(outcome, info)
     }
 
-    /// The fault of a step of which nothing was computed.
-    pub(crate) fn step_refused(&self) -> Fault {
-        Fault::Discard(self.library.binding().name(Call::DoStep))
+    /// What the function that makes a step is called.
+    pub(crate) fn step_function(&self) -> &'static str {
+        self.library.binding().name(Call::DoStep)
     }
 
     /// How a pending step stands; as [`do_step`](Self::do_step).

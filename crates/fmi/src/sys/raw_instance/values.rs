@@ -1,6 +1,6 @@
 //! Values of variables: read and set by their references, one call for all of one kind.
 
-use super::{Outcome, RawInstance};
+use super::{Fault, Outcome, RawInstance};
 use crate::description::VariableKind;
 use crate::sys::Call;
 use std::ffi::{CStr, CString, c_char};
@@ -84,14 +84,22 @@ impl RawInstance {
         sizes.resize(count, 0);
         pointers.resize(count, std::ptr::null());
         let outcome = self.read_binaries(references, &mut sizes, &mut pointers);
+        let largest = sizes.iter().copied().max().unwrap_or(0);
+        let outcome = match isize::try_from(largest) {
+            Err(_) if outcome.is_ok() => Err(Fault::TooLarge {
+                call: self.library.binding().name(Call::Get(VariableKind::Binary)),
+                size: largest,
+            }),
+            _ => outcome,
+        };
         if outcome.is_ok() {
             for (pointer, size) in pointers.iter().zip(&sizes) {
                 if pointer.is_null() || *size == 0 {
                     take(&[]);
                     continue;
                 }
-                // SAFETY: the FMU says how many bytes there are; they stay valid until the next call on it (FMI 3.0,
-                // section 2.2.6.2), and there is none while this instance is borrowed.
+                // SAFETY: the FMU says how many bytes there are, no more than a slice may have; they stay valid until the
+                // next call on it (FMI 3.0, section 2.2.6.2), and there is none while this instance is borrowed.
                 take(unsafe { std::slice::from_raw_parts(*pointer, *size) });
             }
         }

@@ -1,0 +1,98 @@
+//! What a setup leaves in doubt: it can be evaluated, but perhaps it is not what was meant.
+
+use crate::data::sampling_interval;
+use crate::experiment::Experiment;
+use crate::time_column::parts;
+use fmi::ModelDescription;
+use fmi::description::Causality;
+use ode::Number;
+use std::fmt;
+
+/// Target of the lines that tell of a [`SetupWarning`] in the log.
+pub const SETUP_LOG_TARGET: &str = "calibration::setup";
+
+/// Something about a calibration that may not be what was meant; see [`Calibration::warnings`](crate::Calibration::warnings).
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum SetupWarning {
+    /// A column that is not used has the name of an input of the model that nothing drives.
+    UnusedColumn {
+        /// The recording.
+        data: String,
+        /// The column.
+        column: String,
+        /// The input.
+        input: String,
+    },
+    /// The recording of an input does not cover the simulation: its first or last value is held there.
+    InputHeld {
+        /// The recording.
+        data: String,
+        /// The input.
+        input: String,
+        /// First and last time of its recording, in s.
+        recorded: (f64, f64),
+        /// Start and end of the simulation, in s.
+        simulated: (f64, f64),
+    },
+}
+
+impl fmt::Display for SetupWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnusedColumn { data, column, input } => write!(
+                f,
+                "{data}: column '{column}' is not used, but the model has an input '{input}' that nothing drives; name it \
+                 among the inputs, if it is its recording"
+            ),
+            Self::InputHeld { data, input, recorded, simulated } => {
+                let [r0, r1, s0, s1] = [recorded.0, recorded.1, simulated.0, simulated.1].map(Number);
+                write!(
+                    f,
+                    "{data}: input '{input}' is recorded from {r0} s to {r1} s, the simulation runs from {s0} s to {s1} s: \
+                     outside of its recording its first and last values are held"
+                )
+            }
+        }
+    }
+}
+
+/// Columns that nobody uses, with the names of inputs that nothing drives.
+pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experiment) -> Vec<SetupWarning> {
+    let Experiment { data, outputs, inputs, start_values, .. } = experiment;
+    let is_used = |column: &str| {
+        outputs.iter().any(|o| o.column == column) || inputs.iter().any(|(_, used)| used == column)
+    };
+    let is_given = |input: &str| {
+        inputs.iter().any(|(name, _)| name == input) || start_values.iter().any(|(name, _)| name == input)
+    };
+    let input = |column: &str| {
+        let variable = [column, parts(column).0].into_iter().find_map(|name| description.variable(name))?;
+        (variable.causality == Causality::Input && !is_given(&variable.name)).then(|| variable.name.clone())
+    };
+    let warning = |column: &str| {
+        let (data, input) = (data.source().to_owned(), input(column)?);
+        Some(SetupWarning::UnusedColumn { data, column: column.to_owned(), input })
+    };
+    data.all_names().filter(|column| !is_used(column)).filter_map(warning).collect()
+}
+
+/// Inputs whose recordings leave more than one sampling interval of the simulation uncovered.
+pub(crate) fn held_inputs(experiment: &Experiment, simulated: (f64, f64)) -> Vec<SetupWarning> {
+    let held = |(input, column): &(String, String)| {
+        let values = experiment.data.column(column).ok()?;
+        let rows = experiment.data.time().iter().zip(values).filter(|(_, value)| !value.is_nan());
+        let times: Vec<f64> = rows.map(|(time, _)| *time).collect();
+        let recorded = (*times.first()?, *times.last()?);
+        let gap = (recorded.0 - simulated.0).max(simulated.1 - recorded.1);
+        // As far as times are equal: 100 units in the last place.
+        let rounding = 50.0 * f64::EPSILON * simulated.0.abs().max(simulated.1.abs());
+        (gap > sampling_interval(&times).unwrap_or(0.0) + rounding).then(|| SetupWarning::InputHeld {
+            data: experiment.data.source().to_owned(),
+            input: input.clone(),
+            recorded,
+            simulated,
+        })
+    };
+    experiment.inputs.iter().filter_map(held).collect()
+}

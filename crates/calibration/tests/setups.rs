@@ -1,0 +1,96 @@
+//! Setups that mislead: late recordings, inputs that are not used or held, parameters at a bound or without effect.
+
+use calibration::{
+    BoundSide, Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter, SetupWarning,
+};
+use dfo::{DifferentialEvolution, Limits};
+use fmi::{Fmu, example_fmu};
+
+fn times(n: u32) -> Vec<f64> {
+    (0..n).map(|k| 0.1 * f64::from(k)).collect()
+}
+
+fn decay(from: f64, parameter: Parameter) -> CalibrationBuilder {
+    let x = times(21).iter().map(|t| (-2.0 * t).exp()).collect();
+    let time = times(21).iter().map(|t| from + t).collect();
+    let data = Data::from_columns(time, [("x".to_owned(), x)]).unwrap();
+    Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())
+        .experiment(Experiment::new(data).output("x", "x"))
+        .parameter(parameter)
+}
+
+/// Two outlets of the tank, the second of which has no effect on the level that is compared.
+fn tank(u1_until: f64, inputs: &[&str]) -> Calibration {
+    let time: Vec<f64> = (0..31).map(f64::from).collect();
+    let u1 = time.iter().map(|t| if *t <= u1_until { 5.0 + t % 2.0 } else { f64::NAN }).collect();
+    let level = time.iter().map(|t| 0.06 - 1e-4 * t).collect();
+    let columns = [("u1", u1), ("u2", vec![5.0; 31]), ("x", level)].map(|(name, v)| (name.to_owned(), v));
+    let mut experiment = Experiment::new(Data::from_columns(time, columns).unwrap()).output("qt.x1", "x");
+    for input in inputs {
+        experiment = experiment.input(*input, *input);
+    }
+    Calibration::builder(Fmu::open(example_fmu("quad_tank").unwrap()).unwrap())
+        .experiment(experiment)
+        .parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6))
+        .parameter(Parameter::new("qt.a2", 3e-6).bounds(2e-6, 4e-6))
+        .build()
+        .unwrap()
+}
+
+#[test]
+fn a_recording_that_begins_late_needs_a_start_time() {
+    let parameter = || Parameter::new("k", 1.0).bounds(0.1, 10.0);
+    let message = decay(100.0, parameter()).build().unwrap_err().to_string();
+    assert!(message.contains("begins at 100 s, the simulation at 0 s. Give start_time = 100"), "{message}");
+    assert!(decay(1.0, parameter()).build().is_ok());
+    assert!(decay(1.2, parameter()).build().is_err());
+}
+
+#[test]
+fn inputs_that_are_not_used_or_held_are_warnings() {
+    assert!(tank(30.0, &["u1", "u2"]).warnings().is_empty());
+    match tank(30.0, &["u1"]).warnings() {
+        [SetupWarning::UnusedColumn { column, input, .. }] => assert_eq!((&**column, &**input), ("u2", "u2")),
+        other => panic!("{other:?}"),
+    }
+    match tank(20.0, &["u1", "u2"]).warnings() {
+        [SetupWarning::InputHeld { input, recorded, simulated, .. }] => {
+            assert_eq!((&**input, *recorded, *simulated), ("u1", (0.0, 20.0), (0.0, 30.0)));
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_parameter_at_its_bound_is_named() {
+    for (lower, upper, expected) in
+        [(0.1, 1.5, Some(BoundSide::Upper)), (2.5, 10.0, Some(BoundSide::Lower)), (0.1, 10.0, None)]
+    {
+        let parameter = Parameter::new("k", 0.5 * (lower + upper)).bounds(lower, upper);
+        let fit = decay(0.0, parameter).build().unwrap().fit(FitOptions::default()).unwrap();
+        assert_eq!(fit.at_bound.first().map(|(_, side)| *side), expected);
+        assert_eq!(fit.report.message.contains("bound"), expected.is_some(), "{}", fit.report.message);
+        assert!(fit.without_effect.is_empty());
+    }
+}
+
+#[test]
+fn a_parameter_without_effect_is_named_within_the_budget() {
+    let calibration = tank(30.0, &["u1", "u2"]);
+    let options = |evaluations| FitOptions {
+        limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
+        ..FitOptions::default()
+    };
+    let fit = calibration.fit(options(500)).unwrap();
+    assert_eq!(fit.without_effect, [1], "{}", fit.report.message);
+    assert!(fit.report.message.contains("qt.a2 did not change the cost"), "{}", fit.report.message);
+    assert!(fit.n_checks >= 1 && fit.report.trace.len() == fit.report.n_evaluations);
+    // The first simplex shows it, and the budget is used up.
+    let fit = calibration.fit(options(10)).unwrap();
+    assert_eq!((fit.report.n_evaluations, fit.n_checks, &fit.without_effect[..]), (10, 0, &[1][..]));
+    let fit = calibration
+        .fit(FitOptions { method: DifferentialEvolution::default().into(), seed: Some(1), ..options(60) })
+        .unwrap();
+    assert_eq!((fit.report.n_evaluations, fit.n_checks), (60, 0));
+    assert!(fit.without_effect.is_empty());
+}

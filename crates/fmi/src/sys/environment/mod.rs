@@ -1,0 +1,114 @@
+//! What a call into an FMU finds in its thread and its process, and must not leave behind: the floating-point mode, the
+//! locale, and how the process handles some signals.
+//!
+//! Every call into an FMU starts in the default floating-point mode, and the mode is looked at after it, before any
+//! arithmetic of ours: what an FMU changes acts until its function returns, in every run alike, and exceptions that it
+//! unmasks are masked again. Nothing has to be computed again for it.
+
+mod float;
+mod locale;
+mod process;
+
+pub(crate) use process::look_now_and_then;
+
+use float::FloatMode;
+use std::cell::Cell;
+use std::marker::PhantomData;
+
+thread_local! {
+    /// A `CallEnvironment` or a `OneCall` has set the thread up.
+    static IS_SET_UP: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Keeps the thread set up for calls into FMUs (default floating-point mode, C locale) and watches over what belongs to
+/// the process; what was there before is put back on drop. May be nested.
+#[derive(Debug)]
+pub(crate) struct CallEnvironment {
+    _thread: Option<ThreadSetup>,
+    _process: process::Watch,
+}
+
+impl CallEnvironment {
+    pub(crate) fn enter() -> Self {
+        Self { _process: process::Watch::begin(), _thread: ThreadSetup::unless_done() }
+    }
+}
+
+/// The same for one call, but for what belongs to the process: next to nothing inside of a [`CallEnvironment`].
+pub(super) struct OneCall(Option<ThreadSetup>);
+
+impl OneCall {
+    #[inline]
+    pub(super) fn enter() -> Self {
+        Self(ThreadSetup::unless_done())
+    }
+}
+
+impl Drop for OneCall {
+    #[inline]
+    fn drop(&mut self) {
+        if self.0.is_none() {
+            restore_default();
+        }
+    }
+}
+
+/// Sets the default floating-point mode if a call has changed it.
+#[inline]
+pub(super) fn restore_default() {
+    if !FloatMode::present().is_default() {
+        FloatMode::set_default();
+    }
+}
+
+/// For code of ours that an FMU calls back: the default floating-point mode, and the FMU's again on drop.
+pub(super) struct OwnMode(FloatMode);
+
+impl OwnMode {
+    pub(super) fn enter() -> Self {
+        let theirs = FloatMode::present();
+        FloatMode::set_default();
+        Self(theirs)
+    }
+}
+
+impl Drop for OwnMode {
+    fn drop(&mut self) {
+        self.0.set();
+    }
+}
+
+/// The thread is set up for calls; undone on drop.
+#[derive(Debug)]
+struct ThreadSetup {
+    mode: FloatMode,
+    _locale: locale::CLocale,
+    /// Mode and locale belong to the thread.
+    _not_send: PhantomData<*const ()>,
+}
+
+impl ThreadSetup {
+    #[inline]
+    fn unless_done() -> Option<Self> {
+        if IS_SET_UP.get() { None } else { Some(Self::make()) }
+    }
+
+    fn make() -> Self {
+        IS_SET_UP.set(true);
+        let mode = FloatMode::present();
+        if !mode.is_default() {
+            FloatMode::set_default();
+        }
+        Self { mode, _locale: locale::CLocale::enter(), _not_send: PhantomData }
+    }
+}
+
+impl Drop for ThreadSetup {
+    fn drop(&mut self) {
+        // Setting takes longer than looking.
+        if !(self.mode.is_default() && FloatMode::present().is_default()) {
+            self.mode.set();
+        }
+        IS_SET_UP.set(false);
+    }
+}

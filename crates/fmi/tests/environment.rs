@@ -1,0 +1,159 @@
+//! What FMUs do to their thread and process is undone: floating-point mode, signals, locale, late messages.
+
+#![cfg(all(target_os = "linux", target_arch = "x86_64"))]
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use fmi::ode::{Observer, Sample};
+use fmi::{Kind, SimulateOptions, SimulationPlan, Simulator, Trajectory};
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::time::Duration;
+use support::{Folder, evil, evil_with};
+
+fn both_kinds(faults: &[&str]) -> Folder {
+    evil_with(faults, |xml| {
+        xml.replace(
+            "<ModelExchange modelIdentifier=\"evil\"/>",
+            "<ModelExchange modelIdentifier=\"evil\"/>\
+             <CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>",
+        )
+    })
+}
+
+fn bits(t: &Trajectory) -> Vec<u64> {
+    t.columns.iter().flatten().chain(&t.time).map(|v| v.to_bits()).collect()
+}
+
+/// The places where the model does it (`upset` in evil.c).
+const INSTANTIATE: u32 = 1;
+const DERIVATIVES: u32 = 3;
+const STEP: u32 = 4;
+const FREE: u32 = 5;
+
+#[test]
+fn the_floating_point_mode_of_a_model_acts_in_its_own_calls_only() {
+    let options = SimulateOptions::new().ncp(50).outputs(["y", "der(x)"]).parameters(["k"]);
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = options.clone().kind(kind);
+        let plain = both_kinds(&[]);
+        let runs = |folder: &Folder| {
+            let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
+            let mut simulator = Simulator::new(plan).unwrap();
+            [0, 1, 2].map(|_| bits(&simulator.trajectory(&[1.7]).unwrap()))
+        };
+        let [truth, ..] = runs(&plain);
+        for place in 1..=6 {
+            let place = format!("FLOAT_IN={place}");
+            for what in ["ROUNDS_UP", "UNMASKS"] {
+                // In SetTime it acts on nothing of the model's own, which computes nothing there.
+                let found = runs(&both_kinds(&[&place, what]));
+                assert!(found.iter().all(|run| *run == truth), "{kind:?}, {place}, {what}");
+            }
+        }
+    }
+    // The thread is as before, and arithmetic of ours goes on.
+    let tiny = std::hint::black_box(1e-310f64);
+    assert!(tiny / 2.0 > 0.0 && std::hint::black_box(1.0) / std::hint::black_box(0.0f64) > 1.0);
+}
+
+#[test]
+fn calls_by_hand_are_guarded_too() {
+    let folder = evil(&["FLOAT_IN=3", "UNMASKS"]);
+    let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap().enter_continuous_time().unwrap();
+    let mut dx = [0.0];
+    for _ in 0..3 {
+        instance.get_derivatives(&mut dx).unwrap();
+        assert_eq!(std::hint::black_box(1.0) / std::hint::black_box(3.0f64), 1.0 / 3.0);
+        instance.right_hand_side(0.5, &[0.1], &mut dx).unwrap();
+        assert_eq!(std::hint::black_box(dx[0]) * 0.1, -0.1 * 0.1);
+    }
+}
+
+/// Signals that this process ignores, as bits.
+fn ignored() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap();
+    u64::from_str_radix(line.trim(), 16).unwrap()
+}
+
+/// How long signals were ignored during a run, at most.
+#[derive(Default)]
+struct Watch {
+    since: Option<std::time::Instant>,
+    longest: Duration,
+    seen: bool,
+    baseline: u64,
+}
+
+impl Observer for Watch {
+    fn sample(&mut self, _: &Sample<'_>) -> ControlFlow<()> {
+        self.poll()
+    }
+
+    fn poll(&mut self) -> ControlFlow<()> {
+        if ignored() == self.baseline {
+            self.since = None;
+        } else {
+            self.seen = true;
+            self.longest = self.longest.max(self.since.get_or_insert_with(std::time::Instant::now).elapsed());
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+#[test]
+fn signals_are_handled_as_before() {
+    let before = ignored();
+    let options = SimulateOptions::new().ncp(10);
+    for place in [INSTANTIATE, DERIVATIVES, STEP, FREE] {
+        let kind = if place == STEP { Kind::CoSimulation } else { Kind::ModelExchange };
+        let folder = both_kinds(&[&format!("SIGNALS_IN={place}")]);
+        let fmu = folder.open();
+        fmu.simulate(&options.clone().kind(kind)).unwrap();
+        assert_eq!(ignored(), before, "{place}");
+        drop(fmu);
+        assert_eq!(ignored(), before, "{place}");
+    }
+    // A long run does not wait for its end; nor does one that does it again and again, until it stops.
+    let folder = evil(&["SIGNALS_IN=3", "SLOW=300"]);
+    let options = SimulateOptions::new().method(fmi::ode::Method::Rk4).step_size(1e-3).ncp(10);
+    let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
+    let mut watch = Watch { baseline: before, ..Watch::default() };
+    let report = Simulator::new(plan).unwrap().run(&[], &mut watch).unwrap();
+    assert!(report.stats.seconds.get() > 0.5, "{:?}", report.stats);
+    assert!(watch.seen);
+    assert!(watch.longest < Duration::from_millis(500), "{:?}", watch.longest);
+    assert_eq!(ignored(), before);
+}
+
+#[test]
+fn messages_of_a_thread_that_outlives_its_instance_go_nowhere_bad() {
+    let folder = evil(&["LOGS_LATE"]);
+    let fmu = folder.open();
+    for _ in 0..20 {
+        drop(fmu.instantiate().unwrap());
+        // What was freed is used again, for other things.
+        let scratch: Vec<Vec<u8>> = (0..200).map(|n| vec![0xa5; n]).collect();
+        std::hint::black_box(&scratch);
+    }
+    std::thread::sleep(Duration::from_millis(20));
+    drop(fmu);
+    let scratch: Vec<Vec<u8>> = (0..2000).map(|n| vec![0xa5; n % 300]).collect();
+    std::thread::sleep(Duration::from_millis(80));
+    std::hint::black_box(&scratch);
+}
+
+#[test]
+fn a_binary_value_larger_than_memory_is_an_error() {
+    let folder = support::fixture_with("arrays", &["HUGE_BINARY"], |xml| xml);
+    let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    let error = instance.get("bytes").unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "fmi3GetBinary: the FMU has a value of 9223372036854775808 bytes, more than memory can hold"
+    );
+}
