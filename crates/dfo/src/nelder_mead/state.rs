@@ -409,7 +409,7 @@ impl Method for NelderMeadState {
         let best = best.filter(|_| cutoff.is_finite()).unwrap_or(f64::INFINITY);
         let Self { foresight, simplex, setup, trials, numbers, handling, .. } = self;
         let problem = Problem { space: &setup.space, handling: *handling, numbers, simplex };
-        foresight.look(&problem, (trial, trials), wanted, known, |x, expansion| {
+        foresight.look(&problem, (trial, trials), (wanted, known), |x, expansion| {
             batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
         });
     }
