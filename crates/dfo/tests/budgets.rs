@@ -214,6 +214,6 @@ fn an_observer_may_stop_and_sees_everything_once() {
             (Termination::StoppedByObserver, 9, 10)
         );
         assert_eq!((lines[0].1.as_str(), lines[9].0), ("initial", 9));
-        assert!(!report.is_success() && report.message.contains("observer"));
+        assert!(!report.is_success() && report.message.contains("callback"));
     }
 }

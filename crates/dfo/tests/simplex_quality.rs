@@ -108,7 +108,7 @@ fn a_corner_is_no_dearer_than_the_interior() {
 #[test]
 fn one_bound_and_logarithms_are_no_exception() {
     // x0 >= 0 and active, x1 in a logarithmic box and at its end, x2 on a logarithm without bounds, x3 <= 2 and active.
-    let lower = [0.0, 1e-3, 0.0, f64::NEG_INFINITY];
+    let lower = [0.0, 1e-3, f64::NEG_INFINITY, f64::NEG_INFINITY];
     let upper = [f64::INFINITY, 1e3, f64::INFINITY, 2.0];
     let cost = |x: &[f64]| {
         let d = [x[0] + 1.0, x[1].log10() + 5.0, x[2].ln() - 2.0, x[3] - 3.0 + 0.1 * x[0]];
