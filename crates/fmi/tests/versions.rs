@@ -4,7 +4,7 @@
 
 mod support;
 
-use fmi::ode::Termination;
+use fmi::ode::{Method, Termination};
 use fmi::{
     ExampleKind, FmiError, Fmu, Inputs, Kind, Pool, Reuse, Session, SimulateOptions, SimulationPlan,
     Trajectory, Value,
@@ -38,8 +38,13 @@ fn agree(name: &str, truth: &Trajectory, found: &Trajectory, tolerance: f64) {
 #[test]
 fn model_exchange_has_the_same_bits_in_all_versions() {
     for (name, end) in MODELS {
-        let options =
-            SimulateOptions::new().final_time(end).ncp(97).relative_tolerance(1e-8).record_events(true);
+        // An implicit method takes its Jacobian from directional derivatives, which FMI 1.0 does not have.
+        let options = SimulateOptions::new()
+            .final_time(end)
+            .ncp(97)
+            .method(Method::Dop853)
+            .relative_tolerance(1e-8)
+            .record_events(true);
         let truth = truth(name, &options);
         // Which variables are states is not known in FMI 1.0.
         let options = options.outputs(truth.names.clone());
