@@ -47,6 +47,9 @@ impl HybridSystem for Bad {
         z.fill(1.0);
         self.spoil(Evaluated::EventIndicator, t, z)
     }
+    fn has_jacobian(&self) -> bool {
+        self.what == Evaluated::Jacobian
+    }
     fn jacobian(&mut self, t: f64, _: &[f64], j: &mut [f64]) -> CallResult<bool> {
         self.spoil(Evaluated::Jacobian, t, j)?;
         Ok(true)
