@@ -32,7 +32,7 @@ const CLEAN_STEPS: u32 = 6;
 /// they advance. Trials after the first come after as many of the explicit method; each one that is lost makes the next one wait
 /// twice as long.
 const WASTE: f64 = 30.0;
-/// Right-hand sides of a Jacobian up to which the first trial does not wait: a quarter or less of what short runs take in all.
+/// Right-hand sides of a Jacobian up to which the first trial does not wait: it bounds what a system that is not stiff can lose.
 const AFFORDABLE: f64 = 100.0;
 /// A trial is won when so many more of its steps advanced more per right-hand side than less, and lost when so many more advanced less:
 /// the first ones must damp what the explicit method has left of fast parts, and then grow.
