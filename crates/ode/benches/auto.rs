@@ -1,6 +1,6 @@
 //! `auto` beside the best of our methods: right-hand sides, those for Jacobians included, at equal digits, as a table. Run with
 //! `cargo bench -p fmufit-ode --bench auto`, with names of problems to restrict it to those, and `--tuning` for the problems that
-//! the constants of `auto` were chosen on; the table kept is in `benches/work_precision.md`.
+//! the constants of `auto` were tried on; the table kept is in `benches/work_precision.md`.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 

@@ -29,8 +29,11 @@ const FREE: f64 = 1.0;
 const STIFF_STEPS: u32 = 2;
 const CLEAN_STEPS: u32 = 6;
 /// Right-hand sides that a trial is expected to waste, besides those of its Jacobian: four steps of Radau5, less what
-/// they advance. The first trial comes after as many of the explicit method; each one that is lost makes the next one wait twice as long.
+/// they advance. Trials after the first come after as many of the explicit method; each one that is lost makes the next one wait
+/// twice as long.
 const WASTE: f64 = 30.0;
+/// Right-hand sides of a Jacobian up to which the first trial does not wait: it bounds what a system that is not stiff can lose.
+const AFFORDABLE: f64 = 100.0;
 /// A trial is won when so many more of its steps advanced more per right-hand side than less, and lost when so many more advanced less:
 /// the first ones must damp what the explicit method has left of fast parts, and then grow.
 const DECIDED: i32 = 4;
@@ -92,8 +95,10 @@ pub(crate) struct Auto {
     first_share: f64,
     /// Right-hand sides that the explicit method would have saved in the steps of Radau5 so far.
     saved: f64,
-    /// `h` times the estimated largest eigenvalue, of the last good step of the explicit method.
-    response: f64,
+    /// The estimated largest eigenvalue, in modulus, of the last good step of the explicit method.
+    rate: f64,
+    /// No trial has been decided yet in this run.
+    is_first: bool,
 }
 
 impl Auto {
@@ -124,7 +129,8 @@ impl Auto {
             bdf_is_next: false,
             first_share: rtol.powf(0.25),
             saved: 0.0,
-            response: 0.0,
+            rate: 0.0,
+            is_first: true,
         }
     }
 }
@@ -168,7 +174,10 @@ impl Auto {
         equations: &mut Equations<'_, S>,
         h: f64,
     ) -> CallResult<()> {
-        let is_due = self.response > FREE && self.since_trial >= self.patience * (self.jacobian_cost + WASTE);
+        // The first trial comes before the explicit method has excited fast oscillations, which Radau5 would have to follow.
+        let is_early = self.is_first && self.jacobian_cost <= AFFORDABLE;
+        let is_worth_it = self.since_trial >= self.patience * (self.jacobian_cost + WASTE);
+        let is_due = h * self.rate > FREE && (is_early || is_worth_it);
         let is_urgent = self.hits >= STIFF_STEPS && self.since_trial >= self.patience * self.jacobian_cost;
         if !(is_due || is_urgent) {
             return Ok(());
@@ -177,6 +186,7 @@ impl Auto {
             if self.radau5.begin(&*equations.system).is_err() {
                 // No room for its matrices: the explicit method goes on.
                 self.patience = f64::INFINITY;
+                self.is_first = false;
                 return Ok(());
             }
             self.radau5_has_begun = true;
@@ -201,9 +211,11 @@ impl Auto {
             Active::Tsit5 => self.tsit5.take_over(f),
             _ => self.dop853.take_over(f),
         }
+        if !std::mem::take(&mut self.is_first) {
+            self.patience *= 2.0;
+        }
         self.calm();
         self.active = self.explicit;
-        self.patience *= 2.0;
     }
 
     /// After an accepted step of the explicit method.
@@ -211,7 +223,7 @@ impl Auto {
         self.mean_work = FORGET * self.mean_work + work;
         self.mean_advance = FORGET * self.mean_advance + h;
         self.since_trial += work;
-        if self.response > self.stages_and_limit().1 {
+        if h * self.rate > self.stages_and_limit().1 {
             self.hits += 1;
             self.clean = 0;
         } else {
@@ -225,13 +237,21 @@ impl Auto {
     /// After an accepted step of Radau5 on trial; returns the step size to go on with.
     fn judge(&mut self, work: f64, h: f64, proposed: f64) -> f64 {
         self.nonlinear += u32::from(self.radau5.contraction() > LINEAR);
-        let better = h * self.mean_work > self.mean_advance * work;
+        let to_beat = if self.is_first {
+            // Its steps have not settled yet: the most that stability allows them.
+            let (stages, limit) = self.stages_and_limit();
+            limit / (stages * self.radau5.spectrum().0)
+        } else {
+            self.mean_advance / self.mean_work
+        };
+        let better = h > to_beat * work;
         self.balance += if better { 1 } else { -1 };
         if self.balance <= -DECIDED {
             self.leave_radau5();
             return self.explicit_h;
         }
         if self.balance >= DECIDED {
+            self.is_first = false;
             self.calm();
         }
         proposed
@@ -295,10 +315,12 @@ impl Stepper for Auto {
         let pattern = system.jacobian_pattern();
         self.jacobian_cost = pattern.map_or(system.n_states(), |p| p.widest_column()) as f64;
         self.patience = 1.0;
+        self.rate = 0.0;
         self.mean_work = 0.0;
         self.mean_advance = 0.0;
         self.work = 0;
         self.calm();
+        self.is_first = true;
         Ok(())
     }
 
@@ -378,11 +400,11 @@ impl Stepper for Auto {
             return Ok(Attempt::NotSolved { h: self.explicit_h });
         }
         if matches!(attempt, Ok(Attempt::Good)) {
-            self.response = match self.active {
-                Active::Tsit5 => trial.h * self.tsit5.response(trial.x, x_new, equations.weights),
-                Active::Dop853 => trial.h * self.dop853.response(trial.x, x_new, equations.weights),
-                _ => 0.0,
-            };
+            match self.active {
+                Active::Tsit5 => self.rate = self.tsit5.response(trial.x, x_new, equations.weights),
+                Active::Dop853 => self.rate = self.dop853.response(trial.x, x_new, equations.weights),
+                _ => {}
+            }
         }
         attempt
     }

@@ -10,8 +10,7 @@
 use crate::options::Method;
 use crate::stats::Stats;
 
-/// Samples may differ by this many tolerances. What differs more makes a cost noisy: on an exhaust pipe BDF, 16 tolerances off, took a
-/// third less work than Radau5 for each simulation, but a fit 142 instead of 89 of them, to a worse end.
+/// Samples may differ by this many tolerances: what differs more makes the cost of a fit noisy.
 const AGREEMENT: f64 = 5.0;
 /// The simulation that shows what is right: its share of the tolerance, and how much more work than the first it may be.
 /// Differences below that share are its own.

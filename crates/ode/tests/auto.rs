@@ -36,6 +36,17 @@ fn auto_takes_about_as_many_right_hand_sides_as_the_best_method() {
     }
 }
 
+/// What the explicit method leaves of fast oscillations Radau5 would have to follow.
+#[test]
+fn a_stiff_oscillator_is_left_to_radau5_before_its_oscillations_are_excited() {
+    for rtol in [1e-3, 1e-4, 1e-6] {
+        let beam = Problem { end: 1.0, ..large::beam() };
+        let work = |method| beam.run(method, rtol).1.right_hand_sides;
+        let (auto, radau5) = (work(Method::Auto), work(Method::Radau5));
+        assert!(10 * auto <= 13 * radau5, "{rtol:e}: {auto} and {radau5}");
+    }
+}
+
 fn run(method: Method, system: &mut dyn HybridSystem, end: f64) -> Result<Report, Box<SimulationError>> {
     Driver::new(Options { method, ..Options::default() }).unwrap().run(system, 0.0, end, &[end], &mut Ignore)
 }

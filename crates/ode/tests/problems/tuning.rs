@@ -1,5 +1,5 @@
-//! Problems on which the constants of `auto` were chosen; the ones that judge it are others. Their references are made when they
-//! are asked for, by a run at a tight tolerance.
+//! Problems on which rules and constants of `auto` were tried, with the table of those that judge it in view: the two are no
+//! independent samples. Their references are made when they are asked for, by a run at a tight tolerance.
 
 use super::Problem;
 use ode::{JacobianPattern, Method};
