@@ -160,15 +160,16 @@ impl Case {
         let outcome = Driver::new(options).unwrap().run(system, t0, t0 + span, &times, &mut seen);
         let samples = seen.rows.iter().flat_map(|row| row.3.chunks_exact(2));
         let least = samples.map(|x| x[0] / system.unit - system.floor).fold(system.least, f64::min);
-        // A sliding step falls this deep.
+        // What still slides comes back within a hundred steps: so deep does it fall in the last of them.
         let step = ChatteringPolicy::SLIDING_STEP * span;
-        let sunk = if slides { 1e-2 * step } else { 0.0 };
+        let sunk = if slides { 0.5 * 100.0 * 9.81 * step * step } else { 0.0 };
         let tolerance = 20.0 * rtol * (1.0 + system.floor.abs()) + sunk;
-        if least.is_nan() || (outcome.is_ok() && least < -tolerance) {
+        if least.is_nan() || least < -tolerance {
             return Err(format!("{least:e} below the floor, {outcome:?}"));
         }
         let Err(error) = outcome else { return Ok(()) };
-        let (ErrorKind::Chattering { indicator, .. } | ErrorKind::EventsAccumulate { indicator }) = error.kind
+        let (ErrorKind::Chattering { indicator, .. } | ErrorKind::EventsAccumulate { indicator }) =
+            error.kind
         else {
             return Err(error.to_string());
         };
@@ -187,11 +188,9 @@ impl Case {
 /// Cases drawn with this seed.
 fn run_cases(seed: u64, count: usize) {
     let mut random = Random(seed);
-    let only: Option<usize> = std::env::var("ONLY").ok().and_then(|v| v.parse().ok());
     let mut wrong = Vec::new();
     for number in 0..count {
         let mut case = Case::draw(&mut random, number);
-        if only.is_some_and(|o| o != number) { continue; }
         if let Err(why) = case.run() {
             wrong.push(format!("seed {seed}, case {number}: {why}\n    {case:?}"));
         }
@@ -207,9 +206,9 @@ fn no_ball_falls_through_the_floor() {
 #[test]
 #[ignore = "takes minutes"]
 fn no_ball_of_many_falls_through_the_floor() {
-    let s = std::env::var("SEED").ok().and_then(|v| v.parse().ok()).unwrap_or(2);
-    let c = std::env::var("COUNT").ok().and_then(|v| v.parse().ok()).unwrap_or(1500);
-    run_cases(s, c);
+    for seed in 2..=20 {
+        run_cases(seed, 1500);
+    }
 }
 
 /// One ball, put exactly on the floor: all of its bounces until they cannot be told apart are found, and then it is said.
