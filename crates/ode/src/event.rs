@@ -33,6 +33,8 @@ pub(crate) struct Domains {
     overshoots: Vec<Option<f64>>,
     /// Those that were seen to be on their way out of the domain since then, and have not been seen outside.
     leaving: Vec<bool>,
+    /// Those that were so when their last event came: it was that of a return within a step.
+    returned: Vec<bool>,
     /// Slopes at the start of the step of the indicators that may come back in it; NaN: of no interest.
     slopes: Vec<f64>,
     /// Indicators that chatter: their crossings count at the ends of steps.
@@ -84,7 +86,7 @@ impl Domains {
         self.crossings.resize(n, 0);
         self.overshoots.clear();
         self.overshoots.resize(n, None);
-        for v in [&mut self.sliding, &mut self.leaving] {
+        for v in [&mut self.sliding, &mut self.leaving, &mut self.returned] {
             v.clear();
             v.resize(n, false);
         }
@@ -199,9 +201,12 @@ impl Domains {
         for i in 0..self.len() {
             let (from, to) = (self.base[i], self.end[i]);
             let stays = to.abs() < from.abs() || to == from && self.was_at_zero(i, 0.0);
-            self.leaving[i] &= self.crossings[i] == 0 && !flipped(from, to);
-            if self.crossings[i] == 0 && (flipped(from, to) || !(stays || self.leaving[i])) {
+            let crossed = self.crossings[i] != 0;
+            self.returned[i] |= self.leaving[i] && crossed;
+            self.leaving[i] &= !crossed && !flipped(from, to);
+            if !crossed && (flipped(from, to) || !(stays || self.leaving[i])) {
                 self.overshoots[i] = None;
+                self.returned[i] = false;
             }
         }
     }

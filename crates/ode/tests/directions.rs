@@ -93,7 +93,7 @@ fn crossings_that_are_no_events_leave_the_steps_alone() {
             (seen.rows, report.stats.accepted_steps, report.stats.right_hand_sides, report.stats.state_events)
         };
         let (rows, steps, calls, events) = run(Some(Direction::Up));
-        // Where steps are looked into DOP853 (and `auto`, which takes it at tight tolerances) pays for its interpolation.
+        // Where steps are looked into DOP853 pays for its interpolation; so exactly Auto integrates with it.
         let extra = if matches!(method, Method::Dop853 | Method::Auto) { 3 * steps } else { 0 };
         let without = run(None);
         assert_eq!((rows, steps, events), (without.0, without.1, 0), "{}", method.name());

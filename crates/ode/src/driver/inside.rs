@@ -246,7 +246,8 @@ where
         Ok((located.before, located.time))
     }
 
-    /// The first crossing after the end of the trial of size `h` by its interpolant, continued up to `hi` at most.
+    /// The first crossing after the end of the trial of size `h` by its interpolant, continued up to `hi` at most; where that
+    /// says too little a time between that end and `hi`, in the middle of their orders of magnitude.
     fn root_beyond(&mut self, end: f64, hi: f64, h: f64, tight: f64) -> CallResult<(f64, f64)> {
         let mut reach = tight;
         loop {
@@ -259,7 +260,7 @@ where
                 return self.root_between(end, at, end, h, tight);
             }
             if at >= hi || reach > 0.1 * h {
-                return Ok((end, hi));
+                return Ok((end, self.t + (h * (hi - self.t)).sqrt()));
             }
             reach *= 32.0;
         }

@@ -74,15 +74,12 @@ where
         if follows_trial {
             self.make_ready(end, h, ready)?;
         }
-        let reach = if follows_trial {
-            h
-        } else {
-            (self.end - self.t).min(h.max(SLOPE_REACH * (self.end - self.start)))
-        };
+        let far = if follows_trial { h } else { self.end - self.t };
+        let reach = far.min(h.max(SLOPE_REACH * (self.end - self.start)));
         let Space { x, x_mid, domains, .. } = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
-        let found = domains.find_slopes((h, reach), slides, |s, z| {
+        let found = domains.find_slopes((h, reach, far), slides, |s, z| {
             if follows_trial {
                 stepper.interpolate(trial, s / h, x_mid);
             } else {
@@ -114,9 +111,10 @@ where
         while is_inside(turn, s) && self.t + turn > self.t {
             self.make_ready(end, h, ready)?;
             let Space { x, x_mid, domains, .. } = &mut *self.space;
-            self.stepper.interpolate(Trial { t: self.t, end, h, x }, turn / h, x_mid);
-            self.stats.event_indicators += 1;
             let at = self.t + turn;
+            // The very point that is looked at again.
+            self.stepper.interpolate(Trial { t: self.t, end, h, x }, (at - self.t) / h, x_mid);
+            self.stats.event_indicators += 1;
             let z = domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z))?;
             if domains.leaves(i, z) {
                 return Ok(Return::Found(at));
@@ -185,7 +183,8 @@ where
             sum += derivative * gradient[k];
         }
         if sum > 0.0 {
-            x.iter_mut().zip(&*gradient).for_each(|(x, g)| *x -= z0 * g / sum);
+            let back = z0 - domains.next_to_zero(i, z0);
+            x.iter_mut().zip(&*gradient).for_each(|(x, g)| *x -= back * g / sum);
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Indicators that are next to zero when a step begins, and may leave their domain and come back within it.
 
 use super::{Domains, flipped};
-use crate::system::CallResult;
+use crate::system::{CallResult, Direction};
 
 /// The slopes of indicators are differences over this share of a step.
 const SLOPE_STEP: f64 = 1.0 / 256.0;
@@ -35,10 +35,11 @@ impl Domains {
 
     /// Of these the slopes at the start of the step of size `h`, where they point out of the domain: by differences along
     /// the flow, `evaluate(s, z)` being the indicators after the time `s`, at most `reach`, if the flow stayed as it is at
-    /// the start.
+    /// the start. Those of one that has just returned may be too small for this: a point as `far` as there is then tells
+    /// where it is going.
     pub(crate) fn find_slopes(
         &mut self,
-        (h, reach): (f64, f64),
+        (h, reach, far): (f64, f64, f64),
         slides: bool,
         mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<Slopes> {
@@ -79,6 +80,13 @@ impl Domains {
             }
             if self.leaving[i] {
                 slopes.turned = Some(i);
+            } else if self.slopes[i] == 0.0 && self.returned[i] && self.was_at_zero(i, 0.0) {
+                evaluate(far, &mut self.mid)?;
+                slopes.evaluations += 1;
+                let z = self.mid[i];
+                if z != z0 && (z0 > 0.0) == (z < z0) {
+                    slopes.turned = Some(i);
+                }
             }
             self.slopes[i] = f64::NAN;
         }
@@ -129,10 +137,17 @@ impl Domains {
         self.base[i] = if self.base[i] > 0.0 { 0.0 } else { f64::MIN_POSITIVE };
     }
 
+    /// To where indicator `i`, of this value behind zero, can be moved so that it does not cross again: its next crossing
+    /// may be an event.
+    pub(crate) fn next_to_zero(&self, i: usize, z: f64) -> f64 {
+        let is_event = flipped(z, 0.0) && self.directions[i] == Direction::Both;
+        if is_event { 1e-3 * z } else { 0.0 }
+    }
+
     /// Whether indicator `i` has just crossed, slides, and is still behind zero after its event.
     pub(crate) fn is_behind(&self, i: usize) -> bool {
         self.sliding[i]
-            && self.overshoots[i].is_some()
+            && self.crossings[i] != 0
             && self.base[i] != 0.0
             && !flipped(self.base[i], self.end[i])
     }
