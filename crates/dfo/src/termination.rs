@@ -142,8 +142,8 @@ const ZERO_COST: f64 = 1.490_116_119_384_765_6e-8;
 ///   vertex has failed.
 ///
 /// A cost that goes to zero would never pass a relative f test, because the spread goes to zero with it. So |f_best|
-/// counts at least as `1.5e-8 * f_0` (the root of the machine precision), `f_0` being the (upper) median of |f| over the
-/// initial vertices. Near a minimum the cost is quadratic: where x is known to 1e-6, a cost of zero is known to 1e-12 of
+/// counts at least as `1.5e-8 * f_0` (the root of the machine precision), `f_0` being the smallest |f| that is not zero of
+/// the initial vertices (of a population: the upper median). Near a minimum the cost is quadratic: where x is known to 1e-6, a cost of zero is known to 1e-12 of
 /// `f_0`, and the default f test, 1.5e-14 of `f_0`, asks for two digits more, not for ten. A run is over only when tests
 /// pass after an iteration is complete, so an initial simplex never passes, and while a vertex has failed none does.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

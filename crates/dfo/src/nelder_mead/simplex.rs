@@ -3,7 +3,7 @@
 use crate::cost::Cost;
 use crate::method::SimplexView;
 use crate::scaling::Space;
-use crate::termination::{Measure, typical};
+use crate::termination::Measure;
 use serde::{Deserialize, Serialize};
 
 /// Vertices in slots, and the slots by rank.
@@ -209,9 +209,11 @@ impl SimplexData {
         self.values.iter().flatten().count()
     }
 
-    /// How large costs are.
-    pub(super) fn typical_cost(&self) -> f64 {
-        typical(&self.values)
+    /// The smallest |cost| that is not zero; 0 where there is none. Of the initial vertices it is that of the start, or of a
+    /// better neighbour: a first step that is far too long, with a cost of many magnitudes, does not count.
+    pub(super) fn smallest_cost(&self) -> f64 {
+        let sizes = self.values.iter().flatten().map(|cost| cost.abs()).filter(|size| *size > 0.0);
+        sizes.min_by(f64::total_cmp).unwrap_or(0.0)
     }
 
     /// Whether all lists have the lengths that belong together: what comes from a file may not.
@@ -269,6 +271,6 @@ mod tests {
     #[test]
     fn one_huge_cost_does_not_set_the_magnitude() {
         use Cost::Value;
-        assert_eq!(simplex([Value(1e300), Value(-2.0), Value(0.0)]).typical_cost(), 2.0);
+        assert_eq!(simplex([Value(1e300), Value(-2.0), Value(0.0)]).smallest_cost(), 2.0);
     }
 }

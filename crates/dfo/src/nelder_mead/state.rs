@@ -300,7 +300,7 @@ impl NelderMeadState {
             self.phase = Phase::Done;
             return;
         }
-        self.f_0 = self.simplex.typical_cost();
+        self.f_0 = self.simplex.smallest_cost();
         self.operation = Some(Operation::Initial);
         if self.setup.space.n_free() == 0 {
             return self.end(Termination::AllFixed);

@@ -449,7 +449,8 @@ mod tests {
             space.to_user(&[u], &mut x);
             assert!((x[0] - expected).abs() < 1e-14 * expected && space.bounds().contains(&x));
         }
-        let half_open = Space::new(&[0.3], Bounds::new(&[f64::NEG_INFINITY], &[10.0])?, &[Transform::Log], &[])?;
+        let half_open =
+            Space::new(&[0.3], Bounds::new(&[f64::NEG_INFINITY], &[10.0])?, &[Transform::Log], &[])?;
         assert_eq!((half_open.width(0), half_open.size(0)), (None, 1.0));
         assert!(Space::new(&[0.3], Bounds::new(&[0.0], &[10.0])?, &[Transform::Log], &[]).is_err());
         Ok(())
