@@ -1,5 +1,7 @@
 //! Setups that mislead: late recordings, inputs that are not used or held, parameters at a bound or without effect.
 
+#![allow(clippy::unwrap_used)]
+
 use calibration::{
     BoundSide, Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter, SetupWarning,
 };

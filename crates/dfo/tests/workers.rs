@@ -29,7 +29,7 @@ fn cost(how: u64) -> impl Fn(&[f64], &Evaluation<'_>) -> Outcome + Sync {
             2 if cell.rem_euclid(11.0) == 0.0 => Outcome::failed("no"),
             3 if cell.rem_euclid(29.0) == 0.0 => Outcome::Abort(format!("at {x:?}")),
             4 if cell.rem_euclid(13.0) == 0.0 => panic!("on purpose"),
-            _ if how % 2 == 0 && value > e.cutoff => Outcome::Above(e.cutoff),
+            _ if how.is_multiple_of(2) && value > e.cutoff => Outcome::Above(e.cutoff),
             _ => Outcome::Value(value),
         }
     }

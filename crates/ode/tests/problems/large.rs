@@ -211,7 +211,6 @@ pub fn medical_akzo() -> Problem {
         stride: 40,
         atol: 1e-2,
         by_largest: true,
-        ..Problem::default()
     }
 }
 
@@ -256,7 +255,6 @@ pub fn brusselator_line() -> Problem {
         stride: 40,
         atol: 1e-2,
         by_largest: true,
-        ..Problem::default()
     }
 }
 
@@ -312,7 +310,6 @@ pub fn heat() -> Problem {
         stride: 103,
         atol: 1e-2,
         by_largest: true,
-        ..Problem::default()
     }
 }
 

@@ -140,7 +140,7 @@ fn chain_of_reactions() -> Problem {
 fn nerve() -> Problem {
     let plain = Problem {
         name: "Nerve",
-        x0: vec![-65.0, 0.053, 0.596, 0.318],
+        x0: vec![-65.0, 0.053, 0.596, 0.3177],
         end: 50.0,
         f: |_, y, d| {
             let v = y[0] + 65.0;

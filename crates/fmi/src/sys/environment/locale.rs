@@ -54,7 +54,8 @@ mod of_thread {
 
 pub(super) use of_thread::CLocale;
 
-#[cfg(all(test, target_os = "linux", target_env = "gnu"))]
+#[cfg(test)]
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::print_stderr)]
     use super::super::CallEnvironment;
