@@ -289,6 +289,11 @@ impl Fmu {
         }
     }
 
+    /// What is done with the log.
+    pub(crate) fn logging(&self) -> LogOptions {
+        self.inner.options.logging
+    }
+
     /// Makes an instance for simulations.
     pub(crate) fn instantiate_for_runs(
         &self,

@@ -151,11 +151,13 @@ def test_the_solver_of_a_stiff_fit_is_raced_once_and_reported():
     calibration = calibrate("auto")
     assert calibration.race is None
     fit = calibration.fit(max_evaluations=5)
-    assert fit.solver == calibration.solver != "auto"
+    assert fit.solver == calibration.solver
     assert [entry.solver for entry in fit.race] == ["auto", "bdf", "radau5"]
     winner = next(entry for entry in fit.race if entry.solver == fit.solver)
-    assert winner.verdict == "agrees" and winner.deviation <= 50
-    assert all(winner.work <= entry.work for entry in fit.race)
+    assert winner.verdict == "agrees" and winner.deviation <= 5
+    # The least work at equal error, which goes with the sixth root of the error.
+    price = {entry.solver: entry.work * entry.deviation ** (1 / 6) for entry in fit.race if entry.verdict == "agrees"}
+    assert min(price, key=price.get) == fit.solver, fit.race
     assert calibrate(fit.solver).cost(fit.x) == fit.cost == calibration.cost(fit.x)
     named = calibrate("radau5").fit(max_evaluations=3)
     assert (named.solver, named.race) == ("radau5", None)

@@ -3,6 +3,7 @@
 
 use super::record::Record;
 use crate::error::FmiError;
+use crate::open_options::LogOptions;
 use crate::sys::{InterfaceKind, Library, LoadFrom, RawInstance};
 use std::any::Any;
 use std::path::{Path, PathBuf};
@@ -19,7 +20,7 @@ pub(crate) struct LoadedCopy {
     path: PathBuf,
     /// One function table for each way of running the model, over the same static variables.
     tables: [Mutex<Option<Arc<Library>>>; 2],
-    idle: Mutex<Vec<(InterfaceKind, RawInstance)>>,
+    idle: Mutex<Vec<((InterfaceKind, LogOptions), RawInstance)>>,
     record: Mutex<Record>,
     home: Mutex<Option<Home>>,
 }
@@ -83,23 +84,24 @@ impl LoadedCopy {
 
     /// An instance that was used before, to be reset before use. Those of the other kind are freed: in some libraries the
     /// instance made last is the only one that is right.
-    pub(crate) fn take_idle(&self, kind: InterfaceKind) -> Option<RawInstance> {
+    pub(crate) fn take_idle(&self, kind: InterfaceKind, logging: LogOptions) -> Option<RawInstance> {
         let mut idle = lock(&self.idle);
-        let place = idle.iter().rposition(|(known, _)| *known == kind);
+        let wanted = (kind, logging);
+        let place = idle.iter().rposition(|(known, _)| *known == wanted);
         let raw = place.map(|place| idle.remove(place).1);
-        let others: Vec<_> = idle.extract_if(.., |(known, _)| *known != kind).collect();
+        let others: Vec<_> = idle.extract_if(.., |(known, _)| *known != wanted).collect();
         drop(idle);
         drop(others);
         raw
     }
 
     /// Keeps an instance for later; frees another one if there are many.
-    pub(crate) fn put_idle(&self, kind: InterfaceKind, raw: RawInstance) {
+    pub(crate) fn put_idle(&self, kind: InterfaceKind, logging: LogOptions, raw: RawInstance) {
         if raw.is_dead() {
             return;
         }
         let mut idle = lock(&self.idle);
-        idle.push((kind, raw));
+        idle.push(((kind, logging), raw));
         let surplus = (idle.len() > MAX_IDLE).then(|| idle.remove(0));
         drop(idle);
         drop(surplus);

@@ -289,7 +289,7 @@ impl Runner {
         self.prepared = None;
         let Some(lease) = self.lease.take() else { return };
         match raw {
-            Some(raw) if keeps => lease.copy().put_idle(self.plan.kind, raw),
+            Some(raw) if keeps => lease.copy().put_idle(self.plan.kind, self.plan.fmu().logging(), raw),
             raw => drop(raw),
         }
         drop(lease);
@@ -376,7 +376,8 @@ impl Runner {
             return Ok((raw, false));
         }
         let used = self.engine.running().retire();
-        let idle = self.lease.as_ref().and_then(|lease| lease.copy().take_idle(self.plan.kind));
+        let logging = self.plan.fmu().logging();
+        let idle = self.lease.as_ref().and_then(|lease| lease.copy().take_idle(self.plan.kind, logging));
         let Some(used) = used.or(idle) else { return Ok((self.new_instance()?, false)) };
         match self.reuse() {
             Some(Reuse::Reinstantiate) => {
