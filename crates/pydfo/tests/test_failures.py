@@ -24,12 +24,16 @@ def path(n):
 
 
 def failing_at(k, how, values):
-    """Rosenbrock's function, failing at evaluation k of the path (counted from 1); keeps its finite values."""
+    """Rosenbrock's function, failing once, at the point of evaluation k of the path; keeps its finite values."""
     lock = threading.Lock()
-    where = path(k)[-1]
+    where = [path(k)[-1]]
 
     def func(x):
-        if np.array_equal(x, where):
+        with lock:
+            fails = bool(where) and np.array_equal(x, where[0])
+            if fails:
+                where.clear()
+        if fails:
             if how == "raise":
                 raise Boom(k)
             return np.nan
