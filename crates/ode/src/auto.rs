@@ -97,6 +97,8 @@ pub(crate) struct Auto {
     saved: f64,
     /// The estimated largest eigenvalue, in modulus, of the last good step of the explicit method.
     rate: f64,
+    /// Its product with that step.
+    response: f64,
     /// No trial has been decided yet in this run.
     is_first: bool,
 }
@@ -130,6 +132,7 @@ impl Auto {
             first_share: rtol.powf(0.25),
             saved: 0.0,
             rate: 0.0,
+            response: 0.0,
             is_first: true,
         }
     }
@@ -174,10 +177,11 @@ impl Auto {
         equations: &mut Equations<'_, S>,
         h: f64,
     ) -> CallResult<()> {
-        // The first trial comes before the explicit method has excited fast oscillations, which Radau5 would have to follow.
-        let is_early = self.is_first && self.jacobian_cost <= AFFORDABLE;
+        // Of Tsit5 the first trial comes before it has excited fast oscillations within a crude tolerance, which Radau5 would
+        // have to follow.
+        let is_early = self.is_first && self.jacobian_cost <= AFFORDABLE && h * self.rate > FREE;
         let is_worth_it = self.since_trial >= self.patience * (self.jacobian_cost + WASTE);
-        let is_due = h * self.rate > FREE && (is_early || is_worth_it);
+        let is_due = is_early || (self.response > FREE && is_worth_it);
         let is_urgent = self.hits >= STIFF_STEPS && self.since_trial >= self.patience * self.jacobian_cost;
         if !(is_due || is_urgent) {
             return Ok(());
@@ -223,7 +227,7 @@ impl Auto {
         self.mean_work = FORGET * self.mean_work + work;
         self.mean_advance = FORGET * self.mean_advance + h;
         self.since_trial += work;
-        if h * self.rate > self.stages_and_limit().1 {
+        if self.response > self.stages_and_limit().1 {
             self.hits += 1;
             self.clean = 0;
         } else {
@@ -316,11 +320,12 @@ impl Stepper for Auto {
         self.jacobian_cost = pattern.map_or(system.n_states(), |p| p.widest_column()) as f64;
         self.patience = 1.0;
         self.rate = 0.0;
+        self.response = 0.0;
         self.mean_work = 0.0;
         self.mean_advance = 0.0;
         self.work = 0;
         self.calm();
-        self.is_first = true;
+        self.is_first = self.explicit == Active::Tsit5;
         Ok(())
     }
 
@@ -405,6 +410,7 @@ impl Stepper for Auto {
                 Active::Dop853 => self.rate = self.dop853.response(trial.x, x_new, equations.weights),
                 _ => {}
             }
+            self.response = if self.active == self.explicit { trial.h * self.rate } else { 0.0 };
         }
         attempt
     }
