@@ -35,6 +35,8 @@ pub enum SetupWarning {
         /// Start and end of the simulation, in s.
         simulated: (f64, f64),
     },
+    /// A setting that is ignored; the sentence says which, and why.
+    NoEffect(String),
 }
 
 impl fmt::Display for SetupWarning {
@@ -45,6 +47,7 @@ impl fmt::Display for SetupWarning {
                 "{data}: column '{column}' is not used, but the model has an input '{input}' that nothing drives; name it \
                  among the inputs, if it is its recording"
             ),
+            Self::NoEffect(sentence) => f.write_str(sentence),
             Self::InputHeld { data, input, recorded, simulated } => {
                 let [r0, r1, s0, s1] = [recorded.0, recorded.1, simulated.0, simulated.1].map(Number);
                 write!(

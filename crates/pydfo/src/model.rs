@@ -3,8 +3,9 @@
 use crate::description::Fmu;
 use crate::inputs::{self, Callbacks, Function, Table};
 use crate::interrupt::{Desk, Stop, Watch, fits_here, lock};
+use crate::settings::time_limit;
 use crate::trajectory::Record;
-use crate::{fmu_error, logs, values};
+use crate::{error, fmu_error, logs, values};
 use fmi::description::Interval;
 use fmi::{InterfaceKind, Session, SimulateOptions};
 use numpy::PyReadonlyArray1;
@@ -12,7 +13,6 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 pyo3::import_exception!(pydfo._errors, Interrupted);
 
@@ -251,13 +251,10 @@ impl Model {
             request.chattering.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
         options.step_size = request.step_size;
         options.max_step = request.max_step;
-        options.timeout = match request.timeout {
-            None => None,
-            Some(f64::INFINITY) => None,
-            Some(seconds) => Some(Duration::try_from_secs_f64(seconds).map_err(|_| {
-                PyValueError::new_err(format!("timeout = {seconds} must be a number of seconds, at least 0"))
-            })?),
-        };
+        for ignored in options.without_effect(self.kind) {
+            error::warn(py, &ignored)?;
+        }
+        options.timeout = time_limit("timeout", request.timeout)?;
         Ok((options, callbacks))
     }
 }

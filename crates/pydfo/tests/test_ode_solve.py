@@ -402,7 +402,7 @@ def test_exceptions_keep_their_identity(method):
         ({"jac": lambda t, y: [1.0], "method": "bdf"}, ValueError, r"jac must have the shape \(2, 2\), not \(1,\)"),
         ({"jac_sparsity": [[1.0]]}, ValueError, r"jac_sparsity must have the shape \(2, 2\)"),
         ({"chattering": "stop"}, ValueError, "unknown answer to chattering 'stop'"),
-        ({"timeout": -1}, ValueError, "timeout = -1 must be a number of seconds"),
+        ({"timeout": -1}, ValueError, "timeout = -1 must be a positive number of seconds"),
         ({"max_step": 0.0}, ValueError, "max_step = 0"),
         ({"max_step": 1e-300}, ValueError, "steps of 1e-300 were asked for"),
         ({"first_step": 0.0}, ValueError, "^first_step = 0"),

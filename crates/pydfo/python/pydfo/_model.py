@@ -17,6 +17,7 @@ import numpy.typing as npt
 from . import _core, _inputs, _options
 from ._description import Description
 from ._files import PathLike
+from ._keywords import explained
 from ._trajectory import SimulationResult
 
 _log = _logging.getLogger("pydfo")
@@ -64,6 +65,7 @@ class OpenOptions:
     tool_is_present: bool
 
 
+@explained
 def load_fmu(
     path: PathLike,
     kind: str = "auto",
@@ -179,6 +181,7 @@ class FMUModel:
     0.13534
     """
 
+    @explained
     def __init__(
         self,
         path: PathLike,
@@ -194,11 +197,11 @@ class FMUModel:
             raise TypeError(f"kind must be a string, not {kind!r}")
         options = OpenOptions(
             log_level=_log_level(log_level),
-            logging=bool(logging),
+            logging=_options.flag("logging", logging),
             show_log=log_level is not None,
-            deepbind=bool(deepbind),
-            lazy=bool(lazy),
-            tool_is_present=bool(tool_is_present),
+            deepbind=_options.flag("deepbind", deepbind),
+            lazy=_options.flag("lazy", lazy),
+            tool_is_present=_options.flag("tool_is_present", tool_is_present),
         )
         self._fmu = _core.Fmu(path, options)
         self._kind = self._fmu.check_runnable(kind)
@@ -297,6 +300,7 @@ class FMUModel:
         """Forgets all values set and the last simulation."""
         self._model.reset()
 
+    @explained
     def simulate(
         self,
         start_time: SupportsFloat | None = None,
@@ -433,8 +437,8 @@ class FMUModel:
             step_size=_number("step_size", step_size),
             max_step=_number("max_step", max_step),
             timeout=_number("timeout", timeout),
-            record_events=bool(record_events),
-            input_derivatives=bool(input_derivatives),
+            record_events=_options.flag("record_events", record_events),
+            input_derivatives=_options.flag("input_derivatives", input_derivatives),
             chattering=_options.choice("chattering", chattering),
         )
         result = SimulationResult(**self._model.simulate(request))

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
+from ._keywords import explained
 from ._options import vector
 
 FloatArray = npt.NDArray[np.float64]
@@ -23,6 +24,7 @@ def _rows(name: str, value: npt.ArrayLike) -> FloatArray:
     return array
 
 
+@explained
 def quad_err(
     t_meas: npt.ArrayLike,
     y_meas: npt.ArrayLike,

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _options
+from ._keywords import explained
 from ._trajectory import SimulationStats
 
 __all__ = ["DenseOutput", "OdeResult", "solve"]
@@ -173,6 +174,7 @@ class OdeResult:
         return f"<OdeResult: {self.message} t = {self.end_time}, {n} states at {m} times, nfev = {self.nfev}>"
 
 
+@explained
 def solve(
     rhs: Callable[..., npt.ArrayLike],
     t_span: Sequence[SupportsFloat],
@@ -318,7 +320,7 @@ def solve(
         x0=x.tolist(),
         method=_options.solver(method, "method"),
         times=times,
-        dense_output=bool(dense_output),
+        dense_output=_options.flag("dense_output", dense_output),
         events=[(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(events))],
         on_event=None if on_event is None else bind(on_event),
         jacobian=bind(jac) if callable(jac) else jac,
