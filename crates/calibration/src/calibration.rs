@@ -123,7 +123,7 @@ impl CalibrationBuilder {
         }
         let mut warnings = Vec::new();
         for experiment in &experiments {
-            experiment.check_names(fmu.description(), &parameters)?;
+            experiment.check_start_values(fmu.description(), &parameters)?;
             warnings.extend(unused_columns(fmu.description(), experiment));
         }
         let identity = identity(&fmu, &experiments, &parameters, &settings)?;
@@ -188,6 +188,7 @@ impl Prepared {
         };
         let plan = SimulationPlan::new(fmu, &options)?;
         plan.require_single_numbers()?;
+        experiment.check_outputs(fmu.description(), parameters)?;
         let ignored = options.without_effect(plan.kind()).into_iter().map(SetupWarning::NoEffect);
         warnings.extend(ignored.filter(|warning| !warnings.contains(warning)).collect::<Vec<_>>());
         let pool = Pool::with_reference(Arc::new(plan), start)?;

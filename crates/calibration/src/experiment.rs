@@ -120,8 +120,8 @@ impl Experiment {
         Ok((time[rows].to_vec(), columns))
     }
 
-    /// Refuses a value for something that is fitted or driven, and outputs that are no results of the simulation.
-    pub(crate) fn check_names(
+    /// Refuses a value for something that is fitted or driven.
+    pub(crate) fn check_start_values(
         &self,
         description: &ModelDescription,
         parameters: &[Parameter],
@@ -149,10 +149,20 @@ impl Experiment {
                 )));
             }
         }
+        Ok(())
+    }
+
+    /// Refuses outputs that are no results of the simulation.
+    pub(crate) fn check_outputs(
+        &self,
+        description: &ModelDescription,
+        parameters: &[String],
+    ) -> Result<(), CalibrationError> {
+        let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
         for Measured { variable, column, .. } in &self.outputs {
             let Some(declared) = description.variable(variable) else { continue };
             let own = Some((declared.kind, declared.value_reference));
-            let is_fitted = parameters.iter().any(|p| reference(p.name()) == own);
+            let is_fitted = parameters.iter().any(|p| reference(p) == own);
             let what = match declared.causality {
                 Causality::Parameter if is_fitted => "a parameter that is fitted",
                 Causality::Parameter | Causality::StructuralParameter => "a parameter",

@@ -193,12 +193,17 @@ def test_a_parameter_that_moves_nothing_is_named(method):
     assert abs(fit.parameters["g"]) == pytest.approx(9.0, rel=1e-2)
 
 
-def test_a_budget_leaves_nothing_for_checks():
+def test_a_budget_is_that_of_the_search():
     fit = falling([gravity(), E]).fit(max_evaluations=12)
     # The first simplex has shown it already.
     assert (fit.nfev, fit.n_checks, fit.without_effect) == (12, 0, ["e"])
-    fit = falling([gravity(), E]).fit(method="de", rng=1, max_evaluations=40)
-    assert (fit.nfev, fit.n_checks, fit.without_effect) == (40, 0, [])
+    for method in ("de", "ga", "de-classic"):
+        fit = falling([gravity(), E]).fit(method=method, rng=1, max_evaluations=40)
+        assert (fit.nfev, fit.n_checks, fit.without_effect) == (40, 2, ["e"]) and len(fit.trace) == 40
+        near = decay({"time": TIME, "x": DECAY}, parameters=[Parameter("k", 1.0, 0.1, 1.5)])
+        assert near.fit(method=method, rng=1, max_evaluations=400).at_bound == {"k": "upper"}
+    fit = falling([gravity(), E]).fit(method="de", rng=1, max_evaluations=400, callback=lambda progress: progress.nit >= 3)
+    assert fit.termination == "stopped-by-observer" and fit.without_effect == ["e"]
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])

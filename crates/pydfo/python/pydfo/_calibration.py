@@ -417,7 +417,7 @@ class Calibration:
         f_tol : float
             Tolerance of the f test: difference between the worst and the best vertex as a fraction of the best cost.
         max_evaluations, max_iterations : int, optional
-            Exact limits of simulations and of iterations.
+            Exact limits of the search: simulations (those of `Fit.n_checks` come after it) and iterations.
         max_time : float, optional
             Limit of wall-clock time in s.
         target : float, optional
