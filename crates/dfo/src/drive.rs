@@ -137,16 +137,16 @@ pub(crate) fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limi
     over.then_some(Termination::MaxIterations)
 }
 
-/// What it means that the tests passed.
-fn converged(desk: &Desk) -> Termination {
+/// What it means that a method came to its own end.
+fn meaning(termination: Termination, desk: &Desk) -> Termination {
     let Ledger { trace, best, .. } = &desk.ledger;
     let first = trace.iter().find_map(|entry| entry.outcome.value());
     match (best, first) {
-        _ if trace.constant().is_some() => Termination::ConstantCost,
         (Some((_, best)), Some(first)) if *best < UNBOUNDED && *best < -2.0 * first.abs() => {
             Termination::Unbounded
         }
-        _ => Termination::Converged,
+        _ if termination == Termination::Converged && trace.constant().is_some() => Termination::ConstantCost,
+        _ => termination,
     }
 }
 
@@ -166,8 +166,7 @@ pub(crate) fn end<M: Method + ?Sized>(
         return Some(Some(Termination::Target));
     }
     match method.status() {
-        Status::Ended(Termination::Converged) => return Some(Some(converged(desk))),
-        Status::Ended(termination) => return Some(Some(termination)),
+        Status::Ended(termination) => return Some(Some(meaning(termination, desk))),
         Status::NoStart => return Some(None),
         Status::Running if broken => return Some(Some(Termination::StoppedByObserver)),
         Status::Running => {}

@@ -40,7 +40,7 @@ pub enum Termination {
     NotSaved(String),
     /// The tolerance tests passed, but every point had the same cost: nothing was learned.
     ConstantCost,
-    /// The tolerance tests passed where numbers end: the cost fell below -1e300, so it has no minimum.
+    /// The search ended where numbers end: the cost fell below -1e300, so it has no minimum.
     Unbounded,
 }
 
