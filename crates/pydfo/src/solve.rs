@@ -2,7 +2,7 @@
 
 use crate::error;
 use crate::interrupt::{Stop, Watch};
-use crate::py_system::{Event, JacobianSource, PySystem, matrix};
+use crate::py_system::{Event, JacobianSource, PySystem, SparseJacobian, is_sparse, matrix, sparse_entries};
 use crate::settings::time_limit;
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
@@ -142,13 +142,38 @@ impl<'py> Problem<'py> {
 
     fn system(&self, py: Python<'py>, stop: Arc<Stop>) -> PyResult<PySystem<'py>> {
         let n = self.x0.len();
+        let mut places = self.sparsity.clone();
         let jacobian = match &self.jacobian {
             None => JacobianSource::Differences,
-            Some(function) if function.is_callable() => JacobianSource::Function(function.clone()),
-            Some(given) => JacobianSource::Constant(constant(given, n, "jac")?),
+            Some(given) => {
+                // Where a function may return entries is not known without a pattern. What it raises here it raises again
+                // in the run.
+                let called = given.is_callable();
+                let first = match &places {
+                    Some(_) if called => given.call1((self.start, PyArray1::from_slice(py, &self.x0))).ok(),
+                    _ => None,
+                };
+                let matrix = if called { first.as_ref() } else { Some(given) };
+                match matrix.filter(|matrix| is_sparse(matrix)) {
+                    Some(matrix) => {
+                        let entries = sparse_entries(matrix, n)?;
+                        if let Some((i, k, v)) = entries.iter().find(|e| !called && !e.2.is_finite()) {
+                            return Err(PyValueError::new_err(format!("jac[{i}, {k}] = {v} must be finite")));
+                        }
+                        let own = || entries.iter().map(|(i, k, _)| (*i, *k)).collect();
+                        let places = places.get_or_insert_with(own).iter().copied().collect();
+                        let function = called.then(|| given.clone());
+                        let at = (self.start, self.x0.clone());
+                        let sparse = SparseJacobian { function, entries, at, places };
+                        sparse.check(&sparse.entries, self.start)?;
+                        JacobianSource::Sparse(sparse)
+                    }
+                    None if called => JacobianSource::Function(given.clone()),
+                    None => JacobianSource::Constant(constant(given, n, "jac")?),
+                }
+            }
         };
-        let pattern =
-            self.sparsity.as_ref().and_then(|places| JacobianPattern::new(n, places.iter().copied()));
+        let pattern = places.and_then(|places| JacobianPattern::new(n, places));
         let event = |(function, direction, terminal): &(Bound<'py, PyAny>, f64, usize)| Event {
             function: function.clone(),
             direction: match direction {

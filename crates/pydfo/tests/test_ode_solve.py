@@ -460,3 +460,56 @@ def test_many_states_take_no_matrix_where_none_is_needed() -> None:
 def test_samples_for_which_there_is_no_room_are_refused() -> None:
     with pytest.raises(MemoryError, match=r"t_eval: 10000000 times of 100000 states take 8000.0 GB"):
         ode.solve(lambda t, y: -y, (0, 1), np.ones(100_000), t_eval=np.linspace(0, 1, 10_000_000))
+
+
+@pytest.mark.parametrize("method", ["radau5", "bdf"])
+def test_sparse_jacobians_stay_sparse(method):
+    """Made dense they would take 20 GB."""
+    sparse = pytest.importorskip("scipy.sparse")
+    n = 50_000
+    rates = np.linspace(1.0, 1e4, n)
+    jacobian = sparse.diags([-rates, 0.1 * np.ones(n - 1)], [0, 1]).tocsr()
+    asked = []
+
+    def jac(t, y):
+        asked.append(t)
+        return jacobian
+
+    given = [{"jac_sparsity": abs(jacobian)}, {"jac": jacobian}, {"jac": jac, "jac_sparsity": jacobian}]
+    ends = []
+    for more in given:
+        res = ode.solve(lambda t, y: jacobian @ y, (0, 1e-3), np.ones(n), method, t_eval=[1e-3], rtol=1e-4, **more)
+        assert res.success, res.message
+        ends.append(res.y[:, -1])
+    assert asked
+    for end in ends:
+        assert end == pytest.approx(ends[1], rel=1e-3)
+    assert ends[1][-1] == pytest.approx(math.exp(-10.0), rel=0.1)
+
+
+def test_sparse_jacobians_without_a_pattern_may_change_it():
+    sparse = pytest.importorskip("scipy.sparse")
+    with pytest.raises(MemoryError, match="give the sparsity pattern of the Jacobian"):
+        n = 100_000
+        ode.solve(lambda t, y: -y, (0, 1), np.ones(n), "bdf", jac=lambda t, y: -sparse.eye(n))
+
+
+def test_sparse_jacobians_are_checked():
+    sparse = pytest.importorskip("scipy.sparse")
+
+    def growing(t, y):
+        return sparse.csr_matrix([[-1.0, 1.0 if t > 0.2 else 0.0], [0.0, -100.0]])
+
+    def solve(jac, **more):
+        return ode.solve(lambda t, y: [-y[0] + y[1], -100 * y[1]], (0, 5), [1.0, 1.0], "bdf", jac=jac, **more)
+
+    with pytest.raises(ValueError, match=r"jac has an entry at \[0, 1\] at t = .*, where jac_sparsity"):
+        solve(growing, jac_sparsity=sparse.eye(2))
+    with pytest.raises(ValueError, match=r"jac has an entry at \[0, 1\]"):
+        solve(sparse.csr_matrix([[-1.0, 1.0], [0.0, -100.0]]), jac_sparsity=sparse.eye(2))
+    with pytest.raises(ValueError, match=r"jac must have the shape \(2, 2\), not \(3, 3\)"):
+        solve(sparse.eye(3))
+    with pytest.raises(ValueError, match=r"jac\[0, 0\] = NaN must be finite"):
+        solve(sparse.csr_matrix([[math.nan, 0.0], [0.0, 1.0]]))
+    dense, both = (solve(jac) for jac in ([[-1.0, 1.0], [0.0, -100.0]], sparse.csr_matrix([[-1.0, 1.0], [0.0, -100.0]])))
+    assert both.y.tolist() == dense.y.tolist()

@@ -237,7 +237,8 @@ def solve(
         Absolute tolerance, in the units of the states; by default ``0.01 * rtol``. Positive.
     jac : callable or array_like, shape (n, n), optional
         ``jac(t, y)``, or the constant Jacobian: ``jac[i, k]`` is the derivative of ``rhs[i]`` with respect to ``y[k]``.
-        Sparse matrices are taken, too. By default differences.
+        By default differences. A constant sparse matrix stays sparse, and so do those that a function returns where
+        `jac_sparsity` is given; without it they are made dense. Entries where `jac_sparsity` has none are an error.
     jac_sparsity : array_like or sparse matrix, shape (n, n), optional
         Not zero where the Jacobian may differ from zero: columns that share no row then come from one difference.
     mass : array_like, shape (n, n), optional
@@ -391,7 +392,9 @@ def _tolerances(atol: npt.ArrayLike | None, rtol: float, n: int) -> list[float]:
 
 def _pattern(sparsity: Any, n: int) -> list[tuple[int, int]]:
     """The places of a matrix that are not zero."""
-    dense = np.asarray(sparsity.toarray() if hasattr(sparsity, "toarray") else sparsity)
-    if dense.shape != (n, n):
-        raise ValueError(f"jac_sparsity must have the shape ({n}, {n}), not {dense.shape}")
-    return [(int(i), int(k)) for i, k in zip(*np.nonzero(dense))]
+    # A sparse matrix has these two as well, and is not made dense.
+    matrix = sparsity if hasattr(sparsity, "tocoo") else np.asarray(sparsity)
+    if matrix.shape != (n, n):
+        raise ValueError(f"jac_sparsity must have the shape ({n}, {n}), not {matrix.shape}")
+    rows, columns = matrix.nonzero()
+    return list(zip(rows.tolist(), columns.tolist()))
