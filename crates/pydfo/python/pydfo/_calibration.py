@@ -75,7 +75,7 @@ def _pairs(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> 
         value = [value]
     if isinstance(value, Mapping):
         return [(_options.choice(name, variable), _options.choice(name, column)) for variable, column in value.items()]
-    if isinstance(value, Iterable):
+    if isinstance(value, Iterable) and not isinstance(value, (set, frozenset)):
         return [(_options.choice(name, variable), variable) for variable in value]
     raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {_options.show(value)}")
 
@@ -91,6 +91,8 @@ def _weights(
             if name not in known:
                 raise BadCalibrationError(f"weights: there is no output '{name}'; there are: {', '.join(known)}")
         return [(v, c, _options.number("weights", weights.get(v, 1.0))) for v, c in outputs]
+    if isinstance(weights, str) or not isinstance(weights, Iterable):
+        raise TypeError(f"weights must be a dict of outputs and numbers, or a number per output, not {_options.show(weights)}")
     numbers = [_options.number("weights", w) for w in weights]
     if len(numbers) != len(outputs):
         raise BadCalibrationError(f"{len(numbers)} weights for {len(outputs)} outputs")

@@ -201,6 +201,8 @@ def fmin(
     if not callable(func):
         hint = "; give the function itself, not the name of its file" if isinstance(func, str) else ""
         raise TypeError(f"func must be callable, not {func!r}{hint}")
+    for name, value in (("plot", plot), ("plot_conv", plot_conv), ("disp", disp), ("debug", debug)):
+        _options.flag(name, value)
     method = _algorithm(alg)
     if on_error not in ("raise", "fail"):
         raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")

@@ -343,7 +343,7 @@ def vector(name: str, value: npt.ArrayLike) -> FloatArray:
     """The argument `name` as a one-dimensional array; a number becomes an array of one."""
     try:
         array = np.asarray(value)
-        if array.dtype.kind == "c":
+        if array.dtype.kind in "cUSM":
             raise TypeError
         array = array.astype(np.float64)
     except (TypeError, ValueError):
