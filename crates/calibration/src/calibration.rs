@@ -4,10 +4,10 @@ use crate::data::Data;
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
 use crate::identity::identity;
-use crate::parameter::{Parameter, Scale};
+use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
-use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, unused_columns};
+use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, ignored_nominals, unused_columns};
 use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
 use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan, Trajectory};
 use ode::{ErrorKind, Method, Number, Stats, Termination};
@@ -126,13 +126,7 @@ impl CalibrationBuilder {
             experiment.check_start_values(fmu.description(), &parameters)?;
             warnings.extend(unused_columns(fmu.description(), experiment));
         }
-        let is_ignored = |p: &&Parameter| p.scale_kind() == Scale::Log && p.nominal_size().is_some();
-        warnings.extend(parameters.iter().filter(is_ignored).map(|p| {
-            SetupWarning::NoEffect(format!(
-                "nominal of parameter '{}' has no effect on a log scale",
-                p.name()
-            ))
-        }));
+        warnings.extend(ignored_nominals(&parameters));
         let identity = identity(&fmu, &experiments, &parameters, &settings)?;
         let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();

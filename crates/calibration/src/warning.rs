@@ -2,6 +2,7 @@
 
 use crate::data::sampling_interval;
 use crate::experiment::Experiment;
+use crate::parameter::{Parameter, Scale};
 use crate::time_column::parts;
 use fmi::ModelDescription;
 use fmi::description::Causality;
@@ -78,6 +79,13 @@ pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experi
         Some(SetupWarning::UnusedColumn { data, column: column.to_owned(), input })
     };
     data.all_names().filter(|column| !is_used(column)).filter_map(warning).collect()
+}
+
+/// Typical sizes that are not used, because a logarithmic scale has sizes of its own.
+pub(crate) fn ignored_nominals(parameters: &[Parameter]) -> impl Iterator<Item = SetupWarning> {
+    let is_ignored = |p: &&Parameter| p.scale_kind() == Scale::Log && p.nominal_size().is_some();
+    let warning = |p: &Parameter| format!("nominal of parameter '{}' has no effect on a log scale", p.name());
+    parameters.iter().filter(is_ignored).map(move |p| SetupWarning::NoEffect(warning(p)))
 }
 
 /// Inputs whose recordings leave more than one sampling interval of the simulation uncovered.
