@@ -292,7 +292,9 @@ def optional_number(name: str, value: SupportsFloat | SupportsIndex | None) -> f
 
 def flag(name: str, value: object) -> bool:
     """The argument `name`, which must be True or False (or 1 or 0)."""
-    if isinstance(value, (bool, np.bool_, int, np.integer)) and value in (0, 1):
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, (np.bool_, int, np.integer)) and value in (0, 1):
         return bool(value)
     raise TypeError(f"{name} must be True or False, not {show(value)}")
 
@@ -340,17 +342,17 @@ def all_cores() -> int:
 
 
 def vector(name: str, value: npt.ArrayLike) -> FloatArray:
-    """The argument `name` as a one-dimensional array; a number becomes an array of one."""
+    """The argument `name` as a one-dimensional, contiguous array of floats, itself if it is one; a number becomes one."""
     try:
         array = np.asarray(value)
         if array.dtype.kind in "cUSM":
             raise TypeError
-        array = array.astype(np.float64)
+        array = np.ascontiguousarray(array, dtype=np.float64)
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be numbers, not {show(value)}") from None
     if array.ndim > 1:
         raise ValueError(f"{name} must be one-dimensional, not of shape {array.shape}")
-    return np.atleast_1d(array)
+    return array
 
 
 def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: int, default: float) -> FloatArray:
@@ -363,7 +365,7 @@ def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: in
         return np.full(n, array[0])
     if len(array) != n:
         raise ValueError(f"{name} has {len(array)} values for {n} parameters")
-    return array
+    return array.copy()
 
 
 def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | None, list[float] | None]:
@@ -386,7 +388,7 @@ def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | No
 
 def names(argument: str, given: Iterable[str]) -> list[str]:
     """The argument `argument`, which must be names."""
-    if isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable):
+    if not isinstance(given, list) and (isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable)):
         raise TypeError(f"{argument} must be a name or a list of names, not {show(given)}")
     listed = list(given)
     for name in listed:
