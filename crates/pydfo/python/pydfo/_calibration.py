@@ -172,7 +172,8 @@ class Calibration:
     -----
     CalibrationWarning
         A column that is not used has the name of an input that nothing drives; the recording of an input does not cover the
-        simulation, outside of it the first and the last value are held; values set in an FMUModel do not count.
+        simulation, outside of it the first and the last value are held; values set in an FMUModel do not count; a setting
+        has no effect (`step_size` with a solver that chooses its steps itself, `max_step` with one that does not, ...).
 
     Raises
     ------

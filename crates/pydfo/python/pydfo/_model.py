@@ -352,7 +352,7 @@ class FMUModel:
             - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
 
             Tables are linear between rows for continuous Real inputs, and held for all others; a time listed twice is a
-            jump. Jumps are events. Functions can drive continuous Real inputs and should be smooth. Of a triggered clock
+            jump. Jumps are events, and a step ends at every row where the slope changes: no pulse is too short to be seen. Functions can drive continuous Real inputs and should be smooth. Of a triggered clock
             (FMI 3.0) the rows that hold True are its ticks; a clock with an interval that can be deactivated leaves its
             ticks out where it holds False.
         output : str or iterable of str, optional
@@ -399,6 +399,12 @@ class FMUModel:
         -------
         SimulationResult
             Its columns hold what the model says, NaN and infinities too; derivatives and states that are none end in an error.
+
+        Warns
+        -----
+        UserWarning
+            A setting has no effect: `step_size` with a solver that chooses its steps itself, `max_step` with one that does
+            not, `solver` and `max_step` in co-simulation.
 
         Raises
         ------

@@ -206,7 +206,8 @@ def solve(
     ----------
     rhs : callable
         ``rhs(t, y) -> array_like, shape (n,)``. The arrays it is given are its to keep. Where it returns NaN or infinity
-        (the logarithm of a negative number, say) a smaller step is tried.
+        (the logarithm of a negative number, say) a smaller step is tried. A pulse in it that is shorter than the steps can
+        be missed: give an event function that crosses zero where it begins and ends, or `max_step`.
     t_span : (float, float)
         Start and end. The end must not lie before the start.
     x0 : array_like, shape (n,)
@@ -272,6 +273,11 @@ def solve(
         With fields ``t``, ``y``, ``t_events``, ``y_events``, ``sol``, ``status``, ``message``, ``success``, ``nfev``,
         ``njev``, ``nlu`` and ``stats``. An integration that fails (steps too small, a limit) has ``success=False``, says
         why in ``message``, and holds what was reached.
+
+    Warns
+    -----
+    UserWarning
+        An argument has no effect with this method (`step` where it chooses its steps itself, `jac` where it is explicit).
 
     Raises
     ------
