@@ -130,6 +130,18 @@ fn signals_are_handled_as_before() {
 }
 
 #[test]
+fn the_working_directory_is_put_back() {
+    let before = std::env::current_dir().unwrap();
+    for place in [INSTANTIATE, DERIVATIVES, FREE] {
+        let folder = both_kinds(&[&format!("DIRECTORY_IN={place}")]);
+        let fmu = folder.open();
+        fmu.simulate(&SimulateOptions::new().ncp(10).kind(Kind::ModelExchange)).unwrap();
+        drop(fmu);
+        assert_eq!(std::env::current_dir().unwrap(), before, "{place}");
+    }
+}
+
+#[test]
 fn messages_of_a_thread_that_outlives_its_instance_go_nowhere_bad() {
     let folder = evil(&["LOGS_LATE"]);
     let fmu = folder.open();

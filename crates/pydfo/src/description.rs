@@ -74,6 +74,7 @@ impl Fmu {
             Reuse::Restore => "restore",
             Reuse::Reset => "reset",
             Reuse::Reinstantiate => "reinstantiate",
+            Reuse::Reload => "reload",
             _ => "other",
         })
     }

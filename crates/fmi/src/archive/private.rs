@@ -10,7 +10,7 @@ use std::sync::Once;
 use std::time::Duration;
 use tempfile::TempDir;
 
-const PREFIX: &str = "fmufit-";
+const PREFIX: &str = platform::PRIVATE_PREFIX;
 const INSIDE: &str = "fmu";
 const LOCK: &str = "lock";
 

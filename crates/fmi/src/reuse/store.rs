@@ -6,7 +6,8 @@
 use super::copies::{Home, LoadedCopy};
 use super::record::Defaults;
 use super::verdict::Verdicts;
-use super::{Sharing, files, linkage};
+use super::{Reuse, Sharing, files, linkage};
+use crate::archive::Snapshot;
 use crate::error::FmiError;
 use crate::open_options::LoaderOptions;
 use crate::platform::{self, FileIdentity, FilePlace};
@@ -14,7 +15,7 @@ use crate::sys::{InterfaceKind, Library, LoadFrom};
 use std::collections::HashMap;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 
@@ -110,6 +111,12 @@ pub(crate) struct CopyStore {
     waiting: AtomicUsize,
     /// Why copies would share static variables, where they would.
     shared_state: OnceLock<Option<String>>,
+    /// Whether copies that are not needed any more can be unloaded.
+    may_unload: OnceLock<bool>,
+    /// The resources before anything was run.
+    resources: OnceLock<Snapshot>,
+    /// Copies have resources of their own: the model writes into them.
+    private_resources: AtomicBool,
     /// What is known about resetting its instances.
     pub(crate) verdicts: Verdicts,
     /// What new instances answer for the variables that were ever set.
@@ -147,8 +154,9 @@ struct Loan {
 /// A loaded copy on loan to one owner, for as long as it has instances; given back on drop, after them.
 pub(crate) struct CopyLease {
     store: Arc<CopyStore>,
-    copy: Arc<LoadedCopy>,
     library: Arc<Library>,
+    /// After the library: a copy that is unloaded takes its folder with it.
+    copy: Arc<LoadedCopy>,
     id: u64,
 }
 
@@ -236,6 +244,9 @@ impl CopyStore {
             changed: Condvar::new(),
             waiting: AtomicUsize::new(0),
             shared_state: OnceLock::new(),
+            may_unload: OnceLock::new(),
+            resources: OnceLock::new(),
+            private_resources: AtomicBool::new(false),
             verdicts: Verdicts::default(),
             defaults: Mutex::default(),
         }
@@ -336,6 +347,12 @@ impl CopyStore {
         let source = self.state().source.clone();
         // Read from the file before anything of it is run, and before the lock: it takes a while.
         let reason = source.as_ref().and_then(|source| self.shared_state(source)).map(str::to_owned);
+        if let Some(source) = &source {
+            self.resources.get_or_init(|| Snapshot::of(&source.root.join("resources")));
+        }
+        if self.verdicts.reuse(request.kind) == Some(Reuse::Reload) {
+            self.discard_used();
+        }
         let mut state = self.state();
         let Some(source) = source else { return Move::Free(Vec::new()) };
         if let Some(reason) = reason
@@ -382,6 +399,13 @@ impl CopyStore {
         Move::Free(all)
     }
 
+    /// Gives up the idle copies that were used: their state is not that of a new one.
+    fn discard_used(&self) {
+        let used: Vec<_> = self.state().idle.extract_if(.., |copy| copy.is_used()).collect();
+        let may_unload = !used.is_empty() && self.may_unload();
+        used.iter().filter(|_| may_unload).for_each(|copy| copy.unload_when_unused());
+    }
+
     /// Loads the original file, or a copy of it.
     fn make(
         &self,
@@ -397,7 +421,7 @@ impl CopyStore {
             // What is left is unusable.
             return Err(FmiError::NoCopy { library: source.library.clone(), reason: reason.to_owned() });
         }
-        let (path, folder) = files::copy(source)?;
+        let (path, folder) = files::copy(source, self.private_resources.load(Ordering::Relaxed))?;
         let library = (request.open)(LoadFrom::File(&path))?;
         Ok(LoadedCopy::new(library, request.kind, Some(Arc::new(folder))))
     }
@@ -486,7 +510,7 @@ impl CopyStore {
             state.loans[place].holders.retain(|(known, _)| *known != id);
             if state.loans[place].holders.is_empty() {
                 let loan = state.loans.swap_remove(place);
-                if !copy.is_fatal() {
+                if !copy.is_fatal() && !copy.is_retired() {
                     state.idle.push(loan.copy);
                 }
             }
@@ -514,6 +538,36 @@ impl CopyStore {
         self.shared_state.get_or_init(read).as_deref()
     }
 
+    /// Whether copies that are not needed any more can be unloaded.
+    fn may_unload(&self) -> bool {
+        let Some(source) = self.state().source.clone() else { return false };
+        *self.may_unload.get_or_init(|| linkage::may_be_unloaded(&source.library))
+    }
+
+    /// A file below the resources that was written, made or removed since the library was loaded, where all copies share them.
+    pub(crate) fn written_resource(&self) -> Option<PathBuf> {
+        match self.private_resources.load(Ordering::Relaxed) {
+            true => None,
+            false => self.resources.get()?.first_change(),
+        }
+    }
+
+    /// Has copies made with resources of their own from now on.
+    pub(crate) fn set_private_resources(&self) {
+        self.private_resources.store(true, Ordering::Relaxed);
+    }
+
+    /// Where instances of a loaded copy find the resources: `shared`, or in the folder of the copy.
+    pub(crate) fn resources_of(&self, library: &Path, shared: PathBuf) -> PathBuf {
+        if !self.private_resources.load(Ordering::Relaxed) {
+            return shared;
+        }
+        match &self.state().source {
+            Some(source) if source.library != library => files::root_of(library, source).join("resources"),
+            _ => shared,
+        }
+    }
+
     /// How owners that ask for copies share the process.
     pub(crate) fn sharing(&self) -> Sharing {
         let source = self.state().source.clone();
@@ -524,11 +578,6 @@ impl CopyStore {
     /// Whether a new copy could be loaded, as far as is known.
     pub(crate) fn may_copy(&self) -> bool {
         self.sharing() == Sharing::Copies && self.state().refused.is_none()
-    }
-
-    /// Has all owners go one at a time from now on.
-    pub(crate) fn set_one_at_a_time(&self, reason: String) {
-        self.state().one_at_a_time.get_or_insert(reason);
     }
 
     #[cold]
@@ -571,6 +620,14 @@ impl CopyLease {
     /// The copy.
     pub(crate) fn copy(&self) -> &LoadedCopy {
         &self.copy
+    }
+
+    /// Gives the copy up for good, where it can be unloaded; else it is kept for others.
+    pub(crate) fn retire(self) {
+        if self.store.may_unload() {
+            self.copy.free_idle();
+            self.copy.unload_when_unused();
+        }
     }
 
     /// The copies of this library.
