@@ -72,6 +72,22 @@ fn a_change_of_the_plan_is_looked_at() {
     assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);
 }
 
+/// The fourth run is none of those that are made again.
+#[test]
+fn all_copies_of_a_pool_can_be_looked_at() {
+    let plan = |fmu: &Fmu| Arc::new(SimulationPlan::new(fmu, &options().parameters(["k"])).unwrap());
+    for (fault, expected) in [("REMEMBERS=1.5", true), ("REMEMBERS_IN_INSTANCE=1.5", true), ("NONE", false)] {
+        let folder = evil(&[fault]);
+        let pool = Pool::new(plan(&folder.open()));
+        for k in [1.0, 1.0, 1.0, 2.0] {
+            pool.lend().unwrap().run(&[k], &mut Ignore).unwrap();
+        }
+        assert_eq!(pool.depends_on_history(&[1.0], &|| true).unwrap(), false);
+        assert_eq!(pool.depends_on_history(&[1.0], &|| false).unwrap(), expected, "{fault}");
+        assert!(!pool.depends_on_history(&[1.0], &|| false).unwrap());
+    }
+}
+
 #[test]
 fn an_honest_model_is_left_alone() {
     let folder = evil(&[]);
