@@ -22,6 +22,9 @@ use std::time::Duration;
 /// The stores of this process, which loaded libraries do not leave either.
 static STORES: Mutex<Option<HashMap<Key, Arc<CopyStore>>>> = Mutex::new(None);
 
+/// Idle copies that stay ready: more than a machine has cores, as a rule.
+const KEPT_IDLE: usize = 64;
+
 /// How long a thread that waits for a copy does not look whether it is to go on waiting.
 const PATIENCE: Duration = Duration::from_millis(20);
 
@@ -139,6 +142,8 @@ struct State {
     one_at_a_time: Option<String>,
     /// Why no further copy could be made.
     refused: Option<String>,
+    /// Copies in use then.
+    n_refused: usize,
     last_lease: u64,
     /// Counts what a waiting owner waits for.
     changes: u64,
@@ -456,6 +461,7 @@ impl CopyStore {
                     log::warn!("{}: {reason}", library.unwrap_or_default());
                 }
                 state.refused = Some(reason.clone());
+                state.n_refused = state.loans.len();
                 let library = state.source.as_ref().map(|source| source.library.clone()).unwrap_or_default();
                 if nothing_there {
                     let reason = format!("those that were loaded have answered fatal, and {reason}");
@@ -506,16 +512,31 @@ impl CopyStore {
     fn give_back(&self, copy: &Arc<LoadedCopy>, id: u64) {
         let mut state = self.state();
         let place = state.loans.iter().position(|loan| Arc::ptr_eq(&loan.copy, copy));
+        let mut surplus = None;
         if let Some(place) = place {
             state.loans[place].holders.retain(|(known, _)| *known != id);
             if state.loans[place].holders.is_empty() {
                 let loan = state.loans.swap_remove(place);
                 if !copy.is_fatal() && !copy.is_retired() {
                     state.idle.push(loan.copy);
+                    surplus = state.surplus();
+                }
+                if state.loans.len() < state.n_refused / 2 {
+                    // What was used up is free again.
+                    state.refused = None;
                 }
             }
         }
         drop(state);
+        if let Some(surplus) = surplus {
+            surplus.free_idle();
+            if self.may_unload() {
+                surplus.unload_when_unused();
+                self.state().idle.retain(|copy| !Arc::ptr_eq(copy, &surplus));
+            } else {
+                surplus.leave_home();
+            }
+        }
         self.notify();
     }
 
@@ -595,6 +616,14 @@ impl CopyStore {
 }
 
 impl State {
+    /// An idle copy beyond those that are kept ready, which still has its folder.
+    fn surplus(&self) -> Option<Arc<LoadedCopy>> {
+        if self.idle.len() <= KEPT_IDLE {
+            return None;
+        }
+        self.idle.iter().find(|copy| copy.home().is_some()).cloned()
+    }
+
     /// Notes a holder of a copy.
     fn loan(&mut self, copy: &Arc<LoadedCopy>, request: &CopyRequest<'_>) -> u64 {
         self.last_lease += 1;

@@ -130,7 +130,8 @@ impl Drop for Library {
     fn drop(&mut self) {
         let retired = self.retired.get_mut().unwrap_or_else(PoisonError::into_inner);
         let closes = self.handle.closes() && Arc::strong_count(&self.handle) == 1;
-        if closes {
+        // Others may have opened the same file with other options.
+        if closes && Arc::strong_count(&self.shared) <= 2 {
             // Before the file can go, whose place on the disk may be given to another.
             Shared::forget(&self.path);
         }
