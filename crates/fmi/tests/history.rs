@@ -82,7 +82,7 @@ fn all_copies_of_a_pool_can_be_looked_at() {
         for k in [1.0, 1.0, 1.0, 2.0] {
             pool.lend().unwrap().run(&[k], &mut Ignore).unwrap();
         }
-        assert_eq!(pool.depends_on_history(&[1.0], &|| true).unwrap(), false);
+        assert!(!pool.depends_on_history(&[1.0], &|| true).unwrap());
         assert_eq!(pool.depends_on_history(&[1.0], &|| false).unwrap(), expected, "{fault}");
         assert!(!pool.depends_on_history(&[1.0], &|| false).unwrap());
     }

@@ -1,7 +1,7 @@
 //! The files of a copy of a library: a file of its own, for which the loader makes static variables of its own, and around it
 //! what the library may look for from where it lies.
 
-use super::store::Source;
+use super::source::Source;
 use crate::archive::{PrivateFolder, files_below};
 use crate::error::FmiError;
 use crate::platform::{self, BinaryHeader};

@@ -4,7 +4,7 @@
 //! In each copy these are the runs with 1, 2, 4, 8, ... others before them, and those after the first, second, fourth, ...
 //! change of the plan. The result of such a run is that of the new copy.
 
-use super::store::CopyLease;
+use super::lease::CopyLease;
 use super::{Digest, Reuse, Sharing};
 use crate::description::QuirkKind;
 use crate::error::FmiError;

@@ -3,7 +3,9 @@
 //! value or to what a new instance answers in which nothing was set.
 
 use super::Sharing;
-use super::store::{CopyLease, CopyRequest, CopyStore};
+use super::lease::CopyLease;
+use super::store::CopyStore;
+use super::tenant::CopyRequest;
 use crate::assign::{Assignments, check_settable_at_start, convert};
 use crate::description::{Causality, QuirkKind, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;

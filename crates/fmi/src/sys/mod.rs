@@ -46,14 +46,15 @@ mod fmi3_numbers;
 mod fmi3_values;
 mod functions;
 mod library;
+mod log_lines;
 mod packed;
 mod platform;
 mod raw_instance;
 mod shared;
 
-pub use callbacks::{LogFilter, LogLine};
 pub(crate) use environment::{CallEnvironment, look_now_and_then};
 pub(crate) use library::{Library, LoadFrom};
+pub use log_lines::{LogFilter, LogLine};
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
 pub(crate) use shared::Shared;
 
