@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, SupportsFloat
+from typing import Any, Literal, NamedTuple, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +24,8 @@ _log = _logging.getLogger("pydfo")
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(slots=True)
-class Request:
-    """What a simulation is told, as the native code reads it; None leaves it to the model."""
+class Request(NamedTuple):
+    """What a simulation is told, as the native code reads it, in this order; None leaves it to the model."""
 
     start_time: float | None
     final_time: float | None
@@ -420,21 +419,21 @@ class FMUModel:
             final_time = stop_time
         tables, functions = _inputs.normalize(input, self.description.inputs) if input is not None else ([], [])
         request = Request(
-            start_time=_number("start_time", start_time),
-            final_time=_number("final_time", final_time),
-            times=None if times is None else np.ascontiguousarray(_options.vector("times", times)),
-            output_interval=_number("output_interval", output_interval),
+            start_time=_options.optional_number("start_time", start_time),
+            final_time=_options.optional_number("final_time", final_time),
+            times=None if times is None else _options.vector("times", times),
+            output_interval=_options.optional_number("output_interval", output_interval),
             ncp=_options.limit("ncp", ncp, 1),
             start_values=_options.pairs("start_values", start_values),
             clock_intervals=_intervals(clock_intervals),
             outputs=self._outputs(output),
             tables=tables,
             functions=functions,
-            relative_tolerance=_number("relative_tolerance", relative_tolerance),
+            relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
             solver=_options.solver(solver),
-            step_size=_number("step_size", step_size),
-            max_step=_number("max_step", max_step),
-            timeout=_number("timeout", timeout),
+            step_size=_options.optional_number("step_size", step_size),
+            max_step=_options.optional_number("max_step", max_step),
+            timeout=_options.optional_number("timeout", timeout),
             record_events=bool(record_events),
             input_derivatives=bool(input_derivatives),
             chattering=_options.choice("chattering", chattering),
@@ -472,10 +471,6 @@ class FMUModel:
         d = self.description
         closed = ", closed" if self._model.closed else ""
         return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} {self.kind}, {d.n_states} states, {str(self.path)!r}{closed}>"
-
-
-def _number(argument: str, value: SupportsFloat | None) -> float | None:
-    return _options.optional_number(argument, value)
 
 
 def _intervals(

@@ -348,17 +348,17 @@ def all_cores() -> int:
 
 
 def vector(name: str, value: npt.ArrayLike) -> FloatArray:
-    """The argument `name` as a one-dimensional array; a number becomes an array of one."""
+    """The argument `name` as a one-dimensional, contiguous array of floats, itself if it is one; a number becomes one."""
     try:
         array = np.asarray(value)
         if array.dtype.kind == "c":
             raise TypeError
-        array = array.astype(np.float64)
+        array = np.ascontiguousarray(array, dtype=np.float64)
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be numbers, not {show(value)}") from None
     if array.ndim > 1:
         raise ValueError(f"{name} must be one-dimensional, not of shape {array.shape}")
-    return np.atleast_1d(array)
+    return array
 
 
 def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: int, default: float) -> FloatArray:
@@ -371,7 +371,7 @@ def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: in
         return np.full(n, array[0])
     if len(array) != n:
         raise ValueError(f"{name} has {len(array)} values for {n} parameters")
-    return array
+    return array.copy()
 
 
 def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | None, list[float] | None]:
@@ -394,7 +394,7 @@ def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | No
 
 def names(argument: str, given: Iterable[str]) -> list[str]:
     """The argument `argument`, which must be names."""
-    if isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable):
+    if not isinstance(given, list) and (isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable)):
         raise TypeError(f"{argument} must be a name or a list of names, not {show(given)}")
     listed = list(given)
     for name in listed:

@@ -66,11 +66,11 @@ def quad_err(
     5.0
     """
     measured, simulated = _rows("y_meas", y_meas), _rows("y_sim", y_sim)
-    weights = None if w is None else np.ascontiguousarray(vector("w", w))
+    weights = None if w is None else vector("w", w)
     return _core.quad_err(
-        np.ascontiguousarray(vector("t_meas", t_meas)),
+        vector("t_meas", t_meas),
         measured,
-        np.ascontiguousarray(vector("t_sim", t_sim)),
+        vector("t_sim", t_sim),
         simulated,
         weights,
     )
