@@ -9,6 +9,7 @@ use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, ignored_nominals, unused_columns};
 use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
+use fmi::platform::without_private_folders;
 use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan, Trajectory};
 use ode::{ErrorKind, Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
@@ -353,6 +354,19 @@ impl Calibration {
         Ok(())
     }
 
+    /// How often simulations of the model were found to depend on earlier ones.
+    pub(crate) fn n_history_findings(&self) -> u64 {
+        self.fmu.n_history_findings(self.pool_of_settings(0).plan().kind())
+    }
+
+    /// Whether the simulations at `x` are found to depend on earlier ones: each is made in all copies of the library that a fit has
+    /// used, and in new ones.
+    pub(crate) fn depends_on_history(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> bool {
+        let found = |k: usize| self.pool(k, cancelled).map(|pool| pool.depends_on_history(x, cancelled));
+        // A run that fails here, after it has not before, depends on something else than its parameters.
+        (0..self.experiments.len()).any(|k| matches!(found(k), Ok(Ok(true))))
+    }
+
     pub(crate) fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
         if x.len() == self.parameters.len() {
             return Ok(());
@@ -486,6 +500,7 @@ pub(crate) fn no_cost(error: FmiError) -> NoCost {
         },
         other => call_reason(other),
     };
+    let reason = without_private_folders(&reason);
     NoCost::Failed { kind, reason, source: Some(Box::new(error)) }
 }
 

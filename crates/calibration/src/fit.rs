@@ -7,7 +7,7 @@ use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
 use dfo::{
     AnyMethod, ByRef, Checkpoint, Evaluation, Kind, Limits, Measure, NelderMead, Objective, Outcome,
-    Progress, Report, Stop, Tolerances, Transform,
+    Progress, Report, Resume, Stop, Tolerances, Transform,
 };
 use ode::Number;
 use ode::Stats;
@@ -18,6 +18,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
 use std::time::Instant;
+
+/// Why a fit begins anew.
+const HISTORY: &str = "the fit's simulations were found to depend on earlier ones (a state that the model keeps and no variable shows)";
 
 /// Called after each iteration; `Break` ends the fit.
 pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
@@ -118,6 +121,9 @@ pub struct Fit {
     /// show it, because they differ in one parameter alone). They are none of the run's evaluations, which its budget
     /// counts, are not made after an interrupt or when the time is up, and are part of `stats`.
     pub n_checks: usize,
+    /// How often the fit was begun: more than once where a simulation was found to depend on earlier ones
+    /// ([`Fmu::n_history_findings`](fmi::Fmu::n_history_findings)). Its budget of evaluations counts from the last beginning.
+    pub n_beginnings: usize,
     /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
     /// Those that failed or were given up count, those of a resumed fit from before do not.
     pub stats: Stats,
@@ -150,6 +156,8 @@ struct Counted<'a> {
     calibration: &'a Calibration,
     cutoffs: bool,
     stats: Mutex<Stats>,
+    /// Findings before the run.
+    n_findings: u64,
 }
 
 impl Counted<'_> {
@@ -158,6 +166,9 @@ impl Counted<'_> {
         let outcome = evaluate(&mut stats);
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
         *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
+        if self.calibration.n_history_findings() > self.n_findings {
+            return Outcome::Abort(HISTORY.to_owned());
+        }
         outcome
     }
 }
@@ -192,7 +203,7 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit(&self, options: FitOptions<'_>) -> Result<Fit, CalibrationError> {
-        let FitOptions { method, workers, start, tolerances, limits, observer, poll, .. } = options;
+        let FitOptions { workers, start, tolerances, mut observer, poll, .. } = options;
         let poll = RefCell::new(poll);
         let workers = workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
@@ -209,56 +220,79 @@ impl Calibration {
         let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
         let sizes: Vec<f64> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.size_of(p, *x)).collect();
-        if let Some(checkpoint) = &options.checkpoint {
+        let mut checkpoint = options.checkpoint;
+        if let Some(checkpoint) = &checkpoint {
             self.adopt_solver(checkpoint)?;
         }
         // The race and the model's first-use test are not part of the time that the fit is given.
         let solver = self.find_solver(poll.borrow_mut().as_deref_mut())?;
         self.prepare()?;
-        let late = limits.max_time.and_then(|limit| Instant::now().checked_add(limit));
-        let counted = Counted { calibration: self, cutoffs: options.cutoffs, stats: Mutex::default() };
-        let mut run = dfo::minimize(ByRef(&counted))
-            .start(&start)
-            .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
-            .map_err(|e| self.name_parameter(e))?
-            .transforms(&transforms)
-            .kinds(&kinds)
-            .scales(&sizes)
-            .tolerances(tolerances)
-            .limits(limits)
-            .problem(self.problem(solver))
-            .known(options.known, options.known_problem)
-            .workers(workers)
-            .method(method);
-        if let Some(seed) = options.seed {
-            run = run.seed(seed);
-        }
-        if let Some(evaluations) = options.cache {
-            run = run.cache(evaluations);
-        }
-        if let Some(evaluations) = options.trace_limit {
-            run = run.trace_limit(evaluations);
-        }
-        if let Some(checkpoint) = options.checkpoint {
-            run = run.checkpoint(self.tag(checkpoint, solver));
-        }
-        if let Some(observer) = observer {
-            run = run.observer(observer);
-        }
-        if poll.borrow().is_some() {
-            run = run.poll(|| poll.borrow_mut().as_mut().is_some_and(|poll| poll()));
-        }
-        if let Some(flag) = &options.cancel {
-            run = run.cancel(Arc::clone(flag));
-        }
-        let mut report = run.run().map_err(|e| self.name_parameter(e))?;
-        let mut stats = *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
+        let late = options.limits.max_time.and_then(|limit| Instant::now().checked_add(limit));
         let is_late = || late.is_some_and(|late| Instant::now() >= late);
         let is_flagged = || options.cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
         let cancelled = || is_late() || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
-        let run = (start.as_slice(), &report);
-        let found = self.findings(run, &tolerances, &cancelled, &mut stats);
+        let (mut known_problem, mut stats, mut n_beginnings) = (options.known_problem, Stats::default(), 0);
+        let (mut report, found) = loop {
+            n_beginnings += 1;
+            let n_findings = self.n_history_findings();
+            let counted =
+                Counted { calibration: self, cutoffs: options.cutoffs, stats: Mutex::default(), n_findings };
+            let left = late.map(|late| late.saturating_duration_since(Instant::now()));
+            let mut run = dfo::minimize(ByRef(&counted))
+                .start(&start)
+                .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
+                .map_err(|e| self.name_parameter(e))?
+                .transforms(&transforms)
+                .kinds(&kinds)
+                .scales(&sizes)
+                .tolerances(tolerances)
+                .limits(Limits { max_time: left.or(options.limits.max_time), ..options.limits })
+                .problem(self.problem(solver))
+                .known(options.known.clone(), known_problem.take())
+                .workers(workers)
+                .method(options.method.clone());
+            if let Some(seed) = options.seed {
+                run = run.seed(seed);
+            }
+            if let Some(evaluations) = options.cache {
+                run = run.cache(evaluations);
+            }
+            if let Some(evaluations) = options.trace_limit {
+                run = run.trace_limit(evaluations);
+            }
+            if let Some(checkpoint) = checkpoint.clone() {
+                run = run.checkpoint(self.tag(checkpoint, solver));
+            }
+            if let Some(observer) = &mut observer {
+                run = run.observer(|progress| observer(progress));
+            }
+            if poll.borrow().is_some() {
+                run = run.poll(|| poll.borrow_mut().as_mut().is_some_and(|poll| poll()));
+            }
+            if let Some(flag) = &options.cancel {
+                run = run.cancel(Arc::clone(flag));
+            }
+            let outcome = run.run();
+            stats += *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
+            let is_sound = || self.n_history_findings() == n_findings;
+            if is_sound() || cancelled() {
+                let report = outcome.map_err(|e| self.name_parameter(e))?;
+                if cancelled() || !self.depends_on_history(&report.x, &cancelled) {
+                    let of_run = (start.as_slice(), &report);
+                    let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
+                    if is_sound() || cancelled() {
+                        break (report, found);
+                    }
+                }
+            }
+            log::warn!("{}: {HISTORY}: it begins anew", self.fmu().description().model_name);
+            // What was stored, here or by an earlier fit, may depend on what ran before.
+            checkpoint = checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
+        };
         report.message += &self.remarks(&found);
+        if n_beginnings > 1 {
+            report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
+        }
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let rms = (report.fun / self.n_residuals() as f64).sqrt();
@@ -272,6 +306,7 @@ impl Calibration {
             at_bound: found.at_bound,
             without_effect: found.without_effect,
             n_checks: found.n_checks,
+            n_beginnings,
             stats,
             solver: solver.clone(),
             report,

@@ -113,7 +113,13 @@ impl Calibration {
         let method = self.method_of_settings();
         let integrates = self.pool_of_settings(0).plan().kind() == InterfaceKind::ModelExchange;
         let solver = if method == Method::Auto && integrates {
-            let race = self.race(cancelled)?;
+            let race = loop {
+                let before = self.n_history_findings();
+                let race = self.race(cancelled)?;
+                if self.n_history_findings() == before {
+                    break race;
+                }
+            };
             Solver { method: race.method, race: Some(race) }
         } else {
             Solver { method, race: None }

@@ -4,60 +4,11 @@
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
-use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, SimulationSettings};
-use dfo::{DifferentialEvolution, Limits, Termination};
+mod support;
+
+use dfo::Termination;
 use fmi::Fmu;
-use std::path::Path;
-use std::process::Command;
-
-/// x' = -k x with these faults (see the source).
-fn faulty(defines: &[&str]) -> tempfile::TempDir {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fmi");
-    let folder = tempfile::tempdir().unwrap();
-    let description = source.join("tests/evil/modelDescription.xml");
-    std::fs::copy(description, folder.path().join("modelDescription.xml")).unwrap();
-    let binaries = folder.path().join("binaries");
-    let place = binaries.join(&fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits)[0]);
-    std::fs::create_dir_all(&place).unwrap();
-    let compiled = Command::new("cc")
-        .args(["-shared", "-fPIC", "-O1", "-ffp-contract=off", "-o"])
-        .arg(place.join("evil.so"))
-        .args(defines.iter().map(|define| format!("-D{define}")))
-        .arg("-I")
-        .arg(source.join("models/frontend"))
-        .arg(source.join("tests/evil/evil.c"))
-        .arg("-lm")
-        .status()
-        .unwrap();
-    assert!(compiled.success());
-    folder
-}
-
-fn calibration(fmu: Fmu, sharing: fmi::Sharing) -> Calibration {
-    let t = vec![0.0, 0.25, 0.5, 1.0];
-    let y = t.iter().map(|t: &f64| (-1.7 * t).exp()).collect();
-    Calibration::builder(fmu)
-        .experiment(Experiment::new(Data::from_columns(t, [("y".to_owned(), y)]).unwrap()).output("y", "y"))
-        .parameter(Parameter::new("k", 1.0).bounds(0.1, 5.0))
-        .settings(SimulationSettings { sharing, ..SimulationSettings::default() })
-        .build()
-        .unwrap()
-}
-
-fn fit(calibration: &Calibration, workers: usize, evaluations: usize) -> Fit {
-    let options = FitOptions {
-        method: DifferentialEvolution::default().into(),
-        limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
-        workers: Some(workers),
-        seed: Some(5),
-        ..FitOptions::default()
-    };
-    calibration.fit(options).unwrap()
-}
-
-fn costs(fit: &Fit) -> Vec<Option<u64>> {
-    fit.report.trace.iter().map(|entry| entry.outcome.value().map(f64::to_bits)).collect()
-}
+use support::{calibration, costs, faulty, fit};
 
 #[test]
 fn fatal_costs_no_more_than_an_error() {

@@ -22,7 +22,7 @@ pub enum FmiError {
         bytes: u64,
     },
     /// The operating system refused something.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {source}{}", path.display(), limit_of_files(source.raw_os_error()))]
     Io {
         /// What was tried, as a verb phrase: "open", "create".
         action: &'static str,
@@ -154,7 +154,7 @@ pub enum FmiError {
         tool: Option<String>,
     },
     /// The dynamic loader refused the library; its own words.
-    #[error("cannot load {}: {message}", library.display())]
+    #[error("cannot load {}: {message}{}", library.display(), limit_of_files(message.contains(TOO_MANY_FILES).then_some(EMFILE)))]
     LoadFailed {
         /// The library.
         library: PathBuf,
@@ -471,6 +471,22 @@ impl FmiError {
     pub(crate) fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> FmiError {
         let path = path.into();
         move |source| FmiError::Io { action, path, source }
+    }
+}
+
+/// Number of the system's error for more open files than a process may have, and the C library's words for it.
+const EMFILE: i32 = 24;
+const TOO_MANY_FILES: &str = "Too many open files";
+
+/// What is to be added to an error where the process has as many open files as it may have.
+fn limit_of_files(error: Option<i32>) -> String {
+    match crate::platform::open_files_limit() {
+        Some(limit) if error == Some(EMFILE) => {
+            format!(
+                "; the process may have {limit} open files (ulimit -n): close models that are not used any more"
+            )
+        }
+        _ => String::new(),
     }
 }
 

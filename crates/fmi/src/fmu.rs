@@ -327,7 +327,7 @@ impl Fmu {
         let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
         let guid = text("guid", &description.guid)?;
         // A cleaner of the folder for temporary files may have been there since the library was loaded.
-        let resources = self.running_root()?.join("resources");
+        let resources = store.resources_of(library.path(), self.running_root()?.join("resources"));
         let is_intermediate = |v: &&Variable| {
             v.intermediate_update && v.causality == Causality::Input && v.kind == VariableKind::Real
         };
@@ -382,6 +382,36 @@ impl Fmu {
             log::warn!("{}: {}", self.description().model_name, quirk.message);
             seen.push(quirk);
         }
+    }
+
+    /// Notes that simulations write into the resources, which all of them would see: from now on each has a newly loaded copy of
+    /// the library, with the resources as they were in the archive (of a folder: as they are now).
+    ///
+    /// # Errors
+    /// The resources cannot be unpacked again.
+    pub(crate) fn note_written_resource(
+        &self,
+        store: &CopyStore,
+        kind: InterfaceKind,
+        file: &Path,
+    ) -> Result<(), FmiError> {
+        self.inner.archive.renew_resources()?;
+        store.set_private_resources();
+        store.verdicts.set_history(kind, Reuse::Reload);
+        let root = self.running_root()?;
+        let name = file.strip_prefix(&root).unwrap_or(file).display();
+        let message = format!(
+            "simulations write into the resources ({name}): every simulation gets a newly loaded copy of the library, with \
+             resources of its own, from now on; results from before may be wrong"
+        );
+        self.note_quirk(QuirkKind::Promise, message);
+        Ok(())
+    }
+
+    /// How often a simulation was found to depend on earlier ones (see [`quirks_seen`](Self::quirks_seen)): each time, a safer
+    /// way of bringing instances back was taken from then on, and results from before may be wrong.
+    pub fn n_history_findings(&self, kind: InterfaceKind) -> u64 {
+        self.known_store(kind).map_or(0, |store| store.verdicts.n_found(kind))
     }
 
     /// Notes, and says once, that variables are computed with the derivatives only.

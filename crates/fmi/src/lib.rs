@@ -68,6 +68,6 @@ pub use plan::SimulationPlan;
 pub use reuse::{Lease, Pool, Reuse, Sharing};
 pub use session::Session;
 pub use simulation::Simulator;
-pub use source::{build_library, clear_caches, pack};
+pub use source::{build_library, clear_caches, pack, pack_unless};
 pub use sys::{InterfaceKind, LogFilter, LogLine, Status};
 pub use trajectory::{Trajectory, ValueColumn};

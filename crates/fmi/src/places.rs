@@ -35,9 +35,13 @@ impl Place {
         Ok(Self { variable: resolve(description, name)?, element })
     }
 
-    /// Whether the two have a value in common.
-    pub(crate) fn overlaps(self, other: Place) -> bool {
-        self.variable == other.variable
+    /// Whether the two have a value in common: aliases have the same reference.
+    pub(crate) fn overlaps(self, other: Place, description: &ModelDescription) -> bool {
+        let reference = |place: Place| {
+            let variable = &description.variables[place.variable];
+            (variable.kind, variable.value_reference)
+        };
+        (self.variable == other.variable || reference(self) == reference(other))
             && (self.element.is_none() || other.element.is_none() || self.element == other.element)
     }
 }

@@ -319,6 +319,31 @@ pub(crate) fn make_executable(file: &File) -> io::Result<()> {
     Ok(())
 }
 
+/// A text without the places of private folders of this library, which differ from process to process: paths of files in them
+/// begin inside of the FMU.
+pub fn without_private_folders(text: &str) -> String {
+    let base = unpack_base().join(PRIVATE_PREFIX).display().to_string();
+    let mut out = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find(&base) {
+        let after = &rest[at + base.len()..];
+        let name = after.find(|c: char| !c.is_ascii_alphanumeric()).unwrap_or(after.len());
+        let Some(inside) = after[name..].strip_prefix(PRIVATE_INSIDE) else {
+            out.push_str(&rest[..at + base.len()]);
+            rest = after;
+            continue;
+        };
+        out.push_str(&rest[..at]);
+        rest = inside;
+    }
+    out + rest
+}
+
+/// How the names of private folders begin.
+pub(crate) const PRIVATE_PREFIX: &str = "fmufit-";
+/// What is between the name of a private folder and what is in it.
+const PRIVATE_INSIDE: &str = "/fmu/";
+
 /// Makes a folder appear at a second place, where systems can do so without ado.
 pub(crate) fn link_folder(folder: &Path, link: &Path) -> io::Result<()> {
     #[cfg(unix)]
@@ -339,6 +364,14 @@ pub(crate) fn read_at(file: &File, buffer: &mut [u8], position: u64) -> io::Resu
         file.seek(io::SeekFrom::Start(position))?;
         file.read(buffer)
     }
+}
+
+/// How many files this process may have open; `None` where the system does not say, or there is no limit.
+pub(crate) fn open_files_limit() -> Option<u64> {
+    #[cfg(unix)]
+    return rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+    #[cfg(not(unix))]
+    None
 }
 
 /// Bytes of memory that can be had without pushing others out; `None` where the system does not say.
@@ -466,6 +499,17 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let message = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap_err().to_string();
         assert!(message.contains("no binaries at all"), "{message}");
+    }
+
+    #[test]
+    fn private_folders_are_no_part_of_a_reason() {
+        let base = unpack_base();
+        let base = base.display();
+        let text = format!(
+            "cannot open {base}/fmufit-Ab12Cd/fmu/resources/a.txt or {base}/fmufit-9/x, {base}/fmufit-"
+        );
+        let wanted = format!("cannot open resources/a.txt or {base}/fmufit-9/x, {base}/fmufit-");
+        assert_eq!(without_private_folders(&text), wanted);
     }
 
     #[test]

@@ -203,8 +203,8 @@ impl Running {
     }
 
     /// Starts collecting a digest of what the FMU answers.
-    pub(crate) fn begin_digest(&mut self) {
-        self.digest = Some(Digest::default());
+    pub(crate) fn begin_digest(&mut self, digest: Digest) {
+        self.digest = Some(digest);
     }
 
     /// Takes an answer in, if a digest is collected.
@@ -216,8 +216,8 @@ impl Running {
     }
 
     /// Ends collecting.
-    pub(crate) fn end_digest(&mut self) -> Option<u64> {
-        self.digest.take().map(Digest::value)
+    pub(crate) fn end_digest(&mut self) -> Option<Digest> {
+        self.digest.take()
     }
 }
 

@@ -228,8 +228,29 @@ fn nominals_that_make_no_sense_are_corrected() {
     let truth = evil(&[]).open().simulate(&SimulateOptions::new()).unwrap();
     for nominal in ["0.0", "-1.0", "NAN", "INFINITY", "-INFINITY"] {
         let folder = evil(&[&format!("NOMINAL={nominal}")]);
-        assert_eq!(folder.open().simulate(&SimulateOptions::new()).unwrap(), truth, "{nominal}");
+        let fmu = folder.open();
+        for _ in 0..3 {
+            assert_eq!(fmu.simulate(&SimulateOptions::new()).unwrap(), truth, "{nominal}");
+        }
+        // Once, by name.
+        let messages: Vec<String> = fmu.quirks_seen().into_iter().map(|quirk| quirk.message).collect();
+        assert_eq!(messages.len(), 1, "{messages:?}");
+        assert!(messages[0].starts_with("the nominal value of x is "), "{messages:?}");
     }
+}
+
+#[test]
+fn an_alias_given_twice_is_named_by_both_names() {
+    let folder = support::model_as("switched_input", fmi::ExampleKind::Fmi2ModelExchange, &[], |xml| {
+        let place = "</ModelVariables>";
+        let alias = "<ScalarVariable name=\"also\" valueReference=\"6\" causality=\"input\" variability=\"continuous\">\
+                     <Real start=\"0\"/></ScalarVariable>";
+        assert!(xml.contains("name=\"u\" valueReference=\"6\""));
+        xml.replace(place, &format!("{alias}{place}"))
+    });
+    let inputs = fmi::Inputs::new().function("u", |t| t).function("also", |t| t);
+    let error = folder.open().simulate(&SimulateOptions::new().inputs(inputs)).unwrap_err().to_string();
+    assert!(error.contains("input also: it is the same variable as u, which is given too"), "{error}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The Reference-FMUs of the Modelica Association as oracles: values that they publish (`<model>_out.csv` of release 0.0.39,
+//! The Reference-FMUs of the Modelica Association as oracles: values that they publish (`<model>_out.csv` of tag v0.0.41,
 //! github.com/modelica/Reference-FMUs, 2-Clause BSD License, Copyright Modelica Association Project "FMI"), computed with
 //! Euler's method. The bundled models have the same equations; the FMUs themselves are run where the folder
 //! `FMUFIT_REFERENCE_FMUS` holds them.

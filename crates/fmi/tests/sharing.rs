@@ -346,15 +346,18 @@ fn copies_help_all_versions() {
 }
 
 #[test]
-fn writing_into_the_resources_is_detected() {
+fn a_model_that_writes_into_the_resources_has_others_for_every_run() {
     let folder = evil(&["WRITES_RESOURCES"]);
     std::fs::create_dir(folder.path().join("resources")).unwrap();
     let fmu = folder.open();
     let trace = fmu.root().unwrap().join("resources/trace.txt");
     let first = pool(&fmu, &with_k());
-    assert_eq!(first.written_resource().unwrap(), Some(trace));
-    assert_eq!(first.sharing().unwrap(), Sharing::Serial);
+    assert_eq!(first.written_resource().unwrap(), Some(trace.clone()));
+    assert_eq!((first.sharing().unwrap(), first.reuse().unwrap()), (Sharing::Copies, Reuse::Reload));
+    assert!(fmu.quirks_seen().iter().any(|quirk| quirk.message.contains("trace.txt")));
+    let written = std::fs::read(&trace).unwrap();
     run_both(&[(1.0, first), (3.0, pool(&folder.open(), &with_k()))]);
+    assert_eq!(std::fs::read(&trace).unwrap(), written);
 
     let folder = evil(&[]);
     std::fs::create_dir(folder.path().join("resources")).unwrap();

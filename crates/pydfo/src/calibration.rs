@@ -383,6 +383,7 @@ impl PyCalibration {
                 let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
                 result.setattr("without_effect", inert)?;
                 result.setattr("n_checks", fit.n_checks)?;
+                result.setattr("n_beginnings", fit.n_beginnings)?;
                 Some(result)
             }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),

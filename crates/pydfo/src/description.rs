@@ -6,7 +6,8 @@ use fmi::description::{
     BaseUnit, Capabilities, Dimension, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
 };
 use fmi::{
-    InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions, Reuse, Variable,
+    DescriptionLimits, InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions,
+    Reuse, Variable,
 };
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyIndexError;
@@ -23,6 +24,8 @@ struct OpenFields {
     deepbind: bool,
     lazy: bool,
     tool_is_present: bool,
+    max_description_bytes: Option<u64>,
+    max_elements: Option<usize>,
 }
 
 impl From<OpenFields> for OpenOptions {
@@ -34,7 +37,12 @@ impl From<OpenFields> for OpenOptions {
             3 => LogFilter::Warnings,
             _ => LogFilter::All,
         };
+        let limits = DescriptionLimits::default();
         OpenOptions {
+            description: DescriptionLimits {
+                bytes: fields.max_description_bytes.unwrap_or(limits.bytes),
+                elements: fields.max_elements.unwrap_or(limits.elements),
+            },
             loader: LoaderOptions { deepbind: fields.deepbind, lazy: fields.lazy },
             tool_is_present: fields.tool_is_present,
             logging: LogOptions { asked: fields.logging, filter, shown: fields.show_log },
@@ -74,6 +82,7 @@ impl Fmu {
             Reuse::Restore => "restore",
             Reuse::Reset => "reset",
             Reuse::Reinstantiate => "reinstantiate",
+            Reuse::Reload => "reload",
             _ => "other",
         })
     }

@@ -23,23 +23,24 @@ pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyRe
     let try_here = || OPEN.open_with(&path, &OpenOptions { cancel: Cancel::after(SHORT), ..options.clone() });
     let opened = match py.detach(try_here) {
         Err(FmiError::Cancelled) => {
-            let watch = Watch::new(py)?;
-            let cancel = Cancel::when(watch.stop().flag());
-            let options = OpenOptions { cancel, ..options.clone() };
-            match watch.run_briefly(move || OPEN.open_with(&path, &options))? {
-                Some(opened) => opened,
-                None => {
-                    return Err(watch
-                        .stop()
-                        .take_raised()
-                        .unwrap_or_else(|| PyKeyboardInterrupt::new_err(())));
-                }
-            }
+            let options = options.clone();
+            watched(py, move |cancel| OPEN.open_with(&path, &OpenOptions { cancel, ..options }))?
         }
         opened => opened,
     };
     logs::pass_on(py)?;
     opened.map_err(|e| fmu_error::raise(py, &e))
+}
+
+/// Does work of some seconds while this thread looks for signals: one that asks for an early end ends it.
+fn watched<T: Send + 'static>(
+    py: Python<'_>,
+    work: impl FnOnce(Cancel) -> T + Send + 'static,
+) -> PyResult<T> {
+    let watch = Watch::new(py)?;
+    let cancel = Cancel::when(watch.stop().flag());
+    let interrupted = || watch.stop().take_raised().unwrap_or_else(|| PyKeyboardInterrupt::new_err(()));
+    watch.run_briefly(move || work(cancel))?.ok_or_else(interrupted)
 }
 
 /// Forgets the FMUs that were kept open; called when the interpreter ends, so that no unpacked folder stays behind.
@@ -51,7 +52,7 @@ pub(crate) fn close_unused(py: Python<'_>) {
 /// Packs a folder into an FMU.
 #[pyfunction]
 pub(crate) fn build_fmu(py: Python<'_>, folder: PathBuf, out: PathBuf) -> PyResult<()> {
-    let done = py.detach(|| fmi::pack(&folder, &out));
+    let done = watched(py, move |cancel| fmi::pack_unless(&folder, &out, &cancel))?;
     logs::pass_on(py)?;
     done.map_err(|e| fmu_error::raise(py, &e))
 }

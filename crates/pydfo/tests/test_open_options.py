@@ -86,3 +86,18 @@ def test_a_promise_that_is_not_kept_is_a_quirk(tmp_path, caplog):
         model.simulate()
     assert [quirk.kind for quirk in model.description.quirks] == ["promise"]
     assert "event mode" in caplog.text
+
+
+def test_limits_of_the_description_can_be_set(tmp_path):
+    path = fmus.changed("dahlquist", tmp_path / "small.fmu")
+    for open_it in (FMUModel, pydfo.read_description):
+        with pytest.raises(FmuError, match="limit of 100"):
+            open_it(path, max_description_bytes=100)
+        assert open_it(path, max_description_bytes=100_000, max_elements=10)
+        for value in (0, -1, 2**64):
+            with pytest.raises(ValueError, match="max_elements must be a positive number"):
+                open_it(path, max_elements=value)
+        with pytest.raises(TypeError, match="max_description_bytes must be a whole number"):
+            open_it(path, max_description_bytes=1.5)
+    with pytest.raises(FmuError, match="elements"):
+        FMUModel(fmus.compiled("arrays", tmp_path / "arrays.fmu"), max_elements=3)

@@ -143,6 +143,18 @@ impl Archive {
         }
     }
 
+    /// Unpacks the resources anew, where they were unpacked from an archive.
+    pub(crate) fn renew_resources(&self) -> Result<(), FmiError> {
+        if let Content::Packed(packed) = &self.content {
+            let resources = packed.unpack(Part::Running, &Cancel::default())?.join("resources");
+            if resources.is_dir() {
+                std::fs::remove_dir_all(&resources).map_err(FmiError::io("remove", &resources))?;
+            }
+            packed.unpack(Part::Running, &Cancel::default())?;
+        }
+        Ok(())
+    }
+
     /// The bytes of `modelDescription.xml`.
     pub(crate) fn description(&self, limit: u64, cancel: &Cancel) -> Result<Vec<u8>, FmiError> {
         match &self.content {

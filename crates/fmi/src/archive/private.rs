@@ -6,11 +6,11 @@ use crate::error::FmiError;
 use crate::platform;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::sync::Once;
+use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError};
 use std::time::Duration;
 use tempfile::TempDir;
 
-const PREFIX: &str = "fmufit-";
+const PREFIX: &str = platform::PRIVATE_PREFIX;
 const INSIDE: &str = "fmu";
 const LOCK: &str = "lock";
 
@@ -20,7 +20,7 @@ pub(crate) struct PrivateFolder {
     folder: Option<TempDir>,
     inside: PathBuf,
     /// Held until the folder goes; absent where the file system has no locks, then nobody sweeps.
-    lock: Option<File>,
+    lock: Option<Arc<File>>,
     /// The process that made it. A forked child has the value too, but not the right to remove the folder.
     owner: u32,
 }
@@ -80,16 +80,42 @@ impl PrivateFolder {
 
 impl Drop for PrivateFolder {
     fn drop(&mut self) {
-        self.lock = None; // some systems do not remove open files
         let folder = self.folder.take();
+        if let (Some(folder), Some(lock)) = (&folder, self.lock.take()) {
+            // Closed before the folder goes, if it is the last: some systems do not remove open files.
+            locks().retain(|(_, path, _)| path.parent() != Some(folder.path()));
+            drop(lock);
+        }
         if self.owner != std::process::id() {
             let _ = folder.map(TempDir::keep);
         }
     }
 }
 
-/// Creates a file that is locked from the moment it has its name; nothing stays if it cannot be locked.
-fn take_lock(path: &Path) -> Option<File> {
+/// Locks that are held, with the process that made them and one of their names. Those of a process are one file with many
+/// names where the file system has such: its folders take one file handle, however many there are.
+static LOCKS: Mutex<Vec<(u32, PathBuf, Arc<File>)>> = Mutex::new(Vec::new());
+
+fn locks() -> MutexGuard<'static, Vec<(u32, PathBuf, Arc<File>)>> {
+    LOCKS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Gives a locked file this name, or creates one that is locked from the moment it has its name; nothing stays if it cannot
+/// be locked.
+fn take_lock(path: &Path) -> Option<Arc<File>> {
+    let mut locks = locks();
+    let process = std::process::id();
+    let known = locks.iter().rev().find(|(owner, ..)| *owner == process);
+    let named = known.filter(|(_, name, _)| cfg!(unix) && fs::hard_link(name, path).is_ok());
+    let lock = match named {
+        Some((.., lock)) => Arc::clone(lock),
+        None => Arc::new(new_lock(path)?),
+    };
+    locks.push((process, path.to_owned(), Arc::clone(&lock)));
+    Some(lock)
+}
+
+fn new_lock(path: &Path) -> Option<File> {
     let unnamed = path.with_extension("new");
     let file = File::create_new(&unnamed).ok()?;
     if file.try_lock().is_ok() && fs::rename(&unnamed, path).is_ok() {
@@ -151,6 +177,26 @@ mod tests {
         assert_eq!(fs::read_dir(base.path()).unwrap().count(), 0);
     }
 
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn many_folders_take_one_file_handle() {
+        let base = tempfile::tempdir().unwrap();
+        let of_base = || {
+            let handles = fs::read_dir("/proc/self/fd").unwrap().flatten();
+            handles.filter(|fd| fs::read_link(fd.path()).is_ok_and(|to| to.starts_with(base.path()))).count()
+        };
+        let mut folders: Vec<_> = (0..20).map(|_| PrivateFolder::create_in(base.path()).unwrap()).collect();
+        assert!(of_base() <= 1, "{}", of_base());
+        // The others are locked when the first has gone, for others as well.
+        folders.remove(0);
+        for folder in &folders {
+            let lock = folder.path().parent().unwrap().join(LOCK);
+            assert!(File::options().write(true).open(lock).unwrap().try_lock().is_err());
+        }
+        drop(folders);
+        assert_eq!(fs::read_dir(base.path()).unwrap().count(), 0);
+    }
+
     #[test]
     fn a_folder_is_made_again_unless_something_has_its_place() {
         let base = tempfile::tempdir().unwrap();
@@ -180,7 +226,11 @@ mod tests {
         let mut dead = PrivateFolder::create_in(base.path()).unwrap();
         dead.owner ^= 1; // dropped without being removed, as if the process had been killed
         let dead_path = dead.path().to_owned();
+        let lock = dead_path.parent().unwrap().join(LOCK);
         drop(dead);
+        // Its process has let go of the lock.
+        fs::remove_file(&lock).unwrap();
+        fs::write(&lock, "").unwrap();
         let (unlocked, foreign) = (base.path().join("fmufit-new"), base.path().join("other"));
         fs::create_dir(&unlocked).unwrap();
         fs::create_dir(&foreign).unwrap();

@@ -226,7 +226,7 @@ impl InputPlan {
                 ));
             }
             // Each source before this one drives one place.
-            if let Some(first) = plan.driven.iter().position(|driven| driven.overlaps(place)) {
+            if let Some(first) = plan.driven.iter().position(|driven| driven.overlaps(place, description)) {
                 let problem = match inputs.sources[first].name() {
                     first if first == name => "it is given twice".to_owned(),
                     first => format!("it is the same variable as {first}, which is given too"),

@@ -14,7 +14,7 @@ use crate::options::SimulateOptions;
 use crate::outputs::{OutputContext, OutputPlan, Recorded};
 use crate::places::Starts;
 use crate::points::Communication;
-use crate::reuse::Sharing;
+use crate::reuse::{Digest, Sharing};
 use crate::selection::{Selection, states};
 use crate::sys::InterfaceKind;
 use std::collections::HashMap;
@@ -50,6 +50,8 @@ pub struct SimulationPlan {
     pub(crate) jacobian: JacobianPlan,
     /// The steps of co-simulation.
     pub(crate) communication: Option<Communication>,
+    /// Tells plans apart whose runs differ in more than values.
+    pub(crate) signature: u64,
     warned_of_nominals: AtomicBool,
 }
 
@@ -85,6 +87,10 @@ impl SimulationPlan {
         } else {
             ClockPlan::without_event_mode(description, &inputs.clocks, &options.clock_intervals)?
         };
+        let mut signature = Digest::default();
+        let interval = grid.times.get(1).map_or(0.0, |second| second - grid.times[0]);
+        let step = options.step_size.unwrap_or(0.0);
+        signature.note(&[grid.start, grid.end, grid.times.len() as f64, interval, step]);
         let values = RunValues::new(&starts, &options.parameters, &inputs.driven)?;
         let states = states(description, &structure);
         let n_states = structure.states(description);
@@ -118,6 +124,7 @@ impl SimulationPlan {
             kind,
             sharing: options.sharing,
             communication,
+            signature: signature.value(),
             warned_of_nominals: AtomicBool::new(false),
         };
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;

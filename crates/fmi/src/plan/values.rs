@@ -102,10 +102,17 @@ impl RunValues {
                     "it is an array; its elements can be parameters of a run, one by one: name[1]",
                 ));
             }
-            if self.parameters.iter().any(|known| known.place.overlaps(place)) {
-                return Err(FmiError::BadSetting { problem: format!("parameter {name} is given twice") });
+            let is_same = |known: &Place| known.overlaps(place, starts.description);
+            if let Some(first) = self.parameters.iter().position(|known| is_same(&known.place)) {
+                let problem = match &names[first] {
+                    first if first == name => format!("parameter {name} is given twice"),
+                    first => {
+                        format!("parameter {name} is the same variable as {first}, which is given too")
+                    }
+                };
+                return Err(FmiError::BadSetting { problem });
             }
-            if driven.iter().any(|driven| driven.overlaps(place)) {
+            if driven.iter().any(is_same) {
                 return Err(assign::not_settable(variable, "it is driven by the inputs"));
             }
             let is_input = variable.causality == Causality::Input;

@@ -7,6 +7,7 @@ use crate::open_options::LogOptions;
 use crate::sys::{InterfaceKind, Library, LoadFrom, RawInstance};
 use std::any::Any;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Idle instances kept in one copy; more than one only where several owners use it together.
@@ -22,7 +23,31 @@ pub(crate) struct LoadedCopy {
     tables: [Mutex<Option<Arc<Library>>>; 2],
     idle: Mutex<Vec<((InterfaceKind, LogOptions), RawInstance)>>,
     record: Mutex<Record>,
+    history: Mutex<History>,
+    retired: AtomicBool,
+    /// Last: a library that is unloaded is forgotten by its file.
     home: Mutex<Option<Home>>,
+}
+
+/// The runs made in a copy so far.
+#[derive(Debug, Default)]
+struct History {
+    n_runs: u64,
+    /// Runs of another plan than the run before.
+    n_changes: u64,
+    last_plan: u64,
+}
+
+impl History {
+    /// Notes a run; whether the number of earlier runs, or of changes of the plan at such a change, is a power of two.
+    fn note(&mut self, plan: u64) -> bool {
+        let is_change = self.n_runs > 0 && self.last_plan != plan;
+        self.n_changes += u64::from(is_change);
+        let is_due = self.n_runs.is_power_of_two() || (is_change && self.n_changes.is_power_of_two());
+        self.n_runs += 1;
+        self.last_plan = plan;
+        is_due
+    }
 }
 
 impl std::fmt::Debug for LoadedCopy {
@@ -40,6 +65,8 @@ impl LoadedCopy {
             tables: Default::default(),
             idle: Mutex::default(),
             record: Mutex::default(),
+            history: Mutex::default(),
+            retired: AtomicBool::new(false),
             home: Mutex::new(home),
         };
         *lock(&copy.tables[kind as usize]) = Some(Arc::new(library));
@@ -75,6 +102,31 @@ impl LoadedCopy {
         self.tables
             .iter()
             .any(|table| lock(table).as_ref().is_some_and(|library| library.shared().is_fatal()))
+    }
+
+    /// Whether an instance was ever made in it.
+    pub(crate) fn is_used(&self) -> bool {
+        self.tables.iter().any(|table| lock(table).as_ref().is_some_and(|library| library.shared().is_used()))
+    }
+
+    /// Whether it goes with its present user.
+    pub(super) fn is_retired(&self) -> bool {
+        self.retired.load(Ordering::Relaxed)
+    }
+
+    /// Has the copy unloaded when its present user is done with it. The caller knows that it can be.
+    pub(super) fn unload_when_unused(&self) {
+        self.retired.store(true, Ordering::Relaxed);
+        for table in &self.tables {
+            if let Some(library) = &*lock(table) {
+                library.unload_when_unused();
+            }
+        }
+    }
+
+    /// Notes a run of a plan, by a number that tells plans apart; whether it is one of those to be made again in a fresh copy.
+    pub(crate) fn note_run(&self, plan: u64) -> bool {
+        lock(&self.history).note(plan)
     }
 
     /// What was ever set in it.
@@ -127,4 +179,19 @@ impl LoadedCopy {
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_runs_are_made_again() {
+        let mut history = History::default();
+        let due: Vec<u64> = (1..=1000).filter(|_| history.note(7)).collect();
+        assert_eq!(due, [2, 3, 5, 9, 17, 33, 65, 129, 257, 513]);
+        let due: Vec<u64> = (0..100).filter(|k| history.note(8 + k)).collect();
+        // One of them is run 1025.
+        assert_eq!(due, [0, 1, 3, 7, 15, 24, 31, 63]);
+    }
 }

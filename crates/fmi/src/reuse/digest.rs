@@ -1,15 +1,22 @@
 //! A digest of numbers by their bits: tells whether two runs of a model gave the same answers.
 
+/// Numbers of which a digest keeps its values on the way.
+const KEPT: usize = 1 << 20;
+
 /// Running digest.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Digest(u64);
+#[derive(Debug)]
+pub(crate) struct Digest {
+    value: u64,
+    /// Its value after each note, up to a number of them; only where a run may have to be compared with a shorter one.
+    way: Option<Vec<u64>>,
+}
 
 /// 2^64 divided by the golden ratio, odd: multiplying with it spreads the bits (Knuth, TAOCP volume 3, 6.4).
 const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 
 impl Default for Digest {
     fn default() -> Self {
-        Self(SPREAD)
+        Self { value: SPREAD, way: None }
     }
 }
 
@@ -17,13 +24,29 @@ impl Digest {
     /// Takes numbers in, in their order.
     pub(crate) fn note(&mut self, values: &[f64]) {
         for value in values {
-            self.0 = (self.0 ^ value.to_bits()).wrapping_mul(SPREAD).rotate_left(29);
+            self.value = (self.value ^ value.to_bits()).wrapping_mul(SPREAD).rotate_left(29);
+        }
+        if let Some(way) = self.way.as_mut().filter(|way| way.len() < KEPT) {
+            way.push(self.value);
+        }
+    }
+
+    /// A digest that keeps its values on the way.
+    pub(crate) fn with_way() -> Self {
+        Self { way: Some(Vec::new()), ..Self::default() }
+    }
+
+    /// Whether both took in the same numbers, as far as is kept; `stopped`: `other` need not have come as far.
+    pub(crate) fn agrees(&self, other: &Digest, stopped: bool) -> bool {
+        match (&self.way, &other.way) {
+            (Some(way), Some(others)) if stopped => way.get(..others.len()).is_some_and(|way| way == others),
+            _ => self.value == other.value,
         }
     }
 
     /// The digest so far.
-    pub(crate) fn value(self) -> u64 {
-        self.0
+    pub(crate) fn value(&self) -> u64 {
+        self.value
     }
 }
 
@@ -35,6 +58,19 @@ mod tests {
         let mut digest = Digest::default();
         digest.note(values);
         digest.value()
+    }
+
+    #[test]
+    fn a_shorter_run_is_compared_up_to_its_end() {
+        let along = |values: &[f64]| {
+            let mut digest = Digest::with_way();
+            values.iter().for_each(|value| digest.note(&[*value]));
+            digest
+        };
+        let whole = along(&[1.0, 2.0, 3.0]);
+        assert!(whole.agrees(&along(&[1.0, 2.0]), true) && whole.agrees(&along(&[]), true));
+        assert!(!whole.agrees(&along(&[1.0, 3.0]), true) && !whole.agrees(&along(&[1.0, 2.0]), false));
+        assert!(!along(&[1.0, 2.0]).agrees(&whole, true));
     }
 
     #[test]

@@ -30,6 +30,61 @@ pub(super) fn shared_state(path: &Path, root: &Path) -> Option<String> {
     Some(format!("it is linked with {sibling} of the FMU, which all copies of the library would share"))
 }
 
+/// Whether nothing of the library at `path` can be called once its instances are gone: it is linked with the C library alone and
+/// imports none of its functions that start threads, register functions or load other libraries.
+pub(super) fn may_be_unloaded(path: &Path) -> bool {
+    let Ok(data) = std::fs::read(path) else { return false };
+    let linkage = match FileKind::parse(&*data) {
+        Ok(FileKind::Elf64) => read::<elf::FileHeader64<Endianness>>(&data),
+        Ok(FileKind::Elf32) => read::<elf::FileHeader32<Endianness>>(&data),
+        _ => None,
+    };
+    let is_c = |name: &String| C_LIBRARIES.iter().any(|known| name.starts_with(known));
+    let is_kept = |name: &String| KEEPING.contains(&name.as_str());
+    linkage.is_some_and(|linkage| {
+        linkage.unique.is_none() && linkage.needed.iter().all(is_c) && !linkage.imported.iter().any(is_kept)
+    })
+}
+
+/// The parts of the GNU C library, and the run-time library of GCC.
+const C_LIBRARIES: [&str; 7] =
+    ["libc.so.", "libm.so.", "libpthread.so.", "libdl.so.", "librt.so.", "libgcc_s.so.", "ld-linux"];
+
+/// Functions of the C library after which code of the caller may be run, or be needed, when its instances are gone. What
+/// `atexit` registers for a library is run when it is unloaded (Itanium C++ ABI, 3.3.6.3).
+const KEEPING: [&str; 30] = [
+    "pthread_create",
+    "pthread_key_create",
+    "pthread_atfork",
+    "__register_atfork",
+    "thrd_create",
+    "tss_create",
+    "__cxa_thread_atexit",
+    "__cxa_thread_atexit_impl",
+    "on_exit",
+    "at_quick_exit",
+    "__cxa_at_quick_exit",
+    "clone",
+    "fork",
+    "vfork",
+    "syscall",
+    "timer_create",
+    "mq_notify",
+    "aio_read",
+    "aio_write",
+    "lio_listio",
+    "getaddrinfo_a",
+    "signal",
+    "__sysv_signal",
+    "bsd_signal",
+    "sigaction",
+    "sigset",
+    "dlopen",
+    "dlmopen",
+    "dlsym",
+    "dlvsym",
+];
+
 fn is_within(place: &Path, root: &Path) -> bool {
     match (place.canonicalize(), root.canonicalize()) {
         (Ok(place), Ok(root)) => place.starts_with(root),
@@ -42,6 +97,8 @@ fn is_within(place: &Path, root: &Path) -> bool {
 struct Linkage {
     /// A variable that the loader makes once per process: writable data with unique binding.
     unique: Option<String>,
+    /// Functions and variables that it takes from other libraries.
+    imported: Vec<String>,
     /// Libraries that it is linked with.
     needed: Vec<String>,
     /// Where they are looked for.
@@ -73,6 +130,8 @@ fn read<Elf: FileHeader<Endian = Endianness>>(data: &[u8]) -> Option<Linkage> {
             String::from_utf8_lossy(name).into_owned()
         };
         linkage.unique = unique.map(name);
+        let imported = symbols.iter().filter(|symbol| symbol.st_shndx(endian) == elf::SHN_UNDEF);
+        linkage.imported = imported.map(name).collect();
     }
     if let Ok(Some((entries, strings))) = sections.dynamic(endian, data) {
         let strings = sections.strings(endian, data, strings).unwrap_or_default();

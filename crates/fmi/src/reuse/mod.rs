@@ -4,22 +4,32 @@
 mod copies;
 mod digest;
 mod files;
+mod history;
+mod lease;
 mod linkage;
 mod pool;
 mod probe;
 mod readback;
 mod record;
 mod renewal;
+mod source;
 mod store;
+mod store_use;
+mod tenant;
 mod trial;
 mod verdict;
 
 pub(crate) use copies::LoadedCopy;
 pub(crate) use digest::Digest;
+pub(crate) use history::{Aside, Past};
+pub(crate) use lease::CopyLease;
 pub use pool::{Lease, Pool};
 pub(crate) use readback::{ReadBack, ReadBackBuffers};
 pub(crate) use record::{Unset, set_again};
-pub(crate) use store::{CopyLease, CopyRequest, CopyStore, Eviction, Key, Source, StoreUse, Tenant};
+pub(crate) use source::{Key, Source};
+pub(crate) use store::CopyStore;
+pub(crate) use store_use::StoreUse;
+pub(crate) use tenant::{CopyRequest, Eviction, Tenant};
 pub(crate) use trial::nudge;
 
 use crate::error::FmiError;
@@ -39,6 +49,9 @@ pub enum Reuse {
     Reset,
     /// By a new instance for every simulation: nothing else is offered, or it fails, or it leaves traces.
     Reinstantiate,
+    /// By a newly loaded copy of the library, with resources of its own, for every simulation: the model keeps a state outside of its
+    /// instances.
+    Reload,
 }
 
 /// How simulations of an FMU that run in parallel share a process. The results do not depend on it.
@@ -51,7 +64,7 @@ pub enum Sharing {
     /// Each simulator has a loaded copy of the library of its own: a copied file, for which the loader makes static
     /// variables of its own. Where copies would still share state, or no further copy can be loaded, simulations run one at
     /// a time, and the log says why: the library defines variables that the loader makes once per process
-    /// (`STB_GNU_UNIQUE`), it is linked with another library of the FMU, simulations write into the resources; the
+    /// (`STB_GNU_UNIQUE`), it is linked with another library of the FMU; the
     /// disk, the memory or the room for static thread-local storage is used up.
     #[default]
     Copies,

@@ -2,7 +2,6 @@
 
 use super::trial::Trial;
 use super::{Reuse, Sharing};
-use crate::archive::Snapshot;
 use crate::error::FmiError;
 use crate::plan::SimulationPlan;
 use crate::simulation::{Runner, Simulator};
@@ -81,7 +80,7 @@ impl Pool {
     }
 
     /// How the simulators share the process: as was asked for, or one at a time where copies of the library would still
-    /// share state, or simulations write into the resources.
+    /// share state.
     ///
     /// # Errors
     /// The FMU has to be checked first and cannot be instantiated.
@@ -93,8 +92,8 @@ impl Pool {
         }
     }
 
-    /// A file below the FMU's `resources` that the runs of the check wrote, made or removed. All instances share the
-    /// resources, so simulations run one at a time then.
+    /// A file below the FMU's `resources` that the runs of the check wrote, made or removed. Every simulation gets a copy of the
+    /// library with resources of its own then ([`Reuse::Reload`]).
     ///
     /// # Errors
     /// The FMU has to be checked first and cannot be instantiated.
@@ -122,6 +121,26 @@ impl Pool {
         Ok(Lease { pool: self, simulator: Some(simulator) })
     }
 
+    /// Makes a run in the copy of each simulator that lies in the pool, and in a newly loaded one: whether what ran before was
+    /// found to make a difference (see [`Fmu::n_history_findings`](crate::Fmu::n_history_findings)). `cancelled` is asked before
+    /// every step.
+    ///
+    /// # Errors
+    /// The wrong number of parameters; a run fails; there is no new instance to be had.
+    pub fn depends_on_history(
+        &self,
+        parameters: &[f64],
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<bool, FmiError> {
+        self.plan.values.check_parameters(parameters)?;
+        let mut idle = std::mem::take(&mut self.state().idle);
+        let found = idle.iter_mut().try_fold(false, |found, simulator| {
+            Ok(found || (!cancelled() && simulator.runner().verify(parameters, cancelled)?))
+        });
+        self.state().idle.append(&mut idle);
+        found
+    }
+
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -136,9 +155,9 @@ impl Pool {
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
         let mut runner = simulator.runner();
         runner.settle_in(None)?;
-        let resources = Snapshot::of(&fmu.running_root()?.join("resources"));
         let examined = self.examine(&mut runner);
-        state.written = resources.first_change();
+        let store = fmu.store(self.plan.kind())?;
+        state.written = store.written_resource();
         let reuse = if runner.is_fatal() {
             // Nothing was shown but that resetting is not the trouble.
             Reuse::Reinstantiate
@@ -152,9 +171,7 @@ impl Pool {
             })
         };
         if let Some(file) = &state.written {
-            let reason = format!("simulations write into the resources, which all share: {}", file.display());
-            log::warn!("{model}: simulations run one at a time: {reason}");
-            fmu.store(self.plan.kind())?.set_one_at_a_time(reason);
+            fmu.note_written_resource(&store, self.plan.kind(), file)?;
         }
         drop(runner);
         state.idle.push(simulator);
@@ -168,12 +185,6 @@ impl Pool {
         let reuse = trial.reuse(runner)?;
         if let Some(reuse) = reuse {
             runner.set_reuse(reuse);
-            if reuse == Reuse::Reinstantiate {
-                log::warn!(
-                    "{}: instances cannot be reset; every simulation gets a new one",
-                    self.plan.fmu().description().model_name
-                );
-            }
         }
         Ok(reuse)
     }

@@ -1,6 +1,6 @@
 //! Trial runs: on new instances, and on used ones that were reset, so that they can be compared.
 
-use super::Reuse;
+use super::{Digest, Reuse};
 use crate::beginning::StartValues;
 use crate::error::FmiError;
 use crate::instance;
@@ -12,6 +12,9 @@ use std::time::Instant;
 
 /// Steps after which a check of reset is sure enough: what reset forgets shows in the first right-hand sides.
 pub(crate) const PROBE_STEPS: u64 = 50;
+
+/// Why a way of bringing instances back is not taken.
+pub(super) const DIFFERS: &str = "a simulation after it differs from one on a new instance";
 
 /// What a trial run showed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,8 +66,7 @@ impl Runner {
             (Some(Probe::TimedOut), _) | (_, Probe::TimedOut) => {}
             (None | Some(Probe::Nothing), Probe::Nothing) => {}
             (after, new) if after == Some(new) => self.set_reuse(reuse),
-            _ if reuse == Reuse::Restore => self.refuse_restore(),
-            _ => self.set_reuse(Reuse::Reinstantiate),
+            _ => self.give_up_reuse(reuse, DIFFERS),
         }
         match (self.engine.running().retire(), self.reuse()) {
             (Some(used), Some(known)) if known == reuse => self.renew_or_replace(used, reuse),
@@ -91,9 +93,10 @@ impl Runner {
         observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
         let _environment = CallEnvironment::enter();
-        self.engine.running().begin_digest();
+        self.engine.running().begin_digest(Digest::default());
         let outcome = self.engine.run(&self.plan, steps, observer);
-        let digest = self.engine.running().end_digest().map_or(Probe::Nothing, Probe::Digest);
+        let digest =
+            self.engine.running().end_digest().map_or(Probe::Nothing, |digest| Probe::Digest(digest.value()));
         match outcome {
             Err(FmiError::Simulation(error)) => match error.kind {
                 ErrorKind::Cancelled => Err(FmiError::Simulation(error)),

@@ -3,9 +3,11 @@
 //! value or to what a new instance answers in which nothing was set.
 
 use super::Sharing;
-use super::store::{CopyLease, CopyRequest, CopyStore};
+use super::lease::CopyLease;
+use super::store::CopyStore;
+use super::tenant::CopyRequest;
 use crate::assign::{Assignments, check_settable_at_start, convert};
-use crate::description::{Causality, Structure, Value, Variable, VariableKind};
+use crate::description::{Causality, QuirkKind, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::fmu::Fmu;
 use crate::instance::Core;
@@ -85,12 +87,12 @@ impl Runner {
         let model = fmu.description();
         let is_meant = |v: &&Variable| without.contains(&(v.kind, v.value_reference));
         let names: Vec<&str> = model.variables.iter().filter(is_meant).map(|v| &*v.name).collect();
-        log::warn!(
-            "{}: earlier simulations in this process have set {}, what it is in a new instance is not known, and there is no \
+        let message = format!(
+            "earlier simulations in this process have set {}, what it is in a new instance is not known, and there is no \
              other copy of the library: where the model keeps it, it still has that value",
-            model.model_name,
             names.join(", ")
         );
+        fmu.note_quirk(QuirkKind::Promise, message);
         Ok(())
     }
 

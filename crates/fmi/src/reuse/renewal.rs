@@ -1,6 +1,7 @@
 //! New instances for runs, and old ones reset.
 
 use super::Reuse;
+use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::instance;
 use crate::simulation::Runner;
@@ -8,15 +9,34 @@ use crate::sys::RawInstance;
 
 impl Runner {
     /// A new instance; where saved states bring instances back, with the state to bring back.
-    pub(crate) fn new_instance(&self) -> Result<RawInstance, FmiError> {
+    pub(crate) fn new_instance(&mut self) -> Result<RawInstance, FmiError> {
         if self.reuse() == Some(Reuse::Restore) {
             return self.new_with_origin();
         }
         self.instantiate()
     }
 
-    /// A new instance, and no other in its copy of the library: an idle one is freed before.
-    fn instantiate(&self) -> Result<RawInstance, FmiError> {
+    /// A new instance, and no other in its copy of the library: an idle one is freed before. Some models can be instantiated only
+    /// so often in one loaded copy; then in a new one.
+    fn instantiate(&mut self) -> Result<RawInstance, FmiError> {
+        let error = match self.instantiate_here() {
+            Err(error) if self.lease.as_ref().is_some_and(|lease| lease.copy().is_used()) => error,
+            outcome => return outcome,
+        };
+        let Some(other) = self.new_copy() else { return Err(error) };
+        if let Some(lease) = self.lease.replace(other) {
+            lease.retire();
+        }
+        self.prepared = None;
+        self.prepare()?;
+        // Where that fails, too, it is not because the copy was used.
+        let raw = self.instantiate_here().map_err(|_| error)?;
+        let message = "a loaded copy of the library can be instantiated only so often: simulations go on in newly loaded ones";
+        self.plan.fmu().note_quirk(QuirkKind::Promise, message.to_owned());
+        Ok(raw)
+    }
+
+    fn instantiate_here(&self) -> Result<RawInstance, FmiError> {
         if let Some(lease) = &self.lease {
             lease.copy().free_idle();
         }
@@ -24,7 +44,7 @@ impl Runner {
     }
 
     /// A new instance with its state saved, unless the FMU refuses that: then it is not asked again.
-    pub(crate) fn new_with_origin(&self) -> Result<RawInstance, FmiError> {
+    pub(crate) fn new_with_origin(&mut self) -> Result<RawInstance, FmiError> {
         let mut raw = self.instantiate()?;
         if raw.save_origin().is_err() {
             self.refuse_restore();
@@ -36,7 +56,7 @@ impl Runner {
 
     /// Resets an instance, or makes a new one where that fails; and whether it was used before.
     pub(crate) fn renew_or_replace(
-        &self,
+        &mut self,
         used: RawInstance,
         reuse: Reuse,
     ) -> Result<(RawInstance, bool), FmiError> {
@@ -47,10 +67,25 @@ impl Runner {
         if let Ok(raw) = instance::renew(used, self.plan.fmu(), reuse) {
             return Ok((raw, true));
         }
-        match reuse {
-            Reuse::Restore => self.refuse_restore(),
-            _ => self.set_reuse(Reuse::Reinstantiate),
+        if !self.is_fatal() {
+            self.give_up_reuse(reuse, "it fails");
         }
         Ok((self.new_instance()?, false))
+    }
+
+    /// A way of bringing instances back was found not to work: the next one is taken from now on, and the quirks say why.
+    pub(crate) fn give_up_reuse(&self, reuse: Reuse, reason: &str) {
+        let what = match reuse {
+            Reuse::Restore => {
+                self.refuse_restore();
+                "setting a saved state"
+            }
+            _ => {
+                self.set_reuse(Reuse::Reinstantiate);
+                "the reset function"
+            }
+        };
+        let message = format!("{what} does not bring instances back to their start: {reason}");
+        self.plan.fmu().note_quirk(QuirkKind::Promise, message);
     }
 }

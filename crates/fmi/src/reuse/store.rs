@@ -3,104 +3,26 @@
 //! A loaded library is never unloaded, so a copy is never given up (except after `Fatal`), and the store of a library stays in
 //! the process. What goes with its last user are the idle instances and the folders.
 
-use super::copies::{Home, LoadedCopy};
+use super::copies::LoadedCopy;
+use super::lease::CopyLease;
 use super::record::Defaults;
+use super::source::Source;
+use super::tenant::{CopyRequest, Eviction, Tenant};
 use super::verdict::Verdicts;
-use super::{Sharing, files, linkage};
+use super::{Reuse, Sharing, files, linkage};
+use crate::archive::Snapshot;
 use crate::error::FmiError;
-use crate::open_options::LoaderOptions;
-use crate::platform::{self, FileIdentity, FilePlace};
-use crate::sys::{InterfaceKind, Library, LoadFrom};
-use std::collections::HashMap;
-use std::ops::Deref;
+use crate::sys::LoadFrom;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 
-/// The stores of this process, which loaded libraries do not leave either.
-static STORES: Mutex<Option<HashMap<Key, Arc<CopyStore>>>> = Mutex::new(None);
+/// Idle copies that stay ready: more than a machine has cores, as a rule.
+const KEPT_IDLE: usize = 64;
 
 /// How long a thread that waits for a copy does not look whether it is to go on waiting.
 const PATIENCE: Duration = Duration::from_millis(20);
-
-/// What tells one library from another.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub(crate) enum Key {
-    /// Of an archive: its fingerprint, and the place in it.
-    Content(String, PathBuf, LoaderOptions),
-    /// Of a folder, which may be edited: the file.
-    File(FilePlace, FileIdentity, LoaderOptions),
-}
-
-/// Where copies of a library come from.
-#[derive(Clone)]
-pub(crate) struct Source {
-    /// The original file.
-    pub(crate) library: PathBuf,
-    /// The folder of the FMU.
-    pub(crate) root: PathBuf,
-    /// What the file was when it was found, where it could be written over.
-    pub(crate) identity: Option<FileIdentity>,
-    /// Keeps the folder on the disk.
-    pub(crate) home: Option<Home>,
-}
-
-impl Source {
-    /// Whether the library is one of the FMU's files, not one that was built from its sources.
-    pub(super) fn is_inside(&self) -> bool {
-        self.library.starts_with(&self.root)
-    }
-
-    /// Where the library lies in the folder of a copy.
-    pub(super) fn place(&self) -> PathBuf {
-        match self.library.strip_prefix(&self.root) {
-            Ok(place) => place.to_owned(),
-            Err(_) => Path::new("binaries").join(self.library.file_name().unwrap_or_default()),
-        }
-    }
-
-    /// # Errors
-    /// The file was written over: a copy would be another library.
-    pub(super) fn check_unchanged(&self) -> Result<(), FmiError> {
-        let Some(identity) = &self.identity else { return Ok(()) };
-        let metadata = self.library.metadata().map_err(FmiError::io("open", &self.library))?;
-        match platform::file_identity(&metadata).same_content(identity) {
-            true => Ok(()),
-            false => Err(FmiError::written_over(&self.library)),
-        }
-    }
-}
-
-/// An owner that can be asked to give its copy up between two of its calls.
-pub(crate) trait Tenant: Send + Sync {
-    /// Gives the copy up, if no call is under way.
-    fn evict(&self) -> Eviction;
-
-    /// Whether nothing is lost when it does: it is a simulator that lies in a pool.
-    fn is_dormant(&self) -> bool;
-}
-
-/// What became of a request to give a copy up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Eviction {
-    /// It was given up, or is just being given up.
-    Done,
-    /// A simulation is under way; it will end.
-    Busy,
-    /// The owner keeps it, and waiting for that would be in vain: it is this very thread, or an instance made by hand.
-    Kept,
-}
-
-/// Who wants a copy, and how.
-pub(crate) struct CopyRequest<'a> {
-    pub(crate) kind: InterfaceKind,
-    pub(crate) sharing: Sharing,
-    /// `None`: the owner does not give it up.
-    pub(crate) tenant: Option<Weak<dyn Tenant>>,
-    /// Loads the library.
-    pub(crate) open: &'a dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
-}
 
 /// The loaded copies of one library, and what is known about it.
 pub(crate) struct CopyStore {
@@ -110,6 +32,12 @@ pub(crate) struct CopyStore {
     waiting: AtomicUsize,
     /// Why copies would share static variables, where they would.
     shared_state: OnceLock<Option<String>>,
+    /// Whether copies that are not needed any more can be unloaded.
+    may_unload: OnceLock<bool>,
+    /// The resources before anything was run.
+    resources: OnceLock<Snapshot>,
+    /// Copies have resources of their own: the model writes into them.
+    private_resources: AtomicBool,
     /// What is known about resetting its instances.
     pub(crate) verdicts: Verdicts,
     /// What new instances answer for the variables that were ever set.
@@ -117,11 +45,11 @@ pub(crate) struct CopyStore {
 }
 
 #[derive(Default)]
-struct State {
+pub(super) struct State {
     /// FMUs that are open.
-    users: usize,
-    source: Option<Source>,
-    idle: Vec<Arc<LoadedCopy>>,
+    pub(super) users: usize,
+    pub(super) source: Option<Source>,
+    pub(super) idle: Vec<Arc<LoadedCopy>>,
     loans: Vec<Loan>,
     /// Copies being made; whether one of them is for owners that go one at a time.
     making: usize,
@@ -131,7 +59,9 @@ struct State {
     /// Why all owners go one at a time.
     one_at_a_time: Option<String>,
     /// Why no further copy could be made.
-    refused: Option<String>,
+    pub(super) refused: Option<String>,
+    /// Copies in use then.
+    n_refused: usize,
     last_lease: u64,
     /// Counts what a waiting owner waits for.
     changes: u64,
@@ -142,63 +72,6 @@ struct Loan {
     copy: Arc<LoadedCopy>,
     sharing: Sharing,
     holders: Vec<(u64, Option<Weak<dyn Tenant>>)>,
-}
-
-/// A loaded copy on loan to one owner, for as long as it has instances; given back on drop, after them.
-pub(crate) struct CopyLease {
-    store: Arc<CopyStore>,
-    copy: Arc<LoadedCopy>,
-    library: Arc<Library>,
-    id: u64,
-}
-
-/// A use of a store by an open FMU.
-#[derive(Debug)]
-pub(crate) struct StoreUse(Arc<CopyStore>);
-
-impl StoreUse {
-    /// The store of a library; made if there is none.
-    pub(crate) fn new(key: Key, source: Source) -> Self {
-        let store = {
-            let mut stores = STORES.lock().unwrap_or_else(PoisonError::into_inner);
-            Arc::clone(
-                stores.get_or_insert_default().entry(key).or_insert_with(|| Arc::new(CopyStore::new())),
-            )
-        };
-        let mut state = store.state();
-        state.users += 1;
-        // The folder of the first of several users stays as long as there is any.
-        state.source.get_or_insert(source);
-        drop(state);
-        Self(store)
-    }
-}
-
-impl Deref for StoreUse {
-    type Target = Arc<CopyStore>;
-
-    fn deref(&self) -> &Arc<CopyStore> {
-        &self.0
-    }
-}
-
-impl Drop for StoreUse {
-    fn drop(&mut self) {
-        let mut state = self.0.state();
-        state.users -= 1;
-        if state.users > 0 {
-            return;
-        }
-        let source = state.source.take();
-        let idle = state.idle.clone();
-        state.refused = None;
-        drop(state);
-        for copy in &idle {
-            copy.free_idle();
-            copy.leave_home();
-        }
-        drop(source);
-    }
 }
 
 /// One owner that waits.
@@ -230,18 +103,21 @@ enum Move {
 }
 
 impl CopyStore {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self {
             state: Mutex::default(),
             changed: Condvar::new(),
             waiting: AtomicUsize::new(0),
             shared_state: OnceLock::new(),
+            may_unload: OnceLock::new(),
+            resources: OnceLock::new(),
+            private_resources: AtomicBool::new(false),
             verdicts: Verdicts::default(),
             defaults: Mutex::default(),
         }
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    pub(super) fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -336,6 +212,12 @@ impl CopyStore {
         let source = self.state().source.clone();
         // Read from the file before anything of it is run, and before the lock: it takes a while.
         let reason = source.as_ref().and_then(|source| self.shared_state(source)).map(str::to_owned);
+        if let Some(source) = &source {
+            self.resources.get_or_init(|| Snapshot::of(&source.root.join("resources")));
+        }
+        if self.verdicts.reuse(request.kind) == Some(Reuse::Reload) {
+            self.discard_used();
+        }
         let mut state = self.state();
         let Some(source) = source else { return Move::Free(Vec::new()) };
         if let Some(reason) = reason
@@ -382,6 +264,13 @@ impl CopyStore {
         Move::Free(all)
     }
 
+    /// Gives up the idle copies that were used: their state is not that of a new one.
+    fn discard_used(&self) {
+        let used: Vec<_> = self.state().idle.extract_if(.., |copy| copy.is_used()).collect();
+        let may_unload = !used.is_empty() && self.may_unload();
+        used.iter().filter(|_| may_unload).for_each(|copy| copy.unload_when_unused());
+    }
+
     /// Loads the original file, or a copy of it.
     fn make(
         &self,
@@ -397,7 +286,7 @@ impl CopyStore {
             // What is left is unusable.
             return Err(FmiError::NoCopy { library: source.library.clone(), reason: reason.to_owned() });
         }
-        let (path, folder) = files::copy(source)?;
+        let (path, folder) = files::copy(source, self.private_resources.load(Ordering::Relaxed))?;
         let library = (request.open)(LoadFrom::File(&path))?;
         Ok(LoadedCopy::new(library, request.kind, Some(Arc::new(folder))))
     }
@@ -432,6 +321,7 @@ impl CopyStore {
                     log::warn!("{}: {reason}", library.unwrap_or_default());
                 }
                 state.refused = Some(reason.clone());
+                state.n_refused = state.loans.len();
                 let library = state.source.as_ref().map(|source| source.library.clone()).unwrap_or_default();
                 if nothing_there {
                     let reason = format!("those that were loaded have answered fatal, and {reason}");
@@ -479,19 +369,34 @@ impl CopyStore {
     }
 
     /// Takes a copy back; after `Fatal` it is left alone for good.
-    fn give_back(&self, copy: &Arc<LoadedCopy>, id: u64) {
+    pub(super) fn give_back(&self, copy: &Arc<LoadedCopy>, id: u64) {
         let mut state = self.state();
         let place = state.loans.iter().position(|loan| Arc::ptr_eq(&loan.copy, copy));
+        let mut surplus = None;
         if let Some(place) = place {
             state.loans[place].holders.retain(|(known, _)| *known != id);
             if state.loans[place].holders.is_empty() {
                 let loan = state.loans.swap_remove(place);
-                if !copy.is_fatal() {
+                if !copy.is_fatal() && !copy.is_retired() {
                     state.idle.push(loan.copy);
+                    surplus = state.surplus();
+                }
+                if state.loans.len() < state.n_refused / 2 {
+                    // What was used up is free again.
+                    state.refused = None;
                 }
             }
         }
         drop(state);
+        if let Some(surplus) = surplus {
+            surplus.free_idle();
+            if self.may_unload() {
+                surplus.unload_when_unused();
+                self.state().idle.retain(|copy| !Arc::ptr_eq(copy, &surplus));
+            } else {
+                surplus.leave_home();
+            }
+        }
         self.notify();
     }
 
@@ -514,6 +419,36 @@ impl CopyStore {
         self.shared_state.get_or_init(read).as_deref()
     }
 
+    /// Whether copies that are not needed any more can be unloaded.
+    pub(super) fn may_unload(&self) -> bool {
+        let Some(source) = self.state().source.clone() else { return false };
+        *self.may_unload.get_or_init(|| linkage::may_be_unloaded(&source.library))
+    }
+
+    /// A file below the resources that was written, made or removed since the library was loaded, where all copies share them.
+    pub(crate) fn written_resource(&self) -> Option<PathBuf> {
+        match self.private_resources.load(Ordering::Relaxed) {
+            true => None,
+            false => self.resources.get()?.first_change(),
+        }
+    }
+
+    /// Has copies made with resources of their own from now on.
+    pub(crate) fn set_private_resources(&self) {
+        self.private_resources.store(true, Ordering::Relaxed);
+    }
+
+    /// Where instances of a loaded copy find the resources: `shared`, or in the folder of the copy.
+    pub(crate) fn resources_of(&self, library: &Path, shared: PathBuf) -> PathBuf {
+        if !self.private_resources.load(Ordering::Relaxed) {
+            return shared;
+        }
+        match &self.state().source {
+            Some(source) if source.library != library => files::root_of(library, source).join("resources"),
+            _ => shared,
+        }
+    }
+
     /// How owners that ask for copies share the process.
     pub(crate) fn sharing(&self) -> Sharing {
         let source = self.state().source.clone();
@@ -524,11 +459,6 @@ impl CopyStore {
     /// Whether a new copy could be loaded, as far as is known.
     pub(crate) fn may_copy(&self) -> bool {
         self.sharing() == Sharing::Copies && self.state().refused.is_none()
-    }
-
-    /// Has all owners go one at a time from now on.
-    pub(crate) fn set_one_at_a_time(&self, reason: String) {
-        self.state().one_at_a_time.get_or_insert(reason);
     }
 
     #[cold]
@@ -546,6 +476,14 @@ impl CopyStore {
 }
 
 impl State {
+    /// An idle copy beyond those that are kept ready, which still has its folder.
+    fn surplus(&self) -> Option<Arc<LoadedCopy>> {
+        if self.idle.len() <= KEPT_IDLE {
+            return None;
+        }
+        self.idle.iter().find(|copy| copy.home().is_some()).cloned()
+    }
+
     /// Notes a holder of a copy.
     fn loan(&mut self, copy: &Arc<LoadedCopy>, request: &CopyRequest<'_>) -> u64 {
         self.last_lease += 1;
@@ -562,35 +500,6 @@ impl State {
     }
 }
 
-impl CopyLease {
-    /// The functions of the copy.
-    pub(crate) fn library(&self) -> &Arc<Library> {
-        &self.library
-    }
-
-    /// The copy.
-    pub(crate) fn copy(&self) -> &LoadedCopy {
-        &self.copy
-    }
-
-    /// The copies of this library.
-    pub(crate) fn store(&self) -> &Arc<CopyStore> {
-        &self.store
-    }
-
-    /// Whether a call of this copy has returned `Fatal`.
-    #[inline]
-    pub(crate) fn is_fatal(&self) -> bool {
-        self.library.shared().is_fatal()
-    }
-}
-
-impl Drop for CopyLease {
-    fn drop(&mut self) {
-        self.store.give_back(&self.copy, self.id);
-    }
-}
-
 impl std::fmt::Debug for CopyStore {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let state = self.state();
@@ -600,11 +509,5 @@ impl std::fmt::Debug for CopyStore {
             .field("one_at_a_time", &state.one_at_a_time)
             .field("refused", &state.refused)
             .finish_non_exhaustive()
-    }
-}
-
-impl std::fmt::Debug for CopyLease {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "CopyLease({})", self.library.path().display())
     }
 }

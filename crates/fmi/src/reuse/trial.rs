@@ -1,7 +1,7 @@
 //! The check of the ways of resetting: a second run against one on a new instance, after a run with other values, in one thread.
 
 use super::Reuse;
-use super::probe::{PROBE_STEPS, Probe};
+use super::probe::{DIFFERS, PROBE_STEPS, Probe};
 use crate::beginning::StartValues;
 use crate::description::Variable;
 use crate::error::FmiError;
@@ -53,6 +53,9 @@ impl<'a> Trial<'a> {
     /// It was cancelled; there is no new instance to be had.
     pub(crate) fn reuse(&self, runner: &mut Runner) -> Result<Option<Reuse>, FmiError> {
         let known = runner.reuse();
+        if known >= Some(Reuse::Reinstantiate) {
+            return Ok(known);
+        }
         for reuse in [Reuse::Restore, Reuse::Reset] {
             let is_out = reuse == Reuse::Restore && !runner.may_restore();
             if is_out || known.is_some_and(|known| known > reuse) {
@@ -61,8 +64,7 @@ impl<'a> Trial<'a> {
             match self.passes(reuse, runner)? {
                 None => return Ok(None),
                 Some(true) => return Ok(Some(reuse)),
-                Some(false) if reuse == Reuse::Restore => runner.refuse_restore(),
-                Some(false) => {}
+                Some(false) => runner.give_up_reuse(reuse, DIFFERS),
             }
         }
         Ok(Some(Reuse::Reinstantiate))

@@ -22,6 +22,10 @@ struct Verdict {
     reuse: Option<Reuse>,
     /// Saved states do not bring an instance back.
     no_restore: bool,
+    /// How often a simulation was found to depend on earlier ones.
+    n_found: u64,
+    /// Simulations in newly loaded copies differ, too.
+    not_reproducible: bool,
     /// Ways that passed their trials, each with everything that was set in the runs of the trial: that hides what such a
     /// way leaves behind, so the verdict is one for runs that set all of it.
     proven: Vec<(Reuse, Arc<[Setting]>)>,
@@ -48,7 +52,7 @@ impl Verdicts {
         let reuse = verdict.reuse?;
         let is_proven =
             || verdict.proven.iter().any(|(way, set)| *way == reuse && are_covered(set, settings));
-        (reuse == Reuse::Reinstantiate || is_proven()).then_some(reuse)
+        (reuse >= Reuse::Reinstantiate || is_proven()).then_some(reuse)
     }
 
     /// Stores what trial runs that set `settings` have shown.
@@ -58,7 +62,7 @@ impl Verdicts {
             return;
         }
         verdict.reuse = verdict.reuse.max(Some(reuse));
-        if reuse != Reuse::Reinstantiate {
+        if reuse < Reuse::Reinstantiate {
             // What was shown while more was set is shown by this, too.
             verdict.proven.retain(|(way, set)| *way != reuse || !are_covered(settings, set));
             verdict.proven.push((reuse, Arc::clone(settings)));
@@ -75,6 +79,27 @@ impl Verdicts {
         let mut verdict = self.of(kind);
         verdict.no_restore = true;
         verdict.reuse = verdict.reuse.filter(|reuse| *reuse != Reuse::Restore);
+    }
+
+    /// A simulation was found to depend on earlier ones: from now on instances are brought back by `reuse`.
+    pub(crate) fn set_history(&self, kind: InterfaceKind, reuse: Reuse) {
+        let mut verdict = self.of(kind);
+        verdict.reuse = verdict.reuse.max(Some(reuse));
+        verdict.n_found += 1;
+    }
+
+    /// How often a simulation was found to depend on earlier ones.
+    pub(crate) fn n_found(&self, kind: InterfaceKind) -> u64 {
+        self.of(kind).n_found
+    }
+
+    /// Whether simulations differ in newly loaded copies, too; then there is nothing to find out.
+    pub(crate) fn is_not_reproducible(&self, kind: InterfaceKind) -> bool {
+        self.of(kind).not_reproducible
+    }
+
+    pub(crate) fn set_not_reproducible(&self, kind: InterfaceKind) {
+        self.of(kind).not_reproducible = true;
     }
 
     /// Whether co-simulations were seen to refuse the event mode that the description promises.

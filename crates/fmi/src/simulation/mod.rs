@@ -3,7 +3,7 @@
 mod engine;
 mod runner;
 
-pub(crate) use runner::{Prepared, Runner};
+pub(crate) use runner::{Prepared, Runner, Tenancy};
 
 use crate::description::Value;
 use crate::error::FmiError;
@@ -11,7 +11,6 @@ use crate::places::{Place, element_value};
 use crate::plan::SimulationPlan;
 use crate::trajectory::{Recorder, Trajectory};
 use ode::{Observer, Report};
-use runner::Tenancy;
 use std::cell::Cell;
 use std::marker::PhantomData;
 use std::ops::ControlFlow;

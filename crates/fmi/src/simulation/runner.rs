@@ -4,7 +4,9 @@ use super::engine::Engine;
 use crate::description::{Value, Variable};
 use crate::error::FmiError;
 use crate::plan::{Setting, SimulationPlan};
-use crate::reuse::{CopyLease, CopyRequest, Eviction, ReadBackBuffers, Reuse, Sharing, Tenant};
+use crate::reuse::{
+    Aside, CopyLease, CopyRequest, Digest, Eviction, Past, ReadBackBuffers, Reuse, Sharing, Tenant,
+};
 use crate::running::no_instance;
 use crate::sys::{CallEnvironment, InterfaceKind, Library, LoadFrom, RawInstance};
 use ode::{ErrorKind, Observer, Report, Seconds, SimulationError, Stats};
@@ -30,6 +32,8 @@ pub(crate) struct Runner {
     evicted: bool,
     /// What is set in the present copy besides the settings of the plan.
     pub(crate) prepared: Option<Prepared>,
+    /// The copy that it goes back to, after a run in another one.
+    pub(crate) aside: Option<Aside>,
     /// Given back after the instances.
     pub(crate) lease: Option<CopyLease>,
 }
@@ -87,6 +91,7 @@ impl Tenancy {
                 tenant: Weak::clone(tenant),
                 evicted: false,
                 prepared: None,
+                aside: None,
                 lease: None,
             }),
             pinned: AtomicBool::new(false),
@@ -232,7 +237,11 @@ impl Runner {
     /// # Errors
     /// The library cannot be loaded; there is no copy to be had; `observer` or the plan has cancelled the simulation.
     pub(crate) fn settle_in(&mut self, observer: Option<&mut dyn Observer>) -> Result<(), FmiError> {
-        if self.lease.as_ref().is_none_or(CopyLease::is_fatal) {
+        self.come_back();
+        let is_over = |lease: &CopyLease| {
+            lease.is_fatal() || (lease.copy().is_used() && self.reuse() == Some(Reuse::Reload))
+        };
+        if self.lease.as_ref().is_none_or(is_over) {
             self.give_up();
             self.lease = Some(self.lend(observer)?);
             self.evicted = false;
@@ -284,8 +293,9 @@ impl Runner {
 
     /// Gives the copy back, with the instance for whoever needs one next.
     pub(crate) fn give_up(&mut self) {
+        self.come_back();
         let raw = self.fresh.take().or_else(|| self.engine.running().retire());
-        let keeps = self.reuse() != Some(Reuse::Reinstantiate);
+        let keeps = self.reuse() < Some(Reuse::Reinstantiate);
         self.prepared = None;
         let Some(lease) = self.lease.take() else { return };
         match raw {
@@ -301,12 +311,35 @@ impl Runner {
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
         self.settle_in(Some(&mut *observer))?;
+        let past = self.look_back(parameters, observer)?;
+        self.run_here(past, parameters, observer)
+    }
+
+    /// The run itself, in the present copy; compared with what the same run has shown in another one.
+    pub(crate) fn run_here(
+        &mut self,
+        past: Option<Past>,
+        parameters: &[f64],
+        observer: &mut dyn Observer,
+    ) -> Result<Report, FmiError> {
         let _environment = CallEnvironment::enter();
-        self.start(parameters)?;
+        if let Err(error) = self.start(parameters) {
+            let outcome = Err(error);
+            if let Some(past) = past {
+                self.judge(&past, &outcome, parameters, observer)?;
+            }
+            return outcome;
+        }
         let (starting, elsewhere) =
             (self.began.elapsed().as_secs_f64(), self.engine.running().seconds_elsewhere());
+        if past.is_some() {
+            self.engine.running().begin_digest(Digest::with_way());
+        }
         let mut outcome = self.engine.run(&self.plan, None, observer);
         self.engine.running().pass_log_on();
+        if let Some(past) = past {
+            self.judge(&past, &outcome, parameters, observer)?;
+        }
         let stats = match &mut outcome {
             Ok(report) => &mut report.stats,
             Err(FmiError::Simulation(error)) => &mut error.stats,
@@ -333,9 +366,16 @@ impl Runner {
     }
 
     /// Initializes a new instance, or one that was reset and has the values it was given.
-    fn start(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+    pub(crate) fn start(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.began = Instant::now();
-        let (instance, is_used) = self.fresh_instance(parameters)?;
+        let (instance, is_used) = match self.fresh_instance(parameters) {
+            // The last run's instance could not be ended or reset, which is nothing of this run's.
+            Err(_) if self.is_fatal() => {
+                self.settle_in(None)?;
+                self.fresh_instance(parameters)?
+            }
+            outcome => outcome?,
+        };
         self.engine.initialize(instance, &self.plan.values.start, parameters)?;
         if !is_used || self.has_values(parameters).is_ok_and(|agrees| agrees) {
             return Ok(());
@@ -346,11 +386,8 @@ impl Runner {
         self.start_new(parameters)?;
         let from_new = self.has_values(parameters);
         if from_new.is_ok_and(|agrees| agrees) {
-            log::warn!("{model}: an instance that was used before does not take the values it is given");
-            match reuse {
-                Some(Reuse::Restore) => self.refuse_restore(),
-                _ => self.set_reuse(Reuse::Reinstantiate),
-            }
+            let reason = "an instance that was used before does not take the values it is given";
+            self.give_up_reuse(reuse.unwrap_or(Reuse::Reset), reason);
             return Ok(());
         }
         log::warn!("{model}: after the initialization the model does not have the values it was given");
@@ -380,7 +417,7 @@ impl Runner {
         let idle = self.lease.as_ref().and_then(|lease| lease.copy().take_idle(self.plan.kind, logging));
         let Some(used) = used.or(idle) else { return Ok((self.new_instance()?, false)) };
         match self.reuse() {
-            Some(Reuse::Reinstantiate) => {
+            Some(Reuse::Reinstantiate | Reuse::Reload) => {
                 drop(used);
                 Ok((self.new_instance()?, false))
             }

@@ -10,6 +10,8 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
+/// How long a compiler may take to say what it is.
+const ANSWER_TIME: Duration = Duration::from_secs(20);
 /// What is kept of a compiler's messages.
 const LAST_LINES: usize = 40;
 const LAST_BYTES: usize = 8000;
@@ -65,11 +67,15 @@ pub(super) struct Compiler {
 
 impl Compiler {
     /// The compiler named by `CC`, and no other if that is set; else the first of the usual names that answers.
-    pub(super) fn find(model_identifier: &str) -> Result<Compiler, FmiError> {
+    pub(super) fn find(model_identifier: &str, patience: &Patience<'_>) -> Result<Compiler, FmiError> {
         let chosen = std::env::var("CC").ok().filter(|name| !name.trim().is_empty());
         let found = match &chosen {
-            Some(command) => Compiler::ask(command),
-            None => platform::C_COMPILERS.iter().find_map(|command| Compiler::ask(command)),
+            Some(command) => Compiler::ask(command, patience)?,
+            None => {
+                let mut answers =
+                    platform::C_COMPILERS.iter().map(|command| Compiler::ask(command, patience));
+                answers.find_map(Result::transpose).transpose()?
+            }
         };
         found.ok_or_else(|| FmiError::NoCompiler {
             model_identifier: model_identifier.to_owned(),
@@ -77,18 +83,27 @@ impl Compiler {
         })
     }
 
-    fn ask(command: &str) -> Option<Compiler> {
-        let (program, arguments) = split(command)?;
-        let output = Command::new(&program)
-            .args(&arguments)
-            .arg("--version")
-            .env("LC_ALL", "C")
-            .stdin(Stdio::null())
-            .output()
-            .ok()
-            .filter(|output| output.status.success())?;
-        let version = String::from_utf8_lossy(&output.stdout).lines().next().unwrap_or_default().to_owned();
-        Some(Compiler { program, arguments, version })
+    /// Asks it what it is; `Ok(None)`: it is none.
+    fn ask(command: &str, patience: &Patience<'_>) -> Result<Option<Compiler>, FmiError> {
+        let Some((program, arguments)) = split(command) else { return Ok(None) };
+        let mut question = Command::new(&program);
+        question.args(&arguments).arg("--version").env("LC_ALL", "C").stdin(Stdio::null());
+        let answer = tempfile::tempfile().and_then(|said| Ok((said.try_clone()?, said)));
+        let (out, mut said) = answer.map_err(FmiError::io("run", &program))?;
+        question.stdout(out).stderr(Stdio::null());
+        platform::in_own_group(&mut question);
+        let short = Patience { limit: patience.limit.min(ANSWER_TIME), ..*patience };
+        let Ok(mut child) = question.spawn() else { return Ok(None) };
+        match short.wait(&mut child) {
+            Ok(Ok(status)) if status.success() => {}
+            Ok(Err(Impatience::Cancelled)) => return Err(FmiError::Cancelled),
+            _ => return Ok(None),
+        }
+        let mut text = Vec::new();
+        let read = said.rewind().and_then(|()| said.take(SEARCHED_BYTES).read_to_end(&mut text));
+        read.map_err(FmiError::io("read the answer of", &program))?;
+        let version = String::from_utf8_lossy(&text).lines().next().unwrap_or_default().to_owned();
+        Ok(Some(Compiler { program, arguments, version }))
     }
 
     /// What distinguishes it from other compilers.
@@ -196,7 +211,21 @@ mod tests {
 
     #[test]
     fn a_program_that_does_not_exist_is_no_compiler() {
-        assert!(Compiler::ask("no-such-compiler-anywhere").is_none());
+        let (cancel, limit) = (Cancel::default(), Duration::from_secs(20));
+        let ask =
+            |command: &str, limit| Compiler::ask(command, &Patience { cancel: &cancel, limit }).unwrap();
+        assert!(ask("no-such-compiler-anywhere", limit).is_none());
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let folder = tempfile::tempdir().unwrap();
+            let mute = folder.path().join("mute");
+            std::fs::write(&mute, "#!/bin/sh\nsleep 100\n").unwrap();
+            std::fs::set_permissions(&mute, std::fs::Permissions::from_mode(0o755)).unwrap();
+            let began = Instant::now();
+            assert!(ask(mute.to_str().unwrap(), Duration::from_millis(50)).is_none());
+            assert!(began.elapsed() < limit);
+        }
     }
 
     #[test]

@@ -9,7 +9,7 @@ mod pack;
 pub use cache::clear_caches;
 
 pub(crate) use cache::folder as cache_folder;
-pub use pack::pack;
+pub use pack::{pack, pack_unless};
 
 use crate::cancel::Cancel;
 use crate::description::{Interface, ModelDescription};
@@ -55,11 +55,12 @@ pub(crate) fn build_unchanged(
     check: impl FnOnce() -> Result<(), FmiError>,
 ) -> Result<PathBuf, FmiError> {
     let recipe = build::Recipe::find(root, description, interface)?;
-    let compiler = compiler::Compiler::find(&interface.model_identifier)?;
+    let patience = Patience { cancel, limit };
+    let compiler = compiler::Compiler::find(&interface.model_identifier, &patience)?;
     let key = recipe.key(&compiler, content_hash);
     let file_name = format!("{}.{}", interface.model_identifier, crate::platform::LIBRARY_EXTENSION);
     cache::get_or_make(&key, &file_name, |target| {
-        recipe.build(&compiler, target, &Patience { cancel, limit })?;
+        recipe.build(&compiler, target, &patience)?;
         check()
     })
 }

@@ -1,8 +1,9 @@
 //! Packing a folder into an `.fmu`: everything in it, and a library for this platform built from its sources.
 
-use super::build_library;
+use super::{COMPILE_TIME, build_unchanged};
 use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, files_below};
-use crate::description::{Interface, ModelDescription};
+use crate::cancel::Cancel;
+use crate::description::{DescriptionLimits, Interface, ModelDescription};
 use crate::error::FmiError;
 use crate::platform;
 use std::collections::BTreeMap;
@@ -19,13 +20,22 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 ///
 /// Errors: [`FmiError::CannotPack`]; those of opening a folder, parsing its description, building its library.
 pub fn pack(folder: &Path, out: &Path) -> Result<(), FmiError> {
-    let source = Archive::open(folder)?;
-    let description = ModelDescription::read(&source)?;
+    pack_unless(folder, out, &Cancel::default())
+}
+
+/// As [`pack`], unless `cancel` asks for an early end: nothing is written then.
+///
+/// Errors: those of [`pack`]; [`FmiError::Cancelled`].
+pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<(), FmiError> {
+    let source = Archive::open_with(folder, &ArchiveLimits::default(), cancel)?;
+    let description = ModelDescription::read_with(&source, &DescriptionLimits::default(), cancel)?;
     let root = source.unpack()?;
     let mut files = files_to_pack(&root, out)?;
     for interface in distinct_interfaces(&description) {
         if root.join("sources").is_dir() {
-            let library = build_library(&root, &description, interface, source.content_hash()?)?;
+            let limits = (cancel, COMPILE_TIME);
+            let hash = source.content_hash()?;
+            let library = build_unchanged(&root, &description, interface, hash, limits, || Ok(()))?;
             files.insert(library_name(&description, interface), library);
         }
     }
@@ -38,6 +48,7 @@ pub fn pack(folder: &Path, out: &Path) -> Result<(), FmiError> {
     let unfinished = platform::with_usual_permissions(builder.prefix(".fmufit-").suffix(".fmu"))
         .tempfile_in(parent)
         .map_err(FmiError::io("create a file in", parent))?;
+    cancel.check()?;
     write_archive(unfinished.as_file(), &files).map_err(|error| error.of(unfinished.path()))?;
     check_result(unfinished.path(), &source, folder)?;
     unfinished.persist(out).map_err(|error| FmiError::io("write", out)(error.error))?;

@@ -113,6 +113,13 @@ impl Library {
         self.retired.lock().unwrap_or_else(PoisonError::into_inner).push(callbacks);
     }
 
+    /// Has the library unloaded when nobody uses it any more.
+    pub(crate) fn unload_when_unused(&self) {
+        // SAFETY: the caller has found in the file that the library imports nothing to start threads, to register functions
+        // or to load other libraries with; its instances, whose callbacks it calls, keep it loaded (invariant 1).
+        unsafe { self.handle.close_on_drop() };
+    }
+
     /// The file.
     pub(crate) fn path(&self) -> &Path {
         &self.path
@@ -122,7 +129,14 @@ impl Library {
 impl Drop for Library {
     fn drop(&mut self) {
         let retired = self.retired.get_mut().unwrap_or_else(PoisonError::into_inner);
-        retired.drain(..).for_each(Callbacks::abandon);
+        let closes = self.handle.closes() && Arc::strong_count(&self.handle) == 1;
+        // Others may have opened the same file with other options.
+        if closes && Arc::strong_count(&self.shared) <= 2 {
+            // Before the file can go, whose place on the disk may be given to another.
+            Shared::forget(&self.path);
+        }
+        // Those of a library that is unloaded are dropped: none of its code is left to use them.
+        retired.drain(..).filter(|_| !closes).for_each(Callbacks::abandon);
     }
 }
 

@@ -3,15 +3,15 @@
 //! # Invariants
 //!
 //! 1. **A library outlives its instances.** A [`RawInstance`] holds an `Arc` of the [`Library`] its functions come
-//!    from. The function pointers of a binding are only called through a `Library` that is alive, and where threads
-//!    may have destructors of the library to run at their end, it is never closed.
+//!    from. The function pointers of a binding are only called through a `Library` that is alive. It is closed only where the
+//!    file shows that nothing of it can be called later (destructors of threads, functions that it registered).
 //! 2. **One owner per component.** A component pointer lives in exactly one `RawInstance`, is never copied out of
 //!    it, and is freed once, on drop. `RawInstance` may move to another thread (`Send`): FMI functions of one
 //!    instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1); so it is not
 //!    `Sync`, and every method takes `&mut self`.
 //! 3. **Addresses that an FMU keeps stay put.** What it is given for calling back ([`Callbacks`](callbacks::Callbacks)) is on
-//!    the heap (in `Arc`s, whose contents do not move) and never freed, for threads of an FMU may outlive its component. It
-//!    is shared with C code; all that this reaches is a mutex around the log lines, and no foreign code is ever called
+//!    the heap (in `Arc`s, whose contents do not move) and not freed while the library is loaded, for threads of an FMU may
+//!    outlive its component. It is shared with C code; all that this reaches is a mutex around the log lines, and no foreign code is ever called
 //!    while that mutex is held.
 //! 4. **Lengths are checked in release builds.** Slices handed to an FMU together with a count have that count, and
 //!    vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at instantiation.
@@ -46,14 +46,15 @@ mod fmi3_numbers;
 mod fmi3_values;
 mod functions;
 mod library;
+mod log_lines;
 mod packed;
 mod platform;
 mod raw_instance;
 mod shared;
 
-pub use callbacks::{LogFilter, LogLine};
 pub(crate) use environment::{CallEnvironment, look_now_and_then};
 pub(crate) use library::{Library, LoadFrom};
+pub use log_lines::{LogFilter, LogLine};
 pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
 pub(crate) use shared::Shared;
 

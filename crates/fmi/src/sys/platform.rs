@@ -1,15 +1,60 @@
 //! What differs between systems in this module: how a library is opened.
 
 use crate::open_options::LoaderOptions;
+use std::mem::ManuallyDrop;
+use std::ops::Deref;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Never closed: a thread that has called the FMU may hold data of its own for it (thread-specific data, `thread_local`
-/// of C++) whose destructor is code of the library and runs when the thread ends. An open library also keeps its file's
-/// place on the disk from being given to another file, for which the loader would take that one's code.
 #[cfg(unix)]
-pub(super) type Handle = std::mem::ManuallyDrop<libloading::os::unix::Library>;
+type Opened = libloading::os::unix::Library;
 #[cfg(not(unix))]
-pub(super) type Handle = libloading::Library;
+type Opened = libloading::Library;
+
+/// An open library. Not closed unless [`close_on_drop`](Self::close_on_drop) says so: a thread that has called the FMU may hold
+/// data of its own for it (thread-specific data, `thread_local` of C++) whose destructor is code of the library and runs
+/// when the thread ends. An open library also keeps its file's place on the disk from being given to another file, for which
+/// the loader would take that one's code.
+pub(super) struct Handle {
+    library: ManuallyDrop<Opened>,
+    closes: AtomicBool,
+}
+
+impl Handle {
+    fn new(library: Opened) -> Self {
+        Self { library: ManuallyDrop::new(library), closes: AtomicBool::new(false) }
+    }
+
+    /// Has the library closed when the handle is dropped.
+    ///
+    /// # Safety
+    /// Nothing of the library can be called after that: it starts no threads and registers no functions.
+    pub(super) unsafe fn close_on_drop(&self) {
+        self.closes.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the library is closed when the handle is dropped.
+    pub(super) fn closes(&self) -> bool {
+        self.closes.load(Ordering::Relaxed)
+    }
+}
+
+impl Deref for Handle {
+    type Target = Opened;
+
+    fn deref(&self) -> &Opened {
+        &self.library
+    }
+}
+
+impl Drop for Handle {
+    fn drop(&mut self) {
+        if self.closes() {
+            // SAFETY: dropped once, here; whoever called `close_on_drop` has promised that nobody is in it or comes back.
+            unsafe { ManuallyDrop::drop(&mut self.library) };
+        }
+    }
+}
 
 /// `RTLD_DEEPBIND` of glibc (`dlfcn.h`), where there is such a flag.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -36,8 +81,7 @@ pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Handle
     let when = if options.lazy { RTLD_LAZY } else { RTLD_NOW };
     let deep = DEEPBIND.filter(|_| options.deepbind).unwrap_or(0);
     // SAFETY: handed on to the caller.
-    unsafe { libloading::os::unix::Library::open(Some(path), when | RTLD_LOCAL | deep) }
-        .map(std::mem::ManuallyDrop::new)
+    unsafe { libloading::os::unix::Library::open(Some(path), when | RTLD_LOCAL | deep) }.map(Handle::new)
 }
 
 /// Opens a shared library.
@@ -47,5 +91,5 @@ pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Handle
 #[cfg(not(unix))]
 pub(super) unsafe fn open(path: &Path, _: &LoaderOptions) -> Result<Handle, libloading::Error> {
     // SAFETY: handed on to the caller.
-    unsafe { Handle::new(path) }
+    unsafe { Opened::new(path) }.map(Handle::new)
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The library files of this process. An entry is never removed, as no library is ever unloaded (see `platform::open`).
+/// The library files of this process. An entry goes when its library is unloaded, which few are (see `platform::Handle`).
 static KNOWN: Mutex<Option<Libraries>> = Mutex::new(None);
 
 /// Each with what its file was when it was loaded.
@@ -19,6 +19,8 @@ type Libraries = HashMap<FilePlace, (FileIdentity, Arc<Shared>)>;
 pub(crate) struct Shared {
     /// A call returned `Fatal`.
     fatal: AtomicBool,
+    /// A component was made.
+    used: AtomicBool,
 }
 
 impl Shared {
@@ -42,7 +44,7 @@ impl Shared {
         }
     }
 
-    /// Forgets a library that could not be loaded.
+    /// Forgets a library that could not be loaded, or is about to be unloaded.
     pub(super) fn forget(path: &Path) {
         if let Ok(metadata) = path.metadata() {
             let place = platform::file_identity(&metadata).place(path);
@@ -56,6 +58,16 @@ impl Shared {
     #[inline]
     pub(crate) fn is_fatal(&self) -> bool {
         self.fatal.load(Ordering::Relaxed)
+    }
+
+    /// Whether a component was ever made in this loaded file: then its static variables may have a past.
+    #[inline]
+    pub(crate) fn is_used(&self) -> bool {
+        self.used.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn set_used(&self) {
+        self.used.store(true, Ordering::Relaxed);
     }
 
     pub(super) fn set_fatal(&self) {

@@ -37,6 +37,23 @@ static void start_values(Model *m) {
     m->bytes[0] = 0xca; m->bytes[1] = 0xfe; m->n_bytes = 2;
 }
 
+#ifdef LOGS_LATE
+/* A thread that uses the callback when the instance has gone. */
+#include <pthread.h>
+#include <unistd.h>
+static fmi3LogMessageCallback given;
+static fmi3InstanceEnvironment given_environment;
+
+static void *log_late(void *nothing) {
+    int i;
+    for (i = 0; i < 20; i++) {
+        usleep(2000);
+        given(given_environment, fmi3Warning, "logAll", "late");
+    }
+    return nothing;
+}
+#endif
+
 static fmi3Instance make(fmi3String token) {
     Model *m;
     if (strcmp(token, "{arrays}") != 0) return NULL;
@@ -50,6 +67,10 @@ FMI3_EXPORT fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3Strin
                                                       fmi3Boolean visible, fmi3Boolean logging,
                                                       fmi3InstanceEnvironment environment, fmi3LogMessageCallback log) {
     (void)name, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
+#ifdef LOGS_LATE
+    given = log;
+    given_environment = environment;
+#endif
     return make(token);
 }
 FMI3_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
@@ -61,7 +82,13 @@ FMI3_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String
     (void)update;
     return event_mode || early ? NULL : make(token);
 }
-FMI3_EXPORT void fmi3FreeInstance(fmi3Instance i) { free(i); }
+FMI3_EXPORT void fmi3FreeInstance(fmi3Instance i) {
+#ifdef LOGS_LATE
+    pthread_t thread;
+    if (pthread_create(&thread, NULL, log_late, NULL) == 0) pthread_detach(thread);
+#endif
+    free(i);
+}
 FMI3_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance i, bool td, double t, double start, bool sd, double s) {
     (void)td, (void)t, (void)sd, (void)s;
     ((Model *)i)->time = start;

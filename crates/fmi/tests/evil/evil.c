@@ -5,13 +5,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#if defined(FLUSHES) || defined(FLOAT_IN)
-#include <xmmintrin.h>
-#endif
-#ifdef SIGNALS_IN
-#include <signal.h>
-#endif
-#include <locale.h>
 #ifdef LOGS_LATE
 #include <pthread.h>
 #include <unistd.h>
@@ -42,28 +35,12 @@ typedef struct {
     double y; /* x where the derivatives were computed last */
     int restored;
     double restored_k;
+    double remembered;
     fmi2CallbackFunctions functions;
 } Model;
 
-#ifdef SHARED_GLOBALS
-static double global_k;
-#define K(m) global_k
-#elif defined(STATIC_PARAMETERS)
-/* As Simulink exports it: made when the library is loaded, and changed by nothing but being set. */
-static double global_k = 1;
-#define K(m) global_k
-#elif defined(UNIQUE_PARAMETERS)
-/* What a C++ compiler makes of an inline variable: the loader gives all copies of the library the same one. */
-__asm__(".pushsection .data\n.balign 8\n.globl unique_k\n.type unique_k, @gnu_unique_object\n.size unique_k, 8\n"
-        "unique_k: .double 1.0\n.popsection");
-extern double unique_k;
-#define K(m) unique_k
-#elif defined(SIBLING_GLOBALS)
-extern double sibling_k;
-#define K(m) sibling_k
-#else
-#define K(m) ((m)->k)
-#endif
+#include "process.h"
+#include "state.h"
 
 #ifdef LAST_ONLY
 static Model *last;
@@ -71,72 +48,9 @@ static Model *last;
 #ifdef STATIC_SCRATCH
 static volatile double scratch;
 #endif
-#ifdef CLASHES
-/* A function of the C library; which one is called is a matter of how this library is loaded. */
-EXPORT int atoi(const char *text) { (void)text; return 7; }
-#endif
 #ifdef UNDEFINED_SYMBOL
 extern double not_there(double);
 #endif
-#ifdef THREAD_DATA
-#include <pthread.h>
-static pthread_key_t key;
-static void thread_ends(void *p) { (void)p; }
-__attribute__((constructor)) static void make_key(void) { pthread_key_create(&key, thread_ends); }
-#endif
-
-/* What an FMU does to its thread and its process, and where: FLOAT_IN, SIGNALS_IN, LOCALE_IN. */
-enum { INSTANTIATE = 1, SET_TIME, DERIVATIVES, STEP, FREE, INITIALIZE };
-
-static void upset(int where) {
-    (void)where;
-#ifdef FLOAT_IN
-    if (where == FLOAT_IN) {
-        unsigned short x87;
-        __asm__ volatile("fnstcw %0" : "=m"(x87));
-#ifdef ROUNDS_UP
-        _mm_setcsr((_mm_getcsr() & ~0x6000u) | 0x4000u);
-        x87 = (unsigned short)((x87 & ~0x0c00u) | 0x0800u);
-#else /* unmasks all exceptions */
-        _mm_setcsr(_mm_getcsr() & ~0x1fbfu);
-        x87 &= (unsigned short)~0x3fu;
-#endif
-        __asm__ volatile("fnclex; fldcw %0" : : "m"(x87));
-    }
-#endif
-#ifdef SIGNALS_IN
-    if (where == SIGNALS_IN) {
-        signal(SIGINT, SIG_IGN);
-        signal(SIGFPE, SIG_IGN);
-    }
-#endif
-#ifdef LOCALE_IN
-    if (where == LOCALE_IN) setlocale(LC_ALL, getenv("EVIL_LOCALE"));
-#endif
-}
-#ifdef DIES_WITH_TWO
-/* Two threads in this library at once end the process. */
-static int inside;
-static void enter(void) {
-    int i;
-    if (__atomic_fetch_add(&inside, 1, __ATOMIC_SEQ_CST) != 0) abort();
-    for (i = 0; i < 1000; i++) __asm__ volatile("");
-}
-static void leave(void) { __atomic_fetch_sub(&inside, 1, __ATOMIC_SEQ_CST); }
-#else
-#define enter()
-#define leave()
-#endif
-
-#ifdef DIES_WITH_TWO_INSTANCES
-static int alive;
-#endif
-
-#ifdef LARGE_TLS
-/* Static thread-local storage is set aside once per process and is small. */
-static __thread volatile char large[LARGE_TLS] __attribute__((tls_model("initial-exec")));
-#endif
-
 static void start_values(Model *m) {
     m->y = 1;
 #ifdef LATCHES
@@ -188,6 +102,9 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     functions->logger(functions->componentEnvironment, "evil", fmi2Error, "logAll", "no licence for %s", "evil");
     return NULL;
 #endif
+#ifdef INSTANCES
+    if (n_made++ >= INSTANCES) return NULL;
+#endif
     enter();
 #ifdef DIES_WITH_TWO_INSTANCES
     if (alive++ > 0) abort();
@@ -197,6 +114,9 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     if (m == NULL) return NULL;
     memcpy(&m->functions, functions, sizeof *functions);
     start_values(m);
+#ifdef REMEMBERS_IN_INSTANCE
+    m->remembered = 0;
+#endif
 #ifdef WRITES_RESOURCES
     {
         char path[4096];
@@ -274,7 +194,10 @@ EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     return fmi2OK;
 }
 
-EXPORT fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return fmi2OK; }
+#ifndef TERMINATE
+#define TERMINATE fmi2OK
+#endif
+EXPORT fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return TERMINATE; }
 
 EXPORT fmi2Status fmi2Reset(fmi2Component c) {
     Model *m = c;
@@ -291,6 +214,9 @@ EXPORT fmi2Status fmi2Reset(fmi2Component c) {
 #elif defined(FAILING_RESET)
     (void)m;
     return fmi2Error;
+#elif defined(RESET)
+    start_values(m);
+    return RESET;
 #else
     start_values(m);
 #endif
@@ -323,7 +249,15 @@ EXPORT fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
         m->x *= 1 + 1e-9 * k;
     }
 #else
+#ifdef REMEMBERS_IN_INSTANCE
+    {
+        double remembered = m->remembered;
+        memcpy(m, state, sizeof *m);
+        m->remembered = remembered;
+    }
+#else
     memcpy(m, state, sizeof *m);
+#endif
 #endif
     m->restored = 1;
     m->restored_k = m->k;
@@ -502,7 +436,8 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
     Model *m = c;
     if (n != 1) return fmi2Error;
     enter();
-    dx[0] = -K(m) * m->x;
+    REMEMBER(m);
+    dx[0] = -K(m) * m->x + REMEMBERED(m);
     m->y = m->x;
 #ifdef USES_STRTOD
     dx[0] = -strtod("1.5", NULL) * m->x;

@@ -9,7 +9,7 @@ from typing import Any
 
 from . import _core
 from ._errors import UnknownVariableError
-from ._files import PathLike
+from ._files import OpenOptions, PathLike, size_limit
 
 
 @dataclass(frozen=True)
@@ -355,13 +355,19 @@ class Description:
         )
 
 
-def read_description(path: PathLike) -> Description:
+def read_description(
+    path: PathLike, *, max_description_bytes: int | None = None, max_elements: int | None = None
+) -> Description:
     """The model description of an FMU, which need not be one that can be simulated. Runs no code of the FMU.
 
     Parameters
     ----------
     path : path
         An ``.fmu`` file or an unpacked folder.
+    max_description_bytes : int, optional
+        How large ``modelDescription.xml`` may be; default 64 MiB. Reading it takes at most eight times as much memory.
+    max_elements : int, optional
+        How many elements its array variables may have together; default 2 million.
 
     Raises
     ------
@@ -370,7 +376,11 @@ def read_description(path: PathLike) -> Description:
     FmuError
         The archive or its ``modelDescription.xml`` is damaged, or not safe to unpack.
     """
-    return Description(_core.Fmu(path))
+    limits = {
+        "max_description_bytes": size_limit("max_description_bytes", max_description_bytes),
+        "max_elements": size_limit("max_elements", max_elements),
+    }
+    return Description(_core.Fmu(path, OpenOptions(**limits)))
 
 
 def _interface(fields: dict[str, Any] | None) -> Interface | None:

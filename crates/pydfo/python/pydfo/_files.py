@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import atexit
+import operator
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 from . import _core
@@ -12,6 +14,32 @@ PathLike = str | os.PathLike[str]
 
 # FMUs stay open for the next one who opens them; their unpacked folders go with the interpreter.
 atexit.register(_core.close_unused)
+
+
+@dataclass(frozen=True)
+class OpenOptions:
+    """How an FMU is opened, as the native code reads it."""
+
+    log_level: int = 7
+    logging: bool = False
+    show_log: bool = False
+    deepbind: bool = False
+    lazy: bool = False
+    tool_is_present: bool = False
+    max_description_bytes: int | None = None
+    max_elements: int | None = None
+
+
+def size_limit(name: str, value: int | None) -> int | None:
+    """A limit that counts something; None: the default."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise TypeError(f"{name} must be a whole number, not {value!r}")
+    number = operator.index(value)
+    if not 0 < number < 2**63:
+        raise ValueError(f"{name} must be a positive number, not {value!r}")
+    return number
 
 
 def build_fmu(folder: PathLike, out: PathLike) -> Path:
@@ -36,6 +64,8 @@ def build_fmu(folder: PathLike, out: PathLike) -> Path:
         The folder holds no FMU; there is no compiler; the sources do not compile.
     OSError
         Files cannot be read or written.
+    KeyboardInterrupt
+        Ctrl-C: the compiler is ended, and nothing is written.
     """
     _core.build_fmu(folder, out)
     return Path(out)

@@ -49,6 +49,9 @@ class Fit(OptimizeResult):
         `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
         show it, because they differ in one parameter alone). They do not count in ``nfev`` nor
         in its limit, are not made after an interrupt or when the time is up, and are part of `stats`.
+    n_beginnings : int
+        How often the fit was begun: more than once where its simulations were found to depend on earlier ones, by a state that
+        the model keeps and no variable shows; ``model.description.quirks`` says so, too. ``nfev`` counts from the last beginning.
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
@@ -63,6 +66,7 @@ class Fit(OptimizeResult):
             self.at_bound: dict[str, str] = {}
             self.without_effect: list[str] = []
             self.n_checks = 0
+            self.n_beginnings = 1
         self._calibration = calibration
         self.start = start
         self.solver = solver

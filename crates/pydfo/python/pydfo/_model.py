@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from . import _core, _inputs, _options
 from ._description import Description
-from ._files import PathLike
+from ._files import OpenOptions, PathLike, size_limit
 from ._keywords import explained
 from ._trajectory import SimulationResult
 
@@ -52,18 +52,6 @@ LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug"
 """PyFMI's levels of logging, by their numbers."""
 
 
-@dataclass(frozen=True)
-class OpenOptions:
-    """How an FMU is opened, as the native code reads it."""
-
-    log_level: int
-    logging: bool
-    show_log: bool
-    deepbind: bool
-    lazy: bool
-    tool_is_present: bool
-
-
 @explained
 def load_fmu(
     path: PathLike,
@@ -74,6 +62,8 @@ def load_fmu(
     deepbind: bool = False,
     lazy: bool = False,
     tool_is_present: bool = False,
+    max_description_bytes: int | None = None,
+    max_elements: int | None = None,
 ) -> FMUModel:
     """Opens an FMU: the same as `FMUModel`, which see.
 
@@ -89,6 +79,8 @@ def load_fmu(
         The FMU is asked to log.
     deepbind, lazy, tool_is_present : bool
         How its library is loaded, and that the tool it needs is there.
+    max_description_bytes, max_elements : int, optional
+        How large its description may be.
 
     Returns
     -------
@@ -107,6 +99,8 @@ def load_fmu(
         deepbind=deepbind,
         lazy=lazy,
         tool_is_present=tool_is_present,
+        max_description_bytes=max_description_bytes,
+        max_elements=max_elements,
     )
 
 
@@ -159,6 +153,10 @@ class FMUModel:
         are never called.
     tool_is_present : bool
         Run the FMU although it says that it needs the tool that made it.
+    max_description_bytes : int, optional
+        How large ``modelDescription.xml`` may be; default 64 MiB. Reading it takes at most eight times as much memory.
+    max_elements : int, optional
+        How many elements its array variables may have together; default 2 million.
 
     Raises
     ------
@@ -191,6 +189,8 @@ class FMUModel:
         deepbind: bool = False,
         lazy: bool = False,
         tool_is_present: bool = False,
+        max_description_bytes: int | None = None,
+        max_elements: int | None = None,
     ) -> None:
         if not isinstance(kind, str):
             raise TypeError(f"kind must be a string, not {kind!r}")
@@ -201,6 +201,8 @@ class FMUModel:
             deepbind=_options.flag("deepbind", deepbind),
             lazy=_options.flag("lazy", lazy),
             tool_is_present=_options.flag("tool_is_present", tool_is_present),
+            max_description_bytes=size_limit("max_description_bytes", max_description_bytes),
+            max_elements=size_limit("max_elements", max_elements),
         )
         self._fmu = _core.Fmu(path, options)
         self._kind = self._fmu.check_runnable(kind)
@@ -219,8 +221,8 @@ class FMUModel:
     @property
     def reuse(self) -> str | None:
         """How an instance is brought back to its beginning between two simulations: the first of "restore" (a saved state),
-        "reset" (the FMU's function) and "reinstantiate" (a new instance) that was seen to give the same bits; None before
-        it was tried, which is when the second simulation begins."""
+        "reset" (the FMU's function), "reinstantiate" (a new instance) and "reload" (a newly loaded copy of the FMU's library)
+        that was seen to give the same bits; None before it was tried, which is when the second simulation begins."""
         return self._fmu.reuse(self._kind)
 
     @property

@@ -1,5 +1,5 @@
-//! What belongs to the whole process and FMUs are known to change: how SIGINT, SIGFPE and SIGSEGV are handled, and the
-//! locale. Both are remembered while calls into FMUs are under way on any thread, looked at now and then, and put back.
+//! What belongs to the whole process and FMUs are known to change: how SIGINT, SIGFPE and SIGSEGV are handled, the locale,
+//! the working directory. They are remembered while calls into FMUs are under way on any thread, looked at now and then, and put back.
 //!
 //! Whoever else changes them meanwhile, on another thread, is taken for an FMU: the calls do not tell.
 
@@ -22,10 +22,17 @@ mod watched {
         signals: Option<[libc::sigaction; 3]>,
         /// With its NUL.
         locale: Vec<u8>,
+        /// With its NUL; empty where the system does not say.
+        working_directory: Vec<u8>,
     }
 
-    static STATE: Mutex<State> =
-        Mutex::new(State { watches: 0, process: 0, signals: None, locale: Vec::new() });
+    static STATE: Mutex<State> = Mutex::new(State {
+        watches: 0,
+        process: 0,
+        signals: None,
+        locale: Vec::new(),
+        working_directory: Vec::new(),
+    });
 
     /// Somebody was told that an FMU does such things.
     static IS_TOLD: AtomicBool = AtomicBool::new(false);
@@ -75,12 +82,23 @@ mod watched {
         }
     }
 
+    /// The working directory of the process; none for paths that are too long to ask for them often.
+    fn working_directory(buffer: &mut [u8; 1024]) -> Option<&CStr> {
+        // SAFETY: the buffer has the size that is given with it; on success a text with its NUL is in it.
+        let found = unsafe { libc::getcwd(buffer.as_mut_ptr().cast::<c_char>(), buffer.len()) };
+        if found.is_null() { None } else { CStr::from_bytes_until_nul(buffer).ok() }
+    }
+
     impl State {
         fn remember(&mut self) {
             let [a, b, c] = SIGNALS.map(disposition);
             self.signals = a.zip(b).zip(c).map(|((a, b), c)| [a, b, c]);
             self.locale.clear();
             self.locale.extend_from_slice(locale().map_or(&[], CStr::to_bytes_with_nul));
+            let mut buffer = [0; 1024];
+            let directory = working_directory(&mut buffer).map_or(&[][..], CStr::to_bytes_with_nul);
+            self.working_directory.clear();
+            self.working_directory.extend_from_slice(directory);
         }
 
         /// Whether something had to be put back.
@@ -102,6 +120,14 @@ mod watched {
                 unsafe { libc::setlocale(libc::LC_ALL, self.locale.as_ptr().cast::<c_char>()) };
                 is_changed = true;
             }
+            let mut buffer = [0; 1024];
+            let is_same = |now: &CStr| now.to_bytes_with_nul() == self.working_directory;
+            if !self.working_directory.is_empty()
+                && working_directory(&mut buffer).is_none_or(|now| !is_same(now))
+            {
+                // SAFETY: a path that getcwd gave, with its NUL.
+                is_changed |= unsafe { libc::chdir(self.working_directory.as_ptr().cast::<c_char>()) } == 0;
+            }
             is_changed
         }
     }
@@ -116,8 +142,8 @@ mod watched {
         };
         if is_changed && !IS_TOLD.swap(true, Ordering::Relaxed) {
             log::warn!(
-                "an FMU changed how this process handles SIGINT, SIGFPE or SIGSEGV, or its locale; whenever that happens it \
-                 is put back"
+                "an FMU changed how this process handles SIGINT, SIGFPE or SIGSEGV, its locale or its working \
+                 directory; whenever that happens it is put back"
             );
         }
     }

@@ -130,6 +130,7 @@ impl RawInstance {
                 dropped,
             }));
         }
+        library.shared().set_used();
         Ok(Self {
             component,
             dead: false,
