@@ -7,7 +7,7 @@ use crate::identity::identity;
 use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
-use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, unused_columns};
+use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, ignored_nominals, unused_columns};
 use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
 use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan, Trajectory};
 use ode::{ErrorKind, Method, Number, Stats, Termination};
@@ -126,6 +126,7 @@ impl CalibrationBuilder {
             experiment.check_start_values(fmu.description(), &parameters)?;
             warnings.extend(unused_columns(fmu.description(), experiment));
         }
+        warnings.extend(ignored_nominals(&parameters));
         let identity = identity(&fmu, &experiments, &parameters, &settings)?;
         let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
@@ -188,6 +189,9 @@ impl Prepared {
         };
         let plan = SimulationPlan::new(fmu, &options)?;
         plan.require_single_numbers()?;
+        experiment.check_outputs(fmu.description(), parameters)?;
+        let ignored = options.without_effect(plan.kind()).into_iter().map(SetupWarning::NoEffect);
+        warnings.extend(ignored.filter(|warning| !warnings.contains(warning)).collect::<Vec<_>>());
         let pool = Pool::with_reference(Arc::new(plan), start)?;
         let outputs = experiment.outputs.into_iter().map(|o| (o.variable, o.column)).collect();
         Ok(Self { pool, comparison, options, data: experiment.data, outputs })

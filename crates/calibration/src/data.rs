@@ -97,7 +97,14 @@ impl Data {
         };
         let message = |e: csv::Error| match e.kind() {
             csv::ErrorKind::UnequalLengths { pos, expected_len, len } => {
-                format!("line {} has {len} cells, the header has {expected_len}", line_of(pos.as_ref()))
+                let line = line_of(pos.as_ref());
+                let hint = match delimiter {
+                    b',' if *len == 2 * expected_len => {
+                        "; numbers with decimal commas need semicolons or tabs between the columns"
+                    }
+                    _ => "",
+                };
+                format!("line {line} has {len} cells, the header has {expected_len}{hint}")
             }
             _ => e.to_string(),
         };
@@ -120,10 +127,19 @@ impl Data {
         if columns.is_empty() || lines.is_empty() {
             return Err(bad("there are no rows".to_owned()));
         }
-        let time_column = TimeColumn::find(names.iter().map(String::as_str), time).map_err(bad)?;
+        let time_column = TimeColumn::find(names.iter().map(String::as_str), time).map_err(|message| {
+            let hint = "; there is one column only: columns are separated by commas, semicolons or tabs";
+            bad(if names.len() == 1 { message + hint } else { message })
+        })?;
         let mut time = columns.remove(time_column.index);
         if let Some((line, text)) = &time.text {
-            return Err(bad(format!("time '{text}' in line {line} is not a number")));
+            let hint = match Some(line) == lines.first() {
+                true => {
+                    "; units stand in the names of the columns, as in 'time [ms]', not in a line of their own"
+                }
+                false => "",
+            };
+            return Err(bad(format!("time '{text}' in line {line} is not a number{hint}")));
         }
         time.values.iter_mut().for_each(|t| *t = time_column.seconds(*t));
         Self::new(source.to_owned(), time.name, time.values, columns, |row| format!("line {}", lines[row]))
@@ -262,7 +278,10 @@ impl Data {
             return Err(bad(format!("two columns are named '{name}'")));
         }
         if let Some((line, text)) = &column.text {
-            return Err(bad(format!("'{text}' in column '{name}', line {line}, is not a number")));
+            return Err(bad(format!(
+                "'{text}' in column '{name}', line {line}, is not a number; missing values are empty cells, NaN, NA, N/A \
+                 or null"
+            )));
         }
         if let Some(row) = column.values.iter().position(|v| v.is_infinite()) {
             return Err(bad(format!("column '{name}' is infinite at time {}", self.time[row])));

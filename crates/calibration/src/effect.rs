@@ -67,14 +67,13 @@ struct Suspect {
 }
 
 impl Calibration {
-    /// Looks at the parameters of a run. Where its evaluations leave something open, it makes simulations of its own, if
-    /// nobody ended the run early and all of them fit into its budget: one at the bound for each parameter that ended as near
+    /// Looks at the parameters of a run. Where its evaluations leave something open, it makes simulations of its own, unless
+    /// time or an interrupt ended the run, which no budget of the search counts: one at the bound for each parameter that ended as near
     /// to it as the tolerance of the run, one with each parameter moved that no evaluation has shown to change the cost.
     pub(crate) fn findings(
         &self,
         (start, report): (&[f64], &Report),
         tolerances: &Tolerances,
-        budget: Option<usize>,
         cancelled: &dyn Fn() -> bool,
         stats: &mut Stats,
     ) -> Findings {
@@ -85,18 +84,18 @@ impl Calibration {
             without_effect: suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect(),
             n_checks: 0,
         };
-        let open = candidates.iter().filter(|c| !c.is_sure).count() + suspects.len();
         let is_over = matches!(
             report.termination,
             Termination::Converged
+                | Termination::ConstantCost
                 | Termination::Target
                 | Termination::Collapsed
                 | Termination::Stalled
                 | Termination::MaxEvaluations
                 | Termination::MaxIterations
+                | Termination::StoppedByObserver
         );
-        let is_in_budget = budget.is_none_or(|most| report.n_evaluations + open <= most);
-        if !is_over || !is_in_budget {
+        if !is_over {
             return found;
         }
         let mut checked = Findings::default();
@@ -106,8 +105,10 @@ impl Calibration {
             x[index] = value;
             self.evaluate_into(&x, (f64::INFINITY, cancelled), None, stats)
         };
-        for Candidate { index, side, is_sure, .. } in candidates {
-            let is_at = is_sure || {
+        // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
+        let is_spent = report.termination == Termination::MaxEvaluations;
+        for Candidate { index, side, is_likely, is_sure } in candidates {
+            let is_at = is_sure || (is_spent && is_likely) || {
                 let parameter = &self.parameters()[index];
                 match cost_with(index, side.of(parameter)) {
                     Ok(cost) => cost <= report.fun || self.is_equal_cost(report.fun, cost),
@@ -119,7 +120,11 @@ impl Calibration {
                 checked.at_bound.push((index, side));
             }
         }
-        for Suspect { index, .. } in suspects {
+        for Suspect { index, is_seen } in suspects {
+            if is_seen && is_spent {
+                checked.without_effect.push(index);
+                continue;
+            }
             match cost_with(index, self.moved(&self.parameters()[index], report.x[index])) {
                 Ok(cost) if self.is_equal_cost(report.fun, cost) => checked.without_effect.push(index),
                 Err(NoCost::Cancelled) => break,

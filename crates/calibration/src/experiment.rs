@@ -3,6 +3,7 @@
 use crate::data::Data;
 use crate::error::CalibrationError;
 use crate::parameter::Parameter;
+use fmi::description::{Causality, Variability};
 use fmi::{Inputs, ModelDescription, Value};
 use ode::Number;
 use std::time::Duration;
@@ -119,7 +120,7 @@ impl Experiment {
         Ok((time[rows].to_vec(), columns))
     }
 
-    /// Refuses a value for something that is fitted.
+    /// Refuses a value for something that is fitted or driven.
     pub(crate) fn check_start_values(
         &self,
         description: &ModelDescription,
@@ -138,6 +139,41 @@ impl Experiment {
                 );
                 return Err(CalibrationError::Parameter { name, message });
             }
+            let is_driven = |(input, _): &&(String, String)| {
+                input == given || reference(given).is_some_and(|of| reference(input) == Some(of))
+            };
+            if let Some((input, column)) = self.inputs.iter().find(is_driven) {
+                return Err(CalibrationError::Setup(format!(
+                    "input '{input}' is driven by column '{column}', and start_values gives it the value {value}: one of \
+                     both counts"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses outputs that are no results of the simulation.
+    pub(crate) fn check_outputs(
+        &self,
+        description: &ModelDescription,
+        parameters: &[String],
+    ) -> Result<(), CalibrationError> {
+        let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
+        for Measured { variable, column, .. } in &self.outputs {
+            let Some(declared) = description.variable(variable) else { continue };
+            let own = Some((declared.kind, declared.value_reference));
+            let is_fitted = parameters.iter().any(|p| reference(p) == own);
+            let what = match declared.causality {
+                Causality::Parameter if is_fitted => "a parameter that is fitted",
+                Causality::Parameter | Causality::StructuralParameter => "a parameter",
+                Causality::Input => "an input",
+                Causality::Independent => "the time",
+                _ if declared.variability == Variability::Constant => "a constant",
+                _ => continue,
+            };
+            return Err(CalibrationError::Setup(format!(
+                "output '{variable}' is compared with column '{column}', but it is {what}, not a result of the simulation"
+            )));
         }
         Ok(())
     }

@@ -115,8 +115,8 @@ pub struct Fit {
     pub without_effect: Vec<usize>,
     /// Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
     /// `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
-    /// show it, because they differ in one parameter alone). They are none of the run's evaluations, are not made where they
-    /// would exceed its budget or somebody ended it early, and are part of `stats`.
+    /// show it, because they differ in one parameter alone). They are none of the run's evaluations, which its budget
+    /// counts, are not made after an interrupt or when the time is up, and are part of `stats`.
     pub n_checks: usize,
     /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
     /// Those that failed or were given up count, those of a resumed fit from before do not.
@@ -257,7 +257,7 @@ impl Calibration {
         let is_flagged = || options.cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
         let cancelled = || is_late() || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
         let run = (start.as_slice(), &report);
-        let found = self.findings(run, &tolerances, limits.max_evaluations, &cancelled, &mut stats);
+        let found = self.findings(run, &tolerances, &cancelled, &mut stats);
         report.message += &self.remarks(&found);
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());

@@ -161,9 +161,9 @@ impl Parameter {
             return bad(format!("a log scale needs values above 0; start {first}, lower bound {low}"));
         }
         if let Some(nominal) = self.nominal
-            && !(nominal.is_finite() && nominal != 0.0)
+            && !(nominal.is_finite() && nominal > 0.0)
         {
-            return bad(format!("nominal {nominal} must be finite and not zero"));
+            return bad(format!("nominal {} must be positive and finite", Number(nominal)));
         }
         Ok(())
     }
@@ -184,6 +184,7 @@ mod tests {
             (p(0.0, f64::NEG_INFINITY, 1.0).scale(Scale::Log), "above 0; start 0"),
             (p(0.5, 0.0, 1.0).scale(Scale::Log), "above 0; start 0.5, lower bound 0"),
             (p(0.5, 0.0, 1.0).nominal(0.0), "nominal 0"),
+            (p(0.5, 0.0, 1.0).nominal(-3.0), "nominal -3 must be positive"),
             (p(0.5, 0.0, 1.0).kind(Kind::Integer), "is integer, so start 0.5 must be a whole number"),
             (p(0.5, 0.1, 0.9).kind(Kind::Categorical), "is categorical, but between its bounds 0.1 and 0.9"),
         ] {

@@ -35,7 +35,6 @@ impl TimeColumn {
         named: Option<&str>,
     ) -> Result<Self, String> {
         let wanted = named.unwrap_or("time");
-        let is_whole = |name: &str| name == wanted;
         let is_stem = |name: &str| match named {
             Some(named) => parts(name).0 == named,
             None => parts(name).0.eq_ignore_ascii_case(wanted),
@@ -43,9 +42,11 @@ impl TimeColumn {
         let found = |is: &dyn Fn(&str) -> bool| {
             names.clone().enumerate().filter(|(_, name)| is(name)).collect::<Vec<_>>()
         };
-        let mut candidates = found(&is_whole);
-        if candidates.is_empty() {
-            candidates = found(&is_stem);
+        let mut candidates = found(&is_stem);
+        if named.is_some() {
+            // What the user names in full is meant, whatever else there is.
+            let whole = found(&|name| name == wanted);
+            candidates = if whole.is_empty() { candidates } else { whole };
         }
         match candidates[..] {
             [(index, name)] => Ok(Self { index, unit: unit(name)? }),
@@ -109,7 +110,7 @@ mod tests {
     #[test]
     fn the_column_is_called_time_or_is_named() {
         assert_eq!(find(&["y", "TIME"], None), Ok((1, 3.0)));
-        assert_eq!(find(&["y", "Time", "time"], None), Ok((2, 3.0)));
+        assert_eq!(find(&["y", "Time", "time"], Some("time")), Ok((2, 3.0)));
         assert_eq!(find(&["time", "t"], Some("t")), Ok((1, 3.0)));
         assert_eq!(find(&["time", "t [ms]"], Some("t")), Ok((1, 3.0 / 1e3)));
         assert_eq!(find(&["t [h]"], Some("t [h]")), Ok((0, 3.0 * 3600.0)));
@@ -117,6 +118,7 @@ mod tests {
             (&["", "phi"][..], None, "there is no column 'time'; there are: '', 'phi'. Name"),
             (&["time", "y"], Some("t"), "there is no column 't'; there are: 'time', 'y'"),
             (&["Time", "TIME"], None, "several columns could hold the times: 'Time', 'TIME'"),
+            (&["time", "Time [ms]"], None, "several columns could hold the times: 'time', 'Time [ms]'"),
             (&["time [furlong]"], None, "the unit 'furlong' is none of s, ms"),
         ] {
             let message = find(names, named).unwrap_err();

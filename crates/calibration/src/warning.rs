@@ -2,6 +2,7 @@
 
 use crate::data::sampling_interval;
 use crate::experiment::Experiment;
+use crate::parameter::{Parameter, Scale};
 use crate::time_column::parts;
 use fmi::ModelDescription;
 use fmi::description::Causality;
@@ -35,6 +36,8 @@ pub enum SetupWarning {
         /// Start and end of the simulation, in s.
         simulated: (f64, f64),
     },
+    /// A setting that is ignored; the sentence says which, and why.
+    NoEffect(String),
 }
 
 impl fmt::Display for SetupWarning {
@@ -45,6 +48,7 @@ impl fmt::Display for SetupWarning {
                 "{data}: column '{column}' is not used, but the model has an input '{input}' that nothing drives; name it \
                  among the inputs, if it is its recording"
             ),
+            Self::NoEffect(sentence) => f.write_str(sentence),
             Self::InputHeld { data, input, recorded, simulated } => {
                 let [r0, r1, s0, s1] = [recorded.0, recorded.1, simulated.0, simulated.1].map(Number);
                 write!(
@@ -75,6 +79,13 @@ pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experi
         Some(SetupWarning::UnusedColumn { data, column: column.to_owned(), input })
     };
     data.all_names().filter(|column| !is_used(column)).filter_map(warning).collect()
+}
+
+/// Typical sizes that are not used, because a logarithmic scale has sizes of its own.
+pub(crate) fn ignored_nominals(parameters: &[Parameter]) -> impl Iterator<Item = SetupWarning> {
+    let is_ignored = |p: &&Parameter| p.scale_kind() == Scale::Log && p.nominal_size().is_some();
+    let warning = |p: &Parameter| format!("nominal of parameter '{}' has no effect on a log scale", p.name());
+    parameters.iter().filter(is_ignored).map(move |p| SetupWarning::NoEffect(warning(p)))
 }
 
 /// Inputs whose recordings leave more than one sampling interval of the simulation uncovered.

@@ -77,7 +77,7 @@ fn a_parameter_at_its_bound_is_named() {
 }
 
 #[test]
-fn a_parameter_without_effect_is_named_within_the_budget() {
+fn a_parameter_without_effect_is_named_whatever_the_budget() {
     let calibration = tank(30.0, &["u1", "u2"]);
     let options = |evaluations| FitOptions {
         limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
@@ -93,6 +93,6 @@ fn a_parameter_without_effect_is_named_within_the_budget() {
     let fit = calibration
         .fit(FitOptions { method: DifferentialEvolution::default().into(), seed: Some(1), ..options(60) })
         .unwrap();
-    assert_eq!((fit.report.n_evaluations, fit.n_checks), (60, 0));
-    assert!(fit.without_effect.is_empty());
+    // Generations show nothing of single parameters: one simulation for each comes after the search.
+    assert_eq!((fit.report.n_evaluations, fit.n_checks, &fit.without_effect[..]), (60, 2, &[1][..]));
 }

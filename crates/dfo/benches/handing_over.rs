@@ -1,11 +1,13 @@
 //! What workers cost and gain for Nelder-Mead with evaluations of 1 us to 10 ms, which keep a core busy: the bar is that no
-//! number of workers is slower than one by more than 5 %. Medians of several runs, which take turns.
+//! number of workers is slower than one by more than 5 %. Each run with several workers stands beside one with one worker,
+//! which goes before it and after it by turns; what counts is the median of the ratios of these pairs.
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
 use dfo::minimize;
 use std::time::{Duration, Instant};
 
-const WORKERS: [usize; 3] = [1, 2, 4];
+const WORKERS: [usize; 4] = [2, 3, 4, 8];
+const BAR: f64 = 1.05;
 
 /// A cost that takes so long.
 fn busy(x: &[f64], time: Duration) -> f64 {
@@ -29,29 +31,44 @@ fn run(time: Duration, workers: usize, evaluations: usize) -> (f64, usize, usize
     (start.elapsed().as_secs_f64(), report.n_batches, report.n_speculative)
 }
 
+fn median(list: &mut [f64]) -> f64 {
+    list.sort_by(f64::total_cmp);
+    list[list.len() / 2]
+}
+
 fn main() {
     println!(
-        "time of an evaluation, workers: ms (times as fast as one), rounds, evaluations made ahead and not needed"
+        "evaluation, workers: ms of a run, in units of one worker beside it (bar {BAR}), rounds, made in vain"
     );
-    for (micros, evaluations) in [(1, 300), (10, 300), (100, 300), (1000, 300), (10_000, 150)] {
+    for (micros, evaluations, pairs) in [
+        (1, 300, 201),
+        (10, 300, 101),
+        (50, 300, 51),
+        (100, 300, 51),
+        (200, 300, 31),
+        (500, 300, 15),
+        (2000, 200, 9),
+        (10_000, 100, 5),
+    ] {
         let time = Duration::from_micros(micros);
-        let mut seconds = vec![Vec::new(); WORKERS.len()];
-        let mut counts = [(0, 0); WORKERS.len()];
-        for _ in 0..if micros < 1000 { 51 } else { 7 } {
-            for (k, workers) in WORKERS.into_iter().enumerate() {
+        for workers in WORKERS {
+            let (mut seconds, mut ratios, mut counts) = (Vec::new(), Vec::new(), (0, 0));
+            // The first pair warms up.
+            for pair in 0..=pairs {
+                let alone_first = pair % 2 == 0;
+                let before = alone_first.then(|| run(time, 1, evaluations).0);
                 let (took, rounds, ahead) = run(time, workers, evaluations);
-                seconds[k].push(took);
-                counts[k] = (rounds, ahead);
+                let alone = before.unwrap_or_else(|| run(time, 1, evaluations).0);
+                if pair > 0 {
+                    seconds.push(took);
+                    ratios.push(took / alone);
+                    counts = (rounds, ahead);
+                }
             }
-        }
-        let median = |list: &mut Vec<f64>| {
-            list.sort_by(f64::total_cmp);
-            list[list.len() / 2]
-        };
-        let medians: Vec<f64> = seconds.iter_mut().map(median).collect();
-        for (k, workers) in WORKERS.into_iter().enumerate() {
-            let ((rounds, ahead), gain) = (counts[k], medians[0] / medians[k]);
-            println!("{micros:6} us, {workers}: {:9.3} ({gain:.2}) {rounds:5} {ahead:5}", 1e3 * medians[k]);
+            let (ratio, (rounds, ahead)) = (median(&mut ratios), counts);
+            let verdict = if ratio > BAR { "  SLOWER" } else { "" };
+            let ms = 1e3 * median(&mut seconds);
+            println!("{micros:6} us, {workers}: {ms:9.3} {ratio:.3} {rounds:5} {ahead:5}{verdict}");
         }
     }
 }

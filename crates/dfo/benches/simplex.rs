@@ -88,7 +88,7 @@ fn main() {
 
     for tau in [1e-3, 1e-5] {
         let mut runs = Vec::new();
-        for p in instances().unwrap_or_default() {
+        for p in instances() {
             let first = p.cost(&p.start());
             let goal = first - (1.0 - tau) * (first - p.best);
             let run = minimize(|x: &[f64]| p.cost(x))

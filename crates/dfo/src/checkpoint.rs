@@ -165,7 +165,10 @@ fn failed(path: &Path, message: impl ToString) -> Error {
 }
 
 fn file_failed(path: &Path, e: &std::io::Error) -> Error {
-    Error::CheckpointFile { path: path.display().to_string(), kind: e.kind(), message: e.to_string() }
+    let text = e.to_string();
+    // The system's number says less than its words.
+    let message = text.split(" (os error").next().unwrap_or(&text).to_owned();
+    Error::CheckpointFile { path: path.display().to_string(), kind: e.kind(), message }
 }
 
 /// The state in the file that a run is to continue from, if it is to; whatever run it is of.
@@ -279,7 +282,17 @@ fn beside(path: &Path) -> Result<tempfile::NamedTempFile, Error> {
     // Of the permissions asked for the system takes away what the user's umask says.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let file = builder.tempfile_in(folder(path)).map_err(|e| file_failed(path, &e))?;
+    let folder = folder(path);
+    if !folder.is_dir() {
+        let message = format!("there is no folder '{}'", folder.display());
+        return Err(file_failed(path, &std::io::Error::new(std::io::ErrorKind::NotFound, message)));
+    }
+    // Without the name of the temporary file, which says nothing to anybody.
+    let refused = |e: std::io::Error| {
+        let message = format!("folder '{}': {}", folder.display(), std::io::Error::from(e.kind()));
+        file_failed(path, &std::io::Error::new(e.kind(), message))
+    };
+    let file = builder.tempfile_in(folder).map_err(refused)?;
     if let Some(old) = old {
         file.as_file().set_permissions(old).map_err(|e| file_failed(path, &e))?;
     }

@@ -3,10 +3,11 @@
 use crate::checkpoint::Writer;
 use crate::error::Error;
 use crate::evaluate::{Desk, Gateway, Replay};
+use crate::ledger::Ledger;
 use crate::method::{Batch, Method, Status};
 use crate::observe::Progress;
 use crate::report::{self, Report};
-use crate::termination::{Limits, Termination};
+use crate::termination::{Limits, Termination, UNBOUNDED};
 use std::ops::ControlFlow;
 
 pub(crate) type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
@@ -136,6 +137,19 @@ pub(crate) fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limi
     over.then_some(Termination::MaxIterations)
 }
 
+/// What it means that a method came to its own end.
+fn meaning(termination: Termination, desk: &Desk) -> Termination {
+    let Ledger { trace, best, .. } = &desk.ledger;
+    let first = trace.iter().find_map(|entry| entry.outcome.value());
+    match (best, first) {
+        (Some((_, best)), Some(first)) if *best < UNBOUNDED && *best < -2.0 * first.abs() => {
+            Termination::Unbounded
+        }
+        _ if termination == Termination::Converged && trace.constant().is_some() => Termination::ConstantCost,
+        _ => termination,
+    }
+}
+
 /// Whether a run is over after a batch, and why; `Some(None)`: the method had nothing to start from.
 pub(crate) fn end<M: Method + ?Sized>(
     method: &M,
@@ -152,7 +166,7 @@ pub(crate) fn end<M: Method + ?Sized>(
         return Some(Some(Termination::Target));
     }
     match method.status() {
-        Status::Ended(termination) => return Some(Some(termination)),
+        Status::Ended(termination) => return Some(Some(meaning(termination, desk))),
         Status::NoStart => return Some(None),
         Status::Running if broken => return Some(Some(Termination::StoppedByObserver)),
         Status::Running => {}
@@ -161,7 +175,9 @@ pub(crate) fn end<M: Method + ?Sized>(
         return Some(Some(stopped.clone()));
     }
     if desk.is_stale() {
-        return Some(Some(Termination::Stalled));
+        // Among whole numbers nothing is left to try then, and the tests measure what there is.
+        let passed = method.tests().is_some_and(|tests| tests.passed);
+        return Some(Some(if passed { Termination::Converged } else { Termination::Stalled }));
     }
     reached(method, desk, limits).map(Some)
 }

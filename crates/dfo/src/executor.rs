@@ -16,6 +16,9 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
+/// More workers than this are a mistake: no machine runs so many threads at once.
+const MOST_WORKERS: usize = 1 << 15;
+
 /// Stack of a worker thread: compiled models put large arrays there.
 const STACK_SIZE: usize = 16 << 20;
 
@@ -34,10 +37,11 @@ impl WorkerPool {
     /// A pool of `workers` threads with stacks of 16 MiB.
     ///
     /// # Errors
-    /// No workers asked for.
+    /// No workers asked for, or more than 32768.
     pub fn new(workers: usize) -> Result<Self, Error> {
-        if workers == 0 {
-            return Err(Error::Option { name: "workers", value: 0.0, range: "at least 1" });
+        if !(1..=MOST_WORKERS).contains(&workers) {
+            let range = "at least 1, and at most 32768";
+            return Err(Error::Option { name: "workers", value: workers as f64, range });
         }
         Ok(Self { workers, pool: OnceLock::new() })
     }
@@ -47,20 +51,17 @@ impl WorkerPool {
         self.workers
     }
 
-    /// The threads; `None` if the system refuses to start them: then the calling thread evaluates.
+    /// The threads; where the system refuses to start so many as many as there are cores, and `None` if it refuses these,
+    /// too: then the calling thread evaluates.
     fn threads(&self) -> Option<&ThreadPool> {
-        let start = || {
-            ThreadPoolBuilder::new()
-                .num_threads(self.workers)
-                .stack_size(STACK_SIZE)
-                .thread_name(|k| format!("dfo-worker-{k}"))
-                .build()
-                .inspect_err(|e| {
-                    log::warn!("cannot start {} worker threads, one point at a time: {e}", self.workers)
-                })
-                .ok()
+        let start = |workers: usize| {
+            let threads = ThreadPoolBuilder::new().num_threads(workers).stack_size(STACK_SIZE);
+            threads.thread_name(|k| format!("dfo-worker-{k}")).build().inspect_err(|e| {
+                log::warn!("cannot start {workers} worker threads, so fewer are used: {e}");
+            })
         };
-        self.pool.get_or_init(start).as_ref()
+        let cores = || std::thread::available_parallelism().map_or(1, |n| n.get()).min(self.workers);
+        self.pool.get_or_init(|| start(self.workers).or_else(|_| start(cores())).ok()).as_ref()
     }
 }
 

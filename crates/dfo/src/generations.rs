@@ -9,6 +9,7 @@ use crate::objective::Outcome;
 use crate::population::Population;
 use crate::rounds::Rounds;
 use crate::sampling::Sampling;
+use crate::scaling::Space;
 use crate::termination::{Extent, Termination, Tests};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -36,6 +37,12 @@ pub trait Breeder: Serialize + DeserializeOwned {
     /// How much of the population the tolerance tests measure.
     fn extent(&self) -> Extent {
         Extent::Population
+    }
+
+    /// Whether the search goes on where all members are one point of whole numbers: until nothing new comes for long.
+    fn tries_neighbours(&self, space: &Space) -> bool {
+        let _ = space;
+        false
     }
 
     /// Whether this fits to a problem and to its pool: what comes from a file may not.
@@ -117,7 +124,9 @@ impl<B: Breeder> Generations<B> {
         let best = self.rounds.best().map_or(f64::INFINITY, |(_, f)| f);
         let ended = self.breeder.ended(&self.pool, best);
         self.phase = match ended {
-            _ if tests.passed => Phase::Ended(Termination::Converged),
+            _ if tests.passed && !self.breeder.tries_neighbours(&self.pool.setup.space) => {
+                Phase::Ended(Termination::Converged)
+            }
             Some(termination) => Phase::Ended(termination),
             None => Phase::Breeding,
         };

@@ -3,20 +3,26 @@
 
 use crate::executor::Here;
 use crate::method::Lookahead;
+use std::cell::Cell;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Below so many seconds of work that could be saved, handing it to other threads does not pay: a thread that sleeps is
-/// awake after 0.05 to 0.5 ms.
-const WORTHWHILE: f64 = 200e-6;
-/// Rounds in which a width is tried, and those after which it is tried again; each time that it turns out to be slower it
-/// waits twice as long.
+/// Handing work to other threads pays where it saves more than twice the time that it took lately. Before that is measured,
+/// it counts as so many seconds: a thread that sleeps is awake after 0.05 to 0.5 ms.
+const HANDING_OVER: f64 = 100e-6;
+/// It never counts as less.
+const LEAST_HANDING_OVER: f64 = 20e-6;
+/// Rounds in which a width is tried, and those after which it is tried again. One point at a time advances by one
+/// evaluation in each round, so that a single one shows how fast it is; of more points it varies how many are of use.
 const TRIAL_ROUNDS: usize = 4;
 const FIRST_WAIT: usize = 32;
+/// Each time that a width turns out to be slower it waits twice as long, and longer by the square of how much slower it was.
 const LONGEST_WAIT: usize = 4096;
 /// A width is worth another look only if it was not slower than this, in units of the fastest.
 const HOPELESS: f64 = 3.0;
-/// Evaluations whose median says how long one takes.
+/// So many points at once at most: what the path may need farther ahead, it seldom does.
+const WIDEST: usize = 64;
+/// Evaluations whose median says how long one takes, and rounds whose median says how long handing over takes.
 const LATELY: usize = 9;
 /// How much a new measurement counts beside all before.
 const WEIGHT: f64 = 0.25;
@@ -43,13 +49,42 @@ struct Width {
     wait: usize,
 }
 
+/// The last measurements, the oldest replaced first; their median is not moved by one that was disturbed.
+#[derive(Debug)]
+struct Lately(VecDeque<f64>);
+
+impl Lately {
+    fn new() -> Self {
+        Self(VecDeque::with_capacity(LATELY))
+    }
+
+    fn push(&mut self, seconds: f64) {
+        if self.0.len() == LATELY {
+            self.0.pop_front();
+        }
+        self.0.push_back(seconds);
+    }
+
+    fn median(&self) -> Option<f64> {
+        let mut sorted = [f64::INFINITY; LATELY];
+        sorted.iter_mut().zip(&self.0).for_each(|(place, seconds)| *place = *seconds);
+        sorted.sort_by(f64::total_cmp);
+        let len = self.0.len();
+        (len > 0).then(|| sorted[len / 2])
+    }
+}
+
 /// Measures evaluations and chooses widths.
 #[derive(Debug)]
 pub(crate) struct Pace {
     handing_over: HandingOver,
     workers: usize,
-    /// Seconds of the last evaluations, the oldest replaced first; their median is not moved by one that was disturbed.
-    lately: VecDeque<f64>,
+    /// Seconds of the last evaluations.
+    lately: Lately,
+    /// Seconds by which the last rounds took longer than the longest of their evaluations, where other threads made them.
+    handed: Lately,
+    /// Whether the present round is handed over.
+    handed_over: Cell<bool>,
     /// The longest of the last evaluations.
     longest: f64,
     widths: Vec<Width>,
@@ -64,18 +99,21 @@ pub(crate) struct Pace {
 
 impl Pace {
     pub(crate) fn new(workers: usize, handing_over: HandingOver) -> Self {
+        let widest = workers.min(WIDEST);
         let mut points = vec![1];
-        while points.last().is_some_and(|p| 2 * p < workers) {
+        while points.last().is_some_and(|p| 2 * p < widest) {
             points.push(2 * points[points.len() - 1]);
         }
-        if workers > 1 {
-            points.push(workers);
+        if widest > 1 {
+            points.push(widest);
         }
         let width = |points| Width { points, seconds: None, due_in: 0, wait: FIRST_WAIT };
         Self {
             handing_over,
             workers,
-            lately: VecDeque::with_capacity(LATELY),
+            lately: Lately::new(),
+            handed: Lately::new(),
+            handed_over: Cell::new(false),
             longest: 0.0,
             widths: points.into_iter().map(width).collect(),
             current: 0,
@@ -95,7 +133,7 @@ impl Pace {
             Lookahead::Points(points) => points,
             Lookahead::Workers => self.workers,
             Lookahead::Measured => {
-                let short = self.evaluation().is_none_or(|seconds| seconds < WORTHWHILE);
+                let short = self.lately.median().is_none_or(|seconds| seconds < self.worthwhile());
                 if self.widths.len() == 1 || (self.handing_over == HandingOver::Threads && short) {
                     return 1;
                 }
@@ -109,33 +147,40 @@ impl Pace {
         }
     }
 
-    /// Seconds of an evaluation.
-    fn evaluation(&self) -> Option<f64> {
-        let mut sorted = [f64::INFINITY; LATELY];
-        sorted.iter_mut().zip(&self.lately).for_each(|(place, seconds)| *place = *seconds);
-        sorted.sort_by(f64::total_cmp);
-        let len = self.lately.len();
-        (len > 0).then(|| sorted[len / 2])
+    /// Seconds that handing over must save.
+    fn worthwhile(&self) -> f64 {
+        2.0 * self.handed.median().unwrap_or(HANDING_OVER)
     }
 
     /// Closes the measurement of a width and chooses the next.
     fn next_width(&mut self, n_evaluations: usize) {
         let gained = n_evaluations.saturating_sub(self.n_before);
         if self.n_rounds > 0 && gained > 0 {
-            let measured = self.seconds / gained as f64;
+            let mut measured = self.seconds / gained as f64;
+            if self.handing_over == HandingOver::Threads && self.current == 0 {
+                // Beside others an evaluation is not faster than alone: one that took longer was disturbed.
+                measured = self.lately.median().map_or(measured, |evaluation| measured.min(evaluation));
+            }
             let known = &mut self.widths[self.current].seconds;
             *known = Some(known.map_or(measured, |k| k + WEIGHT * (measured - k)));
         }
         let n_rounds = self.n_rounds;
         self.widths.iter_mut().for_each(|w| w.due_in = w.due_in.saturating_sub(n_rounds));
         let fastest = self.fastest();
+        let least = fastest.and_then(|k| self.widths[k].seconds);
         let tried = &mut self.widths[self.current];
-        if fastest != Some(self.current) && tried.seconds.is_some() {
-            (tried.due_in, tried.wait) = (tried.wait, (2 * tried.wait).min(LONGEST_WAIT));
+        if let (Some(seconds), Some(least)) = (tried.seconds, least.filter(|_| fastest != Some(self.current)))
+        {
+            tried.due_in = (tried.wait as f64 * (seconds / least).powi(2)) as usize;
+            tried.wait = (2 * tried.wait).min(LONGEST_WAIT);
         }
         self.current = self.untried().or_else(|| self.challenger(fastest)).or(fastest).unwrap_or(0);
         let is_fastest = fastest == Some(self.current);
-        self.rounds_left = if is_fastest { FIRST_WAIT / 4 } else { TRIAL_ROUNDS };
+        self.rounds_left = match self.current {
+            _ if is_fastest => FIRST_WAIT / 4,
+            0 => 1,
+            _ => TRIAL_ROUNDS,
+        };
         (self.seconds, self.n_rounds, self.n_before) = (0.0, 0, n_evaluations);
     }
 
@@ -168,13 +213,12 @@ impl Pace {
 
     /// A round of evaluations took so long in all; `seconds` of each, the first `needed` for the path.
     pub(crate) fn measured(&mut self, needed: usize, in_all: f64, seconds: &[f64]) {
-        for &seconds in seconds {
-            if self.lately.len() == LATELY {
-                self.lately.pop_front();
-            }
-            self.lately.push_back(seconds);
-        }
         let longest = seconds.iter().fold(0.0, |m: f64, s| m.max(*s));
+        // Of more points than workers some waited, and the first one of all was not handed over.
+        if self.handed_over.take() && !self.is_new() && seconds.len() <= self.workers {
+            self.handed.push((in_all - longest).max(LEAST_HANDING_OVER));
+        }
+        seconds.iter().for_each(|seconds| self.lately.push(*seconds));
         self.longest = longest.max(self.longest * (1.0 - WEIGHT));
         // Vertices that are needed all at once say nothing about looking ahead.
         if self.measuring && needed == 1 {
@@ -188,20 +232,76 @@ impl Pace {
     /// Whether to hand points to other threads rather than to evaluate them on the calling one. `just_measured`: seconds of
     /// an evaluation, where it was the first.
     pub(crate) fn hands_over(&self, points: usize, here: Here, just_measured: Option<f64>) -> bool {
-        let Some(evaluation) = just_measured.or_else(|| self.evaluation()).filter(|_| here != Here::Never)
+        let Some(evaluation) = just_measured.or_else(|| self.lately.median()).filter(|_| here != Here::Never)
         else {
             return true;
         };
         let at_once = points.div_ceil(self.workers.max(1));
         let saved = (points - at_once) as f64 * evaluation;
-        saved > WORTHWHILE || (here == Here::WhenShort && self.longest > SHORT.as_secs_f64())
+        let handed_over =
+            saved > self.worthwhile() || (here == Here::WhenShort && self.longest > SHORT.as_secs_f64());
+        self.handed_over.set(handed_over);
+        handed_over
     }
 
     /// Whether nothing is known of what an evaluation takes.
     pub(crate) fn is_new(&self) -> bool {
-        self.lately.is_empty()
+        self.lately.0.is_empty()
     }
 }
 
 /// An evaluation that takes no longer does not keep the calling thread from looking for interrupts.
 const SHORT: Duration = Duration::from_millis(20);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rounds that are not as wide as there are workers, of so many; `model` gives for a width the seconds of a round and
+    /// the evaluations by which the path advances in it.
+    fn narrow(
+        workers: usize,
+        rounds: usize,
+        evaluation: f64,
+        model: impl Fn(usize) -> (f64, usize),
+    ) -> usize {
+        let mut pace = Pace::new(workers, HandingOver::Threads);
+        let (mut n_evaluations, mut n_narrow) = (4, 0);
+        pace.measured(4, 4.0 * evaluation, &[evaluation; 4]);
+        for _ in 0..rounds {
+            let width = pace.width(Lookahead::Measured, n_evaluations);
+            n_narrow += usize::from(width < workers);
+            let (seconds, gained) = model(width);
+            pace.hands_over(width, Here::AtFirst, None);
+            pace.measured(1, seconds, &vec![evaluation; width]);
+            n_evaluations += gained;
+        }
+        n_narrow
+    }
+
+    #[test]
+    fn few_rounds_are_spent_on_finding_the_width() {
+        // Twice as fast: one round alone, and one more where it has waited long enough.
+        let twice = |width: usize| (1.05e-3, if width > 1 { 2 } else { 1 });
+        assert!(narrow(4, 100, 1e-3, twice) <= 2);
+        // No faster: one trial, and seldom again.
+        let never = |width: usize| (1e-3 * width as f64, if width > 1 { 2 } else { 1 });
+        assert!(narrow(4, 100, 1e-3, never) >= 80);
+    }
+
+    #[test]
+    fn short_evaluations_stay_where_they_are() {
+        let pace = |handing_over: f64, evaluation: f64| {
+            let mut pace = Pace::new(4, HandingOver::Threads);
+            pace.measured(1, evaluation, &[evaluation]);
+            for _ in 0..LATELY {
+                pace.hands_over(1000, Here::AtFirst, None);
+                pace.measured(2, evaluation + handing_over, &[evaluation; 2]);
+            }
+            pace.width(Lookahead::Measured, 3) > 1
+        };
+        // What handing over takes in this run decides, not what it takes as a rule.
+        assert!(pace(30e-6, 100e-6) && pace(300e-6, 1e-3));
+        assert!(!pace(100e-6, 150e-6) && !pace(2e-3, 1e-3) && !pace(0.0, 1e-6));
+    }
+}

@@ -2,7 +2,7 @@
 
 use crate::cost::Cost;
 use crate::method::{Setup, SimplexView};
-use crate::scaling::Space;
+use crate::scaling::{Kind, Space};
 use crate::termination::{Extent, Measure, Tests, Tolerances, typical};
 use serde::{Deserialize, Serialize};
 
@@ -178,7 +178,11 @@ impl Population {
             for (k, &i) in space.free().iter().enumerate() {
                 size = size.max(match tolerances.measure {
                     Measure::Absolute => (self.x(slot)[i] - self.x(best)[i]).abs(),
-                    Measure::Relative => (self.u(slot)[k] - self.u(best)[k]).abs() / space.size(k),
+                    Measure::Relative if space.kind(k) == Kind::Continuous => {
+                        (self.u(slot)[k] - self.u(best)[k]).abs() / space.size(k)
+                    }
+                    // What members that stand for one whole number differ by means nothing.
+                    Measure::Relative => (self.x(slot)[i] - self.x(best)[i]).abs() / space.size(k),
                 });
             }
         }

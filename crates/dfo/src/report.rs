@@ -4,7 +4,7 @@ use crate::barrier::BarrierStage;
 use crate::error::Error;
 use crate::ledger::Ledger;
 use crate::method::{Method, Simplex};
-use crate::termination::{Limits, Termination, Tests};
+use crate::termination::{Limits, Termination, Tests, UNBOUNDED};
 use crate::trace::Trace;
 use std::fmt;
 
@@ -130,10 +130,18 @@ fn message<M: Method + ?Sized>(
 ) -> String {
     let tests = method.tests().map_or_else(String::new, |t| t.to_string());
     let with_tests = |text: String| if tests.is_empty() { text } else { format!("{text}; {tests}") };
-    match termination {
+    let message = match termination {
         Termination::Converged => format!("converged; {tests}"),
         Termination::Target => {
             format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
+        }
+        Termination::ConstantCost => with_tests(
+            "nothing was learned: the search came to its end, but the cost did not change".to_owned(),
+        ),
+        Termination::Unbounded => {
+            format!(
+                "the cost has no minimum: it fell to {fun:e}, below {UNBOUNDED:e}, and would fall further"
+            )
         }
         Termination::Collapsed => with_tests(
             "not converged: the search has no extent left that floating-point numbers resolve".to_owned(),
@@ -160,5 +168,9 @@ fn message<M: Method + ?Sized>(
         Termination::Interrupted => with_tests("interrupted".to_owned()),
         Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
         Termination::NotSaved(reason) => with_tests(format!("stopped, for it cannot be saved: {reason}")),
+    };
+    match ledger.trace.constant() {
+        Some(cost) => format!("{message}; the cost was {cost:e} at all {} points", ledger.n_evaluations),
+        None => message,
     }
 }

@@ -38,7 +38,14 @@ pub enum Termination {
     Aborted(String),
     /// The checkpoint could not be written, for this reason; the result is whole.
     NotSaved(String),
+    /// The tolerance tests passed, but every point had the same cost: nothing was learned.
+    ConstantCost,
+    /// The search ended where numbers end: the cost fell below -1e300, so it has no minimum.
+    Unbounded,
 }
+
+/// A cost that has fallen below this counts as unbounded: the largest floating-point number is 1.8e308.
+pub(crate) const UNBOUNDED: f64 = -1e300;
 
 impl Termination {
     /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search.
@@ -63,6 +70,8 @@ impl Termination {
             Self::Interrupted => "interrupted",
             Self::Aborted(_) => "aborted",
             Self::NotSaved(_) => "not-saved",
+            Self::ConstantCost => "constant-cost",
+            Self::Unbounded => "unbounded",
         }
     }
 }

@@ -76,6 +76,13 @@ impl Trace {
         self.problem.as_deref()
     }
 
+    /// The cost that all points of the path have, if it is one and the same at several points.
+    pub(crate) fn constant(&self) -> Option<f64> {
+        let first = self.records.first().filter(|_| self.dropped == 0)?.outcome.value()?;
+        let is_moved = self.points.chunks_exact(self.n.max(1)).any(|x| x != &self.points[..self.n]);
+        (is_moved && self.records.iter().all(|r| r.outcome == Outcome::Value(first))).then_some(first)
+    }
+
     /// Length of the longer list.
     pub(crate) fn longest(&self) -> usize {
         self.records.len().max(self.speculative.len())

@@ -1,13 +1,11 @@
-//! Nelder-Mead on the 53 instances of Moré and Wild, and on 16 of the problems in boxes. Both sets need the table of
-//! instances that stands beside the repository; without it the tests say so and pass.
+//! Nelder-Mead on the 53 instances of Moré and Wild, and on 16 of the problems in boxes.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod problems;
 
 use dfo::{BatchPlan, BoundsHandling, NelderMead, Termination, minimize};
 use problems::solve::least_squares;
-use problems::{Instance, instances, residuals, start};
-use std::io::Write;
+use problems::{instances, residuals, start};
 
 fn sum_of_squares(number: usize, m: usize, x: &[f64]) -> f64 {
     residuals(number, m, x).iter().map(|r| r * r).sum()
@@ -83,19 +81,9 @@ fn values_at_the_minima_are_the_published_ones() {
     }
 }
 
-/// The table, or a visible word that it is missing.
-fn table() -> Option<Vec<Instance>> {
-    let table = instances();
-    if table.is_none() {
-        // Written past the capture of the test runner, so that it is seen.
-        let _ = writeln!(std::io::stderr(), "SKIPPED: ../shared/data/more_wild.csv is not there");
-    }
-    table
-}
-
 #[test]
 fn the_best_known_values_are_reached() {
-    let Some(instances) = table() else { return };
+    let instances = instances();
     assert_eq!(instances.len(), 53);
     let mut reached = 0;
     for p in &instances {
@@ -129,7 +117,7 @@ fn profile(mut units: Vec<Option<f64>>) -> (f64, f64) {
 
 #[test]
 fn smooth_problems_within_the_budget() {
-    let Some(instances) = table() else { return };
+    let instances = instances();
     for tau in [1e-1, 1e-3, 1e-5] {
         let units: Vec<_> = instances
             .iter()
@@ -159,7 +147,7 @@ fn smooth_problems_within_the_budget() {
 
 #[test]
 fn moving_several_vertices_saves_rounds() {
-    let Some(instances) = table() else { return };
+    let instances = instances();
     let larger: Vec<_> = instances.iter().filter(|p| p.n >= 4).collect();
     // Median of the rounds to each tau (unsolved counting as infinite), and the share solved to the last one.
     let rounds = |plan: BatchPlan| {

@@ -7,8 +7,8 @@ use common::{
     helical_valley, plan, powell_singular, probe, probe_fails, quiet_panics_on_purpose, rosenbrock,
 };
 use dfo::{
-    BatchPlan, BoundsHandling, Measure, NelderMead, Outcome, Stop, Termination, Transform, fallible,
-    minimize, with_evaluation,
+    Batch, BatchPlan, Bounds, BoundsHandling, Measure, Method, MethodOptions, NelderMead, Outcome, Setup,
+    Space, Stop, Termination, Transform, fallible, minimize, with_evaluation,
 };
 
 #[test]
@@ -191,7 +191,8 @@ fn a_cost_of_zero_stops() {
         assert!(report.is_success() && report.fun == 0.0 && report.n_evaluations < 400, "{report}");
     }
     let report = minimize(|_: &[f64]| 0.0).start(&[0.5, 0.5]).run().unwrap();
-    assert!(report.is_success() && report.n_evaluations < 400, "{report}");
+    // A cost of zero everywhere ends as soon, but says nothing of x.
+    assert!(report.termination == Termination::ConstantCost && report.n_evaluations < 400, "{report}");
 }
 
 #[test]
@@ -313,4 +314,28 @@ fn the_first_iterations_are_those_of_the_book() {
     assert_eq!(simplex.vertices, [[2.5, 2.5], [4.0, 3.0], [3.0, 4.0]]);
     let cutoffs: Vec<f64> = report.trace.iter().map(|e| e.cutoff).collect();
     assert_eq!(cutoffs[3..], [34.0, 32.0, 18.0]);
+}
+
+/// The reflection that a given simplex (best, second, worst) in the unit square leads to.
+fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {
+    let space = Space::new(&vertices[0], Bounds::new(&[0.0; 2], &[1.0; 2]).unwrap(), &[], &[]).unwrap();
+    let options = NelderMead::default()
+        .bounds_handling(BoundsHandling::Mirror)
+        .initial_simplex(vertices.iter().map(|v| v.to_vec()).collect());
+    let mut search = options.begin(&Setup::new(space)).unwrap();
+    let mut batch = Batch::new();
+    search.ask(&mut batch);
+    search.tell(&[0.0, 1.0, 2.0].map(Outcome::Value)).unwrap();
+    search.ask(&mut batch);
+    batch.point(0).to_vec()
+}
+
+#[test]
+fn mirroring_never_makes_the_simplex_flat() {
+    // Unbounded (-0.25, 0.375): mirrored onto the line through the other two, so it goes onto the bound.
+    assert_eq!(reflection([[0.25, 0.25], [0.25, 0.5], [0.75, 0.375]]), [0.0, 0.375]);
+    // Unbounded (-0.25, 0.25): mirrored onto the best vertex.
+    assert_eq!(reflection([[0.25, 0.25], [0.375, 0.5], [0.875, 0.5]]), [0.0, 0.25]);
+    // An ordinary mirror image stays one.
+    assert_eq!(reflection([[0.25, 0.25], [0.25, 0.5], [0.625, 0.375]]), [0.125, 0.375]);
 }

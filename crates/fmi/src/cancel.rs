@@ -3,25 +3,35 @@
 use crate::error::FmiError;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
-/// A flag that ends work early once it is raised; by default there is none, and work runs to its end.
+/// A flag or a time that ends work early; by default there is none, and work runs to its end.
 ///
 /// Two of them count as equal: when work is to end is no property of its result.
 #[derive(Debug, Clone, Default)]
-pub struct Cancel(Option<Arc<AtomicBool>>);
+pub struct Cancel {
+    flag: Option<Arc<AtomicBool>>,
+    at: Option<Instant>,
+}
 
 impl Cancel {
     /// Work ends, with [`FmiError::Cancelled`], soon after somebody has raised `flag`.
     pub fn when(flag: Arc<AtomicBool>) -> Self {
-        Self(Some(flag))
+        Self { flag: Some(flag), at: None }
     }
 
-    /// Whether the flag is raised.
+    /// Work ends in the same way soon after that time, as measured from now.
+    pub fn after(time: Duration) -> Self {
+        Self { flag: None, at: Instant::now().checked_add(time) }
+    }
+
+    /// Whether the flag is raised, or the time has come.
     pub fn is_asked(&self) -> bool {
-        self.0.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed))
+        self.flag.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed))
+            || self.at.is_some_and(|at| Instant::now() >= at)
     }
 
-    /// The error, if the flag is raised.
+    /// The error, if work is to end.
     pub(crate) fn check(&self) -> Result<(), FmiError> {
         if self.is_asked() { Err(FmiError::Cancelled) } else { Ok(()) }
     }
@@ -29,7 +39,7 @@ impl Cancel {
 
 impl From<Option<Arc<AtomicBool>>> for Cancel {
     fn from(flag: Option<Arc<AtomicBool>>) -> Self {
-        Self(flag)
+        Self { flag, at: None }
     }
 }
 
@@ -40,3 +50,21 @@ impl PartialEq for Cancel {
 }
 
 impl Eq for Cancel {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_ends_by_a_flag_or_at_a_time() {
+        let flag = Arc::new(AtomicBool::new(false));
+        let cancel = Cancel::when(Arc::clone(&flag));
+        assert!(!cancel.is_asked() && !Cancel::default().is_asked());
+        flag.store(true, Ordering::Relaxed);
+        assert!(matches!(cancel.check(), Err(FmiError::Cancelled)));
+        assert!(
+            !Cancel::after(Duration::from_secs(3600)).is_asked() && !Cancel::after(Duration::MAX).is_asked()
+        );
+        assert!(Cancel::after(Duration::ZERO).is_asked());
+    }
+}

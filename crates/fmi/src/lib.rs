@@ -23,6 +23,7 @@ mod jacobian;
 mod lanes;
 mod memory;
 mod model_exchange;
+mod no_effect;
 mod open_options;
 mod options;
 mod outputs;

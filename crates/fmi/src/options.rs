@@ -276,6 +276,65 @@ impl SimulateOptions {
         self
     }
 
+    /// Whether a plan for the one serves the other: all is the same, the flag that cancels too.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        // One pattern for all fields, so that none can be forgotten.
+        let Self {
+            start_time,
+            final_time,
+            times,
+            output_interval,
+            ncp,
+            start_values,
+            clock_intervals,
+            parameters,
+            outputs,
+            inputs,
+            input_derivatives,
+            relative_tolerance,
+            kind,
+            method,
+            step_size,
+            max_step,
+            timeout,
+            max_work,
+            chattering,
+            record_events,
+            cancel,
+            sharing,
+        } = self;
+        let same_inputs = match (inputs, &other.inputs) {
+            (Some(inputs), Some(others)) => inputs.is_same(others),
+            (inputs, others) => inputs.is_none() && others.is_none(),
+        };
+        let same_flag = match (cancel, &other.cancel) {
+            (Some(flag), Some(others)) => Arc::ptr_eq(flag, others),
+            (flag, others) => flag.is_none() && others.is_none(),
+        };
+        same_inputs
+            && same_flag
+            && *start_time == other.start_time
+            && *final_time == other.final_time
+            && *times == other.times
+            && *output_interval == other.output_interval
+            && *ncp == other.ncp
+            && *start_values == other.start_values
+            && *clock_intervals == other.clock_intervals
+            && *parameters == other.parameters
+            && *outputs == other.outputs
+            && *input_derivatives == other.input_derivatives
+            && *relative_tolerance == other.relative_tolerance
+            && *kind == other.kind
+            && *method == other.method
+            && *step_size == other.step_size
+            && *max_step == other.max_step
+            && *timeout == other.timeout
+            && *max_work == other.max_work
+            && *chattering == other.chattering
+            && *record_events == other.record_events
+            && *sharing == other.sharing
+    }
+
     /// The options of the integration method.
     pub(crate) fn method_options(&self, experiment: &DefaultExperiment) -> ode::Options {
         let suggested = experiment.tolerance.filter(|tolerance| (1e-14..1.0).contains(tolerance));

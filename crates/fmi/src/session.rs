@@ -1,7 +1,7 @@
 //! One model as scripts use it: set values, simulate, look at the values, set others, simulate again.
 
 use crate::assign::{check_settable_at_start, convert};
-use crate::description::{Causality, Structure, Value};
+use crate::description::{Causality, Structure, Value, VariableKind};
 use crate::error::FmiError;
 use crate::fmu::Fmu;
 use crate::options::{Kind, SimulateOptions};
@@ -25,10 +25,17 @@ pub struct Session {
     values: Vec<(usize, Value)>,
     /// Positions set since the last simulation.
     pending: Vec<usize>,
-    /// Holds the final values of the last simulation.
-    last: Option<Simulator>,
+    last: Option<Last>,
     /// Holds initial values, while nothing has been simulated.
     initial: Option<Simulator>,
+}
+
+/// The last simulation.
+#[derive(Debug)]
+struct Last {
+    /// Holds the final values.
+    simulator: Simulator,
+    asked: SimulateOptions,
 }
 
 impl Session {
@@ -87,8 +94,12 @@ impl Session {
     /// # Errors
     /// As [`set`](Self::set).
     pub fn set_all<'a>(&mut self, given: impl IntoIterator<Item = (&'a str, Value)>) -> Result<(), FmiError> {
+        let mut given = given.into_iter();
+        if given.size_hint() == (1, Some(1)) {
+            return given.try_for_each(|(name, value)| self.set(name, value));
+        }
         let (values, pending) = (self.values.clone(), self.pending.clone());
-        let outcome = given.into_iter().try_for_each(|(name, value)| self.set(name, value));
+        let outcome = given.try_for_each(|(name, value)| self.set(name, value));
         if outcome.is_err() {
             (self.values, self.pending) = (values, pending);
         }
@@ -113,9 +124,9 @@ impl Session {
             let value = values.iter().find(|(i, _)| *i == index).map(|(_, v)| v.clone());
             value.map(|value| element_value(value, element))
         };
-        if let Some(simulator) = &mut self.last {
+        if let Some(last) = &mut self.last {
             let pending = if self.pending.contains(&index) { set(&self.values) } else { None };
-            return pending.map_or_else(|| simulator.value(name), Ok);
+            return pending.map_or_else(|| last.simulator.value(name), Ok);
         }
         if let Some(value) = set(&self.values) {
             return Ok(value);
@@ -196,18 +207,61 @@ impl Session {
         options: &SimulateOptions,
         poll: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Trajectory, FmiError> {
-        let plan = Arc::new(SimulationPlan::new(&self.fmu, &self.with_values(options))?);
-        // Their instances go back to the FMU and are used again right away.
-        self.last = None;
+        let (asked, values) = self.with_parameters(self.with_values(options));
         self.initial = None;
-        let mut simulator = Simulator::new(Arc::clone(&plan))?;
+        let mut simulator = match self.last.take() {
+            Some(last) if last.asked.is_same(&asked) => last.simulator,
+            last => {
+                // Its instance goes back to the FMU and is used again right away.
+                drop(last);
+                Simulator::new(Arc::new(SimulationPlan::new(&self.fmu, &asked)?))?
+            }
+        };
+        let plan = Arc::clone(simulator.plan());
         let begun = Instant::now();
-        let trajectory = simulator.trajectory_with(plan.parameter_starts(), poll);
+        let values = values.as_deref().unwrap_or(plan.parameter_starts());
+        let trajectory = simulator.trajectory_with(values, poll);
         self.fmu.note_run(plan.kind(), begun.elapsed());
         let trajectory = trajectory?;
-        self.last = Some(simulator);
+        self.last = Some(Last { simulator, asked });
         self.pending.clear();
         Ok(trajectory)
+    }
+
+    /// Start values that may differ from run to run of one plan become its parameters: so a simulation that differs from the
+    /// last one only by them needs no new plan. `None`: the parameters have the values that the plan says.
+    fn with_parameters(&self, mut options: SimulateOptions) -> (SimulateOptions, Option<Vec<f64>>) {
+        if !options.parameters.is_empty() {
+            return (options, None);
+        }
+        let description = self.fmu.description();
+        let mut references: Vec<u32> = Vec::new();
+        let mut values: Vec<f64> = Vec::new();
+        let (mut parameters, mut others) = (Vec::new(), Vec::new());
+        for (name, value) in std::mem::take(&mut options.start_values) {
+            let single = description.variable(&name).filter(|variable| {
+                variable.kind == VariableKind::Real
+                    && variable.dimensions.is_empty()
+                    && !matches!(variable.causality, Causality::Input | Causality::StructuralParameter)
+            });
+            let number = value.as_number().filter(|number| number.is_finite());
+            let (Some(variable), Some(number), false) = (single, number, matches!(value, Value::Boolean(_)))
+            else {
+                others.push((name, value));
+                continue;
+            };
+            // The last value counts, under whatever name it is given.
+            match references.iter().position(|known| *known == variable.value_reference) {
+                Some(k) => (parameters[k], values[k]) = (name, number),
+                None => {
+                    references.push(variable.value_reference);
+                    parameters.push(name);
+                    values.push(number);
+                }
+            }
+        }
+        (options.parameters, options.start_values) = (parameters, others);
+        (options, Some(values))
     }
 
     fn with_values(&self, options: &SimulateOptions) -> SimulateOptions {

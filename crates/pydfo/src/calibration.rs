@@ -7,7 +7,7 @@ use crate::fmu_error;
 use crate::interrupt::{Watch, fits_here};
 use crate::logs;
 use crate::report::{self, LastSeen, Listener};
-use crate::settings::{self, Options, Settings};
+use crate::settings::{self, Options, Settings, time_limit};
 use crate::trajectory::Counts;
 use crate::values;
 use calibration::{
@@ -92,11 +92,6 @@ pub(crate) struct ExperimentFields {
 
 impl ExperimentFields {
     fn settings(&self, py: Python<'_>) -> PyResult<SimulationSettings> {
-        let timeout = self.timeout.map(|seconds| {
-            Duration::try_from_secs_f64(seconds).map_err(|_| {
-                PyValueError::new_err(format!("timeout = {seconds} must be a number of seconds, at least 0"))
-            })
-        });
         Ok(SimulationSettings {
             kind: self.kind.parse().map_err(|e| fmu_error::raise(py, &e))?,
             method: self.solver.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
@@ -104,7 +99,7 @@ impl ExperimentFields {
             step_size: self.step_size,
             max_step: self.max_step,
             input_derivatives: Some(self.input_derivatives),
-            timeout: timeout.transpose()?,
+            timeout: time_limit("timeout", self.timeout)?,
             chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
             sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,
         })

@@ -3,7 +3,9 @@
 
 use crate::fmu_error;
 use crate::interrupt::Stop;
-use pyo3::exceptions::{PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyValueError};
+use pyo3::exceptions::{
+    PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyUserWarning, PyValueError,
+};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::io;
@@ -66,6 +68,13 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
         E::Optimiser(e) => optimiser(py, e),
         _ => CalibrationError::new_err(message),
     }
+}
+
+/// Warns the user of the function of `pydfo` that is being called, through Python's `warnings`.
+pub(crate) fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
+    let text = std::ffi::CString::new(message).unwrap_or_default();
+    // From here over that function and what looks at its keywords to the line that called it.
+    PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 3)
 }
 
 /// An error of the operating system; Python chooses FileNotFoundError and its like by the number.

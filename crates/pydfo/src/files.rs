@@ -2,24 +2,27 @@
 
 use crate::interrupt::Watch;
 use crate::{fmu_error, logs};
-use fmi::{Cancel, ExampleKind, FmuCache, OpenOptions};
+use fmi::{Cancel, ExampleKind, FmiError, FmuCache, OpenOptions};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::LazyLock;
+use std::time::Duration;
 
 /// FMUs that stay open for whoever opens them next: scripts open their model at every evaluation.
 const KEPT_OPEN: usize = 32;
 
 static OPEN: LazyLock<FmuCache> = LazyLock::new(|| FmuCache::new(KEPT_OPEN));
 
-/// The FMU at `path`, opened now or before with the same options. It is opened while this thread looks for signals: small
-/// files can hold large descriptions.
+/// So long the calling thread tries to open a file, without looking for signals: most files take less.
+const SHORT: Duration = Duration::from_millis(20);
+
+/// The FMU at `path`, opened now or before with the same options. What takes long is opened while this thread looks for
+/// signals: small files can hold large descriptions.
 pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyResult<fmi::Fmu> {
-    let opened = match py.detach(|| OPEN.find_open(&path, options)) {
-        Ok(Some(fmu)) => Ok(fmu),
-        Err(error) => Err(error),
-        Ok(None) => {
+    let try_here = || OPEN.open_with(&path, &OpenOptions { cancel: Cancel::after(SHORT), ..options.clone() });
+    let opened = match py.detach(try_here) {
+        Err(FmiError::Cancelled) => {
             let watch = Watch::new(py)?;
             let cancel = Cancel::when(watch.stop().flag());
             let options = OpenOptions { cancel, ..options.clone() };
@@ -33,6 +36,7 @@ pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyRe
                 }
             }
         }
+        opened => opened,
     };
     logs::pass_on(py)?;
     opened.map_err(|e| fmu_error::raise(py, &e))

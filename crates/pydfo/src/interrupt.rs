@@ -242,8 +242,14 @@ impl<'py> Watch<'py> {
     /// Leaves SIGINT to the handler that is there: for work that calls no Python function, on the calling thread, which
     /// looks for signals itself and otherwise leaves them to whatever comes next.
     pub(crate) fn without_handler(py: Python<'py>) -> Self {
+        Self::with_flag(py, Arc::default())
+    }
+
+    /// The same; `flag`, which nobody else may use meanwhile, is lowered and raised when the work is to end.
+    pub(crate) fn with_flag(py: Python<'py>, flag: Arc<AtomicBool>) -> Self {
+        flag.store(false, Ordering::Relaxed);
         let parent = AROUND.with_borrow(|around| around.last().cloned());
-        let stop = Arc::new(Stop { parent, ..Stop::default() });
+        let stop = Arc::new(Stop { flag, parent, ..Stop::default() });
         Self { py, stop, handler: None, previous: None }
     }
 

@@ -37,6 +37,8 @@ mod core_module {
     #[pymodule_export]
     use super::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
     #[pymodule_export]
+    use super::methods::option_names;
+    #[pymodule_export]
     use super::minimize::minimize;
     #[pymodule_export]
     use super::model::Model;

@@ -183,6 +183,23 @@ fn weight(value: &Bound<'_, PyAny>) -> Option<Weight> {
 
 /// The method of a name, with its options.
 pub(crate) fn method(name: &str, entries: &Bound<'_, PyDict>) -> PyResult<AnyMethod> {
+    let (method, given) = read(name, entries)?;
+    given.finish()?;
+    Ok(method)
+}
+
+/// The names of the options that there are, of any method.
+#[pyfunction]
+pub(crate) fn option_names(py: Python<'_>) -> PyResult<Vec<&'static str>> {
+    let none = PyDict::new(py);
+    let mut names: Vec<_> = COMMON.split(", ").collect();
+    for name in AnyMethod::NAMES {
+        names.extend(read(name, &none)?.1.known);
+    }
+    Ok(names)
+}
+
+fn read<'a, 'py>(name: &'a str, entries: &'a Bound<'py, PyDict>) -> PyResult<(AnyMethod, Given<'a, 'py>)> {
     let mut method: AnyMethod = name.parse().map_err(|e: dfo::Error| PyValueError::new_err(e.to_string()))?;
     let mut given = Given { method: name, entries, known: Vec::new() };
     match &mut method {
@@ -239,8 +256,7 @@ pub(crate) fn method(name: &str, entries: &Bound<'_, PyDict>) -> PyResult<AnyMet
         }
         _ => {}
     }
-    given.finish()?;
-    Ok(method)
+    Ok((method, given))
 }
 
 /// The name among those of a method's options that is most like `name`.

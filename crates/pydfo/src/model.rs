@@ -3,16 +3,17 @@
 use crate::description::Fmu;
 use crate::inputs::{self, Callbacks, Function, Table};
 use crate::interrupt::{Desk, Stop, Watch, fits_here, lock};
+use crate::settings::time_limit;
 use crate::trajectory::Record;
-use crate::{fmu_error, logs, values};
+use crate::{error, fmu_error, logs, values};
 use fmi::description::Interval;
 use fmi::{InterfaceKind, Session, SimulateOptions};
-use numpy::PyReadonlyArray1;
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 pyo3::import_exception!(pydfo._errors, Interrupted);
 
@@ -23,6 +24,8 @@ pub(crate) struct Model {
     fmu: fmi::Fmu,
     kind: InterfaceKind,
     slot: Arc<Mutex<Slot>>,
+    /// Ends a simulation on the calling thread; the same for all of them, so that the next one has the same options.
+    flag: Arc<AtomicBool>,
 }
 
 /// Where the session is. A simulation takes it away, so that nobody waits for a lock that a simulation holds.
@@ -66,27 +69,45 @@ impl From<ClockInterval> for Interval {
     }
 }
 
-/// `pydfo._model.Request`, field by field.
+/// `pydfo._model.Request`, by places: names would take a lookup each.
 #[derive(FromPyObject)]
 pub(crate) struct Request<'py> {
+    #[pyo3(item(0))]
     start_time: Option<f64>,
+    #[pyo3(item(1))]
     final_time: Option<f64>,
-    times: Option<PyReadonlyArray1<'py, f64>>,
+    #[pyo3(item(2))]
+    times: Option<Bound<'py, PyArray1<f64>>>,
+    #[pyo3(item(3))]
     output_interval: Option<f64>,
+    #[pyo3(item(4))]
     ncp: Option<usize>,
+    #[pyo3(item(5))]
     start_values: Vec<(String, Bound<'py, PyAny>)>,
+    #[pyo3(item(6))]
     clock_intervals: Vec<(String, ClockInterval)>,
     /// None: those that the model shows by default.
+    #[pyo3(item(7))]
     outputs: Option<Vec<String>>,
+    #[pyo3(item(8))]
     tables: Vec<Table<'py>>,
+    #[pyo3(item(9))]
     functions: Vec<Function>,
+    #[pyo3(item(10))]
     relative_tolerance: Option<f64>,
+    #[pyo3(item(11))]
     solver: String,
+    #[pyo3(item(12))]
     step_size: Option<f64>,
+    #[pyo3(item(13))]
     max_step: Option<f64>,
+    #[pyo3(item(14))]
     timeout: Option<f64>,
+    #[pyo3(item(15))]
     record_events: bool,
+    #[pyo3(item(16))]
     input_derivatives: bool,
+    #[pyo3(item(17))]
     chattering: String,
 }
 
@@ -98,7 +119,8 @@ impl Model {
         let kind = kind.parse().map_err(|e| fmu_error::raise(py, &e))?;
         let session = Box::new(Session::of_kind(fmu.clone(), kind));
         let kind = fmu.choose(kind).map_err(|e| fmu_error::raise(py, &e))?;
-        Ok(Self { fmu, kind, slot: Arc::new(Mutex::new(Slot::Here(session))) })
+        let slot = Arc::new(Mutex::new(Slot::Here(session)));
+        Ok(Self { fmu, kind, slot, flag: Arc::default() })
     }
 
     /// Values of variables.
@@ -156,14 +178,14 @@ impl Model {
     /// On the calling thread if the last simulation of this FMU was short.
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Record<'py>> {
         let is_here = fits_here(self.fmu.last_run(self.kind));
+        let mut loan = self.lend()?;
         // An input function is Python code: what a Ctrl-C does to it is up to our handler.
         let watch = match is_here && request.functions.is_empty() {
-            true => Watch::without_handler(py),
+            true => Watch::with_flag(py, Arc::clone(&self.flag)),
             false => Watch::new(py)?,
         };
         let stop = Arc::clone(watch.stop());
         let (options, callbacks) = self.options(py, request, &stop)?;
-        let mut loan = self.lend()?;
         let outcome = if is_here {
             let run = |cancelled: &dyn Fn() -> bool| {
                 let mut poll = || match cancelled() {
@@ -236,7 +258,7 @@ impl Model {
             .input_derivatives(request.input_derivatives);
         options.start_time = request.start_time;
         options.final_time = request.final_time;
-        options.times = request.times.map(|times| times.as_slice().map(<[f64]>::to_vec)).transpose()?;
+        options.times = request.times.map(|times| times.to_vec()).transpose()?;
         options.output_interval = request.output_interval;
         options.ncp = request.ncp;
         options.start_values =
@@ -251,13 +273,10 @@ impl Model {
             request.chattering.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
         options.step_size = request.step_size;
         options.max_step = request.max_step;
-        options.timeout = match request.timeout {
-            None => None,
-            Some(f64::INFINITY) => None,
-            Some(seconds) => Some(Duration::try_from_secs_f64(seconds).map_err(|_| {
-                PyValueError::new_err(format!("timeout = {seconds} must be a number of seconds, at least 0"))
-            })?),
-        };
+        for ignored in options.without_effect(self.kind) {
+            error::warn(py, &ignored)?;
+        }
+        options.timeout = time_limit("timeout", request.timeout)?;
         Ok((options, callbacks))
     }
 }

@@ -9,6 +9,7 @@ use ode::{
 };
 use pyo3::exceptions::{PyMemoryError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use std::collections::HashSet;
 use std::sync::Arc;
 
 /// One event function and what was seen of it.
@@ -28,6 +29,39 @@ pub(crate) enum JacobianSource<'py> {
     Function(Bound<'py, PyAny>),
     /// By columns.
     Constant(Vec<f64>),
+    Sparse(SparseJacobian<'py>),
+}
+
+/// A Jacobian that is a sparse matrix; the driver asks for its products with vectors.
+pub(crate) struct SparseJacobian<'py> {
+    /// What gives it; None: it is constant.
+    pub(crate) function: Option<Bound<'py, PyAny>>,
+    /// Row, column and value.
+    pub(crate) entries: Vec<(usize, usize, f64)>,
+    /// Where these hold.
+    pub(crate) at: (f64, Vec<f64>),
+    /// Places that may differ from zero.
+    pub(crate) places: HashSet<(usize, usize)>,
+}
+
+impl<'py> SparseJacobian<'py> {
+    /// Asks for the matrix at another point.
+    fn read(&self, py: Python<'py>, t: f64, x: &[f64]) -> PyResult<Vec<(usize, usize, f64)>> {
+        let Some(function) = &self.function else { return Ok(self.entries.clone()) };
+        let entries = sparse_entries(&function.call1((t, PyArray1::from_slice(py, x)))?, x.len())?;
+        self.check(&entries, t)?;
+        Ok(entries)
+    }
+
+    /// Refuses entries where there is no place for them.
+    pub(crate) fn check(&self, entries: &[(usize, usize, f64)], t: f64) -> PyResult<()> {
+        match entries.iter().find(|(i, k, v)| *v != 0.0 && !self.places.contains(&(*i, *k))) {
+            None => Ok(()),
+            Some((i, k, _)) => Err(PyValueError::new_err(format!(
+                "jac has an entry at [{i}, {k}] at t = {t}, where jac_sparsity has none"
+            ))),
+        }
+    }
 }
 
 /// The system, and what it keeps of a run.
@@ -113,12 +147,12 @@ impl HybridSystem for PySystem<'_> {
     }
 
     fn has_jacobian(&self) -> bool {
-        !matches!(self.jacobian, JacobianSource::Differences)
+        matches!(self.jacobian, JacobianSource::Function(_) | JacobianSource::Constant(_))
     }
 
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
         self.ask(|this| match &this.jacobian {
-            JacobianSource::Differences => Ok(false),
+            JacobianSource::Differences | JacobianSource::Sparse(_) => Ok(false),
             JacobianSource::Constant(values) => {
                 j.copy_from_slice(values);
                 Ok(true)
@@ -129,6 +163,32 @@ impl HybridSystem for PySystem<'_> {
                 Ok(true)
             }
         })
+    }
+
+    fn directional_derivative(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        seed: &[f64],
+        derivative: &mut [f64],
+    ) -> CallResult<bool> {
+        let JacobianSource::Sparse(sparse) = &self.jacobian else { return Ok(false) };
+        if sparse.function.is_some() && (sparse.at.0 != t || sparse.at.1 != x) {
+            let read = |this: &Self| match &this.jacobian {
+                JacobianSource::Sparse(sparse) => sparse.read(this.py, t, x),
+                _ => Ok(Vec::new()),
+            };
+            let entries = self.ask(read)?;
+            if let JacobianSource::Sparse(sparse) = &mut self.jacobian {
+                sparse.entries = entries;
+                sparse.at.0 = t;
+                sparse.at.1.copy_from_slice(x);
+            }
+        }
+        let JacobianSource::Sparse(sparse) = &self.jacobian else { return Ok(false) };
+        derivative.fill(0.0);
+        sparse.entries.iter().for_each(|(i, k, value)| derivative[*i] += value * seed[*k]);
+        Ok(true)
     }
 
     fn mass_matrix(&self) -> Option<&[f64]> {
@@ -239,6 +299,27 @@ fn vector(value: &Bound<'_, PyAny>, into: &mut [f64], who: &str) -> PyResult<()>
     let flat = array.call_method0("ravel")?;
     into.copy_from_slice(flat.cast::<PyArray1<f64>>()?.readonly().as_slice()?);
     Ok(())
+}
+
+/// Whether this is a sparse matrix.
+pub(crate) fn is_sparse(value: &Bound<'_, PyAny>) -> bool {
+    value.hasattr("tocoo").unwrap_or(false)
+}
+
+/// Row, column and value of the entries of a sparse Jacobian.
+pub(crate) fn sparse_entries(value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<(usize, usize, f64)>> {
+    if !is_sparse(value) {
+        return Err(PyTypeError::new_err("jac must return a sparse matrix, as it did at the start"));
+    }
+    let shape: (usize, usize) = value.getattr("shape")?.extract()?;
+    if shape != (n, n) {
+        return Err(PyValueError::new_err(format!("jac must have the shape ({n}, {n}), not {shape:?}")));
+    }
+    let list = value.call_method0("tocoo")?;
+    let numbers = |name: &str| list.getattr(name)?.call_method0("tolist");
+    let (rows, columns): (Vec<usize>, Vec<usize>) = (numbers("row")?.extract()?, numbers("col")?.extract()?);
+    let values: Vec<f64> = numbers("data")?.extract()?;
+    Ok(rows.into_iter().zip(columns).zip(values).map(|((i, k), value)| (i, k, value)).collect())
 }
 
 /// A square matrix by columns; sparse ones are made dense.

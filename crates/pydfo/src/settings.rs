@@ -69,14 +69,15 @@ impl Options {
             measure: word("tolerances", &self.tolerances, &measures)?,
             stop: word("stop", &self.stop, &stops)?,
         };
-        let max_time = match self.max_time {
-            None | Some(f64::INFINITY) => None,
-            Some(seconds) => Some(time("max_time", seconds)?),
-        };
+        let max_time = time_limit("max_time", self.max_time)?;
         let resume = word("resume", &self.resume, &resumes)?;
         let mut checkpoint = self.checkpoint.map(|path| Checkpoint::new(path).resume(resume));
         if let Some(seconds) = self.checkpoint_interval {
-            let interval = time("checkpoint_interval", seconds)?;
+            let interval = Duration::try_from_secs_f64(seconds).map_err(|_| {
+                PyValueError::new_err(format!(
+                    "checkpoint_interval = {seconds} must be a number of seconds, at least 0"
+                ))
+            })?;
             checkpoint = checkpoint.map(|c| c.interval(interval));
         }
         let limits = Limits {
@@ -148,10 +149,17 @@ pub(crate) fn kind(name: &str, given: &str) -> PyResult<Kind> {
     word(name, given, &KINDS)
 }
 
-fn time(name: &str, seconds: f64) -> PyResult<Duration> {
-    Duration::try_from_secs_f64(seconds).map_err(|_| {
-        PyValueError::new_err(format!("{name} = {seconds} must be a number of seconds, at least 0"))
-    })
+/// A limit of wall-clock time in s; None and infinity are no limit.
+pub(crate) fn time_limit(name: &str, seconds: Option<f64>) -> PyResult<Option<Duration>> {
+    match seconds {
+        None | Some(f64::INFINITY) => Ok(None),
+        Some(seconds) => match Duration::try_from_secs_f64(seconds) {
+            Ok(limit) if seconds > 0.0 => Ok(Some(limit)),
+            _ => {
+                Err(PyValueError::new_err(format!("{name} = {seconds} must be a positive number of seconds")))
+            }
+        },
+    }
 }
 
 /// The value of a word, whatever the case of its letters.

@@ -2,7 +2,8 @@
 
 use crate::error;
 use crate::interrupt::{Stop, Watch};
-use crate::py_system::{Event, JacobianSource, PySystem, matrix};
+use crate::py_system::{Event, JacobianSource, PySystem, SparseJacobian, is_sparse, matrix, sparse_entries};
+use crate::settings::time_limit;
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{
@@ -14,7 +15,6 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// Nodes per step of the dense output: enough for a polynomial of degree 8.
 const NODES: usize = 9;
@@ -95,13 +95,6 @@ impl Observer for Keeper<'_, '_> {
 impl Problem<'_> {
     fn driver(&self, stop: &Stop) -> PyResult<Driver> {
         let bad = |e: OptionsError| PyValueError::new_err(in_words_of_solve(e).to_string());
-        let timeout = self.timeout.filter(|t| *t != f64::INFINITY);
-        let timeout = timeout.map(Duration::try_from_secs_f64).transpose().map_err(|_| {
-            PyValueError::new_err(format!(
-                "timeout = {} must be a number of seconds, at least 0",
-                self.timeout.unwrap_or(f64::NAN)
-            ))
-        })?;
         let absolute_tolerance = match self.atol[..] {
             [one] => AbsoluteTolerance::Scalar(one),
             _ => AbsoluteTolerance::PerState(self.atol.clone()),
@@ -118,7 +111,7 @@ impl Problem<'_> {
             limits: Limits {
                 max_steps: self.max_steps,
                 max_events: self.max_events,
-                timeout,
+                timeout: time_limit("timeout", self.timeout)?,
                 ..Limits::default()
             },
             cancel: Some(stop.flag()),
@@ -129,15 +122,61 @@ impl Problem<'_> {
 }
 
 impl<'py> Problem<'py> {
+    /// Warns of arguments that have no effect with the method.
+    fn warn_of_what_is_ignored(&self, py: Python<'_>) -> PyResult<()> {
+        let method: Method = self.method.parse().unwrap_or_default();
+        let fixed = method.is_fixed_step();
+        let is_implicit = !fixed && !matches!(method, Method::Tsit5 | Method::Dop853);
+        if self.on_event.is_some() && self.events.is_empty() {
+            crate::error::warn(py, "on_event has no effect: there are no events")?;
+        }
+        let ignored = [
+            ("step", self.step.is_some() && !fixed, "chooses its steps itself; max_step limits them"),
+            ("max_step", self.max_step.is_some() && fixed, "makes steps of one size, step"),
+            ("first_step", self.first_step.is_some() && fixed, "makes steps of one size, step"),
+            ("jac", self.jacobian.is_some() && !is_implicit, "is explicit and needs no Jacobian"),
+            ("jac_sparsity", self.sparsity.is_some() && !is_implicit, "is explicit and needs no Jacobian"),
+        ];
+        for (name, _, why) in ignored.into_iter().filter(|(_, is, _)| *is) {
+            crate::error::warn(py, &format!("{name} has no effect: method '{}' {why}", method.name()))?;
+        }
+        Ok(())
+    }
+
     fn system(&self, py: Python<'py>, stop: Arc<Stop>) -> PyResult<PySystem<'py>> {
         let n = self.x0.len();
+        let mut places = self.sparsity.clone();
         let jacobian = match &self.jacobian {
             None => JacobianSource::Differences,
-            Some(function) if function.is_callable() => JacobianSource::Function(function.clone()),
-            Some(given) => JacobianSource::Constant(constant(given, n, "jac")?),
+            Some(given) => {
+                // Where a function may return entries is not known without a pattern. What it raises here it raises again
+                // in the run.
+                let called = given.is_callable();
+                let first = match &places {
+                    Some(_) if called => given.call1((self.start, PyArray1::from_slice(py, &self.x0))).ok(),
+                    _ => None,
+                };
+                let matrix = if called { first.as_ref() } else { Some(given) };
+                match matrix.filter(|matrix| is_sparse(matrix)) {
+                    Some(matrix) => {
+                        let entries = sparse_entries(matrix, n)?;
+                        if let Some((i, k, v)) = entries.iter().find(|e| !called && !e.2.is_finite()) {
+                            return Err(PyValueError::new_err(format!("jac[{i}, {k}] = {v} must be finite")));
+                        }
+                        let own = || entries.iter().map(|(i, k, _)| (*i, *k)).collect();
+                        let places = places.get_or_insert_with(own).iter().copied().collect();
+                        let function = called.then(|| given.clone());
+                        let at = (self.start, self.x0.clone());
+                        let sparse = SparseJacobian { function, entries, at, places };
+                        sparse.check(&sparse.entries, self.start)?;
+                        JacobianSource::Sparse(sparse)
+                    }
+                    None if called => JacobianSource::Function(given.clone()),
+                    None => JacobianSource::Constant(constant(given, n, "jac")?),
+                }
+            }
         };
-        let pattern =
-            self.sparsity.as_ref().and_then(|places| JacobianPattern::new(n, places.iter().copied()));
+        let pattern = places.and_then(|places| JacobianPattern::new(n, places));
         let event = |(function, direction, terminal): &(Bound<'py, PyAny>, f64, usize)| Event {
             function: function.clone(),
             direction: match direction {
@@ -174,6 +213,7 @@ pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bou
     let watch = Watch::new(py)?;
     let stop = watch.stop();
     let mut driver = problem.driver(stop)?;
+    problem.warn_of_what_is_ignored(py)?;
     let mut system = problem.system(py, Arc::clone(stop))?;
     let mut keeper = Keeper {
         py,

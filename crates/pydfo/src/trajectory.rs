@@ -6,6 +6,7 @@ use fmi::ode::{EventCause, Side, Stats, Termination};
 use fmi::{ModelDescription, Trajectory, Value};
 use numpy::PyArray1;
 use pyo3::prelude::*;
+use std::borrow::Cow;
 
 /// What `pydfo._trajectory.SimulationResult` is made of.
 #[derive(IntoPyObject)]
@@ -21,7 +22,7 @@ pub(crate) struct Record<'py> {
     /// Of each row: whether it is the limit from the left.
     left: Bound<'py, PyArray1<bool>>,
     event_times: Bound<'py, PyArray1<f64>>,
-    event_kinds: Vec<String>,
+    event_kinds: Vec<Cow<'static, str>>,
     /// Of each tick of a clock: when and which.
     tick_times: Vec<f64>,
     tick_clocks: Vec<String>,
@@ -146,8 +147,9 @@ impl Counts {
 }
 
 /// The causes of an event: "state", "time", "step", "input", or several with a plus between them.
-fn causes(cause: &EventCause) -> String {
+fn causes(cause: &EventCause) -> Cow<'static, str> {
     let all = [(cause.state, "state"), (cause.time, "time"), (cause.step, "step"), (cause.input, "input")];
-    let there: Vec<&str> = all.into_iter().filter(|(is, _)| *is).map(|(_, name)| name).collect();
-    there.join("+")
+    let mut there = all.into_iter().filter(|(is, _)| *is).map(|(_, name)| name);
+    let first = Cow::Borrowed(there.next().unwrap_or_default());
+    there.fold(first, |names, name| Cow::Owned(format!("{names}+{name}")))
 }

@@ -136,6 +136,10 @@ fn array(description: &ModelDescription, variable: &Variable, given: &Bound<'_, 
 }
 
 fn scalar(description: &ModelDescription, variable: &Variable, given: &Bound<'_, PyAny>) -> PyResult<Value> {
+    // NumPy's doubles are floats, too. All others are asked for attributes first, which takes a microsecond.
+    if let Ok(number) = given.cast::<PyFloat>() {
+        return Ok(Value::Real(number.value()));
+    }
     let given = &single(variable, given)?;
     if let Ok(flag) = given.cast::<PyBool>() {
         return Ok(Value::Boolean(flag.is_true()));

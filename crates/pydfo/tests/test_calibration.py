@@ -182,7 +182,7 @@ def test_progress_and_callbacks(dahlquist, capsys):
 
 
 def test_simulations_that_fail(dahlquist):
-    calibration = decay(dahlquist, timeout=0.0)
+    calibration = decay(dahlquist, timeout=1e-9)
     with pytest.raises(pydfo.SimulationError, match=r"the simulation at k = 3 failed: .*time limit") as info:
         calibration.cost([3.0])
     assert info.value.time == 0.0 and info.value.log == []

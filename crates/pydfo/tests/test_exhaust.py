@@ -161,3 +161,35 @@ def test_the_solver_of_a_stiff_fit_is_raced_once_and_reported():
     assert calibrate(fit.solver).cost(fit.x) == fit.cost == calibration.cost(fit.x)
     named = calibrate("radau5").fit(max_evaluations=3)
     assert (named.solver, named.race) == ("radau5", None)
+
+
+@pytest.mark.parametrize("which", AT_HAND)
+def test_both_stages_are_fitted_as_well_as_with_an_accurate_method(which):
+    """First the second half of the pipe, then the first with what came out. A method whose samples are too far off makes the
+    cost noisy: it ends higher, after more evaluations, so accuracy weighs where methods are compared."""
+    record = recordings.exhaust(which)
+    start = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
+    bounds = {"C": (1.0, 5e4), "G": (0.01, 500.0)}
+
+    def stages(solver, tolerance):
+        fixed, found = {}, []
+        for names in (["C2", "G2"], ["C1", "G1"]):
+            calibration = Calibration(
+                example_fmu("exhaust"),
+                record,
+                ["T_out"],
+                [Parameter(name, start[name], *bounds[name[0]]) for name in names],
+                inputs=INPUTS,
+                window=(0, 600),
+                start_values=fixed,
+                solver=solver,
+                relative_tolerance=tolerance,
+            )
+            found.append(calibration.fit(x_tol=1e-3, f_tol=1e-3))
+            fixed = found[-1].parameters
+        return found
+
+    for fit, accurate in zip(stages("auto", None), stages("radau5", 1e-8)):
+        assert all(entry.deviation <= 5 for entry in fit.race if entry.solver == fit.solver)
+        assert fit.success and fit.cost == pytest.approx(accurate.cost, rel=1e-4)
+        assert fit.nfev <= 1.25 * accurate.nfev

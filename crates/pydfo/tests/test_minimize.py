@@ -305,7 +305,7 @@ def test_every_option_of_every_method_reaches_it(method, options):
         ({"method": "least-squares"}, pydfo.MethodNotAvailable, "not in this version"),
         ({"method": 1}, TypeError, "method must be a string"),
         ({"options": {"restart": 3}}, ValueError, "no option 'restart'; did you mean 'restarts'. it has batch, bounds_handling, .*every"),
-        ({"options": {"popsize": 3}}, ValueError, "no option 'popsize'; what other tools call so is the option population"),
+        ({"options": {"popsize": 3}}, ValueError, "no option 'popsize'; here it is the option population"),
         ({"options": {"maxiter": 3}}, ValueError, "is the argument max_iterations"),
         ({"options": {"maxfev": 3}}, ValueError, "is the argument max_evaluations"),
         ({"options": {"xatol": 3}}, ValueError, "is the option x_tol"),

@@ -280,3 +280,22 @@ def test_a_fit_belongs_to_what_its_inputs_were_told(tmp_path):
     calibration(True).fit(checkpoint=tmp_path / "fit", max_evaluations=20)
     with pytest.raises(CheckpointError, match="derivatives of the inputs"):
         calibration(False).fit(checkpoint=tmp_path / "fit", resume="require", max_evaluations=20)
+
+
+@pytest.mark.parametrize("solver", ["auto", "tsit5", "dop853", "radau5", "bdf", "rk4"])
+@pytest.mark.parametrize("width", [1e-4, 1e-2])
+def test_pulses_narrower_than_a_step_are_not_lost(solver, width):
+    """Every row at which the slope of a table changes ends a step, with all methods."""
+    m = FMUModel(example_fmu("quad_tank"))
+
+    def level(times, volts, tolerance):
+        data = {"time": times, "u1": volts, "u2": [5.0] * len(times)}
+        return m.simulate(0, 100, input=data, output=["qt.x1"], ncp=1, solver=solver, relative_tolerance=tolerance).final("qt.x1")
+
+    triangle = [0, 50, 50 + width, 50 + 2 * width, 100], [5, 5, 5 + 1 / width, 5, 5]
+    jumps = [0, 50, 50, 50 + width, 50 + width, 100], [5, 5, 5 + 1 / width, 5 + 1 / width, 5, 5]
+    flat = level([0, 100], [5, 5], 1e-9)
+    for times, volts in (triangle, jumps):
+        expected = level(times, volts, 1e-10)
+        assert expected - flat > 1e-5
+        assert level(times, volts, 1e-6) - flat == pytest.approx(expected - flat, rel=0.02)

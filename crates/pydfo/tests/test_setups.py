@@ -193,12 +193,17 @@ def test_a_parameter_that_moves_nothing_is_named(method):
     assert abs(fit.parameters["g"]) == pytest.approx(9.0, rel=1e-2)
 
 
-def test_a_budget_leaves_nothing_for_checks():
+def test_a_budget_is_that_of_the_search():
     fit = falling([gravity(), E]).fit(max_evaluations=12)
     # The first simplex has shown it already.
     assert (fit.nfev, fit.n_checks, fit.without_effect) == (12, 0, ["e"])
-    fit = falling([gravity(), E]).fit(method="de", rng=1, max_evaluations=40)
-    assert (fit.nfev, fit.n_checks, fit.without_effect) == (40, 0, [])
+    for method in ("de", "ga", "de-classic"):
+        fit = falling([gravity(), E]).fit(method=method, rng=1, max_evaluations=40)
+        assert (fit.nfev, fit.without_effect) == (40, ["e"]) and fit.n_checks in (1, 2) and len(fit.trace) == 40
+        near = decay({"time": TIME, "x": DECAY}, parameters=[Parameter("k", 1.0, 0.1, 1.5)])
+        assert near.fit(method=method, rng=1, max_evaluations=400).at_bound == {"k": "upper"}
+    fit = falling([gravity(), E]).fit(method="de", rng=1, max_evaluations=400, callback=lambda progress: progress.nit >= 3)
+    assert fit.termination == "stopped-by-observer" and fit.without_effect == ["e"]
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
@@ -253,3 +258,133 @@ def test_files_are_named_as_they_were_given(tmp_path):
         assert "PosixPath" not in str(info.value) and str(path) in str(info.value)
     with pytest.raises(ValueError, match="zip archive"):
         decay(example_fmu("dahlquist"))
+
+
+# --- Words of other tools, and settings without effect ------------------------------------------------------------------
+
+
+def bowl(x):
+    return float(np.sum((np.asarray(x) - 1.0) ** 2))
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: pydfo.minimize(bowl, [0.0], maxiter=3), r"^minimize\(\) has no argument 'maxiter'; here it is the argument max_iterations"),
+        (lambda: pydfo.minimize(bowl, [0.0], xatol=3), r"'xatol'; here it is the option x_tol: options={'x_tol': \.\.\.}"),
+        (lambda: pydfo.minimize(bowl, [0.0], x_tol=3), r"'x_tol'; here it is the option x_tol: options={'x_tol': \.\.\.}"),
+        (lambda: pydfo.minimize(bowl, [0.0], tol=3), r"here it is the options x_tol and f_tol"),
+        (lambda: pydfo.minimize(bowl, [0.0], lb=0, ub=1), "here it is the argument bounds"),
+        (lambda: pydfo.minimize(bowl, [0.0], seed=1), "here it is the argument rng"),
+        (lambda: pydfo.minimize(bowl, [0.0], max_evals=1), "did you mean max_evaluations"),
+        (lambda: pydfo.fmin(bowl, [0.0], maxfev=3), r"^fmin\(\) has no argument 'maxfev'; here it is the argument max_fevals"),
+        (lambda: pydfo.fmin(bowl, [0.0], max_iterations=3), "here it is the argument max_iters"),
+        (lambda: pydfo.fmin(bowl, x0=[0.0]), "here it is the argument xstart"),
+        (lambda: pydfo.fmin(bowl, [0.0], bounds=[(0, 1)]), "here it is the arguments lb and ub"),
+        (lambda: decay({"time": TIME, "x": DECAY}).fit(fatol=1e-3), r"^Calibration\.fit\(\) has no .*; here it is the argument f_tol"),
+        (lambda: decay({"time": TIME, "x": DECAY}, rtol=1e-3), r"^Calibration\(\) has no .*; here it is the argument relative_tolerance"),
+        (lambda: decay({"time": TIME, "x": DECAY}, weight=[1]), "did you mean weights"),
+        (lambda: Parameter("k", 1.0, max=2.0), "here it is the argument upper"),
+        (lambda: FMUModel(example_fmu("dahlquist")).simulate(tend=1), "here it is the argument final_time"),
+        (lambda: FMUModel(example_fmu("dahlquist")).simulate(outputs="x"), "did you mean output"),
+        (lambda: pydfo.ode.solve(bowl, (0, 1), [1.0], y0=[1.0]), "here it is the argument x0"),
+        (lambda: pydfo.Optimizer("de", bounds=[(0, 1)], popsize=3), "here it is the option population"),
+        (lambda: Parameter("k", 1.0, fixed="no"), "fixed must be True or False, not 'no'"),
+        (lambda: FMUModel(example_fmu("dahlquist")).simulate(record_events="no"), "record_events must be True or False"),
+        (lambda: decay({"time": TIME, "x": DECAY}).fit(options="x_tol"), "options must be a dict, not 'x_tol'"),
+        (lambda: decay({"time": TIME, "x": DECAY}, weights=2.0), "weights must be a dict of outputs and numbers, or a number per"),
+        (lambda: decay({"time": TIME, "x": DECAY}, weights="x"), "weights must be a dict of outputs and numbers"),
+        (lambda: decay({"time": TIME, "x": DECAY}, inputs={"u"}), "inputs must be a dict of variable and column, or a list"),
+        (lambda: decay({"time": TIME, "x": DECAY}).cost("2"), "x must be numbers, not '2'"),
+        (lambda: decay({"time": TIME, "x": DECAY}).fit(start=["1"]), r"x must be numbers, not \['1'\]"),
+        (lambda: pydfo.fmin(bowl, [0.0], plot="no"), "plot must be True or False, not 'no'"),
+    ],
+)
+def test_keywords_are_pointed_to_ours(call, said):
+    with pytest.raises(TypeError, match=said):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda c: c().fit(options={"maxiter": 3}), "no option 'maxiter'; here it is the argument max_iterations"),
+        (lambda c: pydfo.fmin(bowl, [0.0], options={"maxiter": 3}), "no option 'maxiter'; here it is the argument max_iters"),
+        (lambda c: c().fit(x_tol=1e-2, options={"x_tol": 1e-3}), "x_tol is given twice"),
+        (lambda c: c().fit(resume="require"), "resume='require' has no effect without a checkpoint"),
+        (lambda c: c().fit(options={"checkpoint_interval": 1.0}), "checkpoint_interval = 1.0 has no effect without a checkpoint"),
+        (lambda c: c().fit(max_time=0), "max_time = 0 must be a positive number"),
+        (lambda c: c(timeout=0), "timeout = 0 must be a positive number"),
+        (lambda c: Parameter("k", 1.0, nominal=-3), "parameter 'k': nominal -3 must be positive"),
+        (lambda c: c(outputs=["k"]), "output 'k' is compared with column 'k', but it is a parameter that is fitted, not a result"),
+        (lambda c: c(outputs=["time"]), "output 'time' is compared with column 'time', but it is the time"),
+        (lambda c: c(data={"time": TIME, "Time [ms]": TIME, "x": DECAY}), "several columns could hold the times: 'time', 'Time"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(call, said):
+    def made(data=None, outputs=("x",), **more):
+        data = {"time": TIME, "x": DECAY, "k": DECAY} if data is None else data
+        return Calibration(example_fmu("dahlquist"), data, list(outputs), [K], **more)
+
+    with pytest.raises(ValueError, match=said):
+        call(made)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time x\n0 1\n1 2\n", "one column only: columns are separated by commas, semicolons or tabs"),
+        ("time,x\n0,0,1,5\n0,5,1,2\n", "line 2 has 4 cells, the header has 2; numbers with decimal commas need semicolons"),
+        ("time,x\ns,m\n0,1\n1,2\n", "time 's' in line 2 is not a number; units stand in the names of the columns"),
+        ("time,x\n0,1\n1,?\n", r"'\?' in column 'x', line 3, is not a number; missing values are empty cells, NaN"),
+    ],
+)
+def test_files_as_other_tools_write_them(text, said, tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=said):
+        decay(path)
+
+
+def test_inputs_are_no_outputs_and_have_one_value():
+    data = {"time": TIME, "u1": TIME, "u2": TIME, "x": TIME}
+    a1 = Parameter("qt.a1", 3e-6, 2e-6, 4e-6)
+    with pytest.raises(ValueError, match="output 'u1' is compared with column 'u1', but it is an input"):
+        Calibration(example_fmu("quad_tank"), data, ["u1"], [a1], inputs=["u1", "u2"])
+    with pytest.raises(ValueError, match="input 'u1' is driven by column 'u1', and start_values gives it the value 3"):
+        Calibration(example_fmu("quad_tank"), data, {"qt.x1": "x"}, [a1], inputs=["u1", "u2"], start_values={"u1": 3.0})
+
+
+def test_settings_without_effect_are_warned_of():
+    data, line = {"time": TIME, "x": DECAY}, lambda t, y: [1.0]
+    step, largest = "step_size = 0.1 has no effect with the solver 'tsit5'", "max_step = 0.1 has no effect with the solver 'rk4'"
+    with pytest.warns(CalibrationWarning, match=step):
+        decay(data, solver="tsit5", step_size=0.1)
+    with pytest.warns(CalibrationWarning, match=largest):
+        decay(data, solver="rk4", max_step=0.1)
+    with pytest.warns(CalibrationWarning, match="nominal of parameter 'k' has no effect on a log scale"):
+        decay(data, parameters=[Parameter("k", 1.0, 0.1, 10.0, scale="log", nominal=3.0)])
+    with pytest.warns(UserWarning, match=step) as caught:
+        FMUModel(example_fmu("dahlquist")).simulate(0, 1, solver="tsit5", step_size=0.1)
+    assert caught[0].filename == __file__
+    for more, said in (
+        ({"method": "rk4", "max_step": 0.1}, "max_step has no effect: method 'rk4'"),
+        ({"method": "euler", "first_step": 0.1}, "first_step has no effect: method 'euler'"),
+        ({"method": "tsit5", "step": 0.1}, "step has no effect: method 'tsit5' chooses its steps itself"),
+        ({"method": "dop853", "jac": [[0.0]]}, "jac has no effect: method 'dop853' is explicit"),
+        ({"method": "tsit5", "jac_sparsity": [[1]]}, "jac_sparsity has no effect"),
+        ({"on_event": lambda t, y, which: None}, "on_event has no effect: there are no events"),
+    ):
+        with pytest.warns(UserWarning, match=said) as caught:
+            pydfo.ode.solve(line, (0, 1), [1.0], **more)
+        assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        decay(data, solver="rk4", step_size=0.1)
+        pydfo.ode.solve(line, (0, 1), [1.0], "bdf", jac=[[0.0]], max_step=0.5, first_step=0.1)
+
+
+def test_a_checkpoint_in_a_folder_that_is_not_there(tmp_path):
+    path = tmp_path / "nowhere" / "run.ck"
+    with pytest.raises(FileNotFoundError, match=r"run\.ck: there is no folder '.*nowhere'$"):
+        pydfo.minimize(bowl, [0.0], checkpoint=path)

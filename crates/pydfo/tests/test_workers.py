@@ -1,6 +1,9 @@
 """Workers of every kind change nothing but the time: what they evaluate ahead of need means nothing by itself."""
 
 import concurrent.futures
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pydfo
@@ -179,3 +182,24 @@ def test_seconds_of_an_executor_are_those_of_each_call():
         options = {"initial_simplex": [[0.4], [0.6]]}
         result = pydfo.minimize(uneven, [0.4], workers=executor, max_evaluations=2, options=options)
     assert result.trace.seconds[0] < 0.02 < result.trace.seconds[1]
+
+
+def test_rows_times_outputs_are_refused_before_they_are_made():
+    """In a process that may take 1 GiB more: 1e7 rows of 23 variables take 1.8 GB."""
+    program = """
+import resource, pydfo
+model = pydfo.FMUModel(pydfo.example_fmu("furuta"))
+model.simulate(0, 1e-3, ncp=1)
+with open("/proc/self/statm") as statm:
+    size = int(statm.read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (size + (1 << 30),) * 2)
+try:
+    model.simulate(0, 1, ncp=10**7, output="all")
+except MemoryError as e:
+    print(e)
+"""
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("no way to know the size of a process")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("a result of 10000001 rows and 23 columns would take 1840 MB of memory"), done.stdout

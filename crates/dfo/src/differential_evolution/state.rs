@@ -8,6 +8,7 @@ use crate::error::Error;
 use crate::generations::{Breeder, Generations, Pool};
 use crate::method::Setup;
 use crate::rng::{Purpose, Stream};
+use crate::scaling::{Kind, Space};
 use crate::termination::Termination;
 use serde::{Deserialize, Serialize};
 
@@ -130,6 +131,11 @@ impl Breeder for Differences {
 
     fn ended(&mut self, pool: &Pool, _: f64) -> Option<Termination> {
         pool.population.is_collapsed(&pool.setup.space).then_some(Termination::Collapsed)
+    }
+
+    /// Members that stand for one whole number differ in what they are made from, and so do their trials.
+    fn tries_neighbours(&self, space: &Space) -> bool {
+        space.n_free() > 0 && (0..space.n_free()).all(|k| space.kind(k) != Kind::Continuous)
     }
 
     fn is_sound(&self, pool: &Pool) -> bool {

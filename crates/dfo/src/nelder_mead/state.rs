@@ -477,36 +477,3 @@ impl Method for NelderMeadState {
         Some(self.simplex.view())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::bounds::Bounds;
-    use crate::method::MethodOptions;
-    use crate::nelder_mead::NelderMead;
-    use crate::scaling::Space;
-
-    /// The reflection that a given simplex (best, second, worst) in the unit square leads to.
-    fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {
-        let space = Space::new(&vertices[0], Bounds::new(&[0.0; 2], &[1.0; 2]).unwrap(), &[], &[]).unwrap();
-        let options = NelderMead::default()
-            .bounds_handling(BoundsHandling::Mirror)
-            .initial_simplex(vertices.iter().map(|v| v.to_vec()).collect());
-        let mut search = options.begin(&Setup::new(space)).unwrap();
-        let mut batch = Batch::new();
-        search.ask(&mut batch);
-        search.tell(&[0.0, 1.0, 2.0].map(Outcome::Value)).unwrap();
-        search.ask(&mut batch);
-        batch.point(0).to_vec()
-    }
-
-    #[test]
-    fn mirroring_never_makes_the_simplex_flat() {
-        // Unbounded (-0.25, 0.375): mirrored onto the line through the other two, so it goes onto the bound.
-        assert_eq!(reflection([[0.25, 0.25], [0.25, 0.5], [0.75, 0.375]]), [0.0, 0.375]);
-        // Unbounded (-0.25, 0.25): mirrored onto the best vertex.
-        assert_eq!(reflection([[0.25, 0.25], [0.375, 0.5], [0.875, 0.5]]), [0.0, 0.25]);
-        // An ordinary mirror image stays one.
-        assert_eq!(reflection([[0.25, 0.25], [0.25, 0.5], [0.625, 0.375]]), [0.125, 0.375]);
-    }
-}

@@ -6,65 +6,15 @@
 //! else from |x0|, else it is 1.
 
 mod angles;
+mod choices;
+
+pub use choices::{BoundsHandling, Kind, Transform};
 
 use crate::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
 use crate::termination::Measure;
 use crate::words;
 use serde::{Deserialize, Serialize};
-use std::fmt;
-
-/// The scale on which a parameter is searched.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Transform {
-    /// As it is.
-    #[default]
-    Linear,
-    /// By its natural logarithm; only for positive parameters.
-    Log,
-}
-
-/// What values a parameter takes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// Any in its bounds.
-    #[default]
-    Continuous,
-    /// Whole numbers.
-    Integer,
-    /// Whole numbers that stand for choices: 3 is no closer to 2 than to 7.
-    Categorical,
-}
-
-impl fmt::Display for Kind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Continuous => "continuous",
-            Self::Integer => "integer",
-            Self::Categorical => "categorical",
-        })
-    }
-}
-
-/// How the search is kept in the box.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum BoundsHandling {
-    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds, and over a
-    /// hyperbola for one bound (James and Roos, Comput. Phys. Commun. 10, 1975: MINUIT). A cost that goes down towards a
-    /// bound is smooth over the angle, with its minimum where the bound is reached; mirrored it has a kink there, and
-    /// a simplex clamped to bounds becomes flat. Of 126 runs in boxes (`benches/simplex.rs`) 125 are solved with a mean
-    /// of 788 evaluations; mirrored 94 with 5385, clamped 84 with 4578.
-    #[default]
-    Sine,
-    /// Mirrored at the bound, repeatedly if need be.
-    Mirror,
-    /// Set onto the bound.
-    Clamp,
-}
 
 /// A checked start point with its box, scales and sizes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -62,8 +62,13 @@ impl Directory {
     /// Finds the directory by the record at the end of the archive.
     pub(super) fn find(archive: &mut (impl Read + Seek)) -> Result<Directory, Unreadable> {
         let length = archive.seek(SeekFrom::End(0))?;
-        let tail_start = length.saturating_sub(LONGEST_END);
-        let tail = read_at(archive, tail_start, length - tail_start)?;
+        let ends_plainly = |tail: &[u8]| tail.starts_with(b"PK\x05\x06") && Fields(tail).half(20) == 0;
+        let mut tail_start = length.saturating_sub(END_BYTES);
+        let mut tail = read_at(archive, tail_start, length - tail_start)?;
+        if !ends_plainly(&tail) {
+            tail_start = length.saturating_sub(LONGEST_END);
+            tail = read_at(archive, tail_start, length - tail_start)?;
+        }
         let Some(at) = find_end(&tail) else {
             return damaged(if starts_as_zip(archive)? {
                 "it is cut off: the directory at the end of the archive is missing"

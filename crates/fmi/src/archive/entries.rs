@@ -16,6 +16,10 @@ const SIZES_FOLLOW_DATA: u16 = 1 << 3;
 const STORED: u16 = 0;
 const DEFLATED: u16 = 8;
 
+/// Bytes read at once of the directory, which is in one piece, and of local headers, which lie apart.
+const DIRECTORY_BUFFER: usize = 1 << 13;
+const HEADER_BUFFER: usize = 256;
+
 /// One entry that has passed all checks.
 #[derive(Debug)]
 pub(super) struct Listed {
@@ -46,12 +50,12 @@ pub(super) fn list(
     limits: &ArchiveLimits,
     cancel: &Cancel,
 ) -> Result<Vec<Listed>, FmiError> {
-    let mut archive = BufReader::new(archive);
+    let mut archive = BufReader::with_capacity(DIRECTORY_BUFFER, archive);
     let unreadable = |error| unreadable_at(path, error);
     let directory = Directory::find(&mut archive).map_err(unreadable)?;
     check_limit(path, "entries", directory.n_entries, limits.entries)?;
     let records = directory.read(&mut archive).map_err(unreadable)?;
-    let mut names = Names::default();
+    let mut names = Names::with_capacity(records.len());
     let mut listed = Vec::with_capacity(records.len());
     for record in &records {
         cancel.check()?;
@@ -62,6 +66,7 @@ pub(super) fn list(
     }
     check_root(path, &listed)?;
     check_totals(path, &listed, limits)?;
+    let mut archive = BufReader::with_capacity(HEADER_BUFFER, archive.into_inner());
     check_local_headers(path, &mut archive, directory, &records, &mut listed, cancel)?;
     Ok(listed)
 }

@@ -190,7 +190,7 @@ impl Archive {
             return false;
         };
         let same_hash = || matches!((self.content_hash(), other.content_hash()), (Ok(a), Ok(b)) if a == b);
-        one.fingerprint() == two.fingerprint() && same_hash()
+        one.has_directory_of(two) && same_hash()
     }
 
     /// Names of files that the archive holds more than once, with the same content each time.

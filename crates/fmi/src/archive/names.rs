@@ -69,6 +69,11 @@ enum Kind {
 }
 
 impl Names {
+    /// With room for so many.
+    pub(super) fn with_capacity(n: usize) -> Self {
+        Self { seen: HashMap::with_capacity(n), ..Self::default() }
+    }
+
     /// Adds a checked name, or says with what it collides. Folders may be listed more than once.
     pub(super) fn add(&mut self, name: &str, is_folder: bool) -> Result<(), EntryProblem> {
         let path = name.strip_suffix('/').unwrap_or(name);

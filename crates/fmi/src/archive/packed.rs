@@ -93,11 +93,21 @@ impl Packed {
         self.entries.iter().filter(|entry| entry.is_repeated).map(|entry| entry.name.as_str())
     }
 
-    /// A hash of what the directory of the archive says about its entries, their checksums included: archives of the same
-    /// content have the same.
+    /// What the directory of the archive says about its entries, their checksums included: archives of the same content
+    /// have the same.
+    fn directory(&self) -> impl Iterator<Item = (&str, u64, u64, u32)> {
+        self.entries.iter().map(|entry| (entry.name.as_str(), entry.size, entry.compressed_size, entry.crc32))
+    }
+
+    /// Whether the directories say the same.
+    pub(super) fn has_directory_of(&self, other: &Self) -> bool {
+        self.entries.len() == other.entries.len() && self.directory().eq(other.directory())
+    }
+
+    /// A hash of the directory.
     pub(super) fn fingerprint(&self) -> String {
-        hash::of_texts(self.entries.iter().map(|entry| {
-            format!("{}\0{} {} {:x}", entry.name, entry.size, entry.compressed_size, entry.crc32)
+        hash::of_texts(self.directory().map(|(name, size, compressed_size, crc32)| {
+            format!("{name}\0{size} {compressed_size} {crc32:x}")
         }))
     }
 

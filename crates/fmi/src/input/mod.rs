@@ -48,6 +48,22 @@ impl Source {
         let (Self::Column { name, .. } | Self::Function { name, .. } | Self::Values { name, .. }) = self;
         name
     }
+
+    /// Functions are the same only if they are one.
+    fn is_same(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Column { name, times, values }, Self::Column { name: n, times: t, values: v }) => {
+                name == n && times == t && values == v
+            }
+            (Self::Values { name, times, values }, Self::Values { name: n, times: t, values: v }) => {
+                name == n && times == t && values == v
+            }
+            (Self::Function { name, function }, Self::Function { name: n, function: f }) => {
+                name == n && Arc::ptr_eq(function, f)
+            }
+            _ => false,
+        }
+    }
 }
 
 impl fmt::Debug for Source {
@@ -121,6 +137,12 @@ impl Inputs {
     ) -> Self {
         self.sources.push(Source::Function { name: name.into(), function: Arc::new(function) });
         self
+    }
+
+    /// Whether the same drives the same.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        self.sources.len() == other.sources.len()
+            && self.sources.iter().zip(&other.sources).all(|(source, other)| source.is_same(other))
     }
 
     /// The names, in the order given.

@@ -16,6 +16,7 @@ from . import _core, _data, _options
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
+from ._keywords import explained, given_once
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
@@ -74,7 +75,7 @@ def _pairs(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> 
         value = [value]
     if isinstance(value, Mapping):
         return [(_options.choice(name, variable), _options.choice(name, column)) for variable, column in value.items()]
-    if isinstance(value, Iterable):
+    if isinstance(value, Iterable) and not isinstance(value, (set, frozenset)):
         return [(_options.choice(name, variable), variable) for variable in value]
     raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {_options.show(value)}")
 
@@ -90,6 +91,8 @@ def _weights(
             if name not in known:
                 raise BadCalibrationError(f"weights: there is no output '{name}'; there are: {', '.join(known)}")
         return [(v, c, _options.number("weights", weights.get(v, 1.0))) for v, c in outputs]
+    if isinstance(weights, str) or not isinstance(weights, Iterable):
+        raise TypeError(f"weights must be a dict of outputs and numbers, or a number per output, not {_options.show(weights)}")
     numbers = [_options.number("weights", w) for w in weights]
     if len(numbers) != len(outputs):
         raise BadCalibrationError(f"{len(numbers)} weights for {len(outputs)} outputs")
@@ -169,7 +172,8 @@ class Calibration:
     -----
     CalibrationWarning
         A column that is not used has the name of an input that nothing drives; the recording of an input does not cover the
-        simulation, outside of it the first and the last value are held; values set in an FMUModel do not count.
+        simulation, outside of it the first and the last value are held; values set in an FMUModel do not count; a setting
+        has no effect (`step_size` with a solver that chooses its steps itself, `max_step` with one that does not, ...).
 
     Raises
     ------
@@ -183,6 +187,7 @@ class Calibration:
         Data, parameters or settings that do not fit together; the message says which, where, and with which numbers.
     """
 
+    @explained
     def __init__(
         self,
         model: Any,
@@ -237,7 +242,7 @@ class Calibration:
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
-            input_derivatives=bool(input_derivatives),
+            input_derivatives=_options.flag("input_derivatives", input_derivatives),
             sharing=_options.choice("sharing", sharing),
         )
         self._model = _path(model)
@@ -245,14 +250,14 @@ class Calibration:
         source = opened if isinstance(opened, _core.Fmu) else self._model
         self._native = _core.Calibration(source, experiment, list(self._parameters))
         for warning in self._native.warnings():
-            warnings.warn(warning, CalibrationWarning, stacklevel=2)
+            warnings.warn(warning, CalibrationWarning, stacklevel=3)
         given = set(self.names).union(start_values or ())
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
             warnings.warn(
                 f"values set in an FMUModel do not count in a calibration: {_options.listed(forgotten)}; give them as "
                 "start_values, if they shall",
                 CalibrationWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
 
     @property
@@ -376,6 +381,7 @@ class Calibration:
         time, columns = self._native.measurements()
         return {variable: (time[~np.isnan(v)], v[~np.isnan(v)]) for variable, _, v in columns}
 
+    @explained
     def fit(
         self,
         method: str = "auto",
@@ -414,7 +420,7 @@ class Calibration:
         f_tol : float
             Tolerance of the f test: difference between the worst and the best vertex as a fraction of the best cost.
         max_evaluations, max_iterations : int, optional
-            Exact limits of simulations and of iterations.
+            Exact limits of the search: simulations (those of `Fit.n_checks` come after it) and iterations.
         max_time : float, optional
             Limit of wall-clock time in s.
         target : float, optional
@@ -462,15 +468,14 @@ class Calibration:
         evaluations.
         """
         check_callback(callback)
-        own: dict[str, Any] = {"x_tol": x_tol, "f_tol": f_tol, "stop": stop, **(options or {})}
+        own = given_once(
+            _options.dictionary(options), Calibration.fit, x_tol=x_tol, f_tol=f_tol, stop=stop, initial_simplex=initial_simplex, batch=batch
+        )
         for name in ("scale", "nominal", "kinds"):
             if name in own:
                 raise ValueError(f"options: {name} of a fit is that of its parameters")
-        if initial_simplex is not None:
-            own["initial_simplex"] = initial_simplex
-        if _options.choice("batch", batch) != "auto":
-            own["batch"] = batch
         built = _options.build(
+            Calibration.fit,
             _options.method_name(method, [p.kind for p in self._parameters if not p.fixed]),
             own,
             len(self._parameters),
@@ -485,7 +490,7 @@ class Calibration:
         )
         begin = self._values(start)
         printer = Printer(self.names)
-        listeners: list[Callback] = [printer] if disp else []
+        listeners: list[Callback] = [printer] if _options.flag("disp", disp) else []
         if callback is not None:
             listeners.append(listen(callback))
         try:

@@ -47,8 +47,8 @@ class Fit(OptimizeResult):
     n_checks : int
         Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
         `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
-        show it, because they differ in one parameter alone). They do not count in ``nfev``, are not made where they would
-        exceed its limit or somebody ended the fit early, and are part of `stats`.
+        show it, because they differ in one parameter alone). They do not count in ``nfev`` nor
+        in its limit, are not made after an interrupt or when the time is up, and are part of `stats`.
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from . import _core, _evaluate, _options
 from ._errors import Interrupted
+from ._keywords import explained, given_once
 from ._progress import Printer, Progress
 from ._result import OptimizeResult
 
@@ -70,6 +71,7 @@ def log_evaluations(progress: Progress) -> None:
         _log.debug("x = %s: %s%s", x.tolist(), remark or repr(cost), "" if used else " (not used)")
 
 
+@explained
 def fmin(
     func: Objective,
     xstart: npt.ArrayLike | None = None,
@@ -199,6 +201,8 @@ def fmin(
     if not callable(func):
         hint = "; give the function itself, not the name of its file" if isinstance(func, str) else ""
         raise TypeError(f"func must be callable, not {func!r}{hint}")
+    for name, value in (("plot", plot), ("plot_conv", plot_conv), ("disp", disp), ("debug", debug)):
+        _options.flag(name, value)
     method = _algorithm(alg)
     if on_error not in ("raise", "fail"):
         raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
@@ -209,13 +213,11 @@ def fmin(
     n = _size(start, lb, ub)
     lower = _options.bound("lb", lb, n, -np.inf)
     upper = _options.bound("ub", ub, n, np.inf)
-    own: dict[str, Any] = {"x_tol": x_tol, "f_tol": f_tol, "stop": stop, **(options or {})}
+    own = given_once(
+        _options.dictionary(options), fmin, x_tol=x_tol, f_tol=f_tol, stop=stop, initial_simplex=initial_simplex, batch=batch
+    )
     if method in ("nelder-mead", "barrier"):
         own.setdefault("coefficients", "standard")
-    if initial_simplex is not None:
-        own["initial_simplex"] = initial_simplex
-    if _options.choice("batch", batch) != "auto":
-        own["batch"] = batch
     if nbr_cores is not None and workers is not None:
         raise ValueError("nbr_cores and workers are two names for one argument: give one of them")
     name, given = ("nbr_cores", nbr_cores) if workers is None else ("workers", workers)
@@ -225,6 +227,7 @@ def fmin(
         # No limit is what the user said; the optimiser's own defaults shall not step in.
         limits = replace(limits, unlimited=True)
     built = _options.build(
+        fmin,
         method,
         own,
         n,

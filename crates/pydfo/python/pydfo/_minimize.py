@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from . import _core, _evaluate, _options
 from ._fmin import Callback, check_callback, listen
+from ._keywords import explained
 from ._result import OptimizeResult
 
 _log = logging.getLogger("pydfo")
@@ -20,6 +21,7 @@ _log = logging.getLogger("pydfo")
 DEFAULTS: Final[Mapping[str, Any]] = {"x_tol": 1e-6, "f_tol": 1e-6, "stop": "all", "tolerances": "relative"}
 
 
+@explained
 def minimize(
     fun: Callable[..., Any],
     x0: npt.ArrayLike | None = None,
@@ -150,14 +152,14 @@ def minimize(
     called = _evaluate.WithArguments(fun, extra) if extra else fun
     cutoffs = _evaluate.takes_cutoff(fun)
     batches, count = _evaluate.shared_out(called, "workers", workers, 1, cutoffs)
-    if vectorized and cutoffs:
+    if _options.flag("vectorized", vectorized) and cutoffs:
         raise ValueError("fun has a parameter cutoff, but vectorized=True evaluates many points at once")
     if vectorized:
         if batches is not None:
             raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
         batches = _evaluate.vectorized(called)
     start, lower, upper, built = describe(
-        method, x0, bounds, options, count, rng, (max_evaluations, max_iterations, max_time, target), checkpoint, resume
+        minimize, method, x0, bounds, options, count, rng, (max_evaluations, max_iterations, max_time, target), checkpoint, resume
     )
     result: OptimizeResult = _core.minimize(
         batches or called,
@@ -175,6 +177,7 @@ def minimize(
 
 
 def describe(
+    of: Callable[..., Any],
     method: str,
     x0: npt.ArrayLike | None,
     bounds: Any,
@@ -185,7 +188,7 @@ def describe(
     checkpoint: str | os.PathLike[str] | None,
     resume: str,
 ) -> tuple[list[float] | None, list[float], list[float], _options.Options]:
-    """Start, bounds and options of a run, as the native code takes them."""
+    """Start, bounds and options of a run, as the native code takes them; `of` is the function that the user called."""
     start = None if x0 is None else _options.vector("x0", x0).tolist()
     lower, upper = _options.pairs_of_bounds(bounds, None if start is None else len(start))
     max_evaluations, max_iterations, max_time, target = limits
@@ -193,6 +196,7 @@ def describe(
         ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
     )
     built = _options.build(
+        of,
         method,
         options,
         len(lower),

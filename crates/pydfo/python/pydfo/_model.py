@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, SupportsFloat
+from typing import Any, Literal, NamedTuple, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from . import _core, _inputs, _options
 from ._description import Description
 from ._files import PathLike
+from ._keywords import explained
 from ._trajectory import SimulationResult
 
 _log = _logging.getLogger("pydfo")
@@ -24,9 +25,8 @@ _log = _logging.getLogger("pydfo")
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(slots=True)
-class Request:
-    """What a simulation is told, as the native code reads it; None leaves it to the model."""
+class Request(NamedTuple):
+    """What a simulation is told, as the native code reads it, in this order; None leaves it to the model."""
 
     start_time: float | None
     final_time: float | None
@@ -64,6 +64,7 @@ class OpenOptions:
     tool_is_present: bool
 
 
+@explained
 def load_fmu(
     path: PathLike,
     kind: str = "auto",
@@ -179,6 +180,7 @@ class FMUModel:
     0.13534
     """
 
+    @explained
     def __init__(
         self,
         path: PathLike,
@@ -194,11 +196,11 @@ class FMUModel:
             raise TypeError(f"kind must be a string, not {kind!r}")
         options = OpenOptions(
             log_level=_log_level(log_level),
-            logging=bool(logging),
+            logging=_options.flag("logging", logging),
             show_log=log_level is not None,
-            deepbind=bool(deepbind),
-            lazy=bool(lazy),
-            tool_is_present=bool(tool_is_present),
+            deepbind=_options.flag("deepbind", deepbind),
+            lazy=_options.flag("lazy", lazy),
+            tool_is_present=_options.flag("tool_is_present", tool_is_present),
         )
         self._fmu = _core.Fmu(path, options)
         self._kind = self._fmu.check_runnable(kind)
@@ -297,6 +299,7 @@ class FMUModel:
         """Forgets all values set and the last simulation."""
         self._model.reset()
 
+    @explained
     def simulate(
         self,
         start_time: SupportsFloat | None = None,
@@ -349,7 +352,7 @@ class FMUModel:
             - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
 
             Tables are linear between rows for continuous Real inputs, and held for all others; a time listed twice is a
-            jump. Jumps are events. Functions can drive continuous Real inputs and should be smooth. Of a triggered clock
+            jump. Jumps are events, and a step ends at every row where the slope changes: no pulse is too short to be seen. Functions can drive continuous Real inputs and should be smooth. Of a triggered clock
             (FMI 3.0) the rows that hold True are its ticks; a clock with an interval that can be deactivated leaves its
             ticks out where it holds False.
         output : str or iterable of str, optional
@@ -397,6 +400,12 @@ class FMUModel:
         SimulationResult
             Its columns hold what the model says, NaN and infinities too; derivatives and states that are none end in an error.
 
+        Warns
+        -----
+        UserWarning
+            A setting has no effect: `step_size` with a solver that chooses its steps itself, `max_step` with one that does
+            not, `solver` and `max_step` in co-simulation.
+
         Raises
         ------
         KeyError
@@ -418,23 +427,23 @@ class FMUModel:
             final_time = stop_time
         tables, functions = _inputs.normalize(input, self.description.inputs) if input is not None else ([], [])
         request = Request(
-            start_time=_number("start_time", start_time),
-            final_time=_number("final_time", final_time),
-            times=None if times is None else np.ascontiguousarray(_options.vector("times", times)),
-            output_interval=_number("output_interval", output_interval),
+            start_time=_options.optional_number("start_time", start_time),
+            final_time=_options.optional_number("final_time", final_time),
+            times=None if times is None else _options.vector("times", times),
+            output_interval=_options.optional_number("output_interval", output_interval),
             ncp=_options.limit("ncp", ncp, 1),
             start_values=_options.pairs("start_values", start_values),
             clock_intervals=_intervals(clock_intervals),
             outputs=self._outputs(output),
             tables=tables,
             functions=functions,
-            relative_tolerance=_number("relative_tolerance", relative_tolerance),
+            relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
             solver=_options.solver(solver),
-            step_size=_number("step_size", step_size),
-            max_step=_number("max_step", max_step),
-            timeout=_number("timeout", timeout),
-            record_events=bool(record_events),
-            input_derivatives=bool(input_derivatives),
+            step_size=_options.optional_number("step_size", step_size),
+            max_step=_options.optional_number("max_step", max_step),
+            timeout=_options.optional_number("timeout", timeout),
+            record_events=_options.flag("record_events", record_events),
+            input_derivatives=_options.flag("input_derivatives", input_derivatives),
             chattering=_options.choice("chattering", chattering),
         )
         result = SimulationResult(**self._model.simulate(request))
@@ -470,10 +479,6 @@ class FMUModel:
         d = self.description
         closed = ", closed" if self._model.closed else ""
         return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} {self.kind}, {d.n_states} states, {str(self.path)!r}{closed}>"
-
-
-def _number(argument: str, value: SupportsFloat | None) -> float | None:
-    return _options.optional_number(argument, value)
 
 
 def _intervals(

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _options
+from ._keywords import explained
 from ._minimize import describe
 from ._result import OptimizeResult
 
@@ -75,6 +76,7 @@ class Optimizer:
     array([ 1., -2.])
     """
 
+    @explained
     def __init__(
         self,
         method: str = "auto",
@@ -93,7 +95,7 @@ class Optimizer:
         count = _options.worker_count("workers", workers, 1)
         limits = (max_evaluations, max_iterations, max_time, target)
         self._native = _core.Optimizer(
-            *describe(method, x0, bounds, options, count, rng, limits, checkpoint, resume)
+            *describe(Optimizer, method, x0, bounds, options, count, rng, limits, checkpoint, resume)
         )
 
     def ask(self, k: SupportsIndex | None = None) -> Asked:

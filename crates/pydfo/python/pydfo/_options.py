@@ -8,13 +8,14 @@ import operator
 import os
 import reprlib
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
+from . import _keywords
 from ._errors import MethodNotAvailable
 
 FloatArray = npt.NDArray[np.float64]
@@ -78,28 +79,6 @@ class Options:
     unlimited: bool = False
 
 
-#: Arguments that may be taken for options.
-_ARGUMENTS = frozenset(
-    ("max_evaluations", "max_iterations", "max_time", "target", "workers", "rng", "callback", "bounds", "checkpoint", "resume")
-)
-
-#: Options of SciPy's methods and their likes, and what they are called here.
-_FOREIGN: Mapping[str, str] = {
-    **dict.fromkeys(("maxiter", "maxit", "max_iter", "niter"), "the argument max_iterations"),
-    **dict.fromkeys(("maxfev", "maxfun", "maxeval", "max_nfev"), "the argument max_evaluations"),
-    **dict.fromkeys(("xatol", "xtol", "xrtol"), "the option x_tol"),
-    **dict.fromkeys(("fatol", "ftol", "atol", "frtol"), "the option f_tol"),
-    "tol": "the options x_tol and f_tol",
-    "seed": "the argument rng",
-    "maxtime": "the argument max_time",
-    "adaptive": 'the option coefficients="adaptive"',
-    "popsize": "the option population",
-    "mutation": "the option weight",
-    "recombination": "the option probability",
-    "init": "the option sampling",
-    "disp": "a callback (in fit and fmin the argument disp)",
-}
-
 #: A limit of time beyond this, in s, is none: 30 million years.
 ENDLESS = 1e15
 
@@ -134,6 +113,7 @@ class Limits:
 
 
 def build(
+    of: Callable[..., Any],
     method: str,
     options: Mapping[str, Any] | None,
     n: int,
@@ -145,15 +125,10 @@ def build(
     resume: str,
     defaults: Mapping[str, Any],
 ) -> Options:
-    """What the user chose about a run over `n` parameters. What is not the method's own is taken out of `options`."""
-    if options is not None and not isinstance(options, Mapping):
-        raise TypeError(f"options must be a dict, not {show(options)}")
-    own = {choice("the name of an option", name): value for name, value in (options or {}).items()}
-    for name in own:
-        if name in _ARGUMENTS:
-            raise ValueError(f"{name} is an argument, not one of the options")
-        if name in _FOREIGN:
-            raise ValueError(f"there is no option '{name}'; what other tools call so is {_FOREIGN[name]} here")
+    """What the user of the function `of` chose about a run over `n` parameters. What is not the method's own is taken out of
+    `options`."""
+    own = dictionary(options)
+    _keywords.check_options(own, of)
 
     def take(name: str) -> Any:
         return own.pop(name, defaults.get(name))
@@ -164,6 +139,9 @@ def build(
     scale, kinds = per_parameter("scale", take("scale"), n), per_parameter("kinds", take("kinds"), n)
     nominal = take("nominal")
     interval, (known, known_problem) = take("checkpoint_interval"), warm_start(take("warm_start"), n)
+    if checkpoint is None and (resume == "require" or interval is not None):
+        what = f"resume={resume!r}" if resume == "require" else f"checkpoint_interval = {show(interval)}"
+        raise ValueError(f"{what} has no effect without a checkpoint: give its file, checkpoint=...")
     problem = take("problem")
     if own.get("initial_simplex") is not None:
         vertices, steps = simplex(own["initial_simplex"], n)
@@ -196,6 +174,13 @@ def build(
         problem=None if problem is None else choice("problem", problem),
         unlimited=limits.unlimited,
     )
+
+
+def dictionary(options: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The argument ``options``, which must have strings for names."""
+    if options is not None and not isinstance(options, Mapping):
+        raise TypeError(f"options must be a dict, not {show(options)}")
+    return {choice("the name of an option", name): value for name, value in (options or {}).items()}
 
 
 def method_name(method: str, kinds: Sequence[str] = ()) -> str:
@@ -305,6 +290,15 @@ def optional_number(name: str, value: SupportsFloat | SupportsIndex | None) -> f
     return None if value is None else number(name, value)
 
 
+def flag(name: str, value: object) -> bool:
+    """The argument `name`, which must be True or False (or 1 or 0)."""
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, (np.bool_, int, np.integer)) and value in (0, 1):
+        return bool(value)
+    raise TypeError(f"{name} must be True or False, not {show(value)}")
+
+
 def choice(name: str, value: str) -> str:
     """The argument `name`, which must be a string."""
     if not isinstance(value, str):
@@ -348,17 +342,17 @@ def all_cores() -> int:
 
 
 def vector(name: str, value: npt.ArrayLike) -> FloatArray:
-    """The argument `name` as a one-dimensional array; a number becomes an array of one."""
+    """The argument `name` as a one-dimensional, contiguous array of floats, itself if it is one; a number becomes one."""
     try:
         array = np.asarray(value)
-        if array.dtype.kind == "c":
+        if array.dtype.kind in "cUSM":
             raise TypeError
-        array = array.astype(np.float64)
+        array = np.ascontiguousarray(array, dtype=np.float64)
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be numbers, not {show(value)}") from None
     if array.ndim > 1:
         raise ValueError(f"{name} must be one-dimensional, not of shape {array.shape}")
-    return np.atleast_1d(array)
+    return array
 
 
 def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: int, default: float) -> FloatArray:
@@ -371,7 +365,7 @@ def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: in
         return np.full(n, array[0])
     if len(array) != n:
         raise ValueError(f"{name} has {len(array)} values for {n} parameters")
-    return array
+    return array.copy()
 
 
 def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | None, list[float] | None]:
@@ -394,7 +388,7 @@ def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | No
 
 def names(argument: str, given: Iterable[str]) -> list[str]:
     """The argument `argument`, which must be names."""
-    if isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable):
+    if not isinstance(given, list) and (isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable)):
         raise TypeError(f"{argument} must be a name or a list of names, not {show(given)}")
     listed = list(given)
     for name in listed:

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 
 from . import _core
-from ._options import choice, number, optional_number
+from ._keywords import explained
+from ._options import choice, flag, number, optional_number
 
 
 @dataclass(frozen=True, init=False)
@@ -56,6 +57,7 @@ class Parameter:
     kind: str
     fixed: bool
 
+    @explained
     def __init__(
         self,
         name: str,
@@ -76,7 +78,7 @@ class Parameter:
         put(self, "scale", choice("scale", scale))
         put(self, "nominal", optional_number("nominal", nominal))
         put(self, "kind", choice("kind", kind))
-        put(self, "fixed", bool(fixed))
+        put(self, "fixed", flag("fixed", fixed))
         _core.check_parameter(self)
 
     def __repr__(self) -> str:

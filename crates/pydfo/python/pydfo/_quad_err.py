@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
+from ._keywords import explained
 from ._options import vector
 
 FloatArray = npt.NDArray[np.float64]
@@ -23,6 +24,7 @@ def _rows(name: str, value: npt.ArrayLike) -> FloatArray:
     return array
 
 
+@explained
 def quad_err(
     t_meas: npt.ArrayLike,
     y_meas: npt.ArrayLike,
@@ -66,11 +68,11 @@ def quad_err(
     5.0
     """
     measured, simulated = _rows("y_meas", y_meas), _rows("y_sim", y_sim)
-    weights = None if w is None else np.ascontiguousarray(vector("w", w))
+    weights = None if w is None else vector("w", w)
     return _core.quad_err(
-        np.ascontiguousarray(vector("t_meas", t_meas)),
+        vector("t_meas", t_meas),
         measured,
-        np.ascontiguousarray(vector("t_sim", t_sim)),
+        vector("t_sim", t_sim),
         simulated,
         weights,
     )

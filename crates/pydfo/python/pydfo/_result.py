@@ -30,6 +30,8 @@ STATUS: Final[dict[str, int]] = {
     "one-finite-vertex": 12,
     "all-failed": 13,
     "stalled": 14,
+    "constant-cost": 15,
+    "unbounded": 16,
 }
 
 
@@ -178,7 +180,8 @@ class OptimizeResult:
     status : int
         0 converged, 10 target reached, 30 all parameters fixed; 1 evaluations, 2 iterations, 3 time used up; 4 stopped by
         a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be written; 11 the simplex or
-        population has no extent left, 12 only one vertex has a cost, 13 every point failed, 14 nothing new for long.
+        population has no extent left, 12 only one vertex has a cost, 13 every point failed, 14 nothing new for long, 15 the
+        cost did not change, 16 it fell without bound.
     termination : str
         The same in a word.
     message : str

@@ -96,8 +96,6 @@ class SimulationResult(Mapping[str, Column]):
         Times in s.
     left_limit : ndarray of bool, shape (rows,)
         Whether a row holds the limit from the left.
-    ticks : dict of str to ndarray
-        The times in s at which the clocks of the model (FMI 3.0) ticked, for each clock that did.
     termination : {"finished", "stopped-by-model"}
         Whether the final time was reached, or the model asked for the end.
     end_time : float
@@ -124,17 +122,13 @@ class SimulationResult(Mapping[str, Column]):
     ) -> None:
         self.time = time
         self.left_limit = left
-        ticks: dict[str, list[float]] = {}
-        for clock, tick in zip(tick_clocks, tick_times):
-            ticks.setdefault(clock, []).append(tick)
-        self.ticks = {clock: np.array(times) for clock, times in ticks.items()}
         self.termination = termination
         self.end_time = end_time
         # Made into what they are shown as when somebody looks: that takes as long as a short simulation.
         self._event_times, self._event_kinds, self._stats = event_times, event_kinds, stats
+        self._tick_times, self._tick_clocks = tick_times, tick_clocks
+        self._names, self._type_names, self._unit_names = names, types, units
         self._columns: dict[str, Column] = {"time": time}
-        self._types = {"time": "Real"} | dict(zip(names, types))
-        self._units: dict[str, str | None] = {"time": "s", **dict(zip(names, units))}
         # Of each array: the names of its elements and their columns.
         self._elements: dict[str, dict[str, Column]] = {}
         for name, parts, shape in zip(names, columns, extents):
@@ -145,6 +139,22 @@ class SimulationResult(Mapping[str, Column]):
             self._columns[name] = whole.reshape(len(time), *shape)
             indices = (",".join(str(i + 1) for i in index) for index in np.ndindex(*shape))
             self._elements[name] = {f"{name}[{index}]": part for index, part in zip(indices, parts)}
+
+    @cached_property
+    def _types(self) -> dict[str, str]:
+        return {"time": "Real", **dict(zip(self._names, self._type_names))}
+
+    @cached_property
+    def _units(self) -> dict[str, str | None]:
+        return {"time": "s", **dict(zip(self._names, self._unit_names))}
+
+    @cached_property
+    def ticks(self) -> dict[str, FloatArray]:
+        """The times in s at which the clocks of the model (FMI 3.0) ticked, for each clock that did."""
+        ticks: dict[str, list[float]] = {}
+        for clock, tick in zip(self._tick_clocks, self._tick_times):
+            ticks.setdefault(clock, []).append(tick)
+        return {clock: np.array(times) for clock, times in ticks.items()}
 
     @cached_property
     def events(self) -> np.recarray[Any, Any]:

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _options
+from ._keywords import explained
 from ._trajectory import SimulationStats
 
 __all__ = ["DenseOutput", "OdeResult", "solve"]
@@ -173,6 +174,7 @@ class OdeResult:
         return f"<OdeResult: {self.message} t = {self.end_time}, {n} states at {m} times, nfev = {self.nfev}>"
 
 
+@explained
 def solve(
     rhs: Callable[..., npt.ArrayLike],
     t_span: Sequence[SupportsFloat],
@@ -204,7 +206,8 @@ def solve(
     ----------
     rhs : callable
         ``rhs(t, y) -> array_like, shape (n,)``. The arrays it is given are its to keep. Where it returns NaN or infinity
-        (the logarithm of a negative number, say) a smaller step is tried.
+        (the logarithm of a negative number, say) a smaller step is tried. A pulse in it that is shorter than the steps can
+        be missed: give an event function that crosses zero where it begins and ends, or `max_step`.
     t_span : (float, float)
         Start and end. The end must not lie before the start.
     x0 : array_like, shape (n,)
@@ -237,7 +240,8 @@ def solve(
         Absolute tolerance, in the units of the states; by default ``0.01 * rtol``. Positive.
     jac : callable or array_like, shape (n, n), optional
         ``jac(t, y)``, or the constant Jacobian: ``jac[i, k]`` is the derivative of ``rhs[i]`` with respect to ``y[k]``.
-        Sparse matrices are taken, too. By default differences.
+        By default differences. A constant sparse matrix stays sparse, and so do those that a function returns where
+        `jac_sparsity` is given; without it they are made dense. Entries where `jac_sparsity` has none are an error.
     jac_sparsity : array_like or sparse matrix, shape (n, n), optional
         Not zero where the Jacobian may differ from zero: columns that share no row then come from one difference.
     mass : array_like, shape (n, n), optional
@@ -271,6 +275,11 @@ def solve(
         With fields ``t``, ``y``, ``t_events``, ``y_events``, ``sol``, ``status``, ``message``, ``success``, ``nfev``,
         ``njev``, ``nlu`` and ``stats``. An integration that fails (steps too small, a limit) has ``success=False``, says
         why in ``message``, and holds what was reached.
+
+    Warns
+    -----
+    UserWarning
+        An argument has no effect with this method (`step` where it chooses its steps itself, `jac` where it is explicit).
 
     Raises
     ------
@@ -320,7 +329,7 @@ def solve(
         x0=x.tolist(),
         method=_options.solver(method, "method"),
         times=times,
-        dense_output=bool(dense_output),
+        dense_output=_options.flag("dense_output", dense_output),
         events=[(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(events))],
         on_event=None if on_event is None else bind(on_event),
         jacobian=bind(jac) if callable(jac) else jac,
@@ -391,7 +400,9 @@ def _tolerances(atol: npt.ArrayLike | None, rtol: float, n: int) -> list[float]:
 
 def _pattern(sparsity: Any, n: int) -> list[tuple[int, int]]:
     """The places of a matrix that are not zero."""
-    dense = np.asarray(sparsity.toarray() if hasattr(sparsity, "toarray") else sparsity)
-    if dense.shape != (n, n):
-        raise ValueError(f"jac_sparsity must have the shape ({n}, {n}), not {dense.shape}")
-    return [(int(i), int(k)) for i, k in zip(*np.nonzero(dense))]
+    # A sparse matrix has these two as well, and is not made dense.
+    matrix = sparsity if hasattr(sparsity, "tocoo") else np.asarray(sparsity)
+    if matrix.shape != (n, n):
+        raise ValueError(f"jac_sparsity must have the shape ({n}, {n}), not {matrix.shape}")
+    rows, columns = matrix.nonzero()
+    return list(zip(rows.tolist(), columns.tolist()))
