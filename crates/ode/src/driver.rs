@@ -32,6 +32,10 @@ use step::{Shrink, Tried};
 /// Unit round-off of double precision.
 const U: f64 = f64::EPSILON / 2.0;
 
+/// An indicator is next to zero where its value says no more of the time of its event than this, in units of times that
+/// are one.
+const LOCATED: f64 = 8.0;
+
 /// Rounding of times that changes a step by more than this share of it counts.
 const COARSE: f64 = 1e-8;
 
@@ -331,7 +335,7 @@ where
         self.read_nominals()?;
         self.take_event_time(outcome.next_time)?;
         self.input_stop = self.system.next_input_stop(self.t);
-        self.evaluate_here()?;
+        self.evaluate_here(false)?;
         // Events announced for the very start belong to it: samples there see them done.
         self.more_events_here(true)?;
         match self.options.initial_step {
@@ -398,7 +402,7 @@ where
         };
         let Found { at, end, h, before } = found;
         let inside = at != end;
-        let crossed = self.space.domains.mark();
+        let crossed = self.space.domains.mark(at - self.t, LOCATED * self.same);
         let mut cause = EventCause { state: crossed.is_some(), ..EventCause::default() };
         if !self.sample_before(at, end, h)? {
             let h = self.stepper.refused(h);

@@ -7,7 +7,8 @@ use crate::system::{CallResult, Direction};
 
 mod returns;
 
-pub(crate) use returns::Slopes;
+pub(crate) use returns::SLOPE_STEP;
+use returns::{SMALL, SinceEvent};
 
 /// Which indicators are positive, and the values they were read from.
 #[derive(Debug, Default)]
@@ -29,12 +30,15 @@ pub(crate) struct Domains {
     before_time: Option<f64>,
     /// +1, -1 or 0 per indicator, once [`crossings`](Self::mark) has been called.
     pub(crate) crossings: Vec<i8>,
-    /// How far behind zero an indicator was where its last event was located, until it has been seen to move on.
-    overshoots: Vec<Option<f64>>,
-    /// Those that were seen to be on their way out of the domain since then, and have not been seen outside.
-    leaving: Vec<bool>,
-    /// Those that were so when their last event came: it was that of a return within a step.
-    returned: Vec<bool>,
+    /// How far from zero an indicator may be where its last event was located.
+    near_zero: Vec<f64>,
+    since_event: Vec<SinceEvent>,
+    /// The largest absolute values so far.
+    largest: Vec<f64>,
+    /// Those whose last event has changed states.
+    resets: Vec<bool>,
+    /// Those that an event has turned back, and that were small since.
+    bounces: Vec<bool>,
     /// Slopes at the start of the step of the indicators that may come back in it; NaN: of no interest.
     slopes: Vec<f64>,
     /// Indicators that chatter: their crossings count at the ends of steps.
@@ -60,7 +64,7 @@ fn flipped(from: f64, to: f64) -> bool {
 fn crosses(direction: Direction, from: f64, to: f64) -> bool {
     flipped(from, to)
         && match direction {
-            Direction::Both => true,
+            Direction::Both | Direction::Either => true,
             Direction::Up => to > 0.0,
             Direction::Down => to <= 0.0,
         }
@@ -78,15 +82,17 @@ impl Domains {
             &mut self.before,
             &mut self.from,
             &mut self.slopes,
+            &mut self.near_zero,
+            &mut self.largest,
         ] {
             v.clear();
             v.resize(n, 0.0);
         }
         self.crossings.clear();
         self.crossings.resize(n, 0);
-        self.overshoots.clear();
-        self.overshoots.resize(n, None);
-        for v in [&mut self.sliding, &mut self.leaving, &mut self.returned] {
+        self.since_event.clear();
+        self.since_event.resize(n, SinceEvent::Settled);
+        for v in [&mut self.sliding, &mut self.bounces, &mut self.resets] {
             v.clear();
             v.resize(n, false);
         }
@@ -117,7 +123,7 @@ impl Domains {
 
     /// Whether the change of an indicator is an event that is to be located.
     fn is_located(&self, i: usize, from: f64, to: f64) -> bool {
-        !self.sliding[i] && crosses(self.directions[i], from, to)
+        !self.sliding[i] && crosses(self.direction(i), from, to)
     }
 
     /// Whether any indicator has an event between two points.
@@ -130,19 +136,27 @@ impl Domains {
         self.any_crosses(self.reference(), &self.end)
     }
 
-    /// Writes down the direction of every crossing up to the end that is an event; returns the first that crossed, those
-    /// that do not slide before those that do.
-    pub(crate) fn mark(&mut self) -> Option<usize> {
-        let from = if self.counts_since.is_some() { &self.from } else { &self.base };
-        for (i, c) in self.crossings.iter_mut().enumerate() {
-            let from = if self.sliding[i] { self.base[i] } else { from[i] };
-            *c = match (crosses(self.directions[i], from, self.end[i]), self.end[i] > 0.0) {
+    /// Writes down the direction of every crossing up to the end, after the time `elapsed`, that is an event; returns the
+    /// first that crossed, those that do not slide before those that do. Times within `tolerance` are one.
+    pub(crate) fn mark(&mut self, elapsed: f64, tolerance: f64) -> Option<usize> {
+        for i in 0..self.len() {
+            let (base, end) = (self.base[i], self.end[i]);
+            let has_crossed = if self.sliding[i] {
+                // One that came back in the step may have begun in the domain where it ends.
+                self.is_lost(i) || crosses(self.direction(i), base, end)
+            } else {
+                crosses(self.direction(i), self.reference()[i], end)
+            };
+            self.crossings[i] = match (has_crossed, end > 0.0) {
                 (true, true) => 1,
                 (true, false) => -1,
                 _ => 0,
             };
-            if *c != 0 {
-                self.overshoots[i] = Some(self.end[i].abs());
+            if has_crossed {
+                let slope = (end - base) / elapsed;
+                // One that jumps is nowhere near.
+                let jumps = end.abs() > SMALL * self.largest[i];
+                self.near_zero[i] = if jumps { 0.0 } else { end.abs() + (tolerance * slope).abs() };
             }
         }
         let crossed = |i: &usize| self.crossings[*i] != 0;
@@ -194,21 +208,6 @@ impl Domains {
         std::mem::swap(&mut self.before, &mut self.base);
         std::mem::swap(&mut self.base, &mut self.end);
         self.before_time = Some(start);
-    }
-
-    /// A step is over, with events at its end or not: which indicators are still where their last event has left them.
-    pub(crate) fn settle(&mut self) {
-        for i in 0..self.len() {
-            let (from, to) = (self.base[i], self.end[i]);
-            let stays = to.abs() < from.abs() || to == from && self.was_at_zero(i, 0.0);
-            let crossed = self.crossings[i] != 0;
-            self.returned[i] |= self.leaving[i] && crossed;
-            self.leaving[i] &= !crossed && !flipped(from, to);
-            if !crossed && (flipped(from, to) || !(stays || self.leaving[i])) {
-                self.overshoots[i] = None;
-                self.returned[i] = false;
-            }
-        }
     }
 
     /// Whether an indicator that goes on as in the step before, from `began` to `now`, may change its domain within the time
@@ -471,7 +470,7 @@ mod tests {
     fn the_first_of_several_crossings_is_found() {
         let (t, _, mut d) = locate(|t| vec![0.8 - t, t - 0.3, (t - 0.55).powi(3)], 0.0, 1.0, 1e-12);
         assert!((t - 0.3).abs() <= 1e-12);
-        assert_eq!(d.mark(), Some(1));
+        assert_eq!(d.mark(1.0, 0.0), Some(1));
         assert_eq!(d.crossings, vec![0, 1, 0]);
     }
 
@@ -493,7 +492,7 @@ mod tests {
             let lo = d.counts_since().unwrap_or(0.0);
             let found = d.locate(lo, hi?, (1e-12, 1e-12), read).unwrap();
             assert!(d.changed());
-            d.mark();
+            d.mark(1.0, 0.0);
             Some((found.time, d.crossings.clone()))
         };
         use Direction::{Both, Down, Up};
@@ -525,7 +524,7 @@ mod tests {
             Ok(())
         };
         let found = d.locate(0.0, 1.0, (1e-12, 0.0), read).unwrap();
-        d.mark();
+        d.mark(1.0, 0.0);
         assert_eq!((d.crossings.clone(), d.counts_since()), (vec![-1, 0], Some(0.5)));
         assert!((found.time - 0.6).abs() < 2e-12, "{}", found.time);
     }
@@ -534,7 +533,7 @@ mod tests {
     fn simultaneous_crossings_are_one_event() {
         let (t, _, mut d) = locate(|t| vec![0.5 - t, t - 0.5, 1.0], 0.0, 1.0, 1e-12);
         assert!((t - 0.5).abs() <= 1e-12);
-        d.mark();
+        d.mark(1.0, 0.0);
         // 0.5 - t leaves the positive domain at 0.5 itself, t - 0.5 enters it just after: both within the bracket.
         assert_eq!(d.crossings[0], -1);
     }

@@ -30,6 +30,9 @@ pub enum Direction {
     /// All: the rule of FMI.
     #[default]
     Both,
+    /// All, but an indicator next to zero that a change of states at its event has turned back to where it came from (a bounce)
+    /// has no event when it gets there.
+    Either,
     /// Those into the domain `z > 0`.
     Up,
     /// Those into the domain `z <= 0`.

@@ -252,7 +252,13 @@ fn a_ball_on_the_floor_does_not_fall_through() {
             let mut driver = driver(method, ChatteringPolicy::Error);
             let what = format!("{} {direction:?}", method.name());
             let error = driver.run(&mut Bare { direction }, 0.0, 4.0, &[], &mut Ignore).expect_err(&what);
-            assert!(matches!(error.kind, ErrorKind::Chattering { events: 100, .. }), "{what}: {error}");
+            // Which of the two comes first depends on what times can tell apart.
+            let kind = &error.kind;
+            let named = matches!(
+                kind,
+                ErrorKind::Chattering { events: 100, .. } | ErrorKind::EventsAccumulate { indicator: 0 }
+            );
+            assert!(named, "{what}: {error}");
             assert!((error.time - 2.558_633_965_585_808_4).abs() < 1e-6, "{what}: {error}");
         }
     }

@@ -182,7 +182,7 @@ impl<'py> Problem<'py> {
             direction: match direction {
                 d if *d > 0.0 => Direction::Up,
                 d if *d < 0.0 => Direction::Down,
-                _ => Direction::Both,
+                _ => Direction::Either,
             },
             terminal: *terminal,
             times: Vec::new(),

@@ -462,6 +462,39 @@ def test_samples_for_which_there_is_no_room_are_refused() -> None:
         ode.solve(lambda t, y: -y, (0, 1), np.ones(100_000), t_eval=np.linspace(0, 1, 10_000_000))
 
 
+@pytest.mark.parametrize("method", ["auto", "tsit5", "dop853", "radau5", "bdf"])
+@pytest.mark.parametrize("direction", [-1, None])
+def test_no_ball_falls_through_the_floor(method, direction):
+    """Balls past their Zeno limit, with handlers as people write them: an error that names the event, at any tolerance."""
+    for floor, height, gravity in [(0.0, 1.0, 9.81), (0.1, 0.01, 1.62), (1000.0, 1.0, 9.81)]:
+        for factor in [0.0, 0.4, 0.5, 0.7, 0.8, 0.95]:
+            for rtol in [1e-3, 1e-6, 1e-9]:
+                for keeps in [False, True]:
+
+                    def event(t, y, floor=floor):
+                        return y[0] - floor
+
+                    if direction is not None:
+                        event.direction = direction
+
+                    def bounce(t, y, which, floor=floor, factor=factor, keeps=keeps):
+                        return [y[0] if keeps else floor, -factor * y[1]]
+
+                    limit = np.sqrt(2 * height / gravity) * (1 + factor) / (1 - factor)
+                    res = ode.solve(
+                        lambda t, y, gravity=gravity: [y[1], -gravity],
+                        (0, 1.5 * limit + 0.1),
+                        [floor + height, 0.0],
+                        method,
+                        events=event,
+                        on_event=bounce,
+                        rtol=rtol,
+                    )
+                    case = (floor, factor, rtol, keeps, res.message)
+                    assert res.y[0].min() > floor - 100 * rtol * (height + floor), case
+                    assert not res.success and "event indicator 0" in res.message, case
+
+
 @pytest.mark.parametrize("method", ["radau5", "bdf"])
 def test_sparse_jacobians_stay_sparse(method):
     """Made dense they would take 20 GB."""

@@ -92,9 +92,10 @@ where
         let Space { x, x_mid, weights, .. } = &*self.space;
         // Written so that a NaN counts as a change.
         let same_states = !outcome.states_changed || weights.distance(x, x, x_mid) < 1e-3;
-        let mut same = !self.evaluate_here()? && same_states;
+        let reset = outcome.states_changed && x != x_mid;
+        let mut same = !self.evaluate_here(reset)? && same_states;
         if outcome.states_changed && self.sliding.step().is_some() && self.hold_at_zero()? {
-            self.evaluate_here()?;
+            self.evaluate_here(true)?;
             same = false;
         }
         // Still at the start the first step is estimated when its events are over; fixed steps know no past.
@@ -135,27 +136,40 @@ where
         or_change(equations.derivatives(before, x_mid, slope), slope)
     }
 
-    /// Whether the right-hand side right behind the event is that at the event. One that switches there may do so behind it;
-    /// then that is the one to go on with.
+    /// Whether the right-hand side right behind the event is that at the event, or comes from it as the solution moves on. One
+    /// that switches there may do so behind it; then that is the one to go on with.
     fn goes_on_as_here(&mut self, h: f64) -> Step<bool> {
-        let behind = self.t + self.same;
-        if self.space.x.is_empty() || behind > self.end {
+        let (behind, beyond) = (self.t + self.same, self.t + 2.0 * self.same);
+        if self.space.x.is_empty() || beyond > self.end {
             return Ok(true);
         }
-        let Space { x, x_mid, x_new, weights, .. } = &mut *self.space;
+        let Space { x, x_mid, x_new, slope, weights, .. } = &mut *self.space;
         let dx = self.stepper.derivative();
-        x_mid.iter_mut().zip(x.iter().zip(dx)).for_each(|(p, (x, d))| *p = x + self.same * d);
+        let move_along = |to: &mut [f64], s: f64| {
+            to.iter_mut().zip(x.iter().zip(dx)).for_each(|(to, (x, d))| *to = x + s * d);
+        };
         let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
+        move_along(x_mid, self.same);
         or_change(equations.derivatives(behind, x_mid, x_new), x_new)?;
-        let same = weights.are_close(x, dx, x_new, SAME_SLOPE / h);
-        if !same && x_new.iter().all(|d| d.is_finite()) {
+        if weights.are_close(x, dx, x_new, SAME_SLOPE / h) {
+            return Ok(true);
+        }
+        // What changes with the solution changes twice as much at twice the distance, a switch does not.
+        move_along(x_mid, 2.0 * self.same);
+        or_change(equations.derivatives(beyond, x_mid, slope), slope)?;
+        if weights.distance(x, dx, slope) > 1.5 * weights.distance(x, dx, x_new) {
+            return Ok(true);
+        }
+        if x_new.iter().all(|d| d.is_finite()) {
+            move_along(x_mid, self.same);
             self.stepper.evaluate(&mut equations, behind, x_mid).map_err(no_retreat)?;
         }
-        Ok(same)
+        Ok(false)
     }
 
-    /// Right-hand side and event indicators at the current point. `true`: for its algebraic equations states were changed.
-    pub(super) fn evaluate_here(&mut self) -> Step<bool> {
+    /// Right-hand side and event indicators at the current point. `reset`: an event has changed
+    /// states here. `true`: for its algebraic equations states were changed.
+    pub(super) fn evaluate_here(&mut self, reset: bool) -> Step<bool> {
         let mut corrected = false;
         let space = &mut *self.space;
         if !space.x.is_empty() {
@@ -186,6 +200,7 @@ where
             self.stats.event_indicators += 1;
             let read = read_indicators(self.system, self.t, &space.x, &mut space.domains.base);
             read.map_err(|error| self.refused_here(error))?;
+            self.space.domains.begin_after_event(reset);
         }
         Ok(corrected)
     }

@@ -60,9 +60,13 @@ where
         {
             return self.cannot_stand(h, error);
         }
-        match bracket {
-            Some(at) => self.locate(at, end, h),
-            None => Ok(Inside::Nothing),
+        let Some(at) = bracket else { return Ok(Inside::Nothing) };
+        let inside = self.locate(at, end, h)?;
+        let Inside::Crossing(Found { at, h, .. }) = inside else { return Ok(inside) };
+        match self.contradiction(at) {
+            Ok(None) => Ok(inside),
+            Ok(Some(indicator)) => self.unseen(indicator, None, h),
+            Err(error) => self.cannot_stand(h, error),
         }
     }
 

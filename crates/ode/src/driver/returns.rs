@@ -4,10 +4,10 @@
 use super::inside::Inside;
 use super::step::Shrink;
 use super::{ErrorKind, Run, Space, Step, no_retreat, read_indicators};
-use crate::event::Slopes;
+use crate::event::SLOPE_STEP;
 use crate::observer::Observer;
 use crate::options::ChatteringPolicy;
-use crate::stepper::{Stepper, Trial};
+use crate::stepper::{Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Slopes of indicators are told from rounding within this share of the span.
@@ -33,42 +33,26 @@ where
     O: Observer + ?Sized,
 {
     /// Looks for such an indicator in the trial of size `h`. The slopes at its start decide; most often one evaluation of
-    /// the indicators shows that those next to zero just go on. Those that slide count as having crossed at its end.
+    /// the indicators shows that those next to zero just go on. Those that slide are left to the end of the step.
     pub(super) fn look_for_return(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
-        if self.space.x.is_empty() {
+        if self.space.x.is_empty() || !self.space.domains.any_may_return() {
             return Ok(Return::Nothing);
         }
-        let Slopes { any, turned, .. } = self.find_slopes(true, end, h, ready)?;
-        if any || turned.is_some() {
-            for i in 0..self.space.domains.len() {
-                if self.space.domains.slope(i).is_some() || turned == Some(i) {
-                    self.space.domains.count_as_returned(i);
-                }
-            }
-        }
+        self.find_slopes(end, h, ready)?;
         let mut first = f64::INFINITY;
-        let Slopes { any, turned, .. } = self.find_slopes(false, end, h, ready)?;
-        if any {
-            for i in 0..self.space.domains.len() {
-                match self.follow(i, end, h, ready)? {
-                    Return::Nothing => {}
-                    Return::Found(at) => first = first.min(at),
-                    unseen @ Return::Unseen { .. } => return Ok(unseen),
-                }
+        for i in 0..self.space.domains.len() {
+            match self.follow(i, end, h, ready)? {
+                Return::Nothing => {}
+                _ if self.space.domains.slides(i) => {}
+                Return::Found(at) => first = first.min(at),
+                unseen @ Return::Unseen { .. } => return Ok(unseen),
             }
         }
-        Ok(match turned {
-            Some(indicator) => Return::Unseen { indicator, shorter: None },
-            None if first.is_finite() => Return::Found(first),
-            None => Return::Nothing,
-        })
+        Ok(if first.is_finite() { Return::Found(first) } else { Return::Nothing })
     }
 
-    /// The slopes of the indicators that began the trial next to zero, slide or do not, and may have come back in it.
-    fn find_slopes(&mut self, slides: bool, end: f64, h: f64, ready: &mut bool) -> CallResult<Slopes> {
-        if !self.space.domains.any_began_at_zero(slides) {
-            return Ok(Slopes::default());
-        }
+    /// The slopes of the indicators that may have come back in the trial.
+    fn find_slopes(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
         // With a mass matrix the right-hand side is not the slope of the states.
         let follows_trial = self.system.mass_matrix().is_some();
         if follows_trial {
@@ -79,56 +63,73 @@ where
         let Space { x, x_mid, domains, .. } = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
-        let found = domains.find_slopes((h, reach, far), slides, |s, z| {
+        let count = &mut self.stats.event_indicators;
+        domains.find_slopes((h, reach), |s, z| {
+            *count += 1;
             if follows_trial {
                 stepper.interpolate(trial, s / h, x_mid);
             } else {
                 move_along(x_mid, s, trial.x, stepper.derivative());
             }
             read_indicators(system, trial.t + s, x_mid, z)
-        })?;
-        self.stats.event_indicators += found.evaluations;
-        Ok(found)
+        })
+    }
+
+    /// An indicator that bounces, and whose crossing, as located, the right-hand side there contradicts: positions and speeds
+    /// have come to differ by more than bounces so small can stand, by rounding or within the tolerance.
+    pub(super) fn contradiction(&mut self, at: f64) -> CallResult<Option<usize>> {
+        let h = at - self.t;
+        let reach = h.max(SLOPE_REACH * (self.end - self.start));
+        for i in 0..self.space.domains.len() {
+            // With a mass matrix the right-hand side is not the slope of the states.
+            if !self.space.domains.crosses_in_bounces(i) || self.system.mass_matrix().is_some() {
+                continue;
+            }
+            let Space { x_new, x_mid, slope, weights, domains, .. } = &mut *self.space;
+            let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
+            equations.derivatives(at, x_new, slope)?;
+            let (system, count) = (&mut *self.system, &mut self.stats.event_indicators);
+            let z = domains.end[i];
+            let found = domains.slope_along((i, z), (SLOPE_STEP * h, reach), &mut |s, z: &mut [f64]| {
+                *count += 1;
+                move_along(x_mid, s, x_new, slope);
+                read_indicators(system, at + s, x_mid, z)
+            })?;
+            if domains.contradicts(i, found) {
+                return Ok(Some(i));
+            }
+        }
+        Ok(None)
     }
 
     /// Follows such an indicator to where parabolas through its value and slope at the start turn, nearer and nearer to the
     /// start, until it is in the other domain.
     fn follow(&mut self, i: usize, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
-        let domains = &self.space.domains;
-        let Some(slope) = domains.slope(i) else { return Ok(Return::Nothing) };
-        let z_end = domains.end[i];
-        let (first_turn, first_top) = domains.turn(i, (h, z_end));
-        let reach = 8.0 * self.same * slope.abs().max((z_end - domains.base[i]).abs() / h);
+        let Some(slope) = self.space.domains.slope(i) else { return Ok(Return::Nothing) };
         let is_inside = |turn: f64, s: f64| turn > 0.0 && turn < 0.99 * s;
-        if domains.was_at_zero(i, reach) {
-            self.space.domains.set_leaving(i);
-        }
-        if !is_inside(first_turn, h) {
-            // It is still on its way.
-            return Ok(Return::Nothing);
-        }
-        let (mut s, mut turn, mut top) = (h, first_turn, first_top);
-        while is_inside(turn, s) && self.t + turn > self.t {
-            self.make_ready(end, h, ready)?;
-            let Space { x, x_mid, domains, .. } = &mut *self.space;
-            let at = self.t + turn;
-            // The very point that is looked at again.
-            self.stepper.interpolate(Trial { t: self.t, end, h, x }, (at - self.t) / h, x_mid);
-            self.stats.event_indicators += 1;
-            let z = domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z))?;
-            if domains.leaves(i, z) {
-                return Ok(Return::Found(at));
+        let mut shorter = None;
+        if slope != 0.0 {
+            let (mut s, z_end) = (h, self.space.domains.end[i]);
+            let (mut turn, top) = self.space.domains.turn(i, (s, z_end));
+            let helps = self.fixed_step.is_none() && turn > self.same && self.space.domains.leaves(i, top);
+            shorter = helps.then_some(turn).filter(|turn| is_inside(*turn, h));
+            while is_inside(turn, s) && self.t + turn > self.t {
+                self.make_ready(end, h, ready)?;
+                let Space { x, x_mid, domains, .. } = &mut *self.space;
+                let at = self.t + turn;
+                // The very point that is looked at again.
+                self.stepper.interpolate(Trial { t: self.t, end, h, x }, (at - self.t) / h, x_mid);
+                self.stats.event_indicators += 1;
+                let z = domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z))?;
+                if domains.leaves(i, z) {
+                    return Ok(Return::Found(at));
+                }
+                s = turn;
+                (turn, _) = domains.turn(i, (s, z));
             }
-            s = turn;
-            (turn, top) = domains.turn(i, (s, z));
         }
-        let domains = &self.space.domains;
-        if !domains.leaves(i, top) && !domains.was_at_zero(i, reach) {
-            // It turns before it reaches zero.
-            return Ok(Return::Nothing);
-        }
-        let helps = self.fixed_step.is_none() && first_turn > self.same && domains.leaves(i, first_top);
-        Ok(Return::Unseen { indicator: i, shorter: helps.then_some(first_turn) })
+        let lost = self.space.domains.is_lost(i);
+        Ok(if lost { Return::Unseen { indicator: i, shorter } } else { Return::Nothing })
     }
 
     /// A trial of size `h` in which an indicator came back unseen: a shorter one, or the answer to chattering.
@@ -170,7 +171,7 @@ where
         move_along(x_mid, step, x, self.stepper.derivative());
         self.stats.event_indicators += 1 + x.len() as u64;
         let ahead = domains.value_at(i, |z| read_indicators(self.system, t + step, x_mid, z))?;
-        if (ahead - z0) * z0.signum() >= 0.0 {
+        if (ahead - z0) * z0.signum() > 0.0 {
             return Ok(());
         }
         let mut sum = 0.0;

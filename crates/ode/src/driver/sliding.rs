@@ -61,6 +61,8 @@ impl ChatteringGuard {
 pub(super) struct Sliding {
     state_events: ChatteringGuard,
     time_events: ChatteringGuard,
+    /// In less time than this a hundred events do not go on.
+    stands_still: f64,
     /// Length of a step while it slides.
     usual: f64,
     /// The step to try now, if it slides.
@@ -70,9 +72,11 @@ pub(super) struct Sliding {
 
 impl Sliding {
     pub(super) fn new(span: f64, same: f64) -> Self {
+        let time_events = ChatteringGuard::of_span(ChatteringGuard::TIME_EVENTS, span, same);
         Self {
             state_events: ChatteringGuard::of_span(ChatteringGuard::STATE_EVENTS, span, same),
-            time_events: ChatteringGuard::of_span(ChatteringGuard::TIME_EVENTS, span, same),
+            stands_still: time_events.least.max(ChatteringGuard::still(same)),
+            time_events,
             usual: ChatteringPolicy::SLIDING_STEP * span,
             step: None,
             clean: 0,
@@ -138,7 +142,7 @@ where
                 self.space.domains.slide_marked();
                 self.sliding.begin();
             }
-            ChatteringPolicy::Warn if within > ChatteringGuard::still(self.same) => {}
+            ChatteringPolicy::Warn if within > self.sliding.stands_still => {}
             _ => {
                 let indicator = crossed.unwrap_or_default();
                 return Err(ErrorKind::Chattering { events, within, indicator }.into());

@@ -1,96 +1,201 @@
 //! Indicators that are next to zero when a step begins, and may leave their domain and come back within it.
 
-use super::{Domains, flipped};
-use crate::system::{CallResult, Direction};
+use super::{Direction, Domains, flipped};
+use crate::system::CallResult;
 
 /// The slopes of indicators are differences over this share of a step.
-const SLOPE_STEP: f64 = 1.0 / 256.0;
+pub(crate) const SLOPE_STEP: f64 = 1.0 / 256.0;
 
-/// What [`Domains::find_slopes`] has found.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Slopes {
-    /// There are some.
-    pub(crate) any: bool,
-    /// One that was on its way out before, and is so no more, without having been seen outside.
-    pub(crate) turned: Option<usize>,
-    /// Evaluations of the indicators it took.
-    pub(crate) evaluations: u64,
+/// Indicators below this share of their largest values so far are small: that events turn them back to zero again and again
+/// may be what their bounces have come to.
+pub(super) const SMALL: f64 = 0.1;
+
+/// What is known of an indicator since its last event. Its `depth` is a value in the domain that it crossed into, with
+/// the sign of that domain, up to which the location of the event explains its values.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) enum SinceEvent {
+    /// It is in the domain that its value says.
+    #[default]
+    Settled,
+    /// It is next to zero, and has not moved yet.
+    New { depth: f64 },
+    /// It is next to zero, and its event has turned it back, or stopped it: it will be seen in the domain it came from before it is
+    /// seen beyond this depth, or it is lost.
+    TurnedBack { depth: f64 },
+}
+
+impl SinceEvent {
+    fn depth(self) -> Option<f64> {
+        match self {
+            Self::Settled => None,
+            Self::New { depth } | Self::TurnedBack { depth } => Some(depth),
+        }
+    }
+}
+
+/// Whether a value is in the domain of this depth.
+fn is_behind(depth: f64, z: f64) -> bool {
+    (z > 0.0) == depth.is_sign_positive()
 }
 
 impl Domains {
-    /// Whether indicator `i` began next to zero, in a step after its event, after any event, or of a run, and ended in the
-    /// domain where it began: it may have left that right behind the start, and come back.
-    fn began_at_zero(&self, i: usize) -> bool {
-        let (z0, z2) = (self.base[i], self.end[i]);
-        let next_to_zero = || self.before_time.is_none() && z0.abs() < 1e-3 * z2.abs();
-        let since_event =
-            || self.overshoots[i].is_some() && (z0.abs() <= z2.abs() || self.was_at_zero(i, 0.0));
-        !flipped(z0, z2) && (since_event() || next_to_zero())
+    /// After any event the indicators were read anew: those that crossed and are still next to zero may have turned back.
+    /// `reset`: the event has changed states.
+    pub(crate) fn begin_after_event(&mut self, reset: bool) {
+        for i in 0..self.len() {
+            if self.crossings[i] != 0 {
+                self.resets[i] = reset;
+            }
+            let (z, near) = (self.base[i], self.near_zero[i]);
+            self.largest[i] = self.largest[i].max(z.abs());
+            let depth = match self.crossings[i] {
+                0 => self.since_event[i].depth(),
+                // One that slides is wherever the step has ended.
+                _ if self.sliding[i] => Some(if z > 0.0 { z } else { -z.abs() }),
+                crossing => Some(f64::from(crossing) * (z.abs() + near)).filter(|_| z.abs() <= near),
+            };
+            let stays = depth.is_some_and(|depth| is_behind(depth, z) && z.abs() <= depth.abs());
+            self.since_event[i] = match depth {
+                Some(depth) if stays && self.crossings[i] != 0 => SinceEvent::New { depth },
+                _ if stays => self.since_event[i],
+                _ => SinceEvent::Settled,
+            };
+        }
     }
 
-    /// Whether any indicator that slides, or else does not, [began at zero](Self::began_at_zero).
-    pub(crate) fn any_began_at_zero(&self, slides: bool) -> bool {
-        (0..self.len()).any(|i| self.sliding[i] == slides && self.began_at_zero(i))
+    /// A step is over, with events at its end or not: those that are seen in the domain they came from are settled, and of
+    /// the others none has been seen to go on.
+    pub(crate) fn settle(&mut self) {
+        for i in 0..self.len() {
+            let z = self.end[i];
+            let depth = self.since_event[i].depth();
+            let came_back = depth.is_some_and(|depth| !is_behind(depth, z));
+            self.largest[i] = self.largest[i].max(z.abs());
+            self.bounces[i] = (self.bounces[i] || came_back) && z.abs() <= SMALL * self.largest[i];
+            if self.crossings[i] == 0 {
+                self.since_event[i] = match depth {
+                    Some(depth) if !came_back => SinceEvent::TurnedBack { depth },
+                    _ => SinceEvent::Settled,
+                };
+            }
+        }
+    }
+
+    /// Whether indicator `i` crosses up to the end, and has been next to zero since an event has turned it back.
+    pub(crate) fn crosses_in_bounces(&self, i: usize) -> bool {
+        self.bounces[i] && self.is_located(i, self.reference()[i], self.end[i])
+    }
+
+    /// Whether this slope of indicator `i` is against its crossing.
+    pub(crate) fn contradicts(&self, i: usize, slope: f64) -> bool {
+        if self.end[i] > 0.0 { slope < 0.0 } else { slope > 0.0 }
+    }
+
+    /// The slope of indicator `i`, of the value `z0` now, along the flow: `evaluate(s, z)` gives the indicators after the time `s` if the
+    /// flow stays as it is. It is taken over as short a time, from `step` to `reach`, as rounding lets it; 0: over none.
+    pub(crate) fn slope_along(
+        &mut self,
+        (i, z0): (usize, f64),
+        (step, reach): (f64, f64),
+        evaluate: &mut impl FnMut(f64, &mut [f64]) -> CallResult<()>,
+    ) -> CallResult<f64> {
+        let mut s = step;
+        while 2.0 * s <= reach {
+            evaluate(s, &mut self.mid)?;
+            let d1 = self.mid[i] - z0;
+            evaluate(2.0 * s, &mut self.mid)?;
+            let d2 = self.mid[i] - z0;
+            // Else it is rounding.
+            if d2 != 0.0 && (d2 - 2.0 * d1).abs() <= 0.25 * d2.abs() {
+                return Ok((4.0 * d1 - d2) / (2.0 * s));
+            }
+            s *= 8.0;
+        }
+        Ok(0.0)
+    }
+
+    /// Whether indicator `i` may have left its domain and come back in the trial: after its event, or, where nothing is known
+    /// of the time before the step, from next to zero.
+    fn may_return(&self, i: usize) -> bool {
+        let (z0, z2) = (self.base[i], self.end[i]);
+        let from_zero = || self.before_time.is_none() && z0.abs() < 1e-3 * z2.abs();
+        let after_event = self.since_event[i].depth().map(|depth| is_behind(depth, z0));
+        z0 != z2 && !flipped(z0, z2) && after_event.unwrap_or_else(from_zero)
+    }
+
+    /// Whether any indicator [may have returned](Self::may_return).
+    pub(crate) fn any_may_return(&self) -> bool {
+        (0..self.len()).any(|i| self.may_return(i))
     }
 
     /// Of these the slopes at the start of the step of size `h`, where they point out of the domain: by differences along
     /// the flow, `evaluate(s, z)` being the indicators after the time `s`, at most `reach`, if the flow stayed as it is at
-    /// the start. Those of one that has just returned may be too small for this: a point as `far` as there is then tells
-    /// where it is going.
+    /// the start. Those that go on into their domain after their event are settled.
     pub(crate) fn find_slopes(
         &mut self,
-        (h, reach, far): (f64, f64, f64),
-        slides: bool,
+        (h, reach): (f64, f64),
         mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
-    ) -> CallResult<Slopes> {
+    ) -> CallResult<()> {
         let step = SLOPE_STEP * h;
-        let mut slopes = Slopes { evaluations: 1, ..Slopes::default() };
         evaluate(step, &mut self.mid)?;
         for i in 0..self.len() {
             let (z0, z1, z2) = (self.base[i], self.mid[i], self.end[i]);
-            // As fast at the start as in the whole step, on into the domain: it just goes on. Or it stays where it is.
-            let goes_on = z2.abs() > z0.abs() && (0.25..4.0).contains(&((z1 - z0) / step / ((z2 - z0) / h)))
-                || z1 == z0 && z2 == z0 && !self.was_at_zero(i, 0.0);
-            let of_interest = self.sliding[i] == slides && self.began_at_zero(i);
-            self.slopes[i] = if of_interest && !goes_on { 0.0 } else { f64::NAN };
-            if of_interest && goes_on && self.leaving[i] {
-                slopes.turned = Some(i);
-            }
+            // As fast at the start as in the whole step, on into the domain.
+            let goes_on = z2.abs() > z0.abs() && (0.25..4.0).contains(&((z1 - z0) / step / ((z2 - z0) / h)));
+            self.slopes[i] = match self.may_return(i) {
+                true if goes_on => self.goes_on(i),
+                true => 0.0,
+                false => f64::NAN,
+            };
         }
         for i in 0..self.len() {
-            if self.slopes[i].is_nan() {
+            if self.slopes[i] != 0.0 {
                 continue;
             }
-            let (z0, mut s) = (self.base[i], step);
-            while 2.0 * s <= reach && self.slopes[i] == 0.0 {
-                evaluate(s, &mut self.mid)?;
-                let d1 = self.mid[i] - z0;
-                evaluate(2.0 * s, &mut self.mid)?;
-                let d2 = self.mid[i] - z0;
-                slopes.evaluations += 2;
-                // Else it is rounding.
-                if (d2 - 2.0 * d1).abs() <= 0.25 * d2.abs() {
-                    self.slopes[i] = (4.0 * d1 - d2) / (2.0 * s);
-                }
-                s *= 8.0;
+            let z0 = self.base[i];
+            self.slopes[i] = self.slope_along((i, z0), (step, reach), &mut evaluate)?;
+            let points_back = (z0 > 0.0) == (self.slopes[i] < 0.0);
+            if self.slopes[i] == 0.0 && self.since_event[i] == SinceEvent::Settled {
+                self.slopes[i] = f64::NAN;
+            } else if self.slopes[i] != 0.0 && !points_back {
+                self.slopes[i] = self.goes_on(i);
+            } else if let (SinceEvent::New { depth }, true) = (self.since_event[i], self.slopes[i] != 0.0) {
+                self.since_event[i] = SinceEvent::TurnedBack { depth };
+                self.bounces[i] = true;
             }
-            if (z0 > 0.0) == (self.slopes[i] < 0.0) && self.slopes[i] != 0.0 {
-                slopes.any = true;
-                continue;
-            }
-            if self.leaving[i] {
-                slopes.turned = Some(i);
-            } else if self.slopes[i] == 0.0 && self.returned[i] && self.was_at_zero(i, 0.0) {
-                evaluate(far, &mut self.mid)?;
-                slopes.evaluations += 1;
-                let z = self.mid[i];
-                if z != z0 && (z0 > 0.0) == (z < z0) {
-                    slopes.turned = Some(i);
-                }
-            }
-            self.slopes[i] = f64::NAN;
         }
-        Ok(slopes)
+        Ok(())
+    }
+
+    /// Indicator `i` moves on into its domain. Right after its event it just goes on; what is returned is the slope of
+    /// no interest then. One that had turned back points back no more.
+    fn goes_on(&mut self, i: usize) -> f64 {
+        if matches!(self.since_event[i], SinceEvent::TurnedBack { .. }) {
+            return 0.0;
+        }
+        self.since_event[i] = SinceEvent::Settled;
+        f64::NAN
+    }
+
+    /// Whether indicator `i` ends the trial where an event that has turned it back, or has stopped it, does not explain it.
+    pub(crate) fn is_lost(&self, i: usize) -> bool {
+        let is_beyond = |depth: f64| is_behind(depth, self.end[i]) && self.end[i].abs() > depth.abs();
+        self.since_event[i].depth().is_some_and(is_beyond)
+    }
+
+    /// Whether a change of indicator `i` is an event: where going from next to zero back to the domain that it came from is
+    /// none, the other direction alone counts until it has gone there.
+    pub(super) fn direction(&self, i: usize) -> Direction {
+        match (self.directions[i], self.since_event[i].depth()) {
+            (Direction::Either, Some(depth)) if self.resets[i] => {
+                if depth.is_sign_positive() {
+                    Direction::Up
+                } else {
+                    Direction::Down
+                }
+            }
+            (direction, _) => direction,
+        }
     }
 
     /// The slope that [`find_slopes`](Self::find_slopes) has found.
@@ -116,25 +221,9 @@ impl Domains {
         Ok(self.mid[i])
     }
 
-    /// Indicator `i` is on its way out of its domain.
-    pub(crate) fn set_leaving(&mut self, i: usize) {
-        self.leaving[i] = true;
-    }
-
     /// Whether indicator `i` is in the other domain at this value.
     pub(crate) fn leaves(&self, i: usize, z: f64) -> bool {
         flipped(self.base[i], z)
-    }
-
-    /// Whether indicator `i` was next to zero at the start of the step: as its event was located, or no farther than
-    /// `reach`.
-    pub(crate) fn was_at_zero(&self, i: usize, reach: f64) -> bool {
-        self.base[i].abs() <= self.overshoots[i].map_or(reach, |overshoot| reach.max(4.0 * overshoot))
-    }
-
-    /// An indicator that slides, and came back in the step: it counts as if it had begun in the other domain.
-    pub(crate) fn count_as_returned(&mut self, i: usize) {
-        self.base[i] = if self.base[i] > 0.0 { 0.0 } else { f64::MIN_POSITIVE };
     }
 
     /// To where indicator `i`, of this value behind zero, can be moved so that it does not cross again: its next crossing

@@ -226,7 +226,9 @@ def solve(
     events : callable, or list of callables, optional
         ``event(t, y) -> float``: an event occurs where it becomes positive or stops being positive. Its attributes are
         those of SciPy: ``terminal`` (True, or after how many occurrences the run ends) and ``direction`` (positive: only
-        upward, negative: only downward crossings are events; the others do not even end a step).
+        upward, negative: only downward crossings are events; the others do not even end a step). A function that
+        is left at zero by a change of the states in `on_event`, on its way back to the sign it had, has no event when it
+        gets there: a ball bounces without a ``direction``, too.
     on_event : callable, optional
         ``on_event(t, y, which) -> array_like, shape (n,), or None``: called at each event with the list `which` of the
         positions of the functions that have crossed; returns the states to go on with, or None to keep them.
@@ -255,8 +257,8 @@ def solve(
     interior_samples : int, optional
         At how many points inside each step the events are looked at besides its end, each compared with the one before,
         so that a crossing and its return do not hide in one step. By default one where steps are long. An event function
-        next to zero after its event, and on its way back, is always followed: its next crossing is found, or the run
-        fails and says so.
+        next to zero after its event that `on_event` has turned back, or stopped, is always followed: its next crossing is
+        found, or the run fails and says so.
     chattering : {"error", "warn", "slide"}
         What to do where events follow each other while time hardly advances (a hundred within 1e-6 of the span, or within
         1e-3 where the span is longer than 1000): fail; go on and log a warning (an error still where time stands still);
