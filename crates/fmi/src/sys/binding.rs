@@ -1,6 +1,7 @@
 //! What a version of FMI has to supply: its functions in house types, and the names it has for them.
 
 use super::callbacks::{Callbacks, Current};
+use super::environment::restore_default;
 use super::functions::{LifeFunctions, PointFunctions, StateFunctions, StepFunctions, call, optional};
 use super::{
     Component, EventInfo, Experiment, IntervalAnswer, MidStep, Request, StatePointer, Status, StepInfo,
@@ -303,7 +304,8 @@ pub(super) trait Binding: Send + Sync {
     unsafe fn get_derivatives(&self, component: Component, derivatives: &mut [f64]) -> Status {
         of!(self, point, get_derivatives, component, derivatives.as_mut_ptr(), derivatives.len())
     }
-    /// Time, states and derivatives: the calls of a right-hand side in one, up to the first that fails.
+    /// Time, states and derivatives: the calls of a right-hand side in one, up to the first that fails. Each starts in the
+    /// default floating-point mode if the first does.
     unsafe fn right_hand_side(
         &self,
         component: Component,
@@ -318,10 +320,12 @@ pub(super) trait Binding: Send + Sync {
             if !is_good(status) {
                 return (Call::SetTime, status);
             }
+            restore_default();
             let status = self.set_continuous_states(component, states);
             if !is_good(status) {
                 return (Call::SetContinuousStates, status);
             }
+            restore_default();
             (Call::GetDerivatives, self.get_derivatives(component, derivatives))
         }
     }

@@ -80,16 +80,16 @@ impl Library {
         let _environment = CallEnvironment::enter();
         let shared = Shared::of(path)?;
         if shared.is_fatal() {
+            shared.closed();
             return Err(FmiError::LibraryUnusable { library: path.to_owned() });
         }
         // SAFETY: the user asked to run this FMU, and running its constructors is part of that.
-        let handle = unsafe { platform::open(path, options) }.map_err(|error| {
-            if Arc::strong_count(&shared) <= 2 {
-                Shared::forget(path);
-            }
+        let opened = unsafe { platform::open(path, options) }.map_err(|error| {
+            shared.closed();
             FmiError::LoadFailed { library: path.to_owned(), message: message(&error) }
         })?;
-        Ok((shared, Arc::new(handle)))
+        let handle = Arc::new(Handle::new(opened, Arc::clone(&shared)));
+        Ok((shared, handle))
     }
 
     /// The function table.
@@ -129,13 +129,8 @@ impl Library {
 impl Drop for Library {
     fn drop(&mut self) {
         let retired = self.retired.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let closes = self.handle.closes() && Arc::strong_count(&self.handle) == 1;
-        // Others may have opened the same file with other options.
-        if closes && Arc::strong_count(&self.shared) <= 2 {
-            // Before the file can go, whose place on the disk may be given to another.
-            Shared::forget(&self.path);
-        }
         // Those of a library that is unloaded are dropped: none of its code is left to use them.
+        let closes = self.handle.closes() && Arc::strong_count(&self.handle) == 1;
         retired.drain(..).filter(|_| !closes).for_each(Callbacks::abandon);
     }
 }

@@ -1,15 +1,17 @@
 //! What differs between systems in this module: how a library is opened.
 
+use super::Shared;
 use crate::open_options::LoaderOptions;
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 #[cfg(unix)]
-type Opened = libloading::os::unix::Library;
+pub(super) type Opened = libloading::os::unix::Library;
 #[cfg(not(unix))]
-type Opened = libloading::Library;
+pub(super) type Opened = libloading::Library;
 
 /// An open library. Not closed unless [`close_on_drop`](Self::close_on_drop) says so: a thread that has called the FMU may hold
 /// data of its own for it (thread-specific data, `thread_local` of C++) whose destructor is code of the library and runs
@@ -17,12 +19,13 @@ type Opened = libloading::Library;
 /// the loader would take that one's code.
 pub(super) struct Handle {
     library: ManuallyDrop<Opened>,
+    shared: Arc<Shared>,
     closes: AtomicBool,
 }
 
 impl Handle {
-    fn new(library: Opened) -> Self {
-        Self { library: ManuallyDrop::new(library), closes: AtomicBool::new(false) }
+    pub(super) fn new(library: Opened, shared: Arc<Shared>) -> Self {
+        Self { library: ManuallyDrop::new(library), shared, closes: AtomicBool::new(false) }
     }
 
     /// Has the library closed when the handle is dropped.
@@ -50,6 +53,7 @@ impl Deref for Handle {
 impl Drop for Handle {
     fn drop(&mut self) {
         if self.closes() {
+            self.shared.closed();
             // SAFETY: dropped once, here; whoever called `close_on_drop` has promised that nobody is in it or comes back.
             unsafe { ManuallyDrop::drop(&mut self.library) };
         }
@@ -76,12 +80,12 @@ pub(super) fn check(options: &LoaderOptions) -> Result<(), &'static str> {
 /// # Safety
 /// Runs the library's constructors, which is foreign code.
 #[cfg(unix)]
-pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Handle, libloading::Error> {
+pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Opened, libloading::Error> {
     use libloading::os::unix::{RTLD_LAZY, RTLD_LOCAL, RTLD_NOW};
     let when = if options.lazy { RTLD_LAZY } else { RTLD_NOW };
     let deep = DEEPBIND.filter(|_| options.deepbind).unwrap_or(0);
     // SAFETY: handed on to the caller.
-    unsafe { libloading::os::unix::Library::open(Some(path), when | RTLD_LOCAL | deep) }.map(Handle::new)
+    unsafe { Opened::open(Some(path), when | RTLD_LOCAL | deep) }
 }
 
 /// Opens a shared library.
@@ -89,7 +93,7 @@ pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Handle
 /// # Safety
 /// Runs the library's constructors, which is foreign code.
 #[cfg(not(unix))]
-pub(super) unsafe fn open(path: &Path, _: &LoaderOptions) -> Result<Handle, libloading::Error> {
+pub(super) unsafe fn open(path: &Path, _: &LoaderOptions) -> Result<Opened, libloading::Error> {
     // SAFETY: handed on to the caller.
-    unsafe { Opened::new(path) }.map(Handle::new)
+    unsafe { Opened::new(path) }
 }

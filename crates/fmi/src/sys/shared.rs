@@ -5,7 +5,7 @@ use crate::error::FmiError;
 use crate::platform::{self, FileIdentity, FilePlace};
 use std::collections::HashMap;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// The library files of this process. An entry goes when its library is unloaded, which few are (see `platform::Handle`).
@@ -15,8 +15,12 @@ static KNOWN: Mutex<Option<Libraries>> = Mutex::new(None);
 type Libraries = HashMap<FilePlace, (FileIdentity, Arc<Shared>)>;
 
 /// What is known about a loaded file.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct Shared {
+    /// Under which it is known.
+    place: FilePlace,
+    /// How often it was opened and not closed; changed under the lock of [`KNOWN`] only.
+    n_open: AtomicUsize,
     /// A call returned `Fatal`.
     fatal: AtomicBool,
     /// A component was made.
@@ -24,7 +28,8 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    /// What is shared by all users of the library at `path`, which is about to be loaded.
+    /// What is shared by all users of the library at `path`, which is about to be loaded. Whoever closes it again, or could
+    /// not load it, says so by [`closed`](Self::closed).
     ///
     /// # Errors
     /// The file cannot be looked at, or it was written over since it was loaded: the loader would hand out the old code.
@@ -33,24 +38,33 @@ impl Shared {
         let identity = platform::file_identity(&metadata);
         let mut known = known();
         let entries = known.get_or_insert_default();
-        match entries.get(&identity.place(path)) {
-            Some((then, shared)) if then.same_content(&identity) => Ok(Arc::clone(shared)),
-            Some(_) => Err(FmiError::written_over(path)),
+        let place = identity.place(path);
+        let shared = match entries.get(&place) {
+            Some((then, shared)) if then.same_content(&identity) => Arc::clone(shared),
+            Some(_) => return Err(FmiError::written_over(path)),
             None => {
-                let shared = Arc::<Shared>::default();
-                entries.insert(identity.place(path), (identity, Arc::clone(&shared)));
-                Ok(shared)
+                let shared = Arc::new(Shared {
+                    place: place.clone(),
+                    n_open: AtomicUsize::new(0),
+                    fatal: AtomicBool::new(false),
+                    used: AtomicBool::new(false),
+                });
+                entries.insert(place, (identity, Arc::clone(&shared)));
+                shared
             }
-        }
+        };
+        shared.n_open.fetch_add(1, Ordering::Relaxed);
+        Ok(shared)
     }
 
-    /// Forgets a library that could not be loaded, or is about to be unloaded.
-    pub(super) fn forget(path: &Path) {
-        if let Ok(metadata) = path.metadata() {
-            let place = platform::file_identity(&metadata).place(path);
-            if let Some(entries) = &mut *known() {
-                entries.remove(&place);
-            }
+    /// One user could not load the library, or is about to close it: with the last one it is forgotten, before the place of
+    /// its file on the disk can be given to another file.
+    pub(super) fn closed(&self) {
+        let mut known = known();
+        if self.n_open.fetch_sub(1, Ordering::Relaxed) == 1
+            && let Some(entries) = &mut *known
+        {
+            entries.remove(&self.place);
         }
     }
 

@@ -1,9 +1,9 @@
 //! What a call into an FMU finds in its thread and its process, and must not leave behind: the floating-point mode, the
 //! locale, and how the process handles some signals.
 //!
-//! Every call into an FMU (the three of a right-hand side count as one) starts in the default floating-point mode, and the
-//! mode is looked at after it, before any arithmetic of ours: what an FMU changes acts until its function returns, in every
-//! run alike, and exceptions that it unmasks are masked again. Nothing has to be computed again for it.
+//! Every call into an FMU starts in the default floating-point mode, and the mode is looked at after it, before any
+//! arithmetic of ours: what an FMU changes acts until its function returns, in every run alike, and exceptions that it
+//! unmasks are masked again. Nothing has to be computed again for it.
 
 mod float;
 mod locale;
@@ -55,7 +55,7 @@ impl Drop for OneCall {
 
 /// Sets the default floating-point mode if a call has changed it.
 #[inline]
-fn restore_default() {
+pub(super) fn restore_default() {
     if !FloatMode::present().is_default() {
         FloatMode::set_default();
     }
