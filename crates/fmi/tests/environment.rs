@@ -51,6 +51,8 @@ fn the_floating_point_mode_of_a_model_acts_in_its_own_calls_only() {
                 let found = runs(&both_kinds(&[&place, what]));
                 assert!(found.iter().all(|run| *run == truth), "{kind:?}, {place}, {what}");
             }
+            let late = runs(&both_kinds(&[&place, "ROUNDS_UP", "FLOAT_FROM=50"]));
+            assert!(late.iter().all(|run| *run == truth), "{kind:?}, {place}, late");
         }
     }
     // The thread is as before, and arithmetic of ours goes on.

@@ -304,15 +304,17 @@ pub(super) trait Binding: Send + Sync {
     unsafe fn get_derivatives(&self, component: Component, derivatives: &mut [f64]) -> Status {
         of!(self, point, get_derivatives, component, derivatives.as_mut_ptr(), derivatives.len())
     }
-    /// Time, states and derivatives: the calls of a right-hand side in one, up to the first that fails. Each starts in the
-    /// default floating-point mode if the first does.
+    /// Time, states and derivatives: the calls of a right-hand side in one, up to the first that fails. With `looks`, each
+    /// starts in the default floating-point mode if the first does, and what is there is set if one has changed it.
     unsafe fn right_hand_side(
         &self,
         component: Component,
         time: f64,
         states: &[f64],
         derivatives: &mut [f64],
+        mut looks: Option<&mut bool>,
     ) -> (Call, Status) {
+        let mut look = || looks.as_mut().map(|changed| **changed |= restore_default());
         let is_good = |status| matches!(status, Status::Ok | Status::Warning);
         // SAFETY: the caller's promises are those of the three functions.
         unsafe {
@@ -320,12 +322,12 @@ pub(super) trait Binding: Send + Sync {
             if !is_good(status) {
                 return (Call::SetTime, status);
             }
-            restore_default();
+            look();
             let status = self.set_continuous_states(component, states);
             if !is_good(status) {
                 return (Call::SetContinuousStates, status);
             }
-            restore_default();
+            look();
             (Call::GetDerivatives, self.get_derivatives(component, derivatives))
         }
     }

@@ -3,7 +3,8 @@
 //!
 //! Every call into an FMU starts in the default floating-point mode, and the mode is looked at after it, before any
 //! arithmetic of ours: what an FMU changes acts until its function returns, in every run alike, and exceptions that it
-//! unmasks are masked again. Nothing has to be computed again for it.
+//! unmasks are masked again. Of the three calls of a right-hand side this is done for the first few; then it is looked at
+//! once after the three, and where one has changed the mode they are made again.
 
 mod float;
 mod locale;
@@ -42,6 +43,14 @@ impl OneCall {
     pub(super) fn enter() -> Self {
         Self(ThreadSetup::unless_done())
     }
+
+    /// Ends it after somebody else has looked at the mode.
+    #[inline]
+    pub(super) fn forget(self) {
+        if self.0.is_none() {
+            std::mem::forget(self);
+        }
+    }
 }
 
 impl Drop for OneCall {
@@ -53,12 +62,14 @@ impl Drop for OneCall {
     }
 }
 
-/// Sets the default floating-point mode if a call has changed it.
+/// Sets the default floating-point mode if a call has changed it; whether one has.
 #[inline]
-pub(super) fn restore_default() {
-    if !FloatMode::present().is_default() {
+pub(super) fn restore_default() -> bool {
+    let is_changed = !FloatMode::present().is_default();
+    if is_changed {
         FloatMode::set_default();
     }
+    is_changed
 }
 
 /// For code of ours that an FMU calls back: the default floating-point mode, and the FMU's again on drop.

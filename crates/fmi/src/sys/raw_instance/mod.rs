@@ -1,7 +1,7 @@
 //! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
 
 use super::callbacks::Callbacks;
-use super::environment::{CallEnvironment, OneCall};
+use super::environment::{CallEnvironment, OneCall, restore_default};
 use super::{
     Call, Component, EventInfo, Experiment, IntervalAnswer, Library, LogLine, Qualifier, Request, Status,
 };
@@ -75,6 +75,9 @@ pub(crate) struct Failed {
 
 type Outcome = Result<(), Fault>;
 
+/// So many right-hand sides of a component are looked at call by call, for what the calls do to the floating-point mode.
+const LOOKED_INTO: u8 = 8;
+
 /// A live component.
 pub(crate) struct RawInstance {
     component: Component,
@@ -87,6 +90,8 @@ pub(crate) struct RawInstance {
     has_arrays: bool,
     /// For messages: the time last set.
     time: Option<f64>,
+    /// Right-hand sides that are still looked at call by call.
+    to_look_into: u8,
     saved: SavedStates,
     buffers: Box<ValueBuffers>,
     orders: Vec<i32>,
@@ -138,6 +143,7 @@ impl RawInstance {
             event_mode: request.event_mode,
             has_arrays: library.binding().values().has_arrays(),
             time: None,
+            to_look_into: LOOKED_INTO,
             saved: SavedStates::default(),
             buffers: Box::default(),
             orders: Vec::new(),
@@ -351,12 +357,29 @@ impl RawInstance {
         self.alive(Call::SetTime)?;
         self.callbacks.log().go_on();
         self.time = Some(time);
-        let (call, status) = {
-            let _call = OneCall::enter();
+        let one = OneCall::enter();
+        let (mut looks_into, mut changes) = (self.to_look_into > 0, false);
+        let (call, status) = loop {
             // SAFETY: the component is alive and ours alone (`&mut self`), both slices have as many places as it has
             // states.
-            unsafe { self.library.binding().right_hand_side(self.component, time, states, derivatives) }
+            let answer = unsafe {
+                let looks = looks_into.then_some(&mut changes);
+                self.library.binding().right_hand_side(self.component, time, states, derivatives, looks)
+            };
+            changes |= restore_default();
+            if looks_into || !changes {
+                break answer;
+            }
+            // One of the calls has changed the mode, which may have acted in those after it.
+            looks_into = true;
         };
+        one.forget();
+        if changes {
+            self.to_look_into = u8::MAX;
+        } else if looks_into && self.to_look_into < u8::MAX {
+            // Who changes the mode does so from the first; looking takes as long as the calls of a small model.
+            self.to_look_into -= 1;
+        }
         self.check(call, status)
     }
 
