@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ._calibration import ExperimentFields
-from ._model import OpenOptions, Request
+from ._files import OpenOptions
+from ._model import Request
 from ._options import Options
 from ._parameter import Parameter
 from ._progress import Progress

@@ -376,11 +376,11 @@ def read_description(
     FmuError
         The archive or its ``modelDescription.xml`` is damaged, or not safe to unpack.
     """
-    limits = {
-        "max_description_bytes": size_limit("max_description_bytes", max_description_bytes),
-        "max_elements": size_limit("max_elements", max_elements),
-    }
-    return Description(_core.Fmu(path, OpenOptions(**limits)))
+    options = OpenOptions(
+        max_description_bytes=size_limit("max_description_bytes", max_description_bytes),
+        max_elements=size_limit("max_elements", max_elements),
+    )
+    return Description(_core.Fmu(path, options))
 
 
 def _interface(fields: dict[str, Any] | None) -> Interface | None:
