@@ -195,12 +195,16 @@ fn a_library_written_over_while_it_is_loaded_is_refused() {
     std::io::Write::write_all(&mut &file, b"more").unwrap();
     let error = folder.open().simulate(&SimulateOptions::new()).unwrap_err();
     assert!(error.to_string().contains("written over"), "{error}");
-    // A new file in its place is fine.
-    let bytes = std::fs::read(&library).unwrap();
-    let aside = library.with_extension("new");
-    std::fs::write(&aside, bytes).unwrap();
-    std::fs::rename(aside, library).unwrap();
-    folder.open().simulate(&SimulateOptions::new()).unwrap();
+    // A new file in its place is fine, and it is that one which runs.
+    for (fault, ends_itself) in [("ENDS_ITSELF", true), ("STATIC_SCRATCH", false), ("ENDS_ITSELF", true)] {
+        let other = evil(&[fault]);
+        let place = library.strip_prefix(folder.path()).unwrap();
+        let aside = library.with_extension("new");
+        std::fs::copy(other.path().join(place), &aside).unwrap();
+        std::fs::rename(aside, &library).unwrap();
+        let ended = folder.open().simulate(&SimulateOptions::new()).unwrap().termination;
+        assert_eq!(ended == fmi::ode::Termination::StoppedByModel, ends_itself, "{fault}");
+    }
 }
 
 #[test]

@@ -78,13 +78,13 @@ impl Library {
             problem: format!("the loader of this system has no option {option}"),
         })?;
         let _environment = CallEnvironment::enter();
-        let shared = Shared::of(path)?;
+        let (shared, path_to_open) = Shared::of(path)?;
         if shared.is_fatal() {
             shared.closed();
             return Err(FmiError::LibraryUnusable { library: path.to_owned() });
         }
         // SAFETY: the user asked to run this FMU, and running its constructors is part of that.
-        let opened = unsafe { platform::open(path, options) }.map_err(|error| {
+        let opened = unsafe { platform::open(Path::new(&path_to_open), options) }.map_err(|error| {
             shared.closed();
             FmiError::LoadFailed { library: path.to_owned(), message: message(&error) }
         })?;

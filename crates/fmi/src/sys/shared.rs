@@ -4,6 +4,7 @@
 use crate::error::FmiError;
 use crate::platform::{self, FileIdentity, FilePlace};
 use std::collections::HashMap;
+use std::ffi::OsString;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,8 +12,34 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// The library files of this process. An entry goes when its library is unloaded, which few are (see `platform::Handle`).
 static KNOWN: Mutex<Option<Libraries>> = Mutex::new(None);
 
-/// Each with what its file was when it was loaded.
-type Libraries = HashMap<FilePlace, (FileIdentity, Arc<Shared>)>;
+#[derive(Default)]
+struct Libraries {
+    /// Each with what its file was when it was loaded.
+    files: HashMap<FilePlace, (FileIdentity, Arc<Shared>)>,
+    /// The paths by which they were opened, letter by letter.
+    paths: HashMap<OsString, FilePlace>,
+}
+
+impl Libraries {
+    /// A path to open a file by. The loader of glibc takes a path for that of the library that it has loaded by the same one,
+    /// also when another file has taken its place; written otherwise, it makes it look at the file.
+    fn path_to_open(&mut self, path: &Path, place: &FilePlace) -> OsString {
+        let mut written = path.as_os_str().to_owned();
+        let mut steps = String::new();
+        while self.paths.get(&written).is_some_and(|known| known != place)
+            && let (Some(folder), Some(name)) = (path.parent(), path.file_name())
+        {
+            // To where one stands.
+            steps.push_str("/.");
+            written = folder.as_os_str().to_owned();
+            written.push(&steps);
+            written.push("/");
+            written.push(name);
+        }
+        self.paths.insert(written.clone(), place.clone());
+        written
+    }
+}
 
 /// What is known about a loaded file.
 #[derive(Debug)]
@@ -29,17 +56,17 @@ pub(crate) struct Shared {
 
 impl Shared {
     /// What is shared by all users of the library at `path`, which is about to be loaded. Whoever closes it again, or could
-    /// not load it, says so by [`closed`](Self::closed).
+    /// not load it, says so by [`closed`](Self::closed). And the path by which the loader finds that file.
     ///
     /// # Errors
     /// The file cannot be looked at, or it was written over since it was loaded: the loader would hand out the old code.
-    pub(super) fn of(path: &Path) -> Result<Arc<Shared>, FmiError> {
+    pub(super) fn of(path: &Path) -> Result<(Arc<Shared>, OsString), FmiError> {
         let metadata = path.metadata().map_err(FmiError::io("open", path))?;
         let identity = platform::file_identity(&metadata);
         let mut known = known();
-        let entries = known.get_or_insert_default();
+        let libraries = known.get_or_insert_default();
         let place = identity.place(path);
-        let shared = match entries.get(&place) {
+        let shared = match libraries.files.get(&place) {
             Some((then, shared)) if then.same_content(&identity) => Arc::clone(shared),
             Some(_) => return Err(FmiError::written_over(path)),
             None => {
@@ -49,12 +76,13 @@ impl Shared {
                     fatal: AtomicBool::new(false),
                     used: AtomicBool::new(false),
                 });
-                entries.insert(place, (identity, Arc::clone(&shared)));
+                libraries.files.insert(place, (identity, Arc::clone(&shared)));
                 shared
             }
         };
         shared.n_open.fetch_add(1, Ordering::Relaxed);
-        Ok(shared)
+        let path = libraries.path_to_open(path, &shared.place);
+        Ok((shared, path))
     }
 
     /// One user could not load the library, or is about to close it: with the last one it is forgotten, before the place of
@@ -62,9 +90,10 @@ impl Shared {
     pub(super) fn closed(&self) {
         let mut known = known();
         if self.n_open.fetch_sub(1, Ordering::Relaxed) == 1
-            && let Some(entries) = &mut *known
+            && let Some(libraries) = &mut *known
         {
-            entries.remove(&self.place);
+            libraries.files.remove(&self.place);
+            libraries.paths.retain(|_, place| *place != self.place);
         }
     }
 
