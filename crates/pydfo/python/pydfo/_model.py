@@ -130,6 +130,10 @@ class FMUModel:
     Values are `set` for all simulations that follow, until `reset`; each simulation starts from a fresh model with these
     values, so that the same values give the same bits.
 
+    Whether an FMU keeps to that is looked at: its second, third, fifth, ninth, 17th, ... simulation is made again in a newly
+    loaded copy of its library, of long ones the first 2 s at most. Where the two differ, the FMU keeps a state that no variable
+    shows: from then on each simulation gets a new instance or a new copy (`reuse`), and ``description.quirks`` says so.
+
     Parameters
     ----------
     path : path
