@@ -7,7 +7,7 @@ mod support;
 use fmi::{Fmu, Inputs, Session, SimulateOptions, Trajectory};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use support::model;
+use support::{evil, model};
 
 fn bits(trajectory: &Trajectory) -> Vec<Vec<u64>> {
     let columns = trajectory.columns.iter().chain([&trajectory.time]);
@@ -111,4 +111,20 @@ fn a_flag_that_was_raised_cancels_the_next_simulation_only() {
     session.simulate(&options).unwrap_err();
     flag.store(false, Ordering::Relaxed);
     assert_eq!(bits(&session.simulate(&options).unwrap()), bits(&first));
+}
+
+/// Also after runs that were made again in another copy of the library, where nothing was ever set.
+#[test]
+fn what_was_set_before_is_set_back_in_every_run() {
+    let folder = evil(&["RESET_KEEPS_PARAMETERS"]);
+    let mut session = Session::new(folder.open());
+    let plain = SimulateOptions::new().final_time(1.0);
+    let truth = bits(&session.simulate(&plain).unwrap());
+    for round in 0..3 {
+        let set = session.simulate(&plain.clone().start_value("k", 3.0)).unwrap();
+        assert_ne!(bits(&set), truth);
+        for run in 0..6 {
+            assert_eq!(bits(&session.simulate(&plain).unwrap()), truth, "round {round}, run {run}");
+        }
+    }
 }

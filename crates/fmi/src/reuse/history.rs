@@ -9,7 +9,7 @@ use super::{Digest, Reuse, Sharing};
 use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::plan::SimulationPlan;
-use crate::simulation::{Prepared, Runner, Tenancy};
+use crate::simulation::{Runner, Tenancy};
 use crate::sys::{CallEnvironment, LoadFrom, RawInstance};
 use ode::{ErrorKind, Observer, Report, Sample, Termination};
 use std::ops::ControlFlow;
@@ -21,7 +21,6 @@ use std::time::{Duration, Instant};
 pub(crate) struct Aside {
     // Given back after the instance.
     instance: Option<RawInstance>,
-    prepared: Option<Prepared>,
     lease: CopyLease,
 }
 
@@ -140,8 +139,8 @@ impl Runner {
         let Some(other) = self.new_copy() else { return false };
         let instance = self.engine.running().retire();
         let lease = self.lease.replace(other);
-        let prepared = self.prepared.take();
-        self.aside = lease.map(|lease| Aside { instance, prepared, lease });
+        self.prepared = None;
+        self.aside = lease.map(|lease| Aside { instance, lease });
         true
     }
 
@@ -159,11 +158,12 @@ impl Runner {
         let Some(aside) = self.aside.take() else { return };
         self.fresh = None;
         drop(self.engine.running().retire());
-        let Aside { instance, prepared, lease } = aside;
+        let Aside { instance, lease } = aside;
         if let Some(other) = self.lease.replace(lease) {
             other.retire();
         }
-        self.prepared = prepared;
+        // What is set besides the plan's settings is that of the other copy.
+        self.prepared = None;
         if let Some(instance) = instance {
             self.engine.running().adopt(instance);
         }
