@@ -11,7 +11,7 @@ use crate::bdf::Bdf;
 use crate::dop853::Dop853;
 use crate::explicit_rk::ExplicitRk;
 use crate::radau5::Radau5;
-use crate::stepper::{Attempt, Consistency, Equations, Stepper, Trial};
+use crate::stepper::{Attempt, Consistency, Equations, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::TSIT5;
 
@@ -297,8 +297,8 @@ impl Stepper for Auto {
         true
     }
 
-    fn repeats_step_at_event(&self) -> bool {
-        active!(self.repeats_step_at_event())
+    fn step_with_event(&self) -> StepWithEvent {
+        active!(self.step_with_event())
     }
 
     fn takes_long_steps(&self) -> bool {

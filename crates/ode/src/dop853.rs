@@ -3,7 +3,7 @@
 
 use crate::control::Controller;
 use crate::stages::{combine, weighted_sum};
-use crate::stepper::{Attempt, Equations, Stepper, Trial};
+use crate::stepper::{Attempt, Equations, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use tableau::{A, C, DENSE, ERROR_3, ERROR_5, STAGES, Weights};
 
@@ -109,6 +109,10 @@ impl Stepper for Dop853 {
 
     fn takes_long_steps(&self) -> bool {
         true
+    }
+
+    fn step_with_event(&self) -> StepWithEvent {
+        StepWithEvent::RepeatedToBefore
     }
 
     fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {

@@ -10,7 +10,7 @@ use crate::control::scaled_norm;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stats::Stats;
-use crate::stepper::{Attempt, Consistency, Equations, Stepper, Trial};
+use crate::stepper::{Attempt, Consistency, Equations, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use nalgebra::Complex;
 
@@ -215,8 +215,8 @@ impl Stepper for Radau5 {
         true
     }
 
-    fn repeats_step_at_event(&self) -> bool {
-        true
+    fn step_with_event(&self) -> StepWithEvent {
+        StepWithEvent::RepeatedToIt
     }
 
     fn takes_long_steps(&self) -> bool {

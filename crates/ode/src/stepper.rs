@@ -51,6 +51,18 @@ pub(crate) enum Consistency {
     Impossible { equation: usize, residual: f64 },
 }
 
+/// What is done with a step inside of which an event was located.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum StepWithEvent {
+    /// The state at the event is that of the interpolant.
+    Interpolated,
+    /// It is made again up to the event: the method is more exact at the ends of its steps than inside them.
+    RepeatedToIt,
+    /// It is made again up to a little before the event: the interpolant has right-hand sides of its own, for which the error
+    /// test does not vouch, and one of them may have seen what is behind the event.
+    RepeatedToBefore,
+}
+
 /// An integration method. The driver decides where steps end, and whether a step that meets the tolerance stands; the
 /// stepper judges its own error, proposes step sizes, and keeps what the method remembers between steps.
 ///
@@ -70,9 +82,9 @@ pub(crate) trait Stepper {
         false
     }
 
-    /// Whether the state at an event inside a step must come from a new step that ends there.
-    fn repeats_step_at_event(&self) -> bool {
-        false
+    /// What is done with a step inside of which an event was located.
+    fn step_with_event(&self) -> StepWithEvent {
+        StepWithEvent::Interpolated
     }
 
     /// Whether its steps are so long that a crossing and its return may hide in one.

@@ -291,8 +291,10 @@ fn steps_can_be_looked_into() {
         let mut ball = Ball { v_min: 0.1, resting: false };
         driver(method, 1e-8).run(&mut ball, 0.0, 0.6, &[], &mut steps).unwrap();
         let bounce = bounce_times(0.1, 1)[0];
-        let at = steps.spans.iter().position(|(_, end)| (end - bounce).abs() < 1e-6).unwrap();
-        assert!(steps.ends[at][1][1] < -4.0 && steps.ends[at + 1][0][1] > 3.0, "{}", method.name());
+        let cut = steps.spans.iter().enumerate().any(|(at, (_, end))| {
+            (end - bounce).abs() < 1e-6 && steps.ends[at][1][1] < -4.0 && steps.ends[at + 1][0][1] > 3.0
+        });
+        assert!(cut, "{}", method.name());
     }
 }
 

@@ -546,3 +546,14 @@ def test_sparse_jacobians_are_checked():
         solve(sparse.csr_matrix([[math.nan, 0.0], [0.0, 1.0]]))
     dense, both = (solve(jac) for jac in ([[-1.0, 1.0], [0.0, -100.0]], sparse.csr_matrix([[-1.0, 1.0], [0.0, -100.0]])))
     assert both.y.tolist() == dense.y.tolist()
+
+
+@pytest.mark.parametrize("method,rtol", [("dop853", 1e-3), ("dop853", 1e-6), ("auto", 1e-9)])
+def test_a_pulse_between_two_events_is_not_seen_by_the_interpolant_alone(method, rtol):
+    # DOP853 has right-hand sides inside its steps that are for interpolation only.
+    for a in np.linspace(0.05, 0.95, 19):
+        w = 0.003
+        sol = pydfo.ode.solve(
+            lambda t, y: [1 / w if a <= t < a + w else 0.0], (0, 1), [0.0], method, rtol=rtol, events=[lambda t, y: t - a, lambda t, y: t - a - w]
+        )
+        assert sol.success and abs(sol.y[0, -1] - 1.0) < 100 * rtol, a

@@ -4,7 +4,7 @@ use super::returns::Return;
 use super::step::{Shrink, Tried};
 use super::{Run, Space, Step, U, kind_of, no_retreat, read_indicators};
 use crate::observer::Observer;
-use crate::stepper::{Equations, Stepper, Trial};
+use crate::stepper::{Equations, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// So many repetitions of a step for one event; three are usual.
@@ -175,11 +175,48 @@ where
             let before = domains.changed().then_some(located.before);
             return Ok(Inside::Crossing(Found { at: end, end, h, before }));
         }
-        if self.stepper.repeats_step_at_event() {
-            return self.polish(located.time, hi, tolerance);
+        match self.stepper.step_with_event() {
+            StepWithEvent::RepeatedToIt => return self.polish(located.time, hi, tolerance),
+            StepWithEvent::RepeatedToBefore if located.before - self.t > self.same => {
+                return self.step_to_before(located.before, located.time);
+            }
+            _ => {}
         }
         stepper.interpolate(trial, (located.time - trial.t) / h, x_new);
         Ok(Inside::Crossing(Found { at: located.time, end, h, before: Some(located.before) }))
+    }
+
+    /// Repeats the step so that it ends just before the first event, and goes the last bit, which is below the resolution of
+    /// times, by the interpolant of that very step. Where the event is not reached so, the step ends without one.
+    fn step_to_before(&mut self, before: f64, time: f64) -> Step<Inside> {
+        let h = before - self.t;
+        self.stepper.repeat();
+        match self.attempt(before, h)? {
+            Tried::Good => {}
+            Tried::Again { h, why } => return Ok(Inside::Again { h, why }),
+        }
+        if let Err(error) = self.make_ready(before, h, &mut false) {
+            return self.cannot_stand(h, error);
+        }
+        if self.space.domains.changed() {
+            // By the better solution the event is earlier; it is so by less each time.
+            return self.locate(before, before, h);
+        }
+        let Space { x, x_new, x_mid, domains, .. } = &mut *self.space;
+        self.stepper.interpolate(Trial { t: self.t, end: before, h, x }, (time - self.t) / h, x_mid);
+        self.stats.event_indicators += 1;
+        if let Err(error) = read_indicators(self.system, time, x_mid, &mut domains.end) {
+            return self.cannot_stand(h, error);
+        }
+        if domains.changed() {
+            std::mem::swap(x_new, x_mid);
+            return Ok(Inside::Crossing(Found { at: time, end: before, h, before: Some(before) }));
+        }
+        self.stats.event_indicators += 1;
+        match read_indicators(self.system, before, x_new, &mut domains.end) {
+            Ok(()) => Ok(Inside::Crossing(Found { at: before, end: before, h, before: None })),
+            Err(error) => self.cannot_stand(h, error),
+        }
     }
 
     /// Repeats the step so that it ends at the event, because the method is more exact at the ends of its steps than
