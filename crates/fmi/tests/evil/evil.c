@@ -197,7 +197,11 @@ EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
 #ifndef TERMINATE
 #define TERMINATE fmi2OK
 #endif
-EXPORT fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return TERMINATE; }
+EXPORT fmi2Status fmi2Terminate(fmi2Component c) {
+    (void)c;
+    upset(END);
+    return TERMINATE;
+}
 
 EXPORT fmi2Status fmi2Reset(fmi2Component c) {
     Model *m = c;

@@ -23,7 +23,7 @@ __attribute__((constructor)) static void make_key(void) { pthread_key_create(&ke
 #endif
 
 /* What an FMU does to its thread and its process, and where: FLOAT_IN, SIGNALS_IN, LOCALE_IN, DIRECTORY_IN. */
-enum { INSTANTIATE = 1, SET_TIME, DERIVATIVES, STEP, FREE, INITIALIZE };
+enum { INSTANTIATE = 1, SET_TIME, DERIVATIVES, STEP, FREE, INITIALIZE, END };
 
 static void upset(int where) {
     (void)where;

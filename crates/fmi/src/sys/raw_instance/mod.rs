@@ -288,10 +288,13 @@ impl RawInstance {
     }
 
     pub(crate) fn terminate(&mut self) -> Outcome {
+        // Most often between two runs, where nobody else looks at the process.
+        let _environment = CallEnvironment::enter();
         run!(self, Call::Terminate, |b, c| b.terminate(c))
     }
 
     pub(crate) fn reset(&mut self) -> Outcome {
+        let _environment = CallEnvironment::enter();
         self.time = None;
         run!(self, Call::Reset, |b, c| b.reset(c))
     }
