@@ -1,5 +1,5 @@
 //! A loaded copy of an FMU's library: a loaded file with static variables of its own, its idle instances, and the record of
-//! what was ever set in it. Copies are never unloaded, so they are kept and used again.
+//! what was ever set in it. Most copies cannot be unloaded, so they are kept and used again.
 
 use super::record::Record;
 use crate::error::FmiError;

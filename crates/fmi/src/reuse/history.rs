@@ -34,8 +34,8 @@ pub(crate) struct Past {
     is_elsewhere: bool,
 }
 
-/// Of a run that takes longer only so much is made twice: of a single simulation, and of one with parameters, which is made over
-/// and over.
+/// Of a run that takes longer only so much is made twice: of one without parameters, and of one with, which is more likely to be
+/// made over and over.
 const LONGEST: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
 
 /// Hands on whether a run is to be ended, and no samples. The steps are those of a run with the observer.

@@ -1,7 +1,8 @@
 //! The loaded copies of one library, for all who open its FMU in this process: lent to one owner at a time, and used again.
 //!
-//! A loaded library is never unloaded, so a copy is never given up (except after `Fatal`), and the store of a library stays in
-//! the process. What goes with its last user are the idle instances and the folders.
+//! Only libraries whose files show that nothing of them can be called later are unloaded: copies made for one run, and idle ones
+//! beyond a number. All others are kept, and the store of a library stays in the process. What goes with its last user are the
+//! idle instances and the folders.
 
 use super::copies::LoadedCopy;
 use super::lease::CopyLease;

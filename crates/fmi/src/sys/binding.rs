@@ -305,7 +305,7 @@ pub(super) trait Binding: Send + Sync {
         of!(self, point, get_derivatives, component, derivatives.as_mut_ptr(), derivatives.len())
     }
     /// Time, states and derivatives: the calls of a right-hand side in one, up to the first that fails. With `looks`, each
-    /// starts in the default floating-point mode if the first does, and what is there is set if one has changed it.
+    /// starts in the default floating-point mode if the first does, and whether one has changed it is entered there.
     unsafe fn right_hand_side(
         &self,
         component: Component,
@@ -314,7 +314,11 @@ pub(super) trait Binding: Send + Sync {
         derivatives: &mut [f64],
         mut looks: Option<&mut bool>,
     ) -> (Call, Status) {
-        let mut look = || looks.as_mut().map(|changed| **changed |= restore_default());
+        let mut look = || {
+            if let Some(is_changed) = looks.as_deref_mut() {
+                *is_changed |= restore_default();
+            }
+        };
         let is_good = |status| matches!(status, Status::Ok | Status::Warning);
         // SAFETY: the caller's promises are those of the three functions.
         unsafe {

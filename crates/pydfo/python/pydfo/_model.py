@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging as _logging
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -358,9 +357,9 @@ class FMUModel:
             - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
 
             Tables are linear between rows for continuous Real inputs, and held for all others; a time listed twice is a
-            jump. Jumps are events, and a step ends at every row where the slope changes: no pulse is too short to be seen. Functions can drive continuous Real inputs and should be smooth. Of a triggered clock
-            (FMI 3.0) the rows that hold True are its ticks; a clock with an interval that can be deactivated leaves its
-            ticks out where it holds False.
+            jump. Jumps are events, and a step ends at every row where the slope changes: no pulse is too short to be seen.
+            Functions can drive continuous Real inputs and should be smooth. Of a triggered clock (FMI 3.0) the rows that hold
+            True are its ticks; a clock with an interval that can be deactivated leaves its ticks out where it holds False.
         output : str or iterable of str, optional
             Variables to record: names, elements of arrays (``name[2,1]``, counted from 1), patterns (``*`` stands for any
             characters, ``?`` for one), or "all". Default: the outputs and the states; where a model declares neither

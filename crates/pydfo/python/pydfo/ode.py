@@ -207,7 +207,8 @@ def solve(
     rhs : callable
         ``rhs(t, y) -> array_like, shape (n,)``. The arrays it is given are its to keep. Where it returns NaN or infinity
         (the logarithm of a negative number, say) a smaller step is tried. A pulse in it that is shorter than the steps can
-        be missed: give an event function that crosses zero where it begins and ends, or `max_step`.
+        be missed: give two event functions, one that crosses zero where it begins and one where it ends (a single one
+        that does both is missed like the pulse), or `max_step`.
     t_span : (float, float)
         Start and end. The end must not lie before the start.
     x0 : array_like, shape (n,)
