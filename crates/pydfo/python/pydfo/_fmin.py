@@ -152,8 +152,8 @@ def fmin(
         never passes.
     batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
         Methods 1 and 2: how many trial points are evaluated at once in an iteration, ahead of need; "auto" follows
-        `nbr_cores`. The simplices are the same for all but the last; what these evaluate in
-        vain counts in ``n_speculative`` only.
+        `nbr_cores`. The simplices are the same for all but the last; what these evaluate in vain
+        counts in ``n_speculative`` only.
     initial_simplex : array_like, optional
         Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default each parameter has a
         step of its own: a tenth of the width of its box, else 0.3 abs(xstart) (0.3 where that is 0).
