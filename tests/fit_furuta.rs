@@ -6,9 +6,7 @@ mod common;
 
 use common::*;
 use fmufit::calibration::{Calibration, CalibrationError, Data, Experiment, Fit, FitOptions, Parameter};
-use fmufit::dfo::{
-    AnyMethod, BatchPlan, Checkpoint, Error, Evaluation, Limits, NelderMead, Objective, Outcome,
-};
+use fmufit::dfo::{AnyMethod, BatchPlan, Checkpoint, Error, Limits, NelderMead, Objective, Outcome, Query};
 
 fn calibration(data: Data) -> Calibration {
     Calibration::builder(example("furuta"))
@@ -68,7 +66,7 @@ fn a_cutoff_ends_hopeless_simulations_and_changes_nothing_else() {
     let calibration = calibration(furuta_measurements());
     let x = [0.011, 0.0015];
     let cost = calibration.cost(&x).unwrap();
-    let at = |cutoff: f64| calibration.evaluate(&x, &Evaluation::new(0, 0, cutoff));
+    let at = |cutoff: f64| calibration.answer(&x, &Query::new(0, 0, cutoff)).outcome;
     assert_eq!(at(cost), Outcome::Value(cost));
     assert_eq!(at(0.5 * cost), Outcome::Above(0.5 * cost));
     assert_eq!(at(cost * (1.0 - 1e-15)), Outcome::Above(cost * (1.0 - 1e-15)));

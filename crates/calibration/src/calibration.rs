@@ -8,7 +8,7 @@ use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, ignored_nominals, unused_columns};
-use dfo::{Evaluation, Failure, FailureKind, Objective, Outcome};
+use dfo::{Answer, Failure, FailureKind, Objective, Outcome, Query, Want};
 use fmi::platform::without_private_folders;
 use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan, Trajectory};
 use ode::{ErrorKind, Method, Number, Stats, Termination};
@@ -404,21 +404,27 @@ impl Calibration {
         pairs.join(", ")
     }
 
-    /// The outcome of an evaluation, what it took added to `stats`.
+    /// The answer to a query, what it took added to `stats`. Its work is counted in right-hand sides.
     pub(crate) fn evaluate_counted(
         &self,
         x: &[f64],
-        evaluation: &Evaluation<'_>,
-        out: Option<&mut [f64]>,
+        query: &Query<'_>,
+        answer: &mut Answer,
         stats: &mut Stats,
-    ) -> Outcome {
-        match self.evaluate_into(x, (evaluation.cutoff, &|| evaluation.cancelled()), out, stats) {
+    ) {
+        let out = (query.want == Want::Residuals).then(|| {
+            answer.residuals.resize(self.n_residuals, 0.0);
+            &mut answer.residuals[..]
+        });
+        let before = stats.right_hand_sides;
+        answer.outcome = match self.evaluate_into(x, (query.cutoff, &|| query.cancelled()), out, stats) {
             Ok(cost) => Outcome::Value(cost),
-            Err(NoCost::Above) => Outcome::Above(evaluation.cutoff),
+            Err(NoCost::Above) => Outcome::Above(query.cutoff),
             Err(NoCost::Cancelled) => Outcome::cancelled(),
             Err(NoCost::Over(error)) => Outcome::Abort(error.to_string()),
             Err(NoCost::Failed { kind, reason, .. }) => Outcome::Failed(Failure { kind, message: reason }),
-        }
+        };
+        answer.work = stats.right_hand_sides - before;
     }
 
     /// The cost, the residuals into `out`, and what the simulations took added to `stats` (of those that could not even be
@@ -470,14 +476,12 @@ impl Calibration {
 }
 
 impl Objective for Calibration {
-    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
-        self.evaluate_counted(x, evaluation, None, &mut Stats::default())
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        self.evaluate_counted(x, query, answer, &mut Stats::default());
     }
 
-    fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
-        out.clear();
-        out.resize(self.n_residuals, 0.0);
-        Some(self.evaluate_counted(x, evaluation, Some(out), &mut Stats::default()))
+    fn has_residuals(&self) -> bool {
+        true
     }
 }
 

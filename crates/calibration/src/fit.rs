@@ -6,8 +6,8 @@ use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
 use dfo::{
-    AnyMethod, ByRef, Checkpoint, Evaluation, Kind, Limits, Measure, NelderMead, Objective, Outcome,
-    Progress, Report, Resume, Stop, Tolerances, Transform,
+    Answer, AnyMethod, ByRef, Checkpoint, Kind, Limits, Measure, NelderMead, Objective, Outcome, Progress,
+    Query, Report, Resume, Stop, Tolerances, Transform,
 };
 use ode::Number;
 use ode::Stats;
@@ -160,36 +160,27 @@ struct Counted<'a> {
     n_findings: u64,
 }
 
-impl Counted<'_> {
-    fn add(&self, evaluate: impl FnOnce(&mut Stats) -> Outcome) -> Outcome {
+impl Objective for Counted<'_> {
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        let mut query = *query;
+        if !self.cutoffs {
+            query.cutoff = f64::INFINITY;
+        }
         let mut stats = Stats::default();
-        let outcome = evaluate(&mut stats);
+        self.calibration.evaluate_counted(x, &query, answer, &mut stats);
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
         *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
         if self.calibration.n_history_findings() > self.n_findings {
-            return Outcome::Abort(HISTORY.to_owned());
+            answer.outcome = Outcome::Abort(HISTORY.to_owned());
         }
-        outcome
-    }
-}
-
-impl Objective for Counted<'_> {
-    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
-        let mut evaluation = *evaluation;
-        if !self.cutoffs {
-            evaluation.cutoff = f64::INFINITY;
-        }
-        self.add(|stats| self.calibration.evaluate_counted(x, &evaluation, None, stats))
     }
 
     fn uses_cutoff(&self) -> bool {
         self.cutoffs
     }
 
-    fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
-        out.clear();
-        out.resize(self.calibration.n_residuals(), 0.0);
-        Some(self.add(|stats| self.calibration.evaluate_counted(x, evaluation, Some(out), stats)))
+    fn has_residuals(&self) -> bool {
+        true
     }
 }
 

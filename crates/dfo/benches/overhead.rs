@@ -3,8 +3,8 @@
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
 use dfo::{
-    Barrier, Batch, BatchPlan, Bounds, DifferentialEvolution, Genetic, Method, MethodOptions, NelderMead,
-    Outcome, Setup, Space, Status, minimize,
+    Answers, Barrier, Batch, BatchPlan, Bounds, DifferentialEvolution, Genetic, Method, MethodOptions,
+    NelderMead, Outcome, Setup, Space, Status, minimize,
 };
 use std::time::{Duration, Instant};
 
@@ -19,7 +19,7 @@ fn overhead<M: MethodOptions>(options: &M, evaluations: usize) -> f64 {
     let (mut spent, mut count) = (Duration::ZERO, 0);
     let mut seed = 0;
     let mut batch = Batch::new();
-    let mut outcomes = Vec::new();
+    let mut answers = Answers::default();
     while count < evaluations {
         let bounds = Bounds::new(&[-5.0; N], &[5.0; N]).unwrap();
         let mut setup = Setup::new(Space::new(&[-1.2; N], bounds, &[], &[]).unwrap());
@@ -35,11 +35,11 @@ fn overhead<M: MethodOptions>(options: &M, evaluations: usize) -> f64 {
             if (batch.is_empty() && method.status() != Status::Running) || count - begun >= 20_000 {
                 break;
             }
-            outcomes.clear();
-            outcomes.extend(batch.points().map(|x| Outcome::Value(rosenbrock(x))));
+            answers.clear();
+            answers.extend(batch.points().map(|x| Outcome::Value(rosenbrock(x))));
             count += batch.len();
             let start = Instant::now();
-            method.tell(&outcomes).unwrap();
+            method.tell(&answers).unwrap();
             spent += start.elapsed();
         }
     }

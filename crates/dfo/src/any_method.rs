@@ -1,5 +1,6 @@
 //! Methods by name or number, for callers that choose at run time.
 
+use crate::answer::Answers;
 use crate::barrier::Barrier;
 use crate::barrier::BarrierStage;
 use crate::differential_evolution::DifferentialEvolution;
@@ -7,7 +8,6 @@ use crate::error::Error;
 use crate::genetic::Genetic;
 use crate::method::{Batch, Lookahead, Method, MethodOptions, Operation, Setup, SimplexView, Status};
 use crate::nelder_mead::NelderMead;
-use crate::objective::Outcome;
 use crate::termination::Tests;
 use std::fmt;
 use std::str::FromStr;
@@ -172,8 +172,8 @@ impl Method for BoxedMethod {
     fn ask(&mut self, batch: &mut Batch) {
         self.0.ask(batch);
     }
-    fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
-        self.0.tell(outcomes)
+    fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        self.0.tell(answers)
     }
     fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
         self.0.speculate(wanted, known, batch);

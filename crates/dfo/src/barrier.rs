@@ -8,13 +8,13 @@
 //! Nelder-Mead pass at the user's tolerances, the stage has moved the point by at most `x_tol`, and `mu B` is at most
 //! `f_tol` of the cost (of the first cost, if that is larger).
 
+use crate::answer::{Answers, Outcome};
 use crate::bounds::Bounds;
 use crate::error::Error;
 use crate::method::{
     Batch, Lookahead, Method, MethodOptions, Operation, Setup, SimplexView, Status, restored, saved,
 };
 use crate::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
-use crate::objective::Outcome;
 use crate::scaling::Space;
 use crate::termination::{Measure, Termination, Tests, Tolerances};
 use crate::words;
@@ -142,7 +142,7 @@ impl MethodOptions for Barrier {
             setup: setup.clone(),
             asked: Batch::new(),
             cutoffs: Vec::new(),
-            translated: Vec::new(),
+            translated: Answers::default(),
             working: vec![0.0; space.n_free()],
             best: None,
             schedule: Vec::new(),
@@ -215,7 +215,8 @@ pub struct BarrierState {
     asked: Batch,
     /// The cutoffs that the objective was told.
     cutoffs: Vec<f64>,
-    translated: Vec<Outcome>,
+    #[serde(skip)]
+    translated: Answers,
     working: Vec<f64>,
     best: Option<(Vec<f64>, f64)>,
     schedule: Vec<BarrierStage>,
@@ -371,7 +372,8 @@ impl Method for BarrierState {
         self.inner.lookahead()
     }
 
-    fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
+    fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        let outcomes = answers.outcomes();
         let asked = self.asked.len();
         if asked == 0 && self.inner.status() != Status::Running {
             return Err(Error::TellWithoutAsk);
@@ -389,7 +391,7 @@ impl Method for BarrierState {
                 Some(v) => Outcome::Value((v + mu * self.barrier(points.point(k))).min(f64::MAX)),
                 None => outcome.clone(),
             };
-            self.translated.push(translated);
+            self.translated.push(translated, &[]);
         }
         let told = self.inner.tell(&self.translated);
         self.asked = points;

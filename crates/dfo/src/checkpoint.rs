@@ -7,10 +7,10 @@
 //! A batch that was cut short by the end of a run is not told to the stored state: the outcomes that were known are
 //! kept beside it and given again when the resumed run asks.
 
-use crate::cache::Cache;
 use crate::error::Error;
-use crate::evaluate::{Desk, Replay};
-use crate::ledger::Ledger;
+use crate::gateway::cache::Cache;
+use crate::gateway::desk::{Desk, Replay};
+use crate::gateway::ledger::Ledger;
 use crate::method::{Method, Setup};
 use crate::words;
 use serde::{Deserialize, Serialize};

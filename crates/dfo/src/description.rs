@@ -1,14 +1,14 @@
 //! A run before it begins: what was said about it, and how that becomes a method, a desk and a checkpoint.
 
+use crate::answer::Outcome;
 use crate::bounds::Bounds;
-use crate::cache::Cache;
 use crate::checkpoint::{self, Checkpoint, Writer};
 use crate::error::Error;
-use crate::evaluate::Desk;
-use crate::ledger::Ledger;
+use crate::gateway::cache::Cache;
+use crate::gateway::desk::Desk;
+use crate::gateway::ledger::Ledger;
 use crate::method::{Method, MethodOptions, Setup};
 use crate::nelder_mead::NelderMead;
-use crate::objective::Outcome;
 use crate::scaling::{Kind, Space, Transform};
 use crate::termination::{Limits, Tolerances};
 
@@ -129,7 +129,7 @@ impl<M: MethodOptions> Description<M> {
         // A cost of no problem in particular is a cost of none.
         let belongs = |known: &&Known| self.problem.is_some() && known.problem == self.problem;
         for Known { x, cost, .. } in prior.iter().filter(belongs) {
-            cache.pin(x, &Outcome::Value(*cost));
+            cache.pin(x, Outcome::Value(*cost).into());
         }
         let mut begun = Begun {
             method: self.method.begin(&setup)?,

@@ -2,8 +2,9 @@
 
 use crate::checkpoint::Writer;
 use crate::error::Error;
-use crate::evaluate::{Desk, Gateway, Replay};
-use crate::ledger::Ledger;
+use crate::gateway::Gateway;
+use crate::gateway::desk::{Desk, Replay};
+use crate::gateway::ledger::Ledger;
 use crate::method::{Batch, Method, Status};
 use crate::observe::Progress;
 use crate::report::{self, Report};
@@ -60,7 +61,7 @@ impl<M: Method> Drive<'_, M> {
             }
             if !batch.is_empty() {
                 self.gateway.close(&batch);
-                self.method.tell(self.gateway.desk.outcomes())?;
+                self.method.tell(self.gateway.desk.told())?;
             }
             let broken = self.observe(observer.as_deref_mut());
             self.gateway.desk.ledger.trim(false);

@@ -1,11 +1,11 @@
 //! What the methods with generations have in common: a first population, candidates that are bred and tried, selection,
 //! and how it all ends.
 
+use crate::answer::Answers;
 use crate::cost::Cost;
 use crate::error::Error;
 use crate::memory;
 use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status, restored, saved};
-use crate::objective::Outcome;
 use crate::population::Population;
 use crate::rounds::Rounds;
 use crate::sampling::Sampling;
@@ -152,12 +152,12 @@ impl<B: Breeder> Method for Generations<B> {
         }
     }
 
-    fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
+    fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         if self.phase == Phase::Starting {
-            if self.rounds.tell(outcomes, &mut self.pool.population)? {
+            if self.rounds.tell(answers, &mut self.pool.population)? {
                 self.start_known();
             }
-        } else if self.rounds.tell(outcomes, &mut self.pool.candidates)? {
+        } else if self.rounds.tell(answers, &mut self.pool.candidates)? {
             self.end_generation();
         }
         Ok(())

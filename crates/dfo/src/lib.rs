@@ -37,22 +37,20 @@
 //!   positive parameters can be searched by their logarithm ([`Transform`]).
 #![forbid(unsafe_code)]
 
-mod ahead;
+mod answer;
 mod any_method;
 mod barrier;
 mod bounds;
-mod cache;
 mod checkpoint;
 mod cost;
 mod description;
 mod differential_evolution;
 mod drive;
 mod error;
-mod evaluate;
-mod executor;
+mod evaluator;
+mod gateway;
 mod generations;
 mod genetic;
-mod ledger;
 mod memory;
 mod method;
 mod minimize;
@@ -61,7 +59,6 @@ mod number;
 mod objective;
 mod observe;
 mod optimizer;
-mod pace;
 mod population;
 mod report;
 mod rng;
@@ -72,6 +69,7 @@ mod termination;
 mod trace;
 mod words;
 
+pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use any_method::{AnyMethod, BoxedMethod};
 pub use barrier::{Barrier, BarrierStage, BarrierState};
 pub use bounds::Bounds;
@@ -80,14 +78,14 @@ pub use differential_evolution::{
     Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
 };
 pub use error::{Error, NothingFound};
-pub use executor::{BatchView, WorkerPool};
+pub use evaluator::{BatchView, WorkerPool};
 pub use genetic::{Genetic, GeneticState, Selection};
 pub use method::{Batch, Lookahead, Method, MethodOptions, Operation, Setup, Simplex, SimplexView, Status};
 pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
 pub use objective::{
-    ByRef, Evaluation, Failure, FailureKind, Fallible, Objective, Outcome, ResidualFunction, Residuals,
-    WithEvaluation, fallible, residuals, with_evaluation,
+    ByRef, Fallible, Objective, Query, ResidualFunction, Residuals, WithQuery, fallible, residuals,
+    with_query,
 };
 pub use observe::Progress;
 pub use optimizer::{Optimizer, Point};

@@ -1,19 +1,21 @@
 //! Ask / tell: a method proposes a batch of points, is told their outcomes in request order, and never calls the
 //! objective.
 
+use crate::answer::{Answers, Want};
 use crate::barrier::BarrierStage;
 use crate::error::Error;
-use crate::objective::{Evaluation, Outcome};
+use crate::objective::Query;
 use crate::scaling::Space;
 use crate::termination::{Termination, Tests, Tolerances};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// The points that a method wants evaluated next, with their ids and cutoffs. Reuse one over a whole run: after the
+/// The points that a method wants evaluated next, with their ids and cutoffs, and what it wants to know of them. Reuse one over a whole run: after the
 /// first rounds asking allocates nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Batch {
+    want: Want,
     n: usize,
     index: u64,
     first_id: u64,
@@ -28,14 +30,25 @@ impl Batch {
         Self::default()
     }
 
-    /// For methods: empties the batch and gives it its numbers. `n` is the length of the points.
+    /// For methods: empties the batch and gives it its numbers; costs are wanted. `n` is the length of the points.
     pub fn start(&mut self, n: usize, index: u64, first_id: u64) {
+        self.want = Want::Cost;
         self.n = n;
         self.index = index;
         self.first_id = first_id;
         self.points.clear();
         self.cutoffs.clear();
         self.ids.clear();
+    }
+
+    /// For methods: says what is wanted of all points. With residuals there are no cutoffs.
+    pub fn set_want(&mut self, want: Want) {
+        self.want = want;
+    }
+
+    /// What is wanted of all points.
+    pub fn want(&self) -> Want {
+        self.want
     }
 
     /// For methods: adds a point (user's units) with its cutoff (`f64::INFINITY` for none).
@@ -119,9 +132,10 @@ impl Batch {
         (0..self.len()).map(|k| self.point(k))
     }
 
-    /// What to tell the objective with point `k`.
-    pub fn evaluation(&self, k: usize) -> Evaluation<'static> {
-        Evaluation::new(self.id(k), self.index, self.cutoffs[k])
+    /// What to ask the objective at point `k`.
+    pub fn query(&self, k: usize) -> Query<'static> {
+        let cutoff = if self.want == Want::Residuals { f64::INFINITY } else { self.cutoffs[k] };
+        Query::new(self.id(k), self.index, cutoff).want(self.want)
     }
 }
 
@@ -299,13 +313,13 @@ pub trait Method {
         Lookahead::None
     }
 
-    /// Takes the outcomes of the batch last asked, in request order. Points that were not evaluated
-    /// ([`Outcome::Skipped`], or a slice that is too short) and outcomes that say nothing
-    /// (see [`Outcome::is_known`]) are asked again where they are needed.
+    /// Takes the answers to the batch last asked, in request order. Points that were not evaluated
+    /// ([`Outcome::Skipped`](crate::Outcome::Skipped), or too few answers) and outcomes that say nothing
+    /// (see [`Outcome::is_known`](crate::Outcome::is_known)) are asked again where they are needed.
     ///
     /// # Errors
-    /// Nothing was asked, or there are more outcomes than points.
-    fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error>;
+    /// Nothing was asked, or there are more answers than points.
+    fn tell(&mut self, answers: &Answers) -> Result<(), Error>;
 
     /// Where the method stands.
     fn status(&self) -> Status;

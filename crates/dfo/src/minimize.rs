@@ -1,15 +1,16 @@
 //! The front door: `minimize(f).start(&x0)...run()`.
 
+use crate::answer::Outcome;
 use crate::bounds::Bounds;
 use crate::checkpoint::Checkpoint;
 use crate::description::{Begun, Description, Known};
 use crate::drive::{Drive, Observer};
 use crate::error::Error;
-use crate::evaluate::Gateway;
-use crate::executor::{BatchFunction, BatchView, Executor, Here, WorkerPool};
+use crate::evaluator::{BatchFunction, BatchView, WorkerPool};
+use crate::gateway::{Crew, Gateway, Here};
 use crate::method::MethodOptions;
 use crate::nelder_mead::NelderMead;
-use crate::objective::{Objective, Outcome};
+use crate::objective::Objective;
 use crate::observe::Progress;
 use crate::optimizer::Optimizer;
 use crate::report::Report;
@@ -175,7 +176,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
     }
 
     /// Limit of wall-clock time: no evaluation starts after it, and running ones see
-    /// [`Evaluation::cancelled`](crate::Evaluation::cancelled).
+    /// [`Query::cancelled`](crate::Query::cancelled).
     pub fn max_time(mut self, time: Duration) -> Self {
         self.description.limits.max_time = Some(time);
         self
@@ -322,14 +323,14 @@ impl<'a, M> Minimize<'a, M> {
 
     /// Called on the calling thread between evaluations, with workers at least every 50 ms; `true` interrupts the
     /// run: no further evaluation starts, and running ones see
-    /// [`Evaluation::cancelled`](crate::Evaluation::cancelled).
+    /// [`Query::cancelled`](crate::Query::cancelled).
     pub fn poll(mut self, poll: impl FnMut() -> bool + 'a) -> Self {
         self.driver.poll = Some(Box::new(poll));
         self
     }
 
     /// A flag that interrupts the run when set: no further evaluation starts, and running ones see
-    /// [`Evaluation::cancelled`](crate::Evaluation::cancelled). The run itself neither raises nor lowers it, so several
+    /// [`Query::cancelled`](crate::Query::cancelled). The run itself neither raises nor lowers it, so several
     /// runs can share one.
     pub fn cancel(mut self, flag: Arc<AtomicBool>) -> Self {
         self.driver.cancel = Some(flag);
@@ -360,16 +361,14 @@ impl<M: MethodOptions> Minimize<'_, M> {
             (None, Source::Objective(_)) if workers > 1 => Some(Arc::new(WorkerPool::new(workers)?)),
             (None, _) => None,
         };
-        let executor = match (&mut source, &pool) {
-            (Source::Objective(objective), Some(pool)) => {
-                Executor::Pool { pool, objective: &**objective, here }
-            }
-            (Source::Objective(objective), None) => Executor::Serial(&**objective),
-            (Source::Batches(function), _) => Executor::Foreign(function.as_mut()),
+        let crew = match (&mut source, &pool) {
+            (Source::Objective(objective), Some(pool)) => Crew::pool(pool, &**objective, here),
+            (Source::Objective(objective), None) => Crew::alone(&**objective),
+            (Source::Batches(function), _) => Crew::batches(function.as_mut()),
         };
         let (cancel, mut observer, mut poll) = (cancel.unwrap_or_default(), observer, poll);
         let poll = poll.as_mut().map(|p| p.as_mut() as &mut dyn FnMut() -> bool);
-        let gateway = Gateway::new(executor, desk, limits, before, (&cancel, poll), workers);
+        let gateway = Gateway::new(crew, desk, limits, before, (&cancel, poll), workers);
         let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
         drive.run(observer.as_deref_mut())
     }

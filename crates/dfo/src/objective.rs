@@ -1,101 +1,9 @@
-//! The objective: one point goes in, a cost, "above the cutoff", or "failed: why" comes out.
+//! The objective: one point goes in, an answer comes out.
 
-use serde::{Deserialize, Serialize};
+use crate::answer::{Answer, Outcome, Want};
 use std::fmt;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
-
-/// What became of one evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum Outcome {
-    /// The cost. NaN and infinities become [`Failed`](Self::Failed) in the gateway.
-    Value(f64),
-    /// The evaluation was given up because the cost is strictly greater than this cutoff. Never a cost, never best.
-    Above(f64),
-    /// There is no cost at this point. Ranks behind every finite cost.
-    Failed(Failure),
-    /// The whole run must end (an exception that is to reach the user, for example).
-    Abort(String),
-    /// The run ended before this point was evaluated. Nothing is concluded from it; objectives do not return it.
-    Skipped,
-}
-
-impl Outcome {
-    /// A failure with [`FailureKind::Error`] and this message.
-    pub fn failed(message: impl Into<String>) -> Self {
-        Self::Failed(Failure { kind: FailureKind::Error, message: message.into() })
-    }
-
-    /// A failure with [`FailureKind::Cancelled`]: the evaluation saw [`Evaluation::cancelled`] and gave up.
-    pub fn cancelled() -> Self {
-        Self::Failed(Failure { kind: FailureKind::Cancelled, message: "cancelled".to_owned() })
-    }
-
-    /// The cost, if there is a finite one.
-    pub fn value(&self) -> Option<f64> {
-        match self {
-            Self::Value(v) if v.is_finite() => Some(*v),
-            _ => None,
-        }
-    }
-
-    /// Whether this says anything about the point: false for [`Skipped`](Self::Skipped), [`Abort`](Self::Abort) and
-    /// cancelled evaluations, from which no decision may follow.
-    pub fn is_known(&self) -> bool {
-        match self {
-            Self::Value(_) | Self::Above(_) => true,
-            Self::Failed(failure) => failure.kind != FailureKind::Cancelled,
-            Self::Abort(_) | Self::Skipped => false,
-        }
-    }
-
-    /// The one form that everything behind the gateway relies on: finite values, honest cutoffs.
-    pub(crate) fn checked(self, cutoff: f64) -> Self {
-        match self {
-            Self::Value(v) if !v.is_finite() => {
-                Self::Failed(Failure { kind: FailureKind::NotFinite, message: format!("cost is {v}") })
-            }
-            Self::Above(c) if c.is_nan() || c < cutoff => Self::Failed(Failure {
-                kind: FailureKind::Error,
-                message: format!("given up above {c}, although the cutoff was {cutoff}"),
-            }),
-            Self::Skipped => Self::failed("the objective returned Skipped"),
-            other => other,
-        }
-    }
-}
-
-/// A failed evaluation: of which kind, and why.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Failure {
-    /// Of which kind.
-    pub kind: FailureKind,
-    /// The reason, for people. Equal texts are counted together in a report, so leave out what changes every time.
-    pub message: String,
-}
-
-impl fmt::Display for Failure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.message)
-    }
-}
-
-/// The kinds of failure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[non_exhaustive]
-pub enum FailureKind {
-    /// The cost was NaN or infinite.
-    NotFinite,
-    /// The objective reported an error.
-    Error,
-    /// The objective panicked.
-    Panic,
-    /// The objective ran out of its own time limit.
-    TimedOut,
-    /// The run was being ended; says nothing about the point.
-    Cancelled,
-}
 
 static NEVER: AtomicBool = AtomicBool::new(false);
 
@@ -135,8 +43,10 @@ impl<'a> Ends<'a> {
 
 /// What an objective is told besides the point.
 #[derive(Debug, Clone, Copy)]
-pub struct Evaluation<'a> {
-    /// The objective may stop as soon as its partial cost is strictly greater than this, and return
+pub struct Query<'a> {
+    /// What is to be known of the point.
+    pub want: Want,
+    /// The objective may stop as soon as its partial cost is strictly greater than this, and answer
     /// [`Outcome::Above`] with it. `f64::INFINITY`: no cutoff.
     pub cutoff: f64,
     /// Running number of the point, the same for any number of workers; from 2^63 on where a point is evaluated ahead of
@@ -147,26 +57,32 @@ pub struct Evaluation<'a> {
     ends: Ends<'a>,
 }
 
-impl Evaluation<'static> {
-    /// An evaluation that nobody cancels: for calling an objective by hand.
+impl Query<'static> {
+    /// A query for the cost that nobody cancels: for calling an objective by hand.
     pub fn new(id: u64, batch: u64, cutoff: f64) -> Self {
-        Self { cutoff, id, batch, ends: Ends::new(&NEVER, None) }
+        Self { want: Want::Cost, cutoff, id, batch, ends: Ends::new(&NEVER, None) }
+    }
+
+    /// The same for something else.
+    #[must_use]
+    pub fn want(self, want: Want) -> Self {
+        Self { want, ..self }
     }
 }
 
-impl Evaluation<'_> {
-    /// The same evaluation, given up when the flag is set or the deadline is over.
-    pub fn cancellable(self, cancel: &AtomicBool, deadline: Option<Instant>) -> Evaluation<'_> {
+impl Query<'_> {
+    /// The same query, given up when the flag is set or the deadline is over.
+    pub fn cancellable(self, cancel: &AtomicBool, deadline: Option<Instant>) -> Query<'_> {
         self.ended_by(Ends::new(cancel, deadline))
     }
 
-    /// The same evaluation as one of a run.
-    pub(crate) fn ended_by(self, ends: Ends<'_>) -> Evaluation<'_> {
-        Evaluation { cutoff: self.cutoff, id: self.id, batch: self.batch, ends }
+    /// The same query as one of a run.
+    pub(crate) fn ended_by(self, ends: Ends<'_>) -> Query<'_> {
+        Query { want: self.want, cutoff: self.cutoff, id: self.id, batch: self.batch, ends }
     }
 
     /// Whether the run is being ended (interrupt or time limit): a long evaluation should look now and then, give
-    /// up and return [`Outcome::cancelled`].
+    /// up and answer [`Outcome::cancelled`].
     pub fn cancelled(&self) -> bool {
         self.ends.is_cancelled() || self.ends.over.load(Ordering::Relaxed) || self.ends.is_late()
     }
@@ -174,17 +90,23 @@ impl Evaluation<'_> {
 
 /// Something to minimise. Called from several threads at once when there are workers.
 ///
-/// Every closure `Fn(&[f64]) -> f64 + Sync` is one; see [`fallible`], [`with_evaluation`] and [`residuals`] for
+/// Every closure `Fn(&[f64]) -> f64 + Sync` is one; see [`fallible`], [`with_query`] and [`residuals`] for
 /// richer ones, and [`ByRef`] to lend one.
 pub trait Objective: Sync {
-    /// The cost at `x` (user's units, user's order).
-    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome;
+    /// The answer at `x` (user's units, user's order) into `answer`, which comes cleared: the outcome, what was counted, and
+    /// the residuals where [`Query::want`] asks for them. Then the cutoff is infinite.
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer);
 
-    /// The residual vector at `x` into `out`, and the cost that belongs to it; `None` (the default) if this
-    /// objective knows only its cost. `evaluation.cutoff` is infinite whenever the whole vector is needed.
-    fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
-        let _ = (x, evaluation, out);
-        None
+    /// The same as a value of its own, for calling an objective by hand.
+    fn answer(&self, x: &[f64], query: &Query<'_>) -> Answer {
+        let mut answer = Answer::default();
+        self.evaluate(x, query, &mut answer);
+        answer
+    }
+
+    /// Whether the cost is made from residuals that can be asked for; the default is no.
+    fn has_residuals(&self) -> bool {
+        false
     }
 
     /// Whether evaluations are given up above their cutoff; the default is yes. One that says no is never evaluated anew
@@ -195,8 +117,8 @@ pub trait Objective: Sync {
 }
 
 impl<F: Fn(&[f64]) -> f64 + Sync> Objective for F {
-    fn evaluate(&self, x: &[f64], _: &Evaluation<'_>) -> Outcome {
-        Outcome::Value(self(x))
+    fn evaluate(&self, x: &[f64], _: &Query<'_>, answer: &mut Answer) {
+        answer.outcome = Outcome::Value(self(x));
     }
     fn uses_cutoff(&self) -> bool {
         false
@@ -208,11 +130,11 @@ impl<F: Fn(&[f64]) -> f64 + Sync> Objective for F {
 pub struct ByRef<'a, O: ?Sized>(pub &'a O);
 
 impl<O: Objective + ?Sized> Objective for ByRef<'_, O> {
-    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
-        self.0.evaluate(x, evaluation)
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        self.0.evaluate(x, query, answer);
     }
-    fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
-        self.0.residuals(x, evaluation, out)
+    fn has_residuals(&self) -> bool {
+        self.0.has_residuals()
     }
     fn uses_cutoff(&self) -> bool {
         self.0.uses_cutoff()
@@ -237,35 +159,35 @@ where
     F: Fn(&[f64]) -> Result<f64, E> + Sync,
     E: fmt::Display,
 {
-    fn evaluate(&self, x: &[f64], _: &Evaluation<'_>) -> Outcome {
-        match (self.0)(x) {
+    fn evaluate(&self, x: &[f64], _: &Query<'_>, answer: &mut Answer) {
+        answer.outcome = match (self.0)(x) {
             Ok(v) => Outcome::Value(v),
             Err(e) => Outcome::failed(e.to_string()),
-        }
+        };
     }
     fn uses_cutoff(&self) -> bool {
         false
     }
 }
 
-/// See [`with_evaluation`].
+/// See [`with_query`].
 #[derive(Debug, Clone, Copy)]
-pub struct WithEvaluation<F>(F);
+pub struct WithQuery<F>(F);
 
 /// An objective from a function that sees the cutoff and the cancel flag and returns an [`Outcome`].
-pub fn with_evaluation<F>(f: F) -> WithEvaluation<F>
+pub fn with_query<F>(f: F) -> WithQuery<F>
 where
-    F: Fn(&[f64], &Evaluation<'_>) -> Outcome + Sync,
+    F: Fn(&[f64], &Query<'_>) -> Outcome + Sync,
 {
-    WithEvaluation(f)
+    WithQuery(f)
 }
 
-impl<F> Objective for WithEvaluation<F>
+impl<F> Objective for WithQuery<F>
 where
-    F: Fn(&[f64], &Evaluation<'_>) -> Outcome + Sync,
+    F: Fn(&[f64], &Query<'_>) -> Outcome + Sync,
 {
-    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
-        (self.0)(x, evaluation)
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        answer.outcome = (self.0)(x, query);
     }
 }
 
@@ -275,63 +197,47 @@ pub trait ResidualFunction: Sync {
     ///
     /// # Errors
     /// The outcome to report instead: failed, above the cutoff (of the sum of squares), or abort.
-    fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Result<(), Outcome>;
+    fn residuals(&self, x: &[f64], query: &Query<'_>, out: &mut Vec<f64>) -> Result<(), Outcome>;
 }
 
 impl<F: Fn(&[f64], &mut Vec<f64>) + Sync> ResidualFunction for F {
-    fn residuals(&self, x: &[f64], _: &Evaluation<'_>, out: &mut Vec<f64>) -> Result<(), Outcome> {
+    fn residuals(&self, x: &[f64], _: &Query<'_>, out: &mut Vec<f64>) -> Result<(), Outcome> {
         self(x, out);
         Ok(())
     }
 }
 
 /// See [`residuals`].
-#[derive(Debug)]
-pub struct Residuals<R> {
-    function: R,
-    buffers: Mutex<Vec<Vec<f64>>>,
-}
+#[derive(Debug, Clone, Copy)]
+pub struct Residuals<R>(R);
 
 /// An objective whose cost is the sum of the squared residuals, added from the first to the last in this order,
 /// so that the cost has the same bits wherever it is computed. Gives up above the cutoff.
 pub fn residuals<R: ResidualFunction>(function: R) -> Residuals<R> {
-    Residuals { function, buffers: Mutex::new(Vec::new()) }
-}
-
-impl<R> Residuals<R> {
-    fn sum(out: &[f64], cutoff: f64) -> Outcome {
-        let mut sum = 0.0;
-        for r in out {
-            sum += r * r;
-            if sum > cutoff {
-                return Outcome::Above(cutoff);
-            }
-        }
-        Outcome::Value(sum)
-    }
+    Residuals(function)
 }
 
 impl<R: ResidualFunction> Objective for Residuals<R> {
-    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
-        // A poisoned lock only means that a function panicked between lending and returning: the list is whole.
-        let lent = self.buffers.lock().unwrap_or_else(|e| e.into_inner()).pop();
-        let mut out = lent.unwrap_or_default();
-        out.clear();
-        let outcome = match self.function.residuals(x, evaluation, &mut out) {
-            Ok(()) => Self::sum(&out, evaluation.cutoff),
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        answer.outcome = match self.0.residuals(x, query, &mut answer.residuals) {
+            Ok(()) => sum_of_squares(&answer.residuals, query.cutoff),
             Err(outcome) => outcome,
         };
-        self.buffers.lock().unwrap_or_else(|e| e.into_inner()).push(out);
-        outcome
     }
+    fn has_residuals(&self) -> bool {
+        true
+    }
+}
 
-    fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
-        out.clear();
-        Some(match self.function.residuals(x, evaluation, out) {
-            Ok(()) => Self::sum(out, evaluation.cutoff),
-            Err(outcome) => outcome,
-        })
+fn sum_of_squares(residuals: &[f64], cutoff: f64) -> Outcome {
+    let mut sum = 0.0;
+    for r in residuals {
+        sum += r * r;
+        if sum > cutoff {
+            return Outcome::Above(cutoff);
+        }
     }
+    Outcome::Value(sum)
 }
 
 #[cfg(test)]
@@ -339,34 +245,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_that_are_not_finite_become_failures() {
-        for v in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            assert!(matches!(
-                Outcome::Value(v).checked(f64::INFINITY),
-                Outcome::Failed(Failure { kind: FailureKind::NotFinite, .. })
-            ));
-        }
-        assert_eq!(Outcome::Value(1.0).checked(0.5), Outcome::Value(1.0));
-    }
-
-    #[test]
-    fn giving_up_below_the_cutoff_is_a_failure() {
-        assert_eq!(Outcome::Above(2.0).checked(2.0), Outcome::Above(2.0));
-        assert_eq!(Outcome::Above(3.0).checked(2.0), Outcome::Above(3.0));
-        for (above, cutoff) in [(1.0, 2.0), (f64::NAN, 2.0), (1.0, f64::INFINITY)] {
-            assert!(matches!(Outcome::Above(above).checked(cutoff), Outcome::Failed(_)));
-        }
-    }
-
-    #[test]
     fn residuals_are_summed_in_order_and_respect_the_cutoff() {
         let objective = residuals(|x: &[f64], out: &mut Vec<f64>| out.extend([1e8 * x[0], 1.0, -1.0, 2.0]));
+        let at = |x: f64, cutoff: f64| {
+            let answer = objective.answer(&[x], &Query::new(0, 0, cutoff));
+            (answer.outcome, answer.residuals)
+        };
         let sum = ((1e16 + 1.0) + 1.0) + 4.0;
-        assert_eq!(objective.evaluate(&[1.0], &Evaluation::new(0, 0, f64::INFINITY)), Outcome::Value(sum));
-        assert_eq!(objective.evaluate(&[0.0], &Evaluation::new(0, 0, 6.0)), Outcome::Value(6.0));
-        assert_eq!(objective.evaluate(&[0.0], &Evaluation::new(0, 0, 5.9)), Outcome::Above(5.9));
-        let mut out = Vec::new();
-        let cost = Objective::residuals(&objective, &[0.0], &Evaluation::new(0, 0, f64::INFINITY), &mut out);
-        assert_eq!((cost, out), (Some(Outcome::Value(6.0)), vec![0.0, 1.0, -1.0, 2.0]));
+        assert_eq!(at(1.0, f64::INFINITY).0, Outcome::Value(sum));
+        assert_eq!(at(0.0, 6.0), (Outcome::Value(6.0), vec![0.0, 1.0, -1.0, 2.0]));
+        assert_eq!(at(0.0, 5.9).0, Outcome::Above(5.9));
     }
 }

@@ -1,13 +1,15 @@
 //! Ask / tell by ids: points are handed out one by one or many at once, and answered in any order.
 
+use crate::answer::{Answer, Outcome, Want};
 use crate::any_method::BoxedMethod;
 use crate::checkpoint::Writer;
 use crate::description::Begun;
 use crate::drive::{end, reached};
 use crate::error::Error;
-use crate::evaluate::Desk;
+use crate::gateway::desk::Desk;
+use crate::gateway::desk::reset;
 use crate::method::{Batch, Lookahead, Method};
-use crate::objective::{Evaluation, Outcome};
+use crate::objective::Query;
 use crate::report::{self, Report};
 use crate::termination::{Limits, Termination};
 use crate::trace::Trace;
@@ -26,12 +28,14 @@ pub struct Point {
     pub x: Vec<f64>,
     /// Above this cost the outcome may be [`Outcome::Above`]; infinite if there is no cutoff.
     pub cutoff: f64,
+    /// What is to be known of it.
+    pub want: Want,
 }
 
 impl Point {
     /// What to tell an [`Objective`](crate::Objective) with the point.
-    pub fn evaluation(&self) -> Evaluation<'static> {
-        Evaluation::new(self.id, self.batch, self.cutoff)
+    pub fn query(&self) -> Query<'static> {
+        Query::new(self.id, self.batch, self.cutoff).want(self.want)
     }
 }
 
@@ -51,8 +55,7 @@ pub struct Optimizer {
     due: BTreeSet<usize>,
     /// Points that wait for an answer, handed out or not.
     n_open: usize,
-    outcomes: Vec<Outcome>,
-    seconds: Vec<f64>,
+    answers: Vec<Answer>,
     /// When each point was handed out; `None` where it was not, or was answered.
     handed: Vec<Option<Instant>>,
     start: Instant,
@@ -80,8 +83,7 @@ impl Optimizer {
             batch: Batch::new(),
             due: BTreeSet::new(),
             n_open: 0,
-            outcomes: Vec::new(),
-            seconds: Vec::new(),
+            answers: Vec::new(),
             handed: Vec::new(),
             start: Instant::now(),
             workers,
@@ -104,7 +106,7 @@ impl Optimizer {
     /// The file cannot be written.
     pub fn save(&mut self) -> Result<(), Error> {
         let replay = match self.ended {
-            None => self.desk.known(&self.batch, &self.outcomes, &self.seconds),
+            None => self.desk.known(&self.batch, &self.answers),
             Some(_) => self.desk.replay.clone(),
         };
         let seconds = self.elapsed();
@@ -126,28 +128,30 @@ impl Optimizer {
         {
             self.handed[k] = Some(Instant::now());
             let (id, x) = (work.id(k), work.point(k).to_vec());
-            points.push(Point { id, batch: work.index(), x, cutoff: work.cutoff(k) });
+            let Query { cutoff, want, .. } = work.query(k);
+            points.push(Point { id, batch: work.index(), x, cutoff, want });
         }
         points
     }
 
-    /// The outcome of a point. [`Outcome::Skipped`] and cancelled evaluations give the point back: it is handed out
+    /// The answer to a point: its outcome, and the residuals where they are wanted. [`Outcome::Skipped`] and cancelled evaluations give the point back: it is handed out
     /// again. [`Outcome::Abort`] ends the run.
     ///
     /// # Errors
     /// An id that was not handed out, or was answered already; a checkpoint that cannot be written (the answer counts
     /// all the same).
-    pub fn tell(&mut self, id: u64, outcome: Outcome) -> Result<(), Error> {
+    pub fn tell(&mut self, id: u64, answer: impl Into<Answer>) -> Result<(), Error> {
+        let mut answer = answer.into();
         let work = &self.desk.work;
         let place = work.place_of(id).filter(|_| self.ended.is_none());
         let Some((k, handed)) = place.and_then(|k| self.handed[k].take().map(|handed| (k, handed))) else {
             return Err(Error::UnknownPoint { id });
         };
-        let outcome = match outcome {
+        answer.outcome = match answer.outcome {
             Outcome::Skipped => Outcome::Skipped,
-            other => other.checked(work.cutoff(k)),
+            other => other.checked(work.query(k).cutoff),
         };
-        let abort = match &outcome {
+        let abort = match &answer.outcome {
             // What was evaluated ahead of need ends nothing before it is needed.
             Outcome::Abort(message) if k < self.desk.n_needed() => {
                 Some(Termination::Aborted(message.clone()))
@@ -160,8 +164,8 @@ impl Optimizer {
             _ => None,
         };
         self.n_open -= 1;
-        self.outcomes[k] = outcome;
-        self.seconds[k] = handed.elapsed().as_secs_f64();
+        answer.seconds = handed.elapsed().as_secs_f64();
+        self.answers[k] = answer;
         if abort.is_some() || self.n_open == 0 {
             let completed = self.complete(abort.or(self.stopped()));
             return completed.and(self.advance());
@@ -171,7 +175,7 @@ impl Optimizer {
 
     /// Why the run ends with this batch, if what is known says so.
     fn stopped(&self) -> Option<Termination> {
-        let aborted = self.desk.abort(&self.outcomes[..self.desk.n_needed()]);
+        let aborted = self.desk.abort(&self.answers[..self.desk.n_needed()]);
         let aborted = aborted.map(|(_, message)| Termination::Aborted(message.to_owned()));
         aborted.or_else(|| self.desk.is_truncated().then_some(Termination::MaxEvaluations))
     }
@@ -180,8 +184,8 @@ impl Optimizer {
     fn complete(&mut self, stopped: Option<Termination>) -> Result<(), Error> {
         // The state before this batch, and what is known of the batch. A file that cannot be written costs no answer.
         let saved = if stopped.is_some() { self.save() } else { Ok(()) };
-        self.desk.close(&self.batch, &self.outcomes, &self.seconds);
-        self.method.tell(self.desk.outcomes())?;
+        self.desk.close(&self.batch, &mut self.answers);
+        self.method.tell(self.desk.told())?;
         self.desk.ledger.trim(false);
         self.ended = end(&self.method, &self.desk, &self.limits, stopped.as_ref(), false);
         self.written = stopped.is_some();
@@ -222,10 +226,7 @@ impl Optimizer {
             self.due.clear();
             self.due.extend(0..len);
             self.n_open = len;
-            self.outcomes.clear();
-            self.outcomes.resize(len, Outcome::Skipped);
-            self.seconds.clear();
-            self.seconds.resize(len, 0.0);
+            reset(&mut self.answers, len);
             self.handed.clear();
             self.handed.resize(len, None);
             if len > 0 {
@@ -246,7 +247,7 @@ impl Optimizer {
         if self.ended.is_some() {
             return Ok(());
         }
-        if self.n_open < self.outcomes.len() {
+        if self.n_open < self.answers.len() {
             self.complete(Some(Termination::Interrupted))?;
         } else {
             self.save()?;

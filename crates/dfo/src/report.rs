@@ -2,7 +2,7 @@
 
 use crate::barrier::BarrierStage;
 use crate::error::Error;
-use crate::ledger::Ledger;
+use crate::gateway::ledger::Ledger;
 use crate::method::{Method, Simplex};
 use crate::termination::{Limits, Termination, Tests, UNBOUNDED};
 use crate::trace::Trace;

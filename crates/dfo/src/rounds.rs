@@ -1,9 +1,9 @@
 //! Asking and telling whole generations: which candidates still wait for an answer, what was best.
 
+use crate::answer::Answers;
 use crate::cost::Cost;
 use crate::error::Error;
 use crate::method::Batch;
-use crate::objective::Outcome;
 use crate::population::Population;
 use serde::{Deserialize, Serialize};
 
@@ -49,8 +49,8 @@ impl Rounds {
     }
 
     /// Takes outcomes; says whether all candidates have a cost now.
-    pub(crate) fn tell(&mut self, outcomes: &[Outcome], candidates: &mut Population) -> Result<bool, Error> {
-        let asked = self.roles.len();
+    pub(crate) fn tell(&mut self, answers: &Answers, candidates: &mut Population) -> Result<bool, Error> {
+        let (asked, outcomes) = (self.roles.len(), answers.outcomes());
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }

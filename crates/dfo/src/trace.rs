@@ -1,7 +1,6 @@
 //! The trace: every evaluation of a run, in request order, stored in columns.
 
-use crate::ahead::Early;
-use crate::objective::Outcome;
+use crate::answer::{Answer, Outcome};
 use serde::{Deserialize, Serialize};
 
 /// Every evaluation of a run's path, in request order (the same for any number of workers); and beside them those that
@@ -28,6 +27,16 @@ pub(crate) struct Record {
     pub(crate) cutoff: f64,
     pub(crate) used: bool,
     pub(crate) seconds: f64,
+}
+
+/// An evaluation made ahead of need.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Early {
+    pub(crate) id: u64,
+    pub(crate) batch: u64,
+    pub(crate) x: Vec<f64>,
+    pub(crate) cutoff: f64,
+    pub(crate) answer: Answer,
 }
 
 /// One evaluation.
@@ -61,7 +70,7 @@ impl Trace {
     }
 
     pub(crate) fn push_speculative(&mut self, early: Early) {
-        if !matches!(early.outcome, Outcome::Skipped) {
+        if !matches!(early.answer.outcome, Outcome::Skipped) {
             self.speculative.push(early);
         }
     }
@@ -177,12 +186,12 @@ impl Trace {
     pub fn speculative(&self) -> impl ExactSizeIterator<Item = TraceEntry<'_>> {
         self.speculative.iter().map(|early| TraceEntry {
             x: &early.x,
-            outcome: &early.outcome,
+            outcome: &early.answer.outcome,
             id: early.id,
             batch: early.batch,
             cutoff: early.cutoff,
             used: false,
-            seconds: early.seconds,
+            seconds: early.answer.seconds,
         })
     }
 

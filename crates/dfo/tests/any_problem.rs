@@ -8,8 +8,8 @@ mod common;
 use common::timeless;
 use dfo::{
     AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, Coefficients, DifferentialEvolution, Error,
-    Evaluation, Genetic, Measure, NelderMead, Outcome, Report, Sampling, Selection, Stop, Termination,
-    Transform, minimize, with_evaluation,
+    Genetic, Measure, NelderMead, Outcome, Query, Report, Sampling, Selection, Stop, Termination, Transform,
+    minimize, with_query,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -111,7 +111,7 @@ impl Problem {
         p
     }
 
-    fn outcome(&self, x: &[f64], e: &Evaluation<'_>, cutoffs: bool) -> Outcome {
+    fn outcome(&self, x: &[f64], e: &Query<'_>, cutoffs: bool) -> Outcome {
         let inside = |k: usize| x[k].is_finite() && self.lower[k] <= x[k] && x[k] <= self.upper[k];
         if !(0..x.len()).all(inside) {
             // A panic here would count as a failure.
@@ -138,7 +138,7 @@ impl Problem {
         (workers, cutoffs, budget): (usize, bool, usize),
         file: Option<&Path>,
     ) -> Result<Report, Error> {
-        let objective = with_evaluation(move |x: &[f64], e: &Evaluation<'_>| self.outcome(x, e, cutoffs));
+        let objective = with_query(move |x: &[f64], e: &Query<'_>| self.outcome(x, e, cutoffs));
         let run = minimize(objective)
             .start(&self.x0)
             .bounds(&self.lower, &self.upper)?

@@ -5,8 +5,8 @@ mod common;
 
 use common::{PLANS, Problem, plan, probe, problems, rosenbrock};
 use dfo::{
-    Batch, BatchPlan, Bounds, Error, Method, MethodOptions, NelderMeadState, Outcome, Setup, Space, Status,
-    Termination, minimize,
+    Answers, Batch, BatchPlan, Bounds, Error, Method, MethodOptions, NelderMeadState, Outcome, Setup, Space,
+    Status, Termination, minimize,
 };
 
 fn search(problem: &Problem, p: BatchPlan) -> NelderMeadState {
@@ -33,7 +33,7 @@ fn by_hand_and_driven_are_the_same() {
                     break;
                 }
                 let outcomes: Vec<_> = batch.points().map(|x| Outcome::Value((problem.f)(x))).collect();
-                s.tell(&outcomes).unwrap();
+                s.tell(&Answers::from(&outcomes[..])).unwrap();
                 for k in 0..batch.len() {
                     by_hand.push((
                         batch.point(k).to_vec(),
@@ -87,7 +87,7 @@ fn answers_may_come_in_pieces() {
                     })
                     .collect();
                 let told = batch.len() - (counter >> 10) as usize % batch.len().max(1);
-                s.tell(&outcomes[..told]).unwrap();
+                s.tell(&Answers::from(&outcomes[..told])).unwrap();
                 for value in outcomes[..told].iter().filter_map(Outcome::value) {
                     best_used = best_used.min(value);
                 }
@@ -111,7 +111,7 @@ fn a_copy_continues_like_the_original() {
     for _ in 0..25 {
         s.ask(&mut batch);
         let outcomes: Vec<_> = batch.points().map(|x| Outcome::Value(probe(x))).collect();
-        s.tell(&outcomes).unwrap();
+        s.tell(&Answers::from(&outcomes[..])).unwrap();
     }
     let mut copy = s.clone();
     let mut copied = Batch::new();
@@ -123,23 +123,27 @@ fn a_copy_continues_like_the_original() {
             break;
         }
         let outcomes: Vec<_> = batch.points().map(|x| Outcome::Value(probe(x))).collect();
-        s.tell(&outcomes).unwrap();
-        copy.tell(&outcomes).unwrap();
+        s.tell(&Answers::from(&outcomes[..])).unwrap();
+        copy.tell(&Answers::from(&outcomes[..])).unwrap();
     }
 }
 
 #[test]
 fn misuse_is_a_typed_error() {
     let mut s = search(&problems()[0], BatchPlan::Serial);
-    assert_eq!(s.tell(&[]), Err(Error::TellWithoutAsk));
+    assert_eq!(s.tell(&Answers::from(&[][..])), Err(Error::TellWithoutAsk));
     let mut batch = Batch::new();
     s.ask(&mut batch);
-    assert_eq!(s.tell(&vec![Outcome::Value(1.0); 4]), Err(Error::TooManyOutcomes { asked: 3, told: 4 }));
-    s.tell(&[Outcome::Value(f64::NAN), Outcome::failed("x"), Outcome::Above(0.0)]).unwrap();
+    assert_eq!(
+        s.tell(&Answers::from(&vec![Outcome::Value(1.0); 4][..])),
+        Err(Error::TooManyOutcomes { asked: 3, told: 4 })
+    );
+    s.tell(&Answers::from(&[Outcome::Value(f64::NAN), Outcome::failed("x"), Outcome::Above(0.0)][..]))
+        .unwrap();
     assert_eq!((s.status(), s.best()), (Status::NoStart, None));
     s.ask(&mut batch);
     assert!(batch.is_empty());
-    assert_eq!(s.tell(&[]), Err(Error::TellWithoutAsk));
+    assert_eq!(s.tell(&Answers::from(&[][..])), Err(Error::TellWithoutAsk));
 }
 
 #[test]
@@ -150,15 +154,15 @@ fn asking_and_telling_allocate_nothing_once_warm() {
         let problem = Problem { name: "", f: rosenbrock, x0: vec![-1.2; n], bounds: None };
         let mut s = search(&problem, p);
         let mut batch = Batch::new();
-        let mut outcomes = Vec::with_capacity(n + 20);
+        let mut answers = Answers::default();
         let mut round = |s: &mut NelderMeadState| {
             s.ask(&mut batch);
-            outcomes.clear();
+            answers.clear();
             // Now and then everything fails but the vertices themselves: that forces shrinks.
             let bad = batch.index() % 37 == 5;
-            outcomes
+            answers
                 .extend(batch.points().map(|x| Outcome::Value(if bad { f64::NAN } else { rosenbrock(x) })));
-            s.tell(&outcomes).unwrap();
+            s.tell(&answers).unwrap();
         };
         for _ in 0..5 {
             round(&mut s);
@@ -194,8 +198,8 @@ fn own_methods_can_be_driven() {
                 batch.push(&[self.0 as f64], f64::INFINITY);
             }
         }
-        fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
-            if let Some(v) = outcomes[0].value().filter(|v| self.1.is_none_or(|b| *v < b)) {
+        fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+            if let Some(v) = answers.outcomes()[0].value().filter(|v| self.1.is_none_or(|b| *v < b)) {
                 (self.1, self.2) = (Some(v), [self.0 as f64]);
             }
             self.0 += 1;

@@ -4,9 +4,7 @@
 mod common;
 
 use common::{PLANS, plan, probe, problems, quiet_panics_on_purpose, rosenbrock};
-use dfo::{
-    BatchPlan, BoundsHandling, Error, Evaluation, NelderMead, Outcome, Termination, minimize, with_evaluation,
-};
+use dfo::{BatchPlan, BoundsHandling, Error, NelderMead, Outcome, Query, Termination, minimize, with_query};
 use std::ops::ControlFlow;
 use std::time::Duration;
 
@@ -78,9 +76,9 @@ fn iteration_budgets_are_exact_and_the_same_for_every_plan() {
 #[test]
 fn setting_one_limit_lifts_the_default_of_the_other() {
     // A cost that falls with every evaluation never converges: only limits end it.
-    let falling = |_: &[f64], e: &Evaluation<'_>| Outcome::Value(-(e.id as f64));
+    let falling = |_: &[f64], e: &Query<'_>| Outcome::Value(-(e.id as f64));
     let mirrored = NelderMead::default().bounds_handling(BoundsHandling::Mirror);
-    let problem = || minimize(with_evaluation(falling)).start(&[0.5]).bounds(&[0.0], &[1.0]).unwrap();
+    let problem = || minimize(with_query(falling)).start(&[0.5]).bounds(&[0.0], &[1.0]).unwrap();
     let run = || problem().method(mirrored.clone());
     let by_default = run().run().unwrap();
     assert_eq!((by_default.termination, by_default.n_iterations), (Termination::MaxIterations, 2000));
@@ -109,7 +107,7 @@ fn a_target_ends_the_run_with_its_batch() {
 
 #[test]
 fn time_limits_end_the_run_with_the_best_in_hand() {
-    let slow = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+    let slow = with_query(|x: &[f64], e: &Query<'_>| {
         let until = std::time::Instant::now() + Duration::from_millis(if e.id < 3 { 1 } else { 5000 });
         while std::time::Instant::now() < until {
             if e.cancelled() {
@@ -137,7 +135,7 @@ fn time_limits_end_the_run_with_the_best_in_hand() {
 }
 
 /// Fails at one point, in one of several ways.
-fn failing_at(k: usize, at: &[f64], how: usize) -> impl Fn(&[f64], &Evaluation<'_>) -> Outcome + Sync {
+fn failing_at(k: usize, at: &[f64], how: usize) -> impl Fn(&[f64], &Query<'_>) -> Outcome + Sync {
     move |x, _| match (x == at, how) {
         (false, _) => Outcome::Value(rosenbrock(x)),
         (true, 0) => Outcome::failed("raised"),
@@ -156,7 +154,7 @@ fn failing_at_any_evaluation_loses_nothing() {
         let at = plain.trace.get(k).unwrap().x;
         for how in 0..5 {
             for (p, workers) in PLANS.into_iter().zip([1, 2, 4]).chain([(PLANS[2], 1), (PLANS[0], 3)]) {
-                let run = minimize(with_evaluation(failing_at(k, at, how)))
+                let run = minimize(with_query(failing_at(k, at, how)))
                     .start(&[-1.2, 1.0])
                     .method(plan(p))
                     .workers(workers)

@@ -5,8 +5,8 @@ mod common;
 
 use common::{probe, rosenbrock, timeless};
 use dfo::{
-    AnyMethod, BatchPlan, Checkpoint, Error, Evaluation, Minimize, NelderMead, Outcome, Report, Resume,
-    Termination, minimize, with_evaluation,
+    AnyMethod, BatchPlan, Checkpoint, Error, Minimize, NelderMead, Outcome, Query, Report, Resume,
+    Termination, minimize, with_query,
 };
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -73,7 +73,7 @@ fn same(a: &Report, b: &Report, what: &str) {
 fn interrupted_and_resumed_is_uninterrupted() {
     let folder = Folder::new("interrupted");
     for (number, method) in methods().iter().enumerate() {
-        let whole = with_evaluation(|x: &[f64], _: &Evaluation<'_>| Outcome::Value(probe(x)));
+        let whole = with_query(|x: &[f64], _: &Query<'_>| Outcome::Value(probe(x)));
         let whole = set_up(minimize(whole), method).run().unwrap();
         for stride in [7, 60, 210] {
             let path = folder.0.join(format!("{number}-{stride}"));
@@ -84,7 +84,7 @@ fn interrupted_and_resumed_is_uninterrupted() {
                 assert!(sessions < 1200, "{method:?} does not end");
                 // Each session is aborted after so many calls of the objective.
                 let calls = AtomicUsize::new(0);
-                let cost = with_evaluation(|x: &[f64], _: &Evaluation<'_>| {
+                let cost = with_query(|x: &[f64], _: &Query<'_>| {
                     if calls.fetch_add(1, Ordering::Relaxed) == stride {
                         return Outcome::Abort("power cut".to_owned());
                     }

@@ -4,9 +4,7 @@
 mod common;
 
 use common::{plan, rosenbrock};
-use dfo::{
-    BatchPlan, Error, Evaluation, Outcome, Report, Termination, WorkerPool, minimize, with_evaluation,
-};
+use dfo::{BatchPlan, Error, Outcome, Query, Report, Termination, WorkerPool, minimize, with_query};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::channel;
@@ -26,7 +24,7 @@ fn all_starting_vertices_are_evaluated_at_once() {
     for n in [1, 3, 6] {
         let report = within_ten_seconds(move || {
             let barrier = Barrier::new(n + 1);
-            let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+            let cost = with_query(|x: &[f64], e: &Query<'_>| {
                 if e.batch == 0 {
                     barrier.wait();
                 }
@@ -43,7 +41,7 @@ fn all_starting_vertices_are_evaluated_at_once() {
 fn four_points_are_evaluated_at_once_where_that_is_worth_it() {
     let report = within_ten_seconds(|| {
         let (barrier, ahead) = (Barrier::new(4), AtomicUsize::new(0));
-        let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+        let cost = with_query(|x: &[f64], e: &Query<'_>| {
             thread::sleep(Duration::from_millis(2));
             // The first four points after the starting ones: one that is needed, three that may be.
             if e.id >= 3 && ahead.fetch_add(1, Ordering::Relaxed) < 4 {
@@ -67,7 +65,7 @@ fn a_shrink_is_evaluated_at_once() {
     // Four parameters; everything but the starting vertices and the shrunken ones is bad, so iteration 1 shrinks.
     let report = within_ten_seconds(|| {
         let barrier = Barrier::new(4);
-        let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+        let cost = with_query(|x: &[f64], e: &Query<'_>| {
             thread::sleep(Duration::from_millis(2));
             if e.batch == 3 {
                 barrier.wait();
@@ -119,7 +117,7 @@ fn callbacks_run_on_the_calling_thread_and_poll_keeps_coming() {
 fn interrupted(pool: usize, ready_after: u64) -> (Result<Report, Error>, Duration, usize) {
     let started = AtomicUsize::new(0);
     let hanging = AtomicBool::new(false);
-    let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+    let cost = with_query(|x: &[f64], e: &Query<'_>| {
         started.fetch_add(1, Ordering::Relaxed);
         if e.id < ready_after {
             return Outcome::Value(rosenbrock(x));
@@ -175,7 +173,7 @@ fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
     // Nor is it raised where the run itself ends evaluations.
     let shared = Arc::new(AtomicBool::new(false));
     let (hanging, seen_raised) = (AtomicBool::new(false), AtomicBool::new(false));
-    let error = minimize(with_evaluation(|_: &[f64], e: &Evaluation<'_>| {
+    let error = minimize(with_query(|_: &[f64], e: &Query<'_>| {
         hanging.store(true, Ordering::Release);
         while !e.cancelled() {
             thread::sleep(Duration::from_millis(1));
@@ -200,7 +198,7 @@ fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
 fn a_cancel_flag_set_while_a_run_ends_its_evaluations_is_not_lost() {
     let (flag, hanging) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
     let run = || {
-        let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+        let cost = with_query(|x: &[f64], e: &Query<'_>| {
             if e.id == 0 {
                 return Outcome::Value(rosenbrock(x));
             }
@@ -233,7 +231,7 @@ fn a_cancel_flag_set_while_a_run_ends_its_evaluations_is_not_lost() {
 #[test]
 fn a_poll_function_that_panics_ends_running_evaluations_and_leaves_the_flag_alone() {
     let (flag, hanging) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
-    let cost = with_evaluation(|_: &[f64], e: &Evaluation<'_>| {
+    let cost = with_query(|_: &[f64], e: &Query<'_>| {
         hanging.store(true, Ordering::Release);
         while !e.cancelled() {
             thread::sleep(Duration::from_millis(1));
@@ -261,7 +259,7 @@ fn a_poll_function_that_panics_ends_running_evaluations_and_leaves_the_flag_alon
 #[test]
 fn an_abort_starts_nothing_more_and_loses_nothing_before_it() {
     let (started, aborted) = (AtomicUsize::new(0), AtomicBool::new(false));
-    let cost = with_evaluation(|x: &[f64], e: &Evaluation<'_>| {
+    let cost = with_query(|x: &[f64], e: &Query<'_>| {
         started.fetch_add(1, Ordering::Relaxed);
         if e.id == 2 {
             aborted.store(true, Ordering::Release);

@@ -5,8 +5,8 @@ mod common;
 
 use common::{cutting, probe, probe_fails, quiet_panics_on_purpose, rosenbrock, timeless};
 use dfo::{
-    AnyMethod, BatchPlan, Bounds, ByHand, Checkpoint, Error, Evaluation, Limits, Minimize, NelderMead,
-    Outcome, Report, Resume, Setup, Space, Termination, by_hand, minimize, with_evaluation,
+    Answers, AnyMethod, BatchPlan, Bounds, ByHand, Checkpoint, Error, Limits, Minimize, NelderMead, Outcome,
+    Query, Report, Resume, Setup, Space, Termination, by_hand, minimize, with_query,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -109,7 +109,7 @@ fn workers_and_cutoffs_change_nothing() {
 }
 
 /// Four ways to fail, for the same points.
-fn failing(how: usize) -> impl Fn(&[f64], &Evaluation<'_>) -> Outcome + Sync {
+fn failing(how: usize) -> impl Fn(&[f64], &Query<'_>) -> Outcome + Sync {
     move |x, _| match (probe_fails(x), how) {
         (false, _) => Outcome::Value(rosenbrock(x)),
         (true, 0) => Outcome::Value(f64::NAN),
@@ -126,7 +126,7 @@ fn the_probe_with_failing_regions() {
         let mut first: Option<Report> = None;
         for how in 0..4 {
             let report =
-                boxed(minimize(with_evaluation(failing(how))), &method).max_evaluations(2000).run().unwrap();
+                boxed(minimize(with_query(failing(how))), &method).max_evaluations(2000).run().unwrap();
             if how == 0 {
                 println!(
                     "{}: {:.2e} in {}, {} failed",
@@ -383,12 +383,12 @@ fn generations_allocate_nothing_once_warm() {
         let setup = Setup::new(Space::new(&vec![-1.2; n], bounds, &[], &[]).unwrap());
         let setup = Setup { seed: Some(3), max_evaluations: Some(6000), ..setup };
         let mut method = options.begin(&setup).unwrap();
-        let (mut batch, mut outcomes) = (Batch::new(), Vec::with_capacity(200));
+        let (mut batch, mut answers) = (Batch::new(), Answers::default());
         let mut round = || {
             method.ask(&mut batch);
-            outcomes.clear();
-            outcomes.extend(batch.points().map(|x| Outcome::Value(rosenbrock(x))));
-            method.tell(&outcomes).unwrap();
+            answers.clear();
+            answers.extend(batch.points().map(|x| Outcome::Value(rosenbrock(x))));
+            method.tell(&answers).unwrap();
         };
         (0..4).for_each(|_| round());
         allocation_counter::measure(|| (0..30).for_each(|_| round())).count_total

@@ -5,8 +5,8 @@ mod common;
 
 use common::{cutting, plan, rosenbrock, timeless};
 use dfo::{
-    Batch, BatchPlan, Bounds, Method, MethodOptions, Minimize, NelderMead, Outcome, Report, Setup, Space,
-    Status, minimize,
+    Answers, Batch, BatchPlan, Bounds, Method, MethodOptions, Minimize, NelderMead, Outcome, Report, Setup,
+    Space, Status, minimize,
 };
 
 /// A bowl of ten parameters.
@@ -85,7 +85,7 @@ fn saved_states_and_answers_in_pieces_keep_the_path() {
                 if counter >> 30 == 0 { Outcome::Skipped } else { Outcome::Value(bowl(x)) }
             })
             .collect();
-        search.tell(&outcomes).unwrap();
+        search.tell(&Answers::from(&outcomes[..])).unwrap();
     }
     let whole = run(minimize(bowl), BatchPlan::LeeWiswall);
     assert_eq!(search.best(), Some((&whole.x[..], whole.fun)));

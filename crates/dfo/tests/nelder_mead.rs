@@ -7,8 +7,8 @@ use common::{
     helical_valley, plan, powell_singular, probe, probe_fails, quiet_panics_on_purpose, rosenbrock,
 };
 use dfo::{
-    Batch, BatchPlan, Bounds, BoundsHandling, Measure, Method, MethodOptions, NelderMead, Outcome, Setup,
-    Space, Stop, Termination, Transform, fallible, minimize, with_evaluation,
+    Answers, Batch, BatchPlan, Bounds, BoundsHandling, Measure, Method, MethodOptions, NelderMead, Outcome,
+    Setup, Space, Stop, Termination, Transform, fallible, minimize, with_query,
 };
 
 #[test]
@@ -134,7 +134,7 @@ fn failing_regions_do_not_stop_it() {
     ];
     quiet_panics_on_purpose();
     let reports = kinds.map(|(name, kind)| {
-        let report = minimize(with_evaluation(move |x: &[f64], _: &dfo::Evaluation<'_>| kind(x)))
+        let report = minimize(with_query(move |x: &[f64], _: &dfo::Query<'_>| kind(x)))
             .start(&[-0.5, 1.0])
             .bounds(&[-2.0, -2.0], &[2.0, 2.0])
             .unwrap()
@@ -325,7 +325,7 @@ fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {
     let mut search = options.begin(&Setup::new(space)).unwrap();
     let mut batch = Batch::new();
     search.ask(&mut batch);
-    search.tell(&[0.0, 1.0, 2.0].map(Outcome::Value)).unwrap();
+    search.tell(&Answers::from(&[0.0, 1.0, 2.0].map(Outcome::Value)[..])).unwrap();
     search.ask(&mut batch);
     batch.point(0).to_vec()
 }

@@ -6,8 +6,8 @@ mod common;
 
 use common::{probe_fails, quiet_panics_on_purpose, rosenbrock};
 use dfo::{
-    AnyMethod, BatchPlan, BatchView, Error, Evaluation, Minimize, NelderMead, Objective, Outcome, Report,
-    Termination, minimize, minimize_batches, with_evaluation,
+    AnyMethod, BatchPlan, BatchView, Error, Minimize, NelderMead, Objective, Outcome, Query, Report,
+    Termination, minimize, minimize_batches, with_query,
 };
 
 const PLANS: [BatchPlan; 6] = [
@@ -20,7 +20,7 @@ const PLANS: [BatchPlan; 6] = [
 ];
 
 /// A cost that fails in some regions, aborts in others and panics in others, after `how`, and makes use of its cutoff.
-fn cost(how: u64) -> impl Fn(&[f64], &Evaluation<'_>) -> Outcome + Sync {
+fn cost(how: u64) -> impl Fn(&[f64], &Query<'_>) -> Outcome + Sync {
     move |x, e| {
         let cell = (x[0] * 37.0).floor() + 3.0 * (x[1] * 41.0).floor();
         let value = rosenbrock(x);
@@ -72,7 +72,7 @@ fn no_number_of_workers_changes_anything() {
         for method in &methods {
             dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let (dice, how) = (dice >> 33, round % 5);
-            let objective = with_evaluation(cost(how));
+            let objective = with_query(cost(how));
             let pinned = match method {
                 AnyMethod::NelderMead(_) => NelderMead::default().batch(BatchPlan::Serial).into(),
                 AnyMethod::Barrier(_) => dfo::Barrier::default().batch(BatchPlan::Serial).into(),
@@ -84,7 +84,7 @@ fn no_number_of_workers_changes_anything() {
                 assert_eq!(told(run.run()), serial, "{method:?}, {workers} workers, {how} {dice}");
             }
             let in_batches = |batch: &BatchView<'_>| {
-                let one = |k| objective.evaluate(batch.point(k), &batch.evaluation(k));
+                let one = |k| objective.answer(batch.point(k), &batch.query(k)).outcome;
                 (0..batch.len()).map(one).collect()
             };
             let run = described(minimize_batches(in_batches), method, dice).workers(7);
@@ -98,7 +98,7 @@ fn no_number_of_workers_changes_anything() {
 fn an_exception_counts_when_the_path_comes_to_it() {
     let path = minimize(rosenbrock).start(&[-1.2, 1.0]).max_evaluations(60).run().unwrap();
     let on_path = |x: &[f64]| path.trace.iter().any(|e| e.x == x);
-    let trap = with_evaluation(|x: &[f64], _: &Evaluation<'_>| match on_path(x) {
+    let trap = with_query(|x: &[f64], _: &Query<'_>| match on_path(x) {
         true => Outcome::Value(rosenbrock(x)),
         false => Outcome::Abort("off the path".to_owned()),
     });

@@ -1,7 +1,7 @@
 //! A Python function as an objective: called with the lock held only inside of it, from whatever thread evaluates.
 
 use crate::interrupt::{Inside, Stop, lock};
-use dfo::{BatchView, Evaluation, Objective, Outcome, Report};
+use dfo::{Answer, BatchView, Objective, Outcome, Query, Report};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -105,7 +105,7 @@ impl PyObjective {
 
     fn answers<'py>(&self, py: Python<'py>, batch: &BatchView<'_>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let points = PyArray1::from_slice(py, batch.as_flat()).reshape([batch.len(), batch.n()])?;
-        let cutoffs = PyArray1::from_iter(py, (0..batch.len()).map(|k| batch.evaluation(k).cutoff));
+        let cutoffs = PyArray1::from_iter(py, (0..batch.len()).map(|k| batch.query(k).cutoff));
         let stop = Arc::clone(&self.stop);
         let asked = PyCFunction::new_closure(py, None, None, move |args, _| stop.poll(args.py()))?;
         let answers: Vec<Bound<'py, PyAny>> =
@@ -123,20 +123,20 @@ impl Objective for PyObjective {
         self.takes_cutoff
     }
 
-    fn evaluate(&self, x: &[f64], evaluation: &Evaluation<'_>) -> Outcome {
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         let _inside = Inside::new(&self.stop);
-        Python::attach(|py| {
+        answer.outcome = Python::attach(|py| {
             let point = (PyArray1::from_slice(py, x),);
             let returned = if self.takes_cutoff {
                 let cutoff = PyDict::new(py);
                 cutoff
-                    .set_item("cutoff", evaluation.cutoff)
+                    .set_item("cutoff", query.cutoff)
                     .and_then(|()| self.function.bind(py).call(point, Some(&cutoff)))
             } else {
                 self.function.bind(py).call1(point)
             };
             self.outcome(py, x, returned)
-        })
+        });
     }
 }
 

@@ -9,10 +9,10 @@ use super::options::{BatchPlan, Numbers};
 use super::restart;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
+use crate::answer::{Answers, Outcome};
 use crate::cost::Cost;
 use crate::error::Error;
 use crate::method::{Batch, Lookahead, Method, Operation, Setup, SimplexView, Status, saved};
-use crate::objective::Outcome;
 use crate::scaling::BoundsHandling;
 use crate::termination::{Termination, Tests};
 use serde::{Deserialize, Serialize};
@@ -46,7 +46,7 @@ enum Phase {
 /// Driven by hand it takes the path that [`minimize`](crate::minimize) takes:
 ///
 /// ```
-/// use dfo::{Batch, Bounds, Method, MethodOptions, NelderMead, Outcome, Setup, Space};
+/// use dfo::{Answers, Batch, Bounds, Method, MethodOptions, NelderMead, Outcome, Setup, Space};
 ///
 /// let cost = |x: &[f64]| (x[0] - 1.0).powi(2) + 10.0 * (x[1] + 2.0).powi(2);
 /// let space = Space::new(&[0.0, 0.0], Bounds::unbounded(2), &[], &[])?;
@@ -57,8 +57,8 @@ enum Phase {
 ///     if batch.is_empty() {
 ///         break;
 ///     }
-///     let outcomes: Vec<Outcome> = batch.points().map(|x| Outcome::Value(cost(x))).collect();
-///     search.tell(&outcomes)?;
+///     let answers: Answers = batch.points().map(|x| Outcome::Value(cost(x))).collect();
+///     search.tell(&answers)?;
 /// }
 /// let (x, f) = search.best().unwrap();
 /// assert!((x[0] - 1.0).abs() < 1e-4 && (x[1] + 2.0).abs() < 1e-4 && f < 1e-8);
@@ -347,7 +347,8 @@ impl Method for NelderMeadState {
         self.waiting = self.phase != Phase::Done;
     }
 
-    fn tell(&mut self, outcomes: &[Outcome]) -> Result<(), Error> {
+    fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        let outcomes = answers.outcomes();
         let asked = self.roles.len();
         if !self.waiting {
             return Err(Error::TellWithoutAsk);

@@ -2,8 +2,8 @@
 #![allow(dead_code, unreachable_pub, clippy::unwrap_used)]
 
 use dfo::{
-    BatchPlan, Error, Minimize, NelderMead, Outcome, Progress, Report, Simplex, Trace, WithEvaluation,
-    minimize, with_evaluation,
+    BatchPlan, Error, Minimize, NelderMead, Outcome, Progress, Report, Simplex, Trace, WithQuery, minimize,
+    with_query,
 };
 use std::ops::ControlFlow;
 
@@ -85,10 +85,8 @@ pub fn problems() -> Vec<Problem> {
 }
 
 /// An objective that makes the most of its cutoff: it never gives a value above it.
-pub fn cutting(
-    f: fn(&[f64]) -> f64,
-) -> WithEvaluation<impl Fn(&[f64], &dfo::Evaluation<'_>) -> Outcome + Sync> {
-    with_evaluation(move |x: &[f64], e: &dfo::Evaluation<'_>| {
+pub fn cutting(f: fn(&[f64]) -> f64) -> WithQuery<impl Fn(&[f64], &dfo::Query<'_>) -> Outcome + Sync> {
+    with_query(move |x: &[f64], e: &dfo::Query<'_>| {
         let v = f(x);
         if v > e.cutoff { Outcome::Above(e.cutoff) } else { Outcome::Value(v) }
     })

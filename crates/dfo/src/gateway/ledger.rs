@@ -1,10 +1,10 @@
 //! What a run has seen: every count, the failures, the best point so far, the trace.
 
-use crate::ahead::{Ahead, Early};
+use super::ahead::Ahead;
+use crate::answer::{Answer, Failure, Outcome};
 use crate::error::NothingFound;
 use crate::method::Batch;
-use crate::objective::{Failure, Outcome};
-use crate::trace::{Record, Trace};
+use crate::trace::{Early, Record, Trace};
 use serde::{Deserialize, Serialize};
 
 /// Reasons counted one by one; what comes beyond is counted together.
@@ -37,6 +37,8 @@ pub(crate) struct Ledger {
     pub(crate) n_cached: usize,
     /// How often evaluations were asked for.
     pub(crate) n_batches: usize,
+    /// Number of residuals of each point, once one has some.
+    pub(crate) n_residuals: Option<usize>,
     failures: Vec<(String, usize)>,
     other_failures: usize,
     first_failure: Option<Vec<f64>>,
@@ -53,27 +55,23 @@ impl Ledger {
             n_failed: 0,
             n_cached: 0,
             n_batches: 0,
+            n_residuals: None,
             failures: Vec::new(),
             other_failures: 0,
             first_failure: None,
         }
     }
 
-    /// Enters a batch of the path: its outcomes, seconds and sources, in request order.
-    pub(crate) fn record(
-        &mut self,
-        batch: &Batch,
-        outcomes: &[Outcome],
-        seconds: &[f64],
-        sources: &[Source],
-    ) {
+    /// Enters a batch of the path: its answers and their sources, in request order.
+    pub(crate) fn record(&mut self, batch: &Batch, answers: &[Answer], sources: &[Source]) {
         self.n_batches += usize::from(sources.contains(&Source::Run));
-        for (k, outcome) in outcomes.iter().enumerate() {
+        for (k, answer) in answers.iter().enumerate() {
+            let outcome = &answer.outcome;
             if matches!(outcome, Outcome::Skipped) {
                 continue;
             }
             if matches!(sources[k], Source::Run | Source::Replayed) {
-                self.enter(batch, k, outcome, seconds[k]);
+                self.enter(batch, k, answer);
             } else {
                 self.n_cached += 1;
             }
@@ -91,8 +89,9 @@ impl Ledger {
     }
 
     /// Counts an evaluation and keeps it in the trace.
-    fn enter(&mut self, batch: &Batch, k: usize, outcome: &Outcome, seconds: f64) {
+    fn enter(&mut self, batch: &Batch, k: usize, answer: &Answer) {
         self.n_evaluations += 1;
+        let outcome = &answer.outcome;
         if let Outcome::Failed(Failure { message, .. }) = outcome {
             self.n_failed += 1;
             self.first_failure.get_or_insert_with(|| batch.point(k).to_vec());
@@ -110,7 +109,7 @@ impl Ledger {
             batch: batch.index(),
             cutoff: batch.cutoff(k),
             used: outcome.is_known(),
-            seconds,
+            seconds: answer.seconds,
         };
         self.trace.push(batch.point(k), record);
     }

@@ -1,6 +1,7 @@
 //! Remembered evaluations, by the bits of the point; bounded, the oldest go first.
 
-use crate::objective::{FailureKind, Outcome};
+use crate::answer::{Answer, Outcome, Want};
+use crate::objective::Query;
 use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, VecDeque};
 
@@ -8,7 +9,7 @@ use std::collections::{HashMap, VecDeque};
 #[serde(from = "Stored", into = "Stored")]
 pub(crate) struct Cache {
     capacity: usize,
-    known: HashMap<Box<[u64]>, Outcome>,
+    known: HashMap<Box<[u64]>, Answer>,
     /// Keys in the order in which they came.
     order: VecDeque<Box<[u64]>>,
     /// Keys that stay.
@@ -20,19 +21,19 @@ pub(crate) struct Cache {
 #[derive(Clone, Serialize, Deserialize)]
 struct Stored {
     capacity: usize,
-    pinned: Vec<(Vec<u64>, Outcome)>,
-    entries: Vec<(Vec<u64>, Outcome)>,
+    pinned: Vec<(Vec<u64>, Answer)>,
+    entries: Vec<(Vec<u64>, Answer)>,
 }
 
 impl From<Stored> for Cache {
     fn from(stored: Stored) -> Self {
         let mut cache = Self::new(stored.capacity);
         let point = |key: Vec<u64>| -> Vec<f64> { key.into_iter().map(f64::from_bits).collect() };
-        for (key, outcome) in stored.pinned {
-            cache.pin(&point(key), &outcome);
+        for (key, answer) in stored.pinned {
+            cache.pin(&point(key), answer);
         }
-        for (key, outcome) in stored.entries {
-            cache.insert(&point(key), &outcome);
+        for (key, answer) in stored.entries {
+            cache.insert(&point(key), &answer, Want::Residuals);
         }
         cache
     }
@@ -59,10 +60,10 @@ impl Cache {
     }
 
     /// Remembers an evaluation for good, whatever the capacity.
-    pub(crate) fn pin(&mut self, x: &[f64], outcome: &Outcome) {
+    pub(crate) fn pin(&mut self, x: &[f64], answer: Answer) {
         self.key(x);
         let key: Box<[u64]> = self.key.as_slice().into();
-        if self.known.insert(key.clone(), outcome.clone()).is_none() {
+        if self.known.insert(key.clone(), answer).is_none() {
             self.pinned.push(key);
         }
     }
@@ -83,27 +84,27 @@ impl Cache {
         !self.known.is_empty() && self.known.contains_key(&key()[..])
     }
 
-    /// What is known of a point, if that answers the question: "above c" does only up to the cutoff c.
-    pub(crate) fn get(&mut self, x: &[f64], cutoff: f64) -> Option<&Outcome> {
+    /// What is known of a point, if that answers the question: "above c" does only up to the cutoff c, a cost only where
+    /// no residuals are wanted.
+    pub(crate) fn get(&mut self, x: &[f64], query: Query<'_>) -> Option<&Answer> {
         if self.known.is_empty() {
             return None;
         }
         self.key(x);
-        self.known.get(&self.key[..]).filter(|o| !matches!(o, Outcome::Above(c) if *c < cutoff))
+        let answers = |known: &&Answer| {
+            known.answers(query.want) && !matches!(known.outcome, Outcome::Above(c) if c < query.cutoff)
+        };
+        self.known.get(&self.key[..]).filter(answers)
     }
 
     /// Remembers an evaluation, unless it says nothing lasting about the point.
-    pub(crate) fn insert(&mut self, x: &[f64], outcome: &Outcome) {
-        let passing = |kind| matches!(kind, FailureKind::Cancelled | FailureKind::TimedOut);
-        if self.capacity == 0
-            || !outcome.is_known()
-            || matches!(outcome, Outcome::Failed(f) if passing(f.kind))
-        {
+    pub(crate) fn insert(&mut self, x: &[f64], answer: &Answer, want: Want) {
+        if self.capacity == 0 || !answer.outcome.is_lasting() {
             return;
         }
         self.key(x);
         if let Some(known) = self.known.get_mut(&self.key[..]) {
-            known.clone_from(outcome);
+            *known = answer.only(want);
             return;
         }
         while self.order.len() >= self.capacity {
@@ -113,7 +114,7 @@ impl Cache {
         }
         let key: Box<[u64]> = self.key.as_slice().into();
         self.order.push_back(key.clone());
-        self.known.insert(key, outcome.clone());
+        self.known.insert(key, answer.only(want));
     }
 }
 
@@ -121,38 +122,57 @@ impl Cache {
 mod tests {
     use super::*;
 
+    fn get(cache: &mut Cache, x: f64, cutoff: f64) -> Option<Outcome> {
+        cache.get(&[x], Query::new(0, 0, cutoff)).map(|known| known.outcome.clone())
+    }
+
+    fn insert(cache: &mut Cache, x: f64, outcome: Outcome) {
+        cache.insert(&[x], &outcome.into(), Want::Cost);
+    }
+
     #[test]
     fn the_oldest_go_first() {
         let mut cache = Cache::new(2);
-        for k in 0..3 {
-            cache.insert(&[f64::from(k)], &Outcome::Value(f64::from(k)));
-        }
-        let known = |c: &mut Cache, k: f64| c.get(&[k], f64::INFINITY).cloned();
-        assert_eq!(known(&mut cache, 0.0), None);
-        assert_eq!(known(&mut cache, 2.0), Some(Outcome::Value(2.0)));
+        (0..3).map(f64::from).for_each(|k| insert(&mut cache, k, Outcome::Value(k)));
+        let known = |c: &mut Cache, x: f64| get(c, x, f64::INFINITY);
+        assert_eq!((known(&mut cache, 0.0), known(&mut cache, 2.0)), (None, Some(Outcome::Value(2.0))));
         let bytes = postcard::to_allocvec(&cache).unwrap();
         let mut back: Cache = postcard::from_bytes(&bytes).unwrap();
-        back.insert(&[9.0], &Outcome::Value(9.0));
+        insert(&mut back, 9.0, Outcome::Value(9.0));
         assert_eq!((known(&mut back, 1.0), known(&mut back, 2.0)), (None, Some(Outcome::Value(2.0))));
     }
 
     #[test]
     fn above_a_cutoff_answers_up_to_it() {
         let mut cache = Cache::new(4);
-        cache.insert(&[1.0], &Outcome::Above(3.0));
-        assert_eq!(cache.get(&[1.0], 2.0), Some(&Outcome::Above(3.0)));
-        assert_eq!(cache.get(&[1.0], 3.5), None);
-        cache.insert(&[1.0], &Outcome::Value(7.0));
-        assert_eq!(cache.get(&[1.0], f64::INFINITY), Some(&Outcome::Value(7.0)));
-        cache.insert(&[2.0], &Outcome::cancelled());
-        assert_eq!(cache.get(&[2.0], 1.0), None);
+        insert(&mut cache, 1.0, Outcome::Above(3.0));
+        assert_eq!(get(&mut cache, 1.0, 2.0), Some(Outcome::Above(3.0)));
+        assert_eq!(get(&mut cache, 1.0, 3.5), None);
+        insert(&mut cache, 1.0, Outcome::Value(7.0));
+        assert_eq!(get(&mut cache, 1.0, f64::INFINITY), Some(Outcome::Value(7.0)));
+        insert(&mut cache, 2.0, Outcome::cancelled());
+        assert_eq!(get(&mut cache, 2.0, 1.0), None);
         let mut pinned = Cache::new(0);
-        pinned.pin(&[5.0], &Outcome::Value(1.0));
-        pinned.insert(&[6.0], &Outcome::Value(2.0));
+        pinned.pin(&[5.0], Outcome::Value(1.0).into());
+        insert(&mut pinned, 6.0, Outcome::Value(2.0));
         let mut back: Cache = postcard::from_bytes(&postcard::to_allocvec(&pinned).unwrap()).unwrap();
-        assert!(back.get(&[5.0], 1.0).is_some() && back.get(&[6.0], 1.0).is_none() && back.is_off());
+        let known = (get(&mut back, 5.0, 1.0), get(&mut back, 6.0, 1.0));
+        assert!(known == (Some(Outcome::Value(1.0)), None) && back.is_off());
         let mut off = Cache::new(0);
-        off.insert(&[1.0], &Outcome::Value(1.0));
-        assert!(off.is_off() && off.get(&[1.0], 1.0).is_none());
+        insert(&mut off, 1.0, Outcome::Value(1.0));
+        assert!(off.is_off() && get(&mut off, 1.0, 1.0).is_none());
+    }
+
+    #[test]
+    fn a_cost_does_not_answer_for_residuals() {
+        let mut cache = Cache::new(4);
+        let query = Query::new(0, 0, f64::INFINITY).want(Want::Residuals);
+        let answer = Answer { residuals: vec![1.0], ..Outcome::Value(1.0).into() };
+        cache.insert(&[1.0], &answer, Want::Cost);
+        assert_eq!(cache.get(&[1.0], query), None);
+        cache.insert(&[1.0], &answer, Want::Residuals);
+        assert_eq!(cache.get(&[1.0], query), Some(&answer));
+        insert(&mut cache, 2.0, Outcome::failed("no"));
+        assert!(cache.get(&[2.0], query).is_some());
     }
 }

@@ -3,7 +3,10 @@
 //! They are no part of the run before that: they count in no budget, none is best, and what one of them ended with (a
 //! failure, an exception) means nothing.
 
-use crate::objective::{FailureKind, Outcome};
+use crate::answer::{Answer, Outcome, Want};
+use crate::evaluator::GivesUp;
+use crate::objective::Query;
+use crate::trace::Early;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -13,40 +16,26 @@ const MOST_KEPT: usize = 256;
 /// First number of the points that are evaluated ahead; those of the path count from 0.
 pub(crate) const FIRST_ID: u64 = 1 << 63;
 
-/// Whether an objective gives up above its cutoff; what it says elsewhere than below it depends on the cutoff then.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum GivesUp {
-    Yes,
-    No,
-    Unknown,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Early {
-    pub(crate) id: u64,
-    pub(crate) batch: u64,
-    pub(crate) x: Vec<f64>,
-    pub(crate) cutoff: f64,
-    pub(crate) outcome: Outcome,
-    pub(crate) seconds: f64,
-}
-
-impl Early {
-    /// What the objective would have said had it been told this cutoff, as far as that is known.
-    fn with_cutoff(&self, cutoff: f64, gives_up: GivesUp) -> Option<Outcome> {
-        match &self.outcome {
-            Outcome::Value(value) if *value > cutoff && gives_up == GivesUp::Yes => {
-                Some(Outcome::Above(cutoff))
+/// What the objective would have said had it been asked this, as far as that is known.
+fn answer_to(early: &Early, query: &Query<'_>, gives_up: GivesUp) -> Option<Answer> {
+    let cutoff = query.cutoff;
+    let above = || Some(Answer { outcome: Outcome::Above(cutoff), ..early.answer.only(Want::Cost) });
+    match &early.answer.outcome {
+        Outcome::Value(value) if *value > cutoff && gives_up == GivesUp::Yes => above(),
+        Outcome::Value(_) => early.answer.answers(query.want).then(|| early.answer.only(query.want)),
+        Outcome::Above(c) => {
+            if *c >= cutoff {
+                above()
+            } else {
+                None
             }
-            Outcome::Value(_) => Some(self.outcome.clone()),
-            Outcome::Above(above) => (*above >= cutoff).then_some(Outcome::Above(cutoff)),
-            // With a lower cutoff it might have been given up before.
-            Outcome::Failed(_) | Outcome::Abort(_) => {
-                let same = self.cutoff == cutoff || gives_up == GivesUp::No;
-                same.then(|| self.outcome.clone())
-            }
-            Outcome::Skipped => None,
         }
+        // With a lower cutoff it might have been given up before.
+        Outcome::Failed(_) | Outcome::Abort(_) => {
+            let same = early.cutoff == cutoff || gives_up == GivesUp::No;
+            same.then(|| early.answer.clone())
+        }
+        Outcome::Skipped => None,
     }
 }
 
@@ -77,28 +66,25 @@ impl Ahead {
     /// nothing lasting about its point.
     pub(crate) fn keep(&mut self, early: Early) -> Option<Early> {
         self.n_made += 1;
-        let passing = |kind| matches!(kind, FailureKind::Cancelled | FailureKind::TimedOut);
-        match &early.outcome {
-            Outcome::Failed(failure) if passing(failure.kind) => return Some(early),
-            _ => {}
+        if matches!(early.answer.outcome, Outcome::Failed(_)) && !early.answer.outcome.is_lasting() {
+            return Some(early);
         }
         self.kept.push_back(early);
         if self.kept.len() > MOST_KEPT { self.kept.pop_front() } else { None }
     }
 
-    /// What is known of a point that the path has come to: the outcome and its seconds, or an evaluation that does not
-    /// answer for this cutoff.
+    /// What is known of a point that the path has come to: its answer, or an evaluation that does not answer this query.
     pub(crate) fn take(
         &mut self,
         x: &[f64],
-        cutoff: f64,
+        query: Query<'_>,
         gives_up: GivesUp,
-    ) -> Option<Result<(Outcome, f64), Early>> {
+    ) -> Option<Result<Answer, Early>> {
         let early = self.find(x).and_then(|place| self.kept.remove(place))?;
-        Some(match early.with_cutoff(cutoff, gives_up) {
-            Some(outcome) => {
+        Some(match answer_to(&early, &query, gives_up) {
+            Some(answer) => {
                 self.n_reached += 1;
-                Ok((outcome, early.seconds))
+                Ok(answer)
             }
             None => Err(early),
         })
@@ -116,7 +102,7 @@ impl Ahead {
 
     /// After a run was resumed: exceptions are gone with the process that raised them.
     pub(crate) fn forget_aborts(&mut self) {
-        self.kept.retain(|early| !matches!(early.outcome, Outcome::Abort(_)));
+        self.kept.retain(|early| !matches!(early.answer.outcome, Outcome::Abort(_)));
     }
 
     /// Whether its parts fit together: what comes from a file may not.

@@ -1,7 +1,6 @@
 //! How many points to evaluate at once, from what evaluations take: it decides who computes what and when, never what the
 //! path of a method is.
 
-use crate::executor::Here;
 use crate::method::Lookahead;
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -36,6 +35,16 @@ pub(crate) enum HandingOver {
     Threads,
     /// The user's function takes whole batches: what that costs only measuring tells.
     Batches,
+}
+
+/// When the calling thread evaluates rather than a pool.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Here {
+    Never,
+    /// When evaluations are known to be short.
+    WhenShort,
+    /// When they are too short to be handed over; and the first one, which shows how long they are.
+    AtFirst,
 }
 
 /// A number of points at once, and how fast the path advances with it.
@@ -212,13 +221,18 @@ impl Pace {
     }
 
     /// A round of evaluations took so long in all; `seconds` of each, the first `needed` for the path.
-    pub(crate) fn measured(&mut self, needed: usize, in_all: f64, seconds: &[f64]) {
-        let longest = seconds.iter().fold(0.0, |m: f64, s| m.max(*s));
+    pub(crate) fn measured(
+        &mut self,
+        needed: usize,
+        in_all: f64,
+        seconds: impl ExactSizeIterator<Item = f64> + Clone,
+    ) {
+        let longest = seconds.clone().fold(0.0, f64::max);
         // Of more points than workers some waited, and the first one of all was not handed over.
         if self.handed_over.take() && !self.is_new() && seconds.len() <= self.workers {
             self.handed.push((in_all - longest).max(LEAST_HANDING_OVER));
         }
-        seconds.iter().for_each(|seconds| self.lately.push(*seconds));
+        seconds.for_each(|seconds| self.lately.push(seconds));
         self.longest = longest.max(self.longest * (1.0 - WEIGHT));
         // Vertices that are needed all at once say nothing about looking ahead.
         if self.measuring && needed == 1 {
@@ -267,13 +281,13 @@ mod tests {
     ) -> usize {
         let mut pace = Pace::new(workers, HandingOver::Threads);
         let (mut n_evaluations, mut n_narrow) = (4, 0);
-        pace.measured(4, 4.0 * evaluation, &[evaluation; 4]);
+        pace.measured(4, 4.0 * evaluation, [evaluation; 4].into_iter());
         for _ in 0..rounds {
             let width = pace.width(Lookahead::Measured, n_evaluations);
             n_narrow += usize::from(width < workers);
             let (seconds, gained) = model(width);
             pace.hands_over(width, Here::AtFirst, None);
-            pace.measured(1, seconds, &vec![evaluation; width]);
+            pace.measured(1, seconds, vec![evaluation; width].into_iter());
             n_evaluations += gained;
         }
         n_narrow
@@ -293,10 +307,10 @@ mod tests {
     fn short_evaluations_stay_where_they_are() {
         let pace = |handing_over: f64, evaluation: f64| {
             let mut pace = Pace::new(4, HandingOver::Threads);
-            pace.measured(1, evaluation, &[evaluation]);
+            pace.measured(1, evaluation, [evaluation].into_iter());
             for _ in 0..LATELY {
                 pace.hands_over(1000, Here::AtFirst, None);
-                pace.measured(2, evaluation + handing_over, &[evaluation; 2]);
+                pace.measured(2, evaluation + handing_over, [evaluation; 2].into_iter());
             }
             pace.width(Lookahead::Measured, 3) > 1
         };

@@ -1,0 +1,313 @@
+//! What comes back of an evaluation: a cost, "above the cutoff", or "failed: why"; and the residuals, where they were
+//! wanted.
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// What became of one evaluation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Outcome {
+    /// The cost. NaN and infinities become [`Failed`](Self::Failed) in the gateway.
+    Value(f64),
+    /// The evaluation was given up because the cost is strictly greater than this cutoff. Never a cost, never best.
+    Above(f64),
+    /// There is no cost at this point. Ranks behind every finite cost.
+    Failed(Failure),
+    /// The whole run must end (an exception that is to reach the user, for example).
+    Abort(String),
+    /// The run ended before this point was evaluated. Nothing is concluded from it; objectives do not return it.
+    Skipped,
+}
+
+impl Outcome {
+    /// A failure with [`FailureKind::Error`] and this message.
+    pub fn failed(message: impl Into<String>) -> Self {
+        Self::Failed(Failure { kind: FailureKind::Error, message: message.into() })
+    }
+
+    /// A failure with [`FailureKind::NotFinite`] and this message.
+    pub(crate) fn not_finite(message: String) -> Self {
+        Self::Failed(Failure { kind: FailureKind::NotFinite, message })
+    }
+
+    /// A failure with [`FailureKind::Cancelled`]: the evaluation saw [`Query::cancelled`](crate::Query::cancelled) and
+    /// gave up.
+    pub fn cancelled() -> Self {
+        Self::Failed(Failure { kind: FailureKind::Cancelled, message: "cancelled".to_owned() })
+    }
+
+    /// The cost, if there is a finite one.
+    pub fn value(&self) -> Option<f64> {
+        match self {
+            Self::Value(v) if v.is_finite() => Some(*v),
+            _ => None,
+        }
+    }
+
+    /// Whether this says anything about the point: false for [`Skipped`](Self::Skipped), [`Abort`](Self::Abort) and
+    /// cancelled evaluations, from which no decision may follow.
+    pub fn is_known(&self) -> bool {
+        match self {
+            Self::Value(_) | Self::Above(_) => true,
+            Self::Failed(failure) => failure.kind != FailureKind::Cancelled,
+            Self::Abort(_) | Self::Skipped => false,
+        }
+    }
+
+    /// Whether this says something about the point that lasts: another evaluation would say the same.
+    pub(crate) fn is_lasting(&self) -> bool {
+        match self {
+            Self::Failed(failure) => !matches!(failure.kind, FailureKind::Cancelled | FailureKind::TimedOut),
+            other => other.is_known(),
+        }
+    }
+
+    /// The one form that everything behind the gateway relies on: finite values, honest cutoffs.
+    pub(crate) fn checked(self, cutoff: f64) -> Self {
+        match self {
+            Self::Value(v) if !v.is_finite() => Self::not_finite(format!("cost is {v}")),
+            Self::Above(c) if c.is_nan() || c < cutoff => {
+                Self::failed(format!("given up above {c}, although the cutoff was {cutoff}"))
+            }
+            Self::Skipped => Self::failed("the objective returned Skipped"),
+            other => other,
+        }
+    }
+}
+
+/// A failed evaluation: of which kind, and why.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Failure {
+    /// Of which kind.
+    pub kind: FailureKind,
+    /// The reason, for people. Equal texts are counted together in a report, so leave out what changes every time.
+    pub message: String,
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+/// The kinds of failure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum FailureKind {
+    /// The cost was NaN or infinite.
+    NotFinite,
+    /// The objective reported an error.
+    Error,
+    /// The objective panicked.
+    Panic,
+    /// The objective ran out of its own time limit.
+    TimedOut,
+    /// The run was being ended; says nothing about the point.
+    Cancelled,
+}
+
+/// What is to be known of a point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+pub enum Want {
+    /// Its cost.
+    #[default]
+    Cost,
+    /// Its cost and the residuals that it is made from; then there is no cutoff.
+    Residuals,
+}
+
+/// The answer to one query. An objective fills one that is lent to it, so that nothing is allocated once it is warm.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Answer {
+    /// What became of the evaluation.
+    pub outcome: Outcome,
+    /// The residuals, always the same number in the same order. Looked at only where the query wanted them and the outcome
+    /// is a value.
+    pub residuals: Vec<f64>,
+    /// What the evaluation took, in units of the objective's own (right-hand sides, for example); 0 if it does not count.
+    pub work: u64,
+    /// Wall-clock seconds; the evaluator measures them.
+    pub seconds: f64,
+}
+
+impl Default for Answer {
+    /// [`Outcome::Skipped`]: nothing yet.
+    fn default() -> Self {
+        Self { outcome: Outcome::Skipped, residuals: Vec::new(), work: 0, seconds: 0.0 }
+    }
+}
+
+impl From<Outcome> for Answer {
+    fn from(outcome: Outcome) -> Self {
+        Self { outcome, ..Self::default() }
+    }
+}
+
+impl Answer {
+    /// Back to nothing; the room for residuals stays.
+    pub fn clear(&mut self) {
+        self.outcome = Outcome::Skipped;
+        self.residuals.clear();
+        (self.work, self.seconds) = (0, 0.0);
+    }
+
+    /// Whether this answers a query for `want`.
+    pub(crate) fn answers(&self, want: Want) -> bool {
+        let without = want == Want::Residuals && self.residuals.is_empty();
+        !(without && matches!(self.outcome, Outcome::Value(_)))
+    }
+
+    /// The same without what was not wanted.
+    pub(crate) fn only(&self, want: Want) -> Self {
+        let residuals = if want == Want::Residuals { self.residuals.clone() } else { Vec::new() };
+        Self { outcome: self.outcome.clone(), residuals, ..*self }
+    }
+
+    /// Makes a value without the residuals that were wanted a failure. `m`: their number, where it is known already; else
+    /// this answer gives it.
+    pub(crate) fn check_residuals(&mut self, m: &mut Option<usize>) {
+        if !matches!(self.outcome, Outcome::Value(_)) {
+            return;
+        }
+        let got = self.residuals.len();
+        let expected = *m.get_or_insert(got);
+        if got == 0 {
+            *m = None;
+            self.outcome = Outcome::failed("the objective gave a cost without residuals");
+        } else if got != expected {
+            self.outcome = Outcome::failed(format!("{got} residuals, but {expected} at the points before"));
+        } else if let Some((k, r)) = self.residuals.iter().enumerate().find(|(_, r)| !r.is_finite()) {
+            self.outcome = Outcome::not_finite(format!("residual {k} is {r}"));
+        }
+    }
+}
+
+/// The answers to a batch, in request order. The residuals of all points lie in one array.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Answers {
+    outcomes: Vec<Outcome>,
+    /// Number of residuals of each point; 0 if none were wanted.
+    m: usize,
+    residuals: Vec<f64>,
+}
+
+impl Answers {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.outcomes.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.outcomes.is_empty()
+    }
+
+    /// The outcomes in request order. Those of points that were not evaluated are [`Outcome::Skipped`].
+    pub fn outcomes(&self) -> &[Outcome] {
+        &self.outcomes
+    }
+
+    /// The residuals of point `k`; `None` where there are none, or none were wanted.
+    pub fn residuals(&self, k: usize) -> Option<&[f64]> {
+        let known = self.m > 0 && self.outcomes[k].value().is_some();
+        known.then(|| &self.residuals[k * self.m..(k + 1) * self.m])
+    }
+
+    /// Adds a point. All residual vectors have one length.
+    pub fn push(&mut self, outcome: Outcome, residuals: &[f64]) {
+        debug_assert!(residuals.is_empty() || self.m == 0 || residuals.len() == self.m, "one length");
+        if self.m == 0 && !residuals.is_empty() {
+            self.m = residuals.len();
+            self.residuals.clear();
+            self.residuals.resize(self.outcomes.len() * self.m, 0.0);
+        }
+        self.outcomes.push(outcome);
+        self.residuals.extend_from_slice(residuals);
+        self.residuals.resize(self.outcomes.len() * self.m, 0.0);
+    }
+
+    /// Removes all points; the room stays.
+    pub fn clear(&mut self) {
+        self.outcomes.clear();
+        self.residuals.clear();
+        self.m = 0;
+    }
+}
+
+impl Extend<Outcome> for Answers {
+    fn extend<T: IntoIterator<Item = Outcome>>(&mut self, outcomes: T) {
+        outcomes.into_iter().for_each(|outcome| self.push(outcome, &[]));
+    }
+}
+
+impl FromIterator<Outcome> for Answers {
+    fn from_iter<T: IntoIterator<Item = Outcome>>(outcomes: T) -> Self {
+        let mut answers = Self::default();
+        answers.extend(outcomes);
+        answers
+    }
+}
+
+impl From<&[Outcome]> for Answers {
+    fn from(outcomes: &[Outcome]) -> Self {
+        outcomes.iter().cloned().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_that_are_not_finite_become_failures() {
+        for v in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            assert!(matches!(
+                Outcome::Value(v).checked(f64::INFINITY),
+                Outcome::Failed(Failure { kind: FailureKind::NotFinite, .. })
+            ));
+        }
+        assert_eq!(Outcome::Value(1.0).checked(0.5), Outcome::Value(1.0));
+    }
+
+    #[test]
+    fn giving_up_below_the_cutoff_is_a_failure() {
+        assert_eq!(Outcome::Above(2.0).checked(2.0), Outcome::Above(2.0));
+        assert_eq!(Outcome::Above(3.0).checked(2.0), Outcome::Above(3.0));
+        for (above, cutoff) in [(1.0, 2.0), (f64::NAN, 2.0), (1.0, f64::INFINITY)] {
+            assert!(matches!(Outcome::Above(above).checked(cutoff), Outcome::Failed(_)));
+        }
+    }
+
+    #[test]
+    fn residuals_have_one_length_and_are_finite() {
+        let mut m = None;
+        let check = |residuals: &[f64], m: &mut Option<usize>| {
+            let mut answer = Answer { residuals: residuals.to_vec(), ..Outcome::Value(1.0).into() };
+            answer.check_residuals(m);
+            answer.outcome
+        };
+        assert!(matches!(check(&[], &mut m), Outcome::Failed(_)) && m.is_none());
+        assert_eq!((check(&[1.0, 0.0], &mut m), m), (Outcome::Value(1.0), Some(2)));
+        let Outcome::Failed(failure) = check(&[1.0], &mut m) else { panic!() };
+        assert_eq!(failure.message, "1 residuals, but 2 at the points before");
+        let Outcome::Failed(failure) = check(&[1.0, f64::NAN], &mut m) else { panic!() };
+        assert_eq!((failure.kind, &failure.message[..]), (FailureKind::NotFinite, "residual 1 is NaN"));
+    }
+
+    #[test]
+    fn the_rows_of_a_batch_stay_apart() {
+        let mut answers = Answers::default();
+        answers.push(Outcome::failed("no"), &[]);
+        answers.push(Outcome::Value(5.0), &[1.0, 2.0]);
+        answers.push(Outcome::Skipped, &[]);
+        answers.push(Outcome::Value(25.0), &[3.0, 4.0]);
+        assert_eq!((answers.residuals(0), answers.residuals(2)), (None, None));
+        assert_eq!(
+            (answers.residuals(1), answers.residuals(3)),
+            (Some(&[1.0, 2.0][..]), Some(&[3.0, 4.0][..]))
+        );
+        answers.clear();
+        answers.push(Outcome::Value(1.0), &[]);
+        assert_eq!((answers.len(), answers.residuals(0)), (1, None));
+    }
+}

@@ -1,0 +1,175 @@
+//! A function of the user's that evaluates whole batches on the calling thread.
+
+use super::{Evaluator, Polled, Wait, panicked};
+use crate::answer::{Answer, Failure, Outcome};
+use crate::objective::{Ends, Query};
+use std::cell::{Cell, RefCell};
+use std::ops::Range;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Instant;
+
+/// The points that a user's function is to evaluate.
+#[derive(Debug, Clone, Copy)]
+pub struct BatchView<'a> {
+    n: usize,
+    points: &'a [f64],
+    queries: &'a [Query<'static>],
+    ends: Ends<'a>,
+    details: &'a [Details],
+}
+
+/// What the function says of a point besides its outcome.
+#[derive(Debug, Default)]
+struct Details {
+    seconds: Cell<Option<f64>>,
+    work: Cell<u64>,
+    residuals: RefCell<Vec<f64>>,
+}
+
+impl<'a> BatchView<'a> {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.queries.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.queries.is_empty()
+    }
+
+    /// Number of parameters.
+    pub fn n(&self) -> usize {
+        self.n
+    }
+
+    /// Point `k` in the user's units.
+    pub fn point(&self, k: usize) -> &'a [f64] {
+        &self.points[k * self.n..(k + 1) * self.n]
+    }
+
+    /// All points, row by row.
+    pub fn as_flat(&self) -> &'a [f64] {
+        self.points
+    }
+
+    /// What is wanted of point `k`, its cutoff, ids and cancel flag.
+    pub fn query(&self, k: usize) -> Query<'a> {
+        self.queries[k].ended_by(self.ends)
+    }
+
+    /// Says how many seconds point `k` took, for the trace; else it is an equal share of the time of the call.
+    pub fn set_seconds(&self, k: usize, seconds: f64) {
+        self.details[k].seconds.set(Some(seconds));
+    }
+
+    /// Says what point `k` took, in units of the function's own.
+    pub fn set_work(&self, k: usize, work: u64) {
+        self.details[k].work.set(work);
+    }
+
+    /// The residuals of point `k`, where the query wants them.
+    pub fn set_residuals(&self, k: usize, residuals: &[f64]) {
+        let mut own = self.details[k].residuals.borrow_mut();
+        own.clear();
+        own.extend_from_slice(residuals);
+    }
+}
+
+/// A function that evaluates whole batches on the calling thread: one outcome per point, in order.
+pub(crate) type BatchFunction<'a> = dyn FnMut(&BatchView<'_>) -> Vec<Outcome> + 'a;
+
+pub(crate) struct Batches<'a> {
+    function: &'a mut BatchFunction<'a>,
+    points: Vec<f64>,
+    queries: Vec<Query<'static>>,
+    /// The answers to the points before `next` have been given.
+    answers: Vec<Answer>,
+    next: usize,
+    /// After a panic: the points from here on are given one by one.
+    alone: Option<usize>,
+}
+
+impl<'a> Batches<'a> {
+    pub(crate) fn new(function: &'a mut BatchFunction<'a>) -> Self {
+        Self { function, points: Vec::new(), queries: Vec::new(), answers: Vec::new(), next: 0, alone: None }
+    }
+
+    /// One call. `Err`: it panicked.
+    fn call(&mut self, places: Range<usize>, ends: Ends<'_>) -> Result<(), Failure> {
+        let (len, n) = (places.len(), self.points.len() / self.queries.len().max(1));
+        let details: Vec<Details> = std::iter::repeat_with(Details::default).take(len).collect();
+        let points = &self.points[places.start * n..places.end * n];
+        let view = BatchView { n, points, queries: &self.queries[places.clone()], ends, details: &details };
+        let start = Instant::now();
+        let outcomes = catch_unwind(AssertUnwindSafe(|| (self.function)(&view)))
+            .map_err(|payload| panicked(payload.as_ref()))?;
+        let share = start.elapsed().as_secs_f64() / len as f64;
+        let got = outcomes.len();
+        let answers = &mut self.answers[places.clone()];
+        if got != len {
+            let message = format!("{got} outcomes were returned for a batch of {len} points");
+            answers[0].outcome = Outcome::Abort(message);
+            return Ok(());
+        }
+        for (((answer, outcome), details), k) in answers.iter_mut().zip(outcomes).zip(details).zip(places) {
+            answer.outcome = match outcome {
+                // A function that was interrupted says so by leaving points out.
+                Outcome::Skipped => Outcome::Skipped,
+                other => other.checked(self.queries[k].cutoff),
+            };
+            answer.seconds = details.seconds.get().unwrap_or(share);
+            answer.work = details.work.get();
+            answer.residuals = details.residuals.into_inner();
+        }
+        Ok(())
+    }
+}
+
+impl Evaluator for Batches<'_> {
+    fn submit(&mut self, x: &[f64], query: Query<'static>) {
+        if self.next == self.queries.len() {
+            self.withdraw();
+        }
+        self.points.extend_from_slice(x);
+        self.queries.push(query);
+    }
+
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+        let len = self.queries.len();
+        if self.next == len {
+            return Polled::Idle;
+        }
+        if self.answers.is_empty() {
+            self.answers.resize_with(len, Answer::default);
+            match self.call(0..len, wait.ends) {
+                Ok(()) => {}
+                Err(why) if len == 1 => self.answers[0].outcome = Outcome::Failed(why),
+                // One point that panics is no reason for the others to fail.
+                Err(_) => self.alone = Some(0),
+            }
+        }
+        let k = self.next;
+        if self.alone == Some(k) {
+            if let Err(why) = self.call(k..k + 1, wait.ends) {
+                self.answers[k].outcome = Outcome::Failed(why);
+            }
+            self.alone = Some(k + 1);
+        }
+        self.next += 1;
+        std::mem::swap(answer, &mut self.answers[k]);
+        Polled::Answered(self.queries[k].id)
+    }
+
+    fn withdraw(&mut self) {
+        // What the function has answered already is not thrown away.
+        let end = if self.alone.is_some() { self.next } else { self.answers.len() };
+        if self.next < end {
+            self.queries.truncate(end);
+            return;
+        }
+        self.points.clear();
+        self.queries.clear();
+        self.answers.clear();
+        (self.next, self.alone) = (0, None);
+    }
+}

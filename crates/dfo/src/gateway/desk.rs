@@ -1,0 +1,275 @@
+//! Sorts a batch into what must be evaluated and what is known, and puts the answers together again.
+
+use super::cache::Cache;
+use super::ledger::{Ledger, Source};
+use crate::answer::{Answer, Answers, Outcome, Want};
+use crate::evaluator::GivesUp;
+use crate::method::{Batch, Method};
+use crate::termination::Limits;
+use crate::trace::Early;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::collections::hash_map::{DefaultHasher, Entry};
+use std::hash::Hasher;
+
+/// Batches in a row without anything new after which a run ends.
+const STALE_BATCHES: usize = 200;
+
+/// An evaluation made before a run was resumed, of a batch that had not been completed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Replay {
+    pub(crate) id: u64,
+    pub(crate) answer: Answer,
+}
+
+/// Sorts a batch into what must be evaluated and what is known, and puts the answers together again.
+#[derive(Debug)]
+pub(crate) struct Desk {
+    pub(crate) ledger: Ledger,
+    pub(crate) cache: Cache,
+    pub(crate) replay: Vec<Replay>,
+    pub(crate) stale: usize,
+    /// What is to be evaluated: first what the path needs, then what it may need next.
+    pub(crate) work: Batch,
+    n_needed: usize,
+    pub(crate) gives_up: GivesUp,
+    guesses: Batch,
+    sources: Vec<Source>,
+    /// The answers to the points of a batch, and what of them the method is told.
+    answers: Vec<Answer>,
+    told: Answers,
+    /// Places of the points of a batch, by their hash.
+    places: HashMap<u64, usize>,
+    truncated: bool,
+}
+
+impl Desk {
+    pub(crate) fn new(ledger: Ledger, cache: Cache) -> Self {
+        Self {
+            ledger,
+            cache,
+            replay: Vec::new(),
+            stale: 0,
+            work: Batch::new(),
+            n_needed: 0,
+            gives_up: GivesUp::Unknown,
+            guesses: Batch::new(),
+            sources: Vec::new(),
+            answers: Vec::new(),
+            told: Answers::default(),
+            places: HashMap::new(),
+            truncated: false,
+        }
+    }
+
+    /// Takes a batch in. What the budget leaves of it and is not known stands in `work` then.
+    pub(crate) fn open(&mut self, batch: &Batch, limits: &Limits) {
+        let mut left = self.left(limits);
+        self.work.start(batch.n(), batch.index(), 0);
+        self.work.set_want(batch.want());
+        self.sources.clear();
+        reset(&mut self.answers, batch.len());
+        self.places.clear();
+        self.truncated = false;
+        for k in 0..batch.len() {
+            let (x, cutoff) = (batch.point(k), batch.cutoff(k));
+            let source = if let Some(known) = self.cache.get(x, batch.query(k)) {
+                self.answers[k].clone_from(known);
+                Source::Cached
+            } else if let Some(twin) = self.twin(batch, k) {
+                Source::Copy(twin)
+            } else if left == 0 {
+                self.truncated = true;
+                Source::Forbidden
+            } else {
+                left -= 1;
+                match self.evaluated_before(batch, k) {
+                    Some(answer) => {
+                        self.answers[k] = answer;
+                        Source::Replayed
+                    }
+                    None => {
+                        self.work.push_with_id(x, cutoff, batch.id(k));
+                        Source::Run
+                    }
+                }
+            };
+            self.sources.push(source);
+        }
+        self.n_needed = self.work.len();
+    }
+
+    /// Evaluations that the budget leaves.
+    fn left(&self, limits: &Limits) -> usize {
+        let spent = self.ledger.n_evaluations;
+        limits.max_evaluations.map_or(usize::MAX, |m| m.saturating_sub(spent))
+    }
+
+    /// The outcome of a point that was evaluated before the run was resumed, or ahead of need.
+    fn evaluated_before(&mut self, batch: &Batch, k: usize) -> Option<Answer> {
+        let id = batch.id(k);
+        if let Ok(place) = self.replay.binary_search_by_key(&id, |replay| replay.id) {
+            return Some(self.replay[place].answer.clone());
+        }
+        match self.ledger.ahead.take(batch.point(k), batch.query(k), self.gives_up)? {
+            Ok(known) => Some(known),
+            Err(useless) => {
+                self.ledger.trace.push_speculative(useless);
+                None
+            }
+        }
+    }
+
+    /// An earlier place of the batch whose outcome answers for place `k` too.
+    fn twin(&mut self, batch: &Batch, k: usize) -> Option<usize> {
+        if self.cache.is_off() {
+            return None;
+        }
+        let mut hasher = DefaultHasher::new();
+        batch.point(k).iter().for_each(|v| hasher.write_u64(v.to_bits()));
+        let place = match self.places.entry(hasher.finish()) {
+            Entry::Occupied(place) => place,
+            Entry::Vacant(free) => {
+                free.insert(k);
+                return None;
+            }
+        };
+        let j = *place.get();
+        let same = batch.point(j).iter().zip(batch.point(k)).all(|(a, b)| a.to_bits() == b.to_bits());
+        let answers = matches!(self.sources[j], Source::Run | Source::Replayed);
+        if same && answers && batch.cutoff(j) >= batch.cutoff(k) {
+            return Some(j);
+        }
+        // This one answers for more.
+        *place.into_mut() = k;
+        None
+    }
+
+    /// Adds up to `wanted` points to `work` that the path may need next. No more than the budget lets it come to.
+    pub(crate) fn look_ahead<M: Method + ?Sized>(&mut self, method: &mut M, wanted: usize, limits: &Limits) {
+        let wanted = wanted.min(self.left(limits).saturating_sub(self.n_needed));
+        if wanted == 0 || self.n_needed == 0 {
+            return;
+        }
+        let Self { ledger, cache, guesses, work, .. } = self;
+        guesses.start(work.n(), work.index(), ledger.ahead.next_id());
+        guesses.set_want(work.want());
+        let known = |x: &[f64]| ledger.ahead.contains(x) || cache.contains(x);
+        method.speculate(wanted, &known, guesses);
+        work.append(guesses);
+    }
+
+    /// How many points of `work` the path needs.
+    pub(crate) fn n_needed(&self) -> usize {
+        self.n_needed
+    }
+
+    /// The first place of the batch at which the objective asked to end the run, and its message. `answers`: to `work`.
+    pub(crate) fn abort<'a>(&'a self, answers: &'a [Answer]) -> Option<(usize, &'a str)> {
+        let mut new = answers.iter();
+        self.sources.iter().enumerate().find_map(|(k, source)| {
+            let answer = if *source == Source::Run { new.next() } else { self.answers.get(k) };
+            match answer.map(|answer| &answer.outcome) {
+                Some(Outcome::Abort(message)) => Some((k, message.as_str())),
+                _ => None,
+            }
+        })
+    }
+
+    /// What of this batch is known for good, should the run end here.
+    pub(crate) fn known(&self, batch: &Batch, answers: &[Answer]) -> Vec<Replay> {
+        let mut known = Vec::new();
+        let mut new = answers.iter();
+        for (k, source) in self.sources.iter().enumerate() {
+            let answer = match source {
+                Source::Run => new.next(),
+                Source::Replayed => self.answers.get(k),
+                Source::Cached | Source::Copy(_) | Source::Forbidden => continue,
+            };
+            if let Some(answer) = answer.filter(|answer| answer.outcome.is_known()) {
+                known.push(Replay { id: batch.id(k), answer: answer.only(batch.want()) });
+            }
+        }
+        known
+    }
+
+    /// Takes the answers to `work`, in order, and enters everything into the ledger.
+    pub(crate) fn close(&mut self, batch: &Batch, answers: &mut [Answer]) {
+        let mut at = 0;
+        // One point at a time nothing would have been evaluated after it.
+        let last = self.abort(&answers[..self.n_needed]).map_or(usize::MAX, |(k, _)| k);
+        for k in 0..batch.len() {
+            match self.sources[k] {
+                Source::Run => {
+                    if k <= last {
+                        std::mem::swap(&mut self.answers[k], &mut answers[at]);
+                        if batch.want() == Want::Residuals {
+                            self.answers[k].check_residuals(&mut self.ledger.n_residuals);
+                        }
+                    } else {
+                        self.keep_ahead(at, &answers[at]);
+                    }
+                    at += 1;
+                }
+                _ if k > last => self.answers[k].clear(),
+                Source::Copy(twin) => self.answers[k] = self.answers[twin].clone(),
+                Source::Replayed | Source::Cached | Source::Forbidden => {}
+            }
+            if matches!(self.sources[k], Source::Run | Source::Replayed) {
+                self.cache.insert(batch.point(k), &self.answers[k], batch.want());
+            }
+        }
+        for k in self.n_needed..self.work.len() {
+            self.keep_ahead(k, &answers[k]);
+        }
+        self.replay.clear();
+        let new =
+            self.sources.iter().any(|s| matches!(s, Source::Run | Source::Replayed | Source::Forbidden));
+        self.stale = if new { 0 } else { self.stale + 1 };
+        self.ledger.record(batch, &self.answers, &self.sources);
+        self.told.clear();
+        for answer in &self.answers {
+            let residuals = if batch.want() == Want::Residuals { &answer.residuals[..] } else { &[] };
+            let known = answer.outcome.value().is_some();
+            self.told.push(answer.outcome.clone(), if known { residuals } else { &[] });
+        }
+    }
+
+    /// Keeps the answer to point `k` of `work` for a path that may come to it.
+    fn keep_ahead(&mut self, k: usize, answer: &Answer) {
+        if answer.outcome == Outcome::Skipped {
+            return;
+        }
+        let mut answer = answer.only(self.work.want());
+        if self.work.want() == Want::Residuals {
+            answer.check_residuals(&mut self.ledger.n_residuals.clone());
+        }
+        let (id, batch) = (self.work.id(k), self.work.index());
+        let (x, cutoff) = (self.work.point(k).to_vec(), self.work.cutoff(k));
+        self.ledger.keep_ahead(Early { id, batch, x, cutoff, answer });
+    }
+
+    /// Answers to the last batch; what was not evaluated is [`Outcome::Skipped`].
+    pub(crate) fn told(&self) -> &Answers {
+        &self.told
+    }
+
+    pub(crate) fn is_truncated(&self) -> bool {
+        self.truncated
+    }
+
+    pub(crate) fn is_stale(&self) -> bool {
+        self.stale >= STALE_BATCHES
+    }
+
+    pub(crate) fn target_reached(&self, limits: &Limits) -> bool {
+        matches!((limits.target, &self.ledger.best), (Some(target), Some((_, best))) if *best <= target)
+    }
+}
+
+/// As many empty answers.
+pub(crate) fn reset(answers: &mut Vec<Answer>, len: usize) {
+    answers.truncate(len);
+    answers.iter_mut().for_each(Answer::clear);
+    answers.resize_with(len, Answer::default);
+}
