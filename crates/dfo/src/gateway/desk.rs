@@ -219,8 +219,8 @@ impl Desk {
                 self.cache.insert(batch.point(k), &self.answers[k], batch.want());
             }
         }
-        for k in self.n_needed..self.work.len() {
-            self.keep_ahead(k, &answers[k]);
+        for (k, answer) in answers.iter().enumerate().skip(self.n_needed) {
+            self.keep_ahead(k, answer);
         }
         self.replay.clear();
         let new =
