@@ -366,7 +366,7 @@ impl Writer {
             observed,
             first_recent,
             seconds,
-            seed: method.seed(),
+            seed: method.details().seed,
         };
         let begin = Instant::now();
         let payload = postcard::to_allocvec(&(VERSION, snapshot)).map_err(|e| failed(path, e))?;

@@ -1,15 +1,15 @@
 //! A run before it begins: what was said about it, and how that becomes a method, a desk and a checkpoint.
 
 use crate::answer::Outcome;
-use crate::bounds::Bounds;
 use crate::checkpoint::{self, Checkpoint, Writer};
 use crate::error::Error;
 use crate::gateway::cache::Cache;
 use crate::gateway::desk::Desk;
 use crate::gateway::ledger::Ledger;
 use crate::method::{Method, MethodOptions, Setup};
-use crate::nelder_mead::NelderMead;
-use crate::scaling::{Kind, Space, Transform};
+use crate::methods::NelderMead;
+use crate::space::Bounds;
+use crate::space::{Kind, Space, Transform};
 use crate::termination::{Limits, Tolerances};
 
 /// A point with its cost, and the problem that it belongs to.

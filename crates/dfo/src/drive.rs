@@ -82,8 +82,9 @@ impl<M: Method> Drive<'_, M> {
     /// Tells the observer of a new iteration; whether it said stop.
     fn observe(&mut self, observer: Option<&mut Observer<'_>>) -> bool {
         let Self { method, gateway, .. } = self;
-        let (ledger, n_iterations) = (&gateway.desk.ledger, method.n_iterations());
-        let (Some(operation), Some((x, fun))) = (method.operation(), &ledger.best) else { return false };
+        let (ledger, details) = (&gateway.desk.ledger, method.details());
+        let n_iterations = details.n_iterations;
+        let (Some(operation), Some((x, fun))) = (details.operation, &ledger.best) else { return false };
         if self.observed.is_some_and(|n| n >= n_iterations) {
             return false;
         }
@@ -98,9 +99,9 @@ impl<M: Method> Drive<'_, M> {
             x,
             fun: *fun,
             operation,
-            simplex: method.simplex(),
-            population: method.population(),
-            tests: method.tests(),
+            simplex: details.simplex,
+            population: details.population,
+            tests: details.tests,
             seconds: gateway.elapsed(),
             trace: &ledger.trace,
             first_recent,
@@ -133,8 +134,9 @@ pub(crate) fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limi
     if desk.target_reached(limits) {
         return Some(Termination::Target);
     }
-    let iterations = limits.max_iterations.is_some_and(|m| method.n_iterations() >= m);
-    let over = iterations && method.operation().is_some() && method.status() == Status::Running;
+    let details = method.details();
+    let iterations = limits.max_iterations.is_some_and(|m| details.n_iterations >= m);
+    let over = iterations && details.operation.is_some() && method.status() == Status::Running;
     over.then_some(Termination::MaxIterations)
 }
 
@@ -177,7 +179,7 @@ pub(crate) fn end<M: Method + ?Sized>(
     }
     if desk.is_stale() {
         // Among whole numbers nothing is left to try then, and the tests measure what there is.
-        let passed = method.tests().is_some_and(|tests| tests.passed);
+        let passed = method.details().tests.is_some_and(|tests| tests.passed);
         return Some(Some(if passed { Termination::Converged } else { Termination::Stalled }));
     }
     reached(method, desk, limits).map(Some)

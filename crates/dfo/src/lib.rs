@@ -38,51 +38,42 @@
 #![forbid(unsafe_code)]
 
 mod answer;
-mod any_method;
-mod barrier;
-mod bounds;
 mod checkpoint;
-mod cost;
 mod description;
-mod differential_evolution;
 mod drive;
 mod error;
 mod evaluator;
 mod gateway;
-mod generations;
-mod genetic;
 mod memory;
 mod method;
+mod methods;
 mod minimize;
-mod nelder_mead;
 mod number;
 mod objective;
 mod observe;
 mod optimizer;
-mod population;
 mod report;
 mod rng;
-mod rounds;
 mod sampling;
-mod scaling;
+mod space;
 mod termination;
 mod trace;
 mod words;
 
 pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
-pub use any_method::{AnyMethod, BoxedMethod};
-pub use barrier::{Barrier, BarrierStage, BarrierState};
-pub use bounds::Bounds;
 pub use checkpoint::{Checkpoint, Resume};
-pub use differential_evolution::{
-    Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
-};
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
-pub use genetic::{Genetic, GeneticState, Selection};
-pub use method::{Batch, Lookahead, Method, MethodOptions, Operation, Setup, Simplex, SimplexView, Status};
+pub use method::{
+    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Setup, Simplex, SimplexView,
+    Status,
+};
+pub use methods::{
+    Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, Coefficients, Crossover,
+    DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex, NelderMead,
+    NelderMeadState, Repair, Scheme, Selection, Strategy, Weight,
+};
 pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
-pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
 pub use objective::{
     ByRef, Fallible, Objective, Query, ResidualFunction, Residuals, WithQuery, fallible, residuals,
     with_query,
@@ -91,6 +82,6 @@ pub use observe::Progress;
 pub use optimizer::{Optimizer, Point};
 pub use report::Report;
 pub use sampling::Sampling;
-pub use scaling::{BoundsHandling, Kind, Space, Transform};
+pub use space::{Bounds, BoundsHandling, Kind, Space, Transform};
 pub use termination::{Extent, Limits, Measure, Stop, Termination, Tests, Tolerances};
 pub use trace::{Trace, TraceEntry};

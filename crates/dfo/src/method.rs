@@ -2,10 +2,9 @@
 //! objective.
 
 use crate::answer::{Answers, Want};
-use crate::barrier::BarrierStage;
 use crate::error::Error;
 use crate::objective::Query;
-use crate::scaling::Space;
+use crate::space::Space;
 use crate::termination::{Termination, Tests, Tolerances};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -141,10 +140,11 @@ impl Batch {
 
 /// How many points a run evaluates at once where the path of its method needs fewer; the others are those of
 /// [`Method::speculate`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Lookahead {
     /// What the path needs, no more.
+    #[default]
     None,
     /// Up to so many, whatever they cost.
     Points(usize),
@@ -213,7 +213,7 @@ pub struct Setup {
     pub space: Space,
     /// When to stop.
     pub tolerances: Tolerances,
-    /// Seed of what is random; `None`: a method that needs one draws it and says it ([`Method::seed`]).
+    /// Seed of what is random; `None`: a method that needs one draws it and says it ([`Details::seed`]).
     pub seed: Option<u64>,
     /// The budget, for methods that plan ahead with it.
     pub max_evaluations: Option<usize>,
@@ -308,11 +308,6 @@ pub trait Method {
         let _ = (wanted, known, batch);
     }
 
-    /// How far to evaluate ahead of need.
-    fn lookahead(&self) -> Lookahead {
-        Lookahead::None
-    }
-
     /// Takes the answers to the batch last asked, in request order. Points that were not evaluated
     /// ([`Outcome::Skipped`](crate::Outcome::Skipped), or too few answers) and outcomes that say nothing
     /// (see [`Outcome::is_known`](crate::Outcome::is_known)) are asked again where they are needed.
@@ -324,48 +319,56 @@ pub trait Method {
     /// Where the method stands.
     fn status(&self) -> Status;
 
-    /// Number of complete iterations.
-    fn n_iterations(&self) -> usize;
-
-    /// What the last complete iteration did; `None` before the starting points are known.
-    fn operation(&self) -> Option<Operation>;
-
-    /// The batch plan in use.
-    fn plan(&self) -> &'static str;
-
-    /// The tolerance tests after the last complete iteration.
-    fn tests(&self) -> Option<Tests> {
-        None
-    }
-
     /// The best point and its cost, as the method sees it.
     fn best(&self) -> Option<(&[f64], f64)>;
 
-    /// The simplex, for methods that have one.
-    fn simplex(&self) -> Option<SimplexView<'_>> {
-        None
-    }
-
-    /// The population, for methods that have one.
-    fn population(&self) -> Option<SimplexView<'_>> {
-        None
-    }
-
-    /// The stages of a sequential barrier search, complete ones only.
-    fn schedule(&self) -> &[BarrierStage] {
-        &[]
-    }
+    /// Where the method stands in detail, and what only some methods have.
+    fn details(&self) -> Details<'_>;
 
     /// The whole state, for [`MethodOptions::restore`]; `None` for methods that cannot be continued. May be called
     /// at any time; a state saved between ask and tell asks for the same batch again.
     fn save(&self) -> Option<Vec<u8>> {
         None
     }
+}
 
+/// Where a method stands, besides its status and its best point. A method gives what it has; all else has a default.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Details<'a> {
+    /// Number of complete iterations.
+    pub n_iterations: usize,
+    /// What the last complete iteration did; `None` before the starting points are known.
+    pub operation: Option<Operation>,
+    /// The tolerance tests after the last complete iteration.
+    pub tests: Option<Tests>,
+    /// The batch plan in use.
+    pub plan: &'static str,
+    /// How far to evaluate ahead of need.
+    pub lookahead: Lookahead,
     /// The seed in use, for methods that draw random numbers.
-    fn seed(&self) -> Option<u64> {
-        None
-    }
+    pub seed: Option<u64>,
+    /// The simplex, for methods that have one.
+    pub simplex: Option<SimplexView<'a>>,
+    /// The population, for methods that have one.
+    pub population: Option<SimplexView<'a>>,
+    /// The stages of a sequential barrier search, complete ones only.
+    pub schedule: &'a [BarrierStage],
+}
+
+/// One stage of a sequential barrier search.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct BarrierStage {
+    /// The barrier parameter.
+    pub mu: f64,
+    /// `B(x)` at the end of the stage.
+    pub barrier: f64,
+    /// The point at the end of the stage: the best for `f + mu B`.
+    pub x: Vec<f64>,
+    /// Its `f + mu B`.
+    pub value: f64,
+    /// Evaluations of the stage.
+    pub n_evaluations: usize,
 }
 
 /// A simplex as it stands, best vertex first.

@@ -1,7 +1,6 @@
 //! The front door: `minimize(f).start(&x0)...run()`.
 
 use crate::answer::Outcome;
-use crate::bounds::Bounds;
 use crate::checkpoint::Checkpoint;
 use crate::description::{Begun, Description, Known};
 use crate::drive::{Drive, Observer};
@@ -9,12 +8,13 @@ use crate::error::Error;
 use crate::evaluator::{BatchFunction, BatchView, WorkerPool};
 use crate::gateway::{Crew, Gateway, Here};
 use crate::method::MethodOptions;
-use crate::nelder_mead::NelderMead;
+use crate::methods::NelderMead;
 use crate::objective::Objective;
 use crate::observe::Progress;
 use crate::optimizer::Optimizer;
 use crate::report::Report;
-use crate::scaling::{Kind, Transform};
+use crate::space::Bounds;
+use crate::space::{Kind, Transform};
 use crate::termination::{Limits, Measure, Stop, Tolerances};
 use crate::trace::Trace;
 use std::fmt;

@@ -1,7 +1,6 @@
 //! Ask / tell by ids: points are handed out one by one or many at once, and answered in any order.
 
 use crate::answer::{Answer, Outcome, Want};
-use crate::any_method::BoxedMethod;
 use crate::checkpoint::Writer;
 use crate::description::Begun;
 use crate::drive::{end, reached};
@@ -9,6 +8,7 @@ use crate::error::Error;
 use crate::gateway::desk::Desk;
 use crate::gateway::desk::reset;
 use crate::method::{Batch, Lookahead, Method};
+use crate::methods::BoxedMethod;
 use crate::objective::Query;
 use crate::report::{self, Report};
 use crate::termination::{Limits, Termination};
@@ -111,7 +111,8 @@ impl Optimizer {
         };
         let seconds = self.elapsed();
         let Some(writer) = &mut self.writer else { return Ok(()) };
-        let observed = self.method.operation().map(|_| self.method.n_iterations());
+        let details = self.method.details();
+        let observed = details.operation.map(|_| details.n_iterations);
         writer.write(&self.method, &self.desk, &replay, (observed, self.desk.ledger.trace.end()), seconds)
     }
 
@@ -215,7 +216,7 @@ impl Optimizer {
                 break;
             }
             self.desk.open(&self.batch, &self.limits);
-            let width = match self.method.lookahead() {
+            let width = match self.method.details().lookahead {
                 Lookahead::None => 1,
                 Lookahead::Points(points) => points,
                 Lookahead::Workers | Lookahead::Measured => self.workers,

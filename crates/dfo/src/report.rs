@@ -1,8 +1,8 @@
 //! The result of a run: the best point, what it cost, and why the run ended.
 
-use crate::barrier::BarrierStage;
 use crate::error::Error;
 use crate::gateway::ledger::Ledger;
+use crate::method::BarrierStage;
 use crate::method::{Method, Simplex};
 use crate::termination::{Limits, Termination, Tests, UNBOUNDED};
 use crate::trace::Trace;
@@ -95,26 +95,27 @@ pub(crate) fn conclude<M: Method + ?Sized>(
     let Some((x, fun)) = ledger.best.clone() else {
         return Err(Error::EndedWithoutPoint { termination, found: ledger.nothing_found() });
     };
+    let details = method.details();
     Ok(Report {
         message: message(method, ledger, limits, &termination, fun, seconds),
         x,
         fun,
         n_evaluations: ledger.n_evaluations,
-        n_iterations: method.n_iterations(),
+        n_iterations: details.n_iterations,
         n_batches: ledger.n_batches,
         n_failed: ledger.n_failed,
         n_cached: ledger.n_cached,
         n_speculative: ledger.ahead.n_speculative(),
         termination,
-        tests: method.tests(),
+        tests: details.tests,
         failures: ledger.failures(),
         trace: std::mem::take(&mut ledger.trace),
-        final_simplex: method.simplex().map(|s| s.to_owned()),
-        final_population: method.population().map(|s| s.to_owned()),
-        schedule: method.schedule().to_vec(),
-        seed: method.seed(),
+        final_simplex: details.simplex.map(|s| s.to_owned()),
+        final_population: details.population.map(|s| s.to_owned()),
+        schedule: details.schedule.to_vec(),
+        seed: details.seed,
         method: method.name(),
-        batch: method.plan(),
+        batch: details.plan,
         workers,
         seconds,
     })
@@ -128,7 +129,8 @@ fn message<M: Method + ?Sized>(
     fun: f64,
     seconds: f64,
 ) -> String {
-    let tests = method.tests().map_or_else(String::new, |t| t.to_string());
+    let details = method.details();
+    let tests = details.tests.map_or_else(String::new, |t| t.to_string());
     let with_tests = |text: String| if tests.is_empty() { text } else { format!("{text}; {tests}") };
     let message = match termination {
         Termination::Converged => format!("converged; {tests}"),
@@ -158,7 +160,7 @@ fn message<M: Method + ?Sized>(
             with_tests(format!("stopped at the limit of {} evaluations", ledger.n_evaluations))
         }
         Termination::MaxIterations => {
-            with_tests(format!("stopped at the limit of {} iterations", method.n_iterations()))
+            with_tests(format!("stopped at the limit of {} iterations", details.n_iterations))
         }
         Termination::MaxTime => {
             let limit = limits.max_time.map_or(seconds, |t| t.as_secs_f64());

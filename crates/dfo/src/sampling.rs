@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::rng::{Purpose, Stream};
-use crate::scaling::Space;
+use crate::space::Space;
 use serde::{Deserialize, Serialize};
 
 /// How starting points are spread over a box.
@@ -160,7 +160,7 @@ const POLYNOMIALS: [(u32, &[u32]); 39] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bounds::Bounds;
+    use crate::space::Bounds;
 
     fn space(n: usize) -> Space {
         let bounds = Bounds::new(&vec![-1.0; n], &vec![3.0; n]).unwrap();

@@ -5,8 +5,8 @@ mod common;
 
 use common::{PLANS, Problem, plan, probe, problems, rosenbrock};
 use dfo::{
-    Answers, Batch, BatchPlan, Bounds, Error, Method, MethodOptions, NelderMeadState, Outcome, Setup, Space,
-    Status, Termination, minimize,
+    Answers, Batch, BatchPlan, Bounds, Details, Error, Method, MethodOptions, NelderMeadState, Outcome,
+    Setup, Space, Status, Termination, minimize,
 };
 
 fn search(problem: &Problem, p: BatchPlan) -> NelderMeadState {
@@ -55,7 +55,7 @@ fn by_hand_and_driven_are_the_same() {
                 other => other,
             };
             assert_eq!(s.status(), Status::Ended(ended));
-            assert_eq!((s.n_iterations(), s.tests()), (report.n_iterations, report.tests));
+            assert_eq!((s.details().n_iterations, s.details().tests), (report.n_iterations, report.tests));
         }
     }
 }
@@ -95,10 +95,10 @@ fn answers_may_come_in_pieces() {
             }
             let report = problem.minimize().run().unwrap();
             assert_eq!(
-                (s.best(), s.n_iterations()),
+                (s.best(), s.details().n_iterations),
                 (Some((&report.x[..], report.fun)), report.n_iterations)
             );
-            assert_eq!(s.simplex().unwrap().to_owned(), report.final_simplex.unwrap());
+            assert_eq!(s.details().simplex.unwrap().to_owned(), report.final_simplex.unwrap());
         }
     }
 }
@@ -173,7 +173,7 @@ fn asking_and_telling_allocate_nothing_once_warm() {
             }
         });
         assert_eq!(counted.count_total, 0, "{n} {p:?}: {counted:?}");
-        assert!(s.n_iterations() > 20 && s.status() == Status::Running);
+        assert!(s.details().n_iterations > 20 && s.status() == Status::Running);
     }
 }
 
@@ -208,14 +208,8 @@ fn own_methods_can_be_driven() {
         fn status(&self) -> Status {
             if self.0 < 20 { Status::Running } else { Status::Ended(dfo::Termination::Converged) }
         }
-        fn n_iterations(&self) -> usize {
-            self.0 as usize
-        }
-        fn operation(&self) -> Option<dfo::Operation> {
-            None
-        }
-        fn plan(&self) -> &'static str {
-            "serial"
+        fn details(&self) -> Details<'_> {
+            Details { n_iterations: self.0 as usize, plan: "serial", ..Details::default() }
         }
         fn best(&self) -> Option<(&[f64], f64)> {
             self.1.map(|v| (&self.2[..], v))

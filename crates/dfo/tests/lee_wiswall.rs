@@ -90,7 +90,7 @@ fn saved_states_and_answers_in_pieces_keep_the_path() {
     let whole = run(minimize(bowl), BatchPlan::LeeWiswall);
     assert_eq!(search.best(), Some((&whole.x[..], whole.fun)));
     assert_eq!(
-        (search.n_iterations(), search.status()),
+        (search.details().n_iterations, search.status()),
         (whole.n_iterations, Status::Ended(whole.termination))
     );
 }

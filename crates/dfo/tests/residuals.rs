@@ -2,8 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use dfo::{
-    Answers, Batch, BatchView, Checkpoint, Error, Lookahead, Method, MethodOptions, Minimize, Objective,
-    Operation, Outcome, Setup, Status, Termination, Want, by_hand, minimize, minimize_batches, residuals,
+    Answers, Batch, BatchView, Checkpoint, Details, Error, Lookahead, Method, MethodOptions, Minimize,
+    Objective, Operation, Outcome, Setup, Status, Termination, Want, by_hand, minimize, minimize_batches,
+    residuals,
 };
 use serde::{Deserialize, Serialize};
 
@@ -81,9 +82,6 @@ impl Method for StencilsState {
             batch.push(&self.x.iter().map(|x| x - 0.25 * (k + 1) as f64).collect::<Vec<_>>(), f64::INFINITY);
         }
     }
-    fn lookahead(&self) -> Lookahead {
-        Lookahead::Workers
-    }
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         if answers.outcomes().iter().any(|o| !o.is_known()) {
             return Ok(());
@@ -117,14 +115,14 @@ impl Method for StencilsState {
     fn status(&self) -> Status {
         if self.round < ROUNDS { Status::Running } else { Status::Ended(Termination::Converged) }
     }
-    fn n_iterations(&self) -> usize {
-        self.round as usize
-    }
-    fn operation(&self) -> Option<Operation> {
-        Some(Operation::Generation)
-    }
-    fn plan(&self) -> &'static str {
-        "serial"
+    fn details(&self) -> Details<'_> {
+        Details {
+            n_iterations: self.round as usize,
+            operation: Some(Operation::Generation),
+            plan: "serial",
+            lookahead: Lookahead::Workers,
+            ..Details::default()
+        }
     }
     fn best(&self) -> Option<(&[f64], f64)> {
         None

@@ -208,7 +208,7 @@ impl<'a> Gateway<'a> {
         self.desk.open(batch, &self.limits);
         let begun = Instant::now();
         let needed = self.desk.n_needed();
-        let width = self.pace.width(method.lookahead(), self.desk.ledger.n_evaluations);
+        let width = self.pace.width(method.details().lookahead, self.desk.ledger.n_evaluations);
         if needed > 0 && width > needed {
             self.desk.look_ahead(method, width - needed, &self.limits);
         }

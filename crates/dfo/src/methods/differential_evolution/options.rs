@@ -2,12 +2,12 @@
 
 use super::state::{Differences, DifferentialEvolutionState};
 use crate::error::Error;
-use crate::generations::Generations;
 use crate::method::{MethodOptions, Setup};
-use crate::population::MAX_MEMBERS;
+use crate::methods::shared::generations::Generations;
+use crate::methods::shared::population::MAX_MEMBERS;
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
-use crate::scaling::Kind;
+use crate::space::Kind;
 use crate::words;
 use serde::{Deserialize, Serialize};
 

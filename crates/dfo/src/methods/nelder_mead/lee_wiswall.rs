@@ -9,9 +9,9 @@
 use super::options::Numbers;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
-use crate::cost::Cost;
 use crate::method::Batch;
-use crate::scaling::{BoundsHandling, Space};
+use crate::methods::shared::cost::Cost;
+use crate::space::{BoundsHandling, Space};
 use serde::{Deserialize, Serialize};
 
 /// Iterations without a better best vertex after which fewer vertices move.

@@ -3,7 +3,7 @@
 use super::options::InitialSimplex;
 use super::simplex::SimplexData;
 use crate::error::Error;
-use crate::scaling::{Space, Transform};
+use crate::space::{Space, Transform};
 
 /// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of the 126 runs in
 /// boxes that tune (`benches/simplex.rs`) are solved, in 474 to 526 evaluations (median).
@@ -204,7 +204,7 @@ fn rank(space: &Space, simplex: &SimplexData) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bounds::Bounds;
+    use crate::space::Bounds;
 
     fn vertices(space: &Space) -> Vec<Vec<f64>> {
         let simplex = simplex(space, &InitialSimplex::Auto).unwrap();

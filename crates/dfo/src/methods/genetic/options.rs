@@ -3,9 +3,9 @@
 use super::coding::Coding;
 use super::state::{GeneticState, Strings};
 use crate::error::Error;
-use crate::generations::Generations;
 use crate::method::{MethodOptions, Setup};
-use crate::population::MAX_MEMBERS;
+use crate::methods::shared::generations::Generations;
+use crate::methods::shared::population::MAX_MEMBERS;
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
 use crate::words;

@@ -1,7 +1,7 @@
 //! Selection, crossover and mutation, one function each.
 
-use crate::cost::Cost;
-use crate::population::Population;
+use crate::methods::shared::cost::Cost;
+use crate::methods::shared::population::Population;
 use crate::rng::Stream;
 
 /// The share of the fitness of the best that members without any fitness of their own keep.
@@ -76,9 +76,9 @@ pub(super) fn mutate(stream: &mut Stream, rate: f64, bits: &mut [bool]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bounds::Bounds;
     use crate::rng::Purpose;
-    use crate::scaling::Space;
+    use crate::space::Bounds;
+    use crate::space::Space;
 
     fn population(costs: &[Cost]) -> Population {
         let space = Space::new(&[0.5], Bounds::new(&[0.0], &[1.0]).unwrap(), &[], &[]).unwrap();

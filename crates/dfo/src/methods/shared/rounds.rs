@@ -1,10 +1,10 @@
 //! Asking and telling whole generations: which candidates still wait for an answer, what was best.
 
 use crate::answer::Answers;
-use crate::cost::Cost;
 use crate::error::Error;
 use crate::method::Batch;
-use crate::population::Population;
+use crate::methods::shared::cost::Cost;
+use crate::methods::shared::population::Population;
 use serde::{Deserialize, Serialize};
 
 /// The bookkeeping of a method whose batches are the candidates that have no cost yet.

@@ -10,10 +10,10 @@ use super::restart;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
 use crate::answer::{Answers, Outcome};
-use crate::cost::Cost;
 use crate::error::Error;
-use crate::method::{Batch, Lookahead, Method, Operation, Setup, SimplexView, Status, saved};
-use crate::scaling::BoundsHandling;
+use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::methods::shared::cost::Cost;
+use crate::space::BoundsHandling;
 use crate::termination::{Termination, Tests};
 use serde::{Deserialize, Serialize};
 
@@ -415,10 +415,6 @@ impl Method for NelderMeadState {
         });
     }
 
-    fn lookahead(&self) -> Lookahead {
-        self.plan.lookahead()
-    }
-
     fn status(&self) -> Status {
         match (&self.ended, self.phase) {
             (Some(termination), _) => Status::Ended(termination.clone()),
@@ -427,23 +423,20 @@ impl Method for NelderMeadState {
         }
     }
 
-    fn n_iterations(&self) -> usize {
-        self.n_iterations
-    }
-
-    fn operation(&self) -> Option<Operation> {
-        self.operation
-    }
-
-    fn plan(&self) -> &'static str {
-        match &self.parallel {
+    fn details(&self) -> Details<'_> {
+        let plan = match &self.parallel {
             Some(parallel) if !parallel.is_parallel() => "lee-wiswall, then serial",
             _ => self.plan.name(),
+        };
+        Details {
+            n_iterations: self.n_iterations,
+            operation: self.operation,
+            tests: self.tests,
+            plan,
+            lookahead: self.plan.lookahead(),
+            simplex: Some(self.simplex.view()),
+            ..Details::default()
         }
-    }
-
-    fn tests(&self) -> Option<Tests> {
-        self.tests
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
@@ -472,9 +465,5 @@ impl Method for NelderMeadState {
 
     fn save(&self) -> Option<Vec<u8>> {
         saved(self)
-    }
-
-    fn simplex(&self) -> Option<SimplexView<'_>> {
-        Some(self.simplex.view())
     }
 }

@@ -9,14 +9,14 @@
 //! `f_tol` of the cost (of the first cost, if that is larger).
 
 use crate::answer::{Answers, Outcome};
-use crate::bounds::Bounds;
 use crate::error::Error;
 use crate::method::{
-    Batch, Lookahead, Method, MethodOptions, Operation, Setup, SimplexView, Status, restored, saved,
+    BarrierStage, Batch, Details, Method, MethodOptions, Operation, Setup, Status, restored, saved,
 };
-use crate::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
-use crate::scaling::Space;
-use crate::termination::{Measure, Termination, Tests, Tolerances};
+use crate::methods::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
+use crate::space::Bounds;
+use crate::space::Space;
+use crate::termination::{Measure, Termination, Tolerances};
 use crate::words;
 use serde::{Deserialize, Serialize};
 
@@ -92,22 +92,6 @@ impl Barrier {
     fn inner(&self) -> NelderMead {
         NelderMead::default().batch(self.batch).coefficients(self.coefficients)
     }
-}
-
-/// One stage of a sequential barrier search.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub struct BarrierStage {
-    /// The barrier parameter.
-    pub mu: f64,
-    /// `B(x)` at the end of the stage.
-    pub barrier: f64,
-    /// The point at the end of the stage: the best for `f + mu B`.
-    pub x: Vec<f64>,
-    /// Its `f + mu B`.
-    pub value: f64,
-    /// Evaluations of the stage.
-    pub n_evaluations: usize,
 }
 
 impl MethodOptions for Barrier {
@@ -328,7 +312,7 @@ impl BarrierState {
         self.mu = Some(mu * self.options.factor);
         self.n_batches += self.inner.n_batches();
         self.n_points += self.inner.n_points();
-        self.n_iterations += self.inner.n_iterations();
+        self.n_iterations += self.inner.details().n_iterations;
         self.n_stage = 0;
         let side = (0.1 * 0.3f64.powi(stage as i32)).max(1e-4);
         let mut steps = vec![1.0; space.n()];
@@ -366,10 +350,6 @@ impl Method for BarrierState {
             self.inner.speculate(wanted, known, batch);
             self.translate_cutoffs(batch, first);
         }
-    }
-
-    fn lookahead(&self) -> Lookahead {
-        self.inner.lookahead()
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
@@ -434,36 +414,24 @@ impl Method for BarrierState {
         }
     }
 
-    fn n_iterations(&self) -> usize {
-        self.n_iterations
-            + if self.ended.is_some() && self.schedule.is_empty() { 0 } else { self.inner.n_iterations() }
-    }
-
-    fn operation(&self) -> Option<Operation> {
-        match self.inner.operation() {
+    fn details(&self) -> Details<'_> {
+        let inner = self.inner.details();
+        // The inner method of the last stage was counted when it ended.
+        let is_counted = self.ended.is_some() && self.schedule.is_empty();
+        let operation = match inner.operation {
             None if !self.schedule.is_empty() => Some(Operation::Initial),
             operation => operation,
+        };
+        Details {
+            n_iterations: self.n_iterations + if is_counted { 0 } else { inner.n_iterations },
+            operation,
+            schedule: &self.schedule,
+            ..inner
         }
-    }
-
-    fn plan(&self) -> &'static str {
-        self.inner.plan()
-    }
-
-    fn tests(&self) -> Option<Tests> {
-        self.inner.tests()
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
         self.best.as_ref().map(|(x, f)| (&x[..], *f))
-    }
-
-    fn simplex(&self) -> Option<SimplexView<'_>> {
-        self.inner.simplex()
-    }
-
-    fn schedule(&self) -> &[BarrierStage] {
-        &self.schedule
     }
 
     fn save(&self) -> Option<Vec<u8>> {

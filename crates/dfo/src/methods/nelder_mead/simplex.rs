@@ -1,8 +1,8 @@
 //! The simplex itself: vertices, ranks, centroid, size. Knows nothing of batches.
 
-use crate::cost::Cost;
 use crate::method::SimplexView;
-use crate::scaling::Space;
+use crate::methods::shared::cost::Cost;
+use crate::space::Space;
 use crate::termination::Measure;
 use serde::{Deserialize, Serialize};
 

@@ -7,7 +7,7 @@
 use super::options::Numbers;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Trial, TrialPoint};
-use crate::scaling::{BoundsHandling, Space};
+use crate::space::{BoundsHandling, Space};
 
 /// How often a reflection is accepted as it is, asks for an expansion, for an inside and for an outside contraction, and
 /// how often an expansion is accepted: counted over the 53 problems of Moré and Wild (SIAM J. Optim. 20, 2009).

@@ -91,9 +91,9 @@ impl Space {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bounds::Bounds;
     use crate::error::Error;
-    use crate::scaling::Transform;
+    use crate::space::Bounds;
+    use crate::space::Transform;
     use crate::termination::Measure;
 
     const INF: f64 = f64::INFINITY;

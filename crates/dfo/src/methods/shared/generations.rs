@@ -2,14 +2,14 @@
 //! and how it all ends.
 
 use crate::answer::Answers;
-use crate::cost::Cost;
 use crate::error::Error;
 use crate::memory;
-use crate::method::{Batch, Method, Operation, Setup, SimplexView, Status, restored, saved};
-use crate::population::Population;
-use crate::rounds::Rounds;
+use crate::method::{Batch, Details, Method, Operation, Setup, Status, restored, saved};
+use crate::methods::shared::cost::Cost;
+use crate::methods::shared::population::Population;
+use crate::methods::shared::rounds::Rounds;
 use crate::sampling::Sampling;
-use crate::scaling::Space;
+use crate::space::Space;
 use crate::termination::{Extent, Termination, Tests};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -171,40 +171,29 @@ impl<B: Breeder> Method for Generations<B> {
         }
     }
 
-    fn n_iterations(&self) -> usize {
-        self.n_iterations
-    }
-
-    fn operation(&self) -> Option<Operation> {
-        match (&self.phase, self.n_iterations) {
+    fn details(&self) -> Details<'_> {
+        let operation = match (&self.phase, self.n_iterations) {
             (Phase::Starting | Phase::NoStart, _) => None,
             (_, 0) => Some(Operation::Initial),
             _ => Some(Operation::Generation),
+        };
+        Details {
+            n_iterations: self.n_iterations,
+            operation,
+            tests: self.tests,
+            plan: "generation",
+            seed: Some(self.pool.seed),
+            population: Some(self.pool.population.view()),
+            ..Details::default()
         }
-    }
-
-    fn plan(&self) -> &'static str {
-        "generation"
-    }
-
-    fn tests(&self) -> Option<Tests> {
-        self.tests
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
         self.rounds.best()
     }
 
-    fn population(&self) -> Option<SimplexView<'_>> {
-        Some(self.pool.population.view())
-    }
-
     fn save(&self) -> Option<Vec<u8>> {
         saved(self)
-    }
-
-    fn seed(&self) -> Option<u64> {
-        Some(self.pool.seed)
     }
 }
 

@@ -1,8 +1,8 @@
 //! The members of an evolutionary method: points, costs, ranks, spread. Knows nothing of how they came about.
 
-use crate::cost::Cost;
 use crate::method::{Setup, SimplexView};
-use crate::scaling::{Kind, Space};
+use crate::methods::shared::cost::Cost;
+use crate::space::{Kind, Space};
 use crate::termination::{Extent, Measure, Tests, Tolerances, typical};
 use serde::{Deserialize, Serialize};
 
@@ -225,7 +225,7 @@ impl Population {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bounds::Bounds;
+    use crate::space::Bounds;
 
     fn population(costs: &[Cost]) -> (Space, Population) {
         let space = Space::new(&[0.5], Bounds::new(&[0.0], &[10.0]).unwrap(), &[], &[]).unwrap();

@@ -3,12 +3,12 @@
 use super::adaptation::Adaptation;
 use super::operators::{cross, different, donor, repair};
 use super::options::{Crossover, DifferentialEvolution, Scheme, Weight, planned};
-use crate::cost::Cost;
 use crate::error::Error;
-use crate::generations::{Breeder, Generations, Pool};
 use crate::method::Setup;
+use crate::methods::shared::cost::Cost;
+use crate::methods::shared::generations::{Breeder, Generations, Pool};
 use crate::rng::{Purpose, Stream};
-use crate::scaling::{Kind, Space};
+use crate::space::{Kind, Space};
 use crate::termination::Termination;
 use serde::{Deserialize, Serialize};
 

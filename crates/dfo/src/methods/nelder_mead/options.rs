@@ -5,7 +5,7 @@ use super::state::NelderMeadState;
 use crate::error::Error;
 use crate::memory;
 use crate::method::{Lookahead, MethodOptions, Setup, restored};
-use crate::scaling::BoundsHandling;
+use crate::space::BoundsHandling;
 use crate::words;
 use serde::{Deserialize, Serialize};
 

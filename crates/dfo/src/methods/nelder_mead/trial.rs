@@ -2,7 +2,7 @@
 
 use super::options::Numbers;
 use crate::method::Operation;
-use crate::scaling::{BoundsHandling, Space};
+use crate::space::{BoundsHandling, Space};
 use serde::{Deserialize, Serialize};
 
 /// The four trial points of an iteration; the number is the position in tables.

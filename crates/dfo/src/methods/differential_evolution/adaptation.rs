@@ -1,7 +1,7 @@
 //! What L-SHADE learns: memories of the factors that succeeded, the archive of replaced targets, the shrinking plan.
 
 use super::options::Adaptive;
-use crate::population::Population;
+use crate::methods::shared::population::Population;
 use crate::rng::Stream;
 use serde::{Deserialize, Serialize};
 

@@ -6,14 +6,17 @@
 //! else from |x0|, else it is 1.
 
 mod angles;
+mod bounds;
 mod choices;
 
+pub use bounds::Bounds;
+pub(crate) use bounds::fold;
 pub use choices::{BoundsHandling, Kind, Transform};
 
-use crate::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
 use crate::termination::Measure;
 use crate::words;
+use bounds::clamp;
 use serde::{Deserialize, Serialize};
 
 /// A checked start point with its box, scales and sizes.

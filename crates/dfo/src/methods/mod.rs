@@ -1,14 +1,21 @@
 //! Methods by name or number, for callers that choose at run time.
 
+mod barrier;
+mod differential_evolution;
+mod genetic;
+mod nelder_mead;
+mod shared;
+
+pub use barrier::{Barrier, BarrierState};
+pub use differential_evolution::{
+    Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
+};
+pub use genetic::{Genetic, GeneticState, Selection};
+pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
+
 use crate::answer::Answers;
-use crate::barrier::Barrier;
-use crate::barrier::BarrierStage;
-use crate::differential_evolution::DifferentialEvolution;
 use crate::error::Error;
-use crate::genetic::Genetic;
-use crate::method::{Batch, Lookahead, Method, MethodOptions, Operation, Setup, SimplexView, Status};
-use crate::nelder_mead::NelderMead;
-use crate::termination::Tests;
+use crate::method::{Batch, Details, Method, MethodOptions, Setup, Status};
 use std::fmt;
 use std::str::FromStr;
 
@@ -178,40 +185,16 @@ impl Method for BoxedMethod {
     fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
         self.0.speculate(wanted, known, batch);
     }
-    fn lookahead(&self) -> Lookahead {
-        self.0.lookahead()
-    }
     fn status(&self) -> Status {
         self.0.status()
     }
-    fn n_iterations(&self) -> usize {
-        self.0.n_iterations()
-    }
-    fn operation(&self) -> Option<Operation> {
-        self.0.operation()
-    }
-    fn plan(&self) -> &'static str {
-        self.0.plan()
-    }
-    fn tests(&self) -> Option<Tests> {
-        self.0.tests()
+    fn details(&self) -> Details<'_> {
+        self.0.details()
     }
     fn best(&self) -> Option<(&[f64], f64)> {
         self.0.best()
     }
-    fn simplex(&self) -> Option<SimplexView<'_>> {
-        self.0.simplex()
-    }
-    fn population(&self) -> Option<SimplexView<'_>> {
-        self.0.population()
-    }
-    fn schedule(&self) -> &[BarrierStage] {
-        self.0.schedule()
-    }
     fn save(&self) -> Option<Vec<u8>> {
         self.0.save()
-    }
-    fn seed(&self) -> Option<u64> {
-        self.0.seed()
     }
 }

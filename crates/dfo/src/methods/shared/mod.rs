@@ -1,0 +1,6 @@
+//! What several methods have: the rank of a cost, populations, generations.
+
+pub(crate) mod cost;
+pub(crate) mod generations;
+pub(crate) mod population;
+pub(crate) mod rounds;
