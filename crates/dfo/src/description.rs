@@ -2,6 +2,7 @@
 
 use crate::answer::Outcome;
 use crate::checkpoint::{self, Checkpoint, Writer};
+use crate::choices::{Kind, Transform};
 use crate::error::Error;
 use crate::gateway::cache::Cache;
 use crate::gateway::desk::Desk;
@@ -9,8 +10,8 @@ use crate::gateway::ledger::Ledger;
 use crate::method::{Method, MethodOptions, Setup};
 use crate::methods::NelderMead;
 use crate::space::Bounds;
-use crate::space::{Kind, Space, Transform};
-use crate::termination::{Limits, Tolerances};
+use crate::space::Space;
+use crate::tolerances::{Limits, Tolerances};
 
 /// A point with its cost, and the problem that it belongs to.
 #[derive(Debug, Clone)]

@@ -8,7 +8,8 @@ use crate::gateway::ledger::Ledger;
 use crate::method::{Batch, Method, Status};
 use crate::observe::Progress;
 use crate::report::{self, Report};
-use crate::termination::{Limits, Termination, UNBOUNDED};
+use crate::termination::{Termination, UNBOUNDED};
+use crate::tolerances::Limits;
 use std::ops::ControlFlow;
 
 pub(crate) type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;

@@ -1,7 +1,7 @@
 //! What can be wrong before or instead of a result: one typed error, with indices and values.
 
+use crate::choices::Kind;
 use crate::number::{Bytes, Number};
-use crate::space::Kind;
 use crate::termination::Termination;
 use crate::trace::Trace;
 use std::fmt;

@@ -39,6 +39,7 @@
 
 mod answer;
 mod checkpoint;
+mod choices;
 mod description;
 mod drive;
 mod error;
@@ -57,11 +58,13 @@ mod rng;
 mod sampling;
 mod space;
 mod termination;
+mod tolerances;
 mod trace;
 mod words;
 
 pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use checkpoint::{Checkpoint, Resume};
+pub use choices::{BoundsHandling, Kind, Measure, Stop, Transform};
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
 pub use method::{
@@ -82,6 +85,7 @@ pub use observe::Progress;
 pub use optimizer::{Optimizer, Point};
 pub use report::Report;
 pub use sampling::Sampling;
-pub use space::{Bounds, BoundsHandling, Kind, Space, Transform};
-pub use termination::{Extent, Limits, Measure, Stop, Termination, Tests, Tolerances};
+pub use space::{Bounds, Space};
+pub use termination::Termination;
+pub use tolerances::{Extent, Limits, Tests, Tolerances};
 pub use trace::{Trace, TraceEntry};

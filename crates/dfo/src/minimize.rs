@@ -2,6 +2,8 @@
 
 use crate::answer::Outcome;
 use crate::checkpoint::Checkpoint;
+use crate::choices::{Kind, Transform};
+use crate::choices::{Measure, Stop};
 use crate::description::{Begun, Description, Known};
 use crate::drive::{Drive, Observer};
 use crate::error::Error;
@@ -14,8 +16,7 @@ use crate::observe::Progress;
 use crate::optimizer::Optimizer;
 use crate::report::Report;
 use crate::space::Bounds;
-use crate::space::{Kind, Transform};
-use crate::termination::{Limits, Measure, Stop, Tolerances};
+use crate::tolerances::{Limits, Tolerances};
 use crate::trace::Trace;
 use std::fmt;
 use std::marker::PhantomData;

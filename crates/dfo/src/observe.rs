@@ -1,7 +1,7 @@
 //! What a run tells while it goes: one report per iteration, on the calling thread. The listener may say "stop".
 
 use crate::method::{Operation, SimplexView};
-use crate::termination::Tests;
+use crate::tolerances::Tests;
 use crate::trace::{Trace, TraceEntry};
 
 /// The state of a run after an iteration (number 0: the starting points).

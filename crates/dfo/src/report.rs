@@ -4,7 +4,8 @@ use crate::error::Error;
 use crate::gateway::ledger::Ledger;
 use crate::method::BarrierStage;
 use crate::method::{Method, Simplex};
-use crate::termination::{Limits, Termination, Tests, UNBOUNDED};
+use crate::termination::{Termination, UNBOUNDED};
+use crate::tolerances::{Limits, Tests};
 use crate::trace::Trace;
 use std::fmt;
 

@@ -1,6 +1,6 @@
 //! A function of the user's that evaluates whole batches on the calling thread.
 
-use super::{Evaluator, Polled, Wait, panicked};
+use super::calls::{Evaluator, Polled, Wait, panicked};
 use crate::answer::{Answer, Failure, Outcome};
 use crate::objective::{Ends, Query};
 use std::cell::{Cell, RefCell};

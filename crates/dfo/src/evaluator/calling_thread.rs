@@ -1,6 +1,6 @@
 //! One point after the other on the calling thread, each when it is polled.
 
-use super::{Evaluator, GivesUp, Polled, Wait, call};
+use super::calls::{Evaluator, GivesUp, Polled, Wait, call};
 use crate::answer::Answer;
 use crate::objective::{Objective, Query};
 use std::collections::VecDeque;

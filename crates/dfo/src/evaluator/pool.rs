@@ -1,6 +1,6 @@
 //! Threads of our own.
 
-use super::{Evaluator, Polled, Wait, call};
+use super::calls::{Evaluator, Polled, Wait, call};
 use crate::answer::Answer;
 use crate::error::Error;
 use crate::objective::{Ends, Objective, Query};

@@ -5,7 +5,7 @@ use super::ledger::{Ledger, Source};
 use crate::answer::{Answer, Answers, Outcome, Want};
 use crate::evaluator::GivesUp;
 use crate::method::{Batch, Method};
-use crate::termination::Limits;
+use crate::tolerances::Limits;
 use crate::trace::Early;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;

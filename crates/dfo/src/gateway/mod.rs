@@ -13,7 +13,8 @@ use crate::evaluator::{
 };
 use crate::method::{Batch, Method};
 use crate::objective::{Ends, Objective};
-use crate::termination::{Limits, Termination};
+use crate::termination::Termination;
+use crate::tolerances::Limits;
 use desk::{Desk, Replay, reset};
 use pace::{HandingOver, Pace};
 use std::ops::Range;

@@ -9,6 +9,7 @@
 //! `f_tol` of the cost (of the first cost, if that is larger).
 
 use crate::answer::{Answers, Outcome};
+use crate::choices::Measure;
 use crate::error::Error;
 use crate::method::{
     BarrierStage, Batch, Details, Method, MethodOptions, Operation, Setup, Status, restored, saved,
@@ -16,7 +17,8 @@ use crate::method::{
 use crate::methods::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
 use crate::space::Bounds;
 use crate::space::Space;
-use crate::termination::{Measure, Termination, Tolerances};
+use crate::termination::Termination;
+use crate::tolerances::Tolerances;
 use crate::words;
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,7 @@
 //! A space whose coordinates are angles: the place between two bounds is a sine, the place above or below one bound lies on
-//! a hyperbola ([`BoundsHandling::Sine`](super::BoundsHandling::Sine)).
+//! a hyperbola ([`BoundsHandling::Sine`](crate::BoundsHandling::Sine)).
 
-use super::Space;
+use super::coordinates::Space;
 use std::f64::consts::PI;
 
 impl Space {
@@ -91,10 +91,10 @@ impl Space {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::choices::Measure;
+    use crate::choices::Transform;
     use crate::error::Error;
     use crate::space::Bounds;
-    use crate::space::Transform;
-    use crate::termination::Measure;
 
     const INF: f64 = f64::INFINITY;
 

@@ -1,13 +1,13 @@
 //! What the user may choose about differential evolution.
 
 use super::state::{Differences, DifferentialEvolutionState};
+use crate::choices::Kind;
 use crate::error::Error;
 use crate::method::{MethodOptions, Setup};
 use crate::methods::shared::generations::Generations;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
-use crate::space::Kind;
 use crate::words;
 use serde::{Deserialize, Serialize};
 

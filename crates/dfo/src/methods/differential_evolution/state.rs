@@ -3,12 +3,13 @@
 use super::adaptation::Adaptation;
 use super::operators::{cross, different, donor, repair};
 use super::options::{Crossover, DifferentialEvolution, Scheme, Weight, planned};
+use crate::choices::Kind;
 use crate::error::Error;
 use crate::method::Setup;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::generations::{Breeder, Generations, Pool};
 use crate::rng::{Purpose, Stream};
-use crate::space::{Kind, Space};
+use crate::space::Space;
 use crate::termination::Termination;
 use serde::{Deserialize, Serialize};
 

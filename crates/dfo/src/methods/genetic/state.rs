@@ -7,7 +7,8 @@ use crate::error::Error;
 use crate::method::Setup;
 use crate::methods::shared::generations::{Breeder, Generations, Pool};
 use crate::rng::{Purpose, Stream};
-use crate::termination::{Extent, Termination};
+use crate::termination::Termination;
+use crate::tolerances::Extent;
 use serde::{Deserialize, Serialize};
 
 /// A running genetic algorithm; made by [`Genetic`].

@@ -7,7 +7,8 @@
 use super::options::Numbers;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Trial, TrialPoint};
-use crate::space::{BoundsHandling, Space};
+use crate::choices::BoundsHandling;
+use crate::space::Space;
 
 /// How often a reflection is accepted as it is, asks for an expansion, for an inside and for an outside contraction, and
 /// how often an expansion is accepted: counted over the 53 problems of Moré and Wild (SIAM J. Optim. 20, 2009).

@@ -2,8 +2,9 @@
 
 use super::options::InitialSimplex;
 use super::simplex::SimplexData;
+use crate::choices::Transform;
 use crate::error::Error;
-use crate::space::{Space, Transform};
+use crate::space::Space;
 
 /// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of the 126 runs in
 /// boxes that tune (`benches/simplex.rs`) are solved, in 474 to 526 evaluations (median).

@@ -9,9 +9,10 @@
 use super::options::Numbers;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
+use crate::choices::BoundsHandling;
 use crate::method::Batch;
 use crate::methods::shared::cost::Cost;
-use crate::space::{BoundsHandling, Space};
+use crate::space::Space;
 use serde::{Deserialize, Serialize};
 
 /// Iterations without a better best vertex after which fewer vertices move.

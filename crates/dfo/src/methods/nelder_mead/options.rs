@@ -2,10 +2,10 @@
 
 use super::initial;
 use super::state::NelderMeadState;
+use crate::choices::BoundsHandling;
 use crate::error::Error;
 use crate::memory;
 use crate::method::{Lookahead, MethodOptions, Setup, restored};
-use crate::space::BoundsHandling;
 use crate::words;
 use serde::{Deserialize, Serialize};
 

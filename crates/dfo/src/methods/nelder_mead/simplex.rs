@@ -1,9 +1,9 @@
 //! The simplex itself: vertices, ranks, centroid, size. Knows nothing of batches.
 
+use crate::choices::Measure;
 use crate::method::SimplexView;
 use crate::methods::shared::cost::Cost;
 use crate::space::Space;
-use crate::termination::Measure;
 use serde::{Deserialize, Serialize};
 
 /// Vertices in slots, and the slots by rank.

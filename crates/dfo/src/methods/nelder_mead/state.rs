@@ -10,11 +10,12 @@ use super::restart;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
 use crate::answer::{Answers, Outcome};
+use crate::choices::BoundsHandling;
 use crate::error::Error;
 use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
 use crate::methods::shared::cost::Cost;
-use crate::space::BoundsHandling;
-use crate::termination::{Termination, Tests};
+use crate::termination::Termination;
+use crate::tolerances::Tests;
 use serde::{Deserialize, Serialize};
 
 /// What a point of the last batch stands for.

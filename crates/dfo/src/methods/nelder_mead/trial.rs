@@ -1,8 +1,9 @@
 //! The four trial points of an iteration: where they lie, and what is known about them.
 
 use super::options::Numbers;
+use crate::choices::BoundsHandling;
 use crate::method::Operation;
-use crate::space::{BoundsHandling, Space};
+use crate::space::Space;
 use serde::{Deserialize, Serialize};
 
 /// The four trial points of an iteration; the number is the position in tables.

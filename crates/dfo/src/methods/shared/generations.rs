@@ -10,7 +10,8 @@ use crate::methods::shared::population::Population;
 use crate::methods::shared::rounds::Rounds;
 use crate::sampling::Sampling;
 use crate::space::Space;
-use crate::termination::{Extent, Termination, Tests};
+use crate::termination::Termination;
+use crate::tolerances::{Extent, Tests};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 

@@ -1,9 +1,11 @@
 //! The members of an evolutionary method: points, costs, ranks, spread. Knows nothing of how they came about.
 
+use crate::choices::Kind;
+use crate::choices::Measure;
 use crate::method::{Setup, SimplexView};
 use crate::methods::shared::cost::Cost;
-use crate::space::{Kind, Space};
-use crate::termination::{Extent, Measure, Tests, Tolerances, typical};
+use crate::space::Space;
+use crate::tolerances::{Extent, Tests, Tolerances, typical};
 use serde::{Deserialize, Serialize};
 
 /// More members than this are a mistake, not a wish.

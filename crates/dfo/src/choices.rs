@@ -1,4 +1,4 @@
-//! What is chosen for a parameter: its scale, what values it takes, how the search is kept in its bounds.
+//! Choices by name: how a parameter is searched, how the search is kept in its bounds, how tolerances are measured.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -53,4 +53,26 @@ pub enum BoundsHandling {
     Mirror,
     /// Set onto the bound.
     Clamp,
+}
+
+/// How tolerances are measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Measure {
+    /// `x_tol` in units of the parameter's size, `f_tol` as a fraction of |f_best|.
+    #[default]
+    Relative,
+    /// Both as they are, in the user's units.
+    Absolute,
+}
+
+/// How many of the two tests must pass.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stop {
+    /// Either one ends the run.
+    Any,
+    /// Both must hold at once.
+    #[default]
+    All,
 }
