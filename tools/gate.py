@@ -1,4 +1,5 @@
-"""Refuses what must not stand in library code: unfinished work, unchecked unwraps, unsafe outside its room.
+"""Refuses what must not stand in library code: unfinished work, unchecked unwraps, unsafe outside its room, imports from
+higher layers.
 
 Looks at every Rust source below crates/*/src and src. Test modules (from `#[cfg(test)]` to the end of the file) may
 unwrap; `unsafe` may stand only in crates/fmi/src/sys.
@@ -9,6 +10,8 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
+
+import layers
 
 ROOT = Path(__file__).resolve().parent.parent
 UNSAFE_ROOM = ROOT / "crates" / "fmi" / "src" / "sys"
@@ -49,7 +52,7 @@ def findings(path: Path) -> list[str]:
 def main() -> int:
     """Prints every finding; the exit status says whether there was one."""
     sources = sorted([*ROOT.glob("src/**/*.rs"), *ROOT.glob("crates/*/src/**/*.rs")])
-    found = [line for path in sources for line in findings(path)]
+    found = [line for path in sources for line in findings(path)] + layers.findings()
     print("\n".join(found) if found else f"gate: {len(sources)} files are clean")
     return 1 if found else 0
 

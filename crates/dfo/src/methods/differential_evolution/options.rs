@@ -1,14 +1,7 @@
 //! What the user may choose about differential evolution.
 
-use super::state::{Differences, DifferentialEvolutionState};
-use crate::choices::Kind;
 use crate::error::Error;
-use crate::method::{MethodOptions, Setup};
-use crate::methods::shared::generations::Generations;
-use crate::methods::shared::population::MAX_MEMBERS;
-use crate::rng::draw_seed;
 use crate::sampling::Sampling;
-use crate::words;
 use serde::{Deserialize, Serialize};
 
 /// How donor vectors are made. `r1`, `r2`, ... are different members, drawn for each target `i`.
@@ -241,7 +234,7 @@ impl DifferentialEvolution {
         }
     }
 
-    fn check(&self) -> Result<(), Error> {
+    pub(super) fn check(&self) -> Result<(), Error> {
         let within = |name, value: f64, low: f64, high: f64, range| {
             if value >= low && value <= high { Ok(()) } else { Err(Error::Option { name, value, range }) }
         };
@@ -269,60 +262,6 @@ impl DifferentialEvolution {
     }
 }
 
-impl MethodOptions for DifferentialEvolution {
-    type Method = DifferentialEvolutionState;
-
-    fn begin(&self, setup: &Setup) -> Result<DifferentialEvolutionState, Error> {
-        setup.tolerances.check()?;
-        self.check()?;
-        let (space, name) = (&setup.space, self.name());
-        space.require_box(name)?;
-        if let Some(k) = (0..space.n_free()).find(|&k| space.kind(k) == Kind::Categorical) {
-            return Err(Error::NotContinuous {
-                method: name,
-                index: space.free()[k],
-                kind: Kind::Categorical,
-            });
-        }
-        let n = space.n_free();
-        let (default, least) = match self.scheme {
-            Scheme::Adaptive(a) => (18 * n, a.final_population),
-            Scheme::Classic { strategy, .. } => (10 * n, strategy.n_drawn() + 1),
-        };
-        let members = self.population.unwrap_or(default.max(20));
-        if !(least..=MAX_MEMBERS).contains(&members) {
-            let range = "large enough for the strategy (rand/1: 4, rand/2: 6, L-SHADE: its final population), at most \
-                         a million";
-            return Err(Error::Option { name: "population", value: members as f64, range });
-        }
-        let members = if n == 0 { 1 } else { members };
-        Differences::begin(self, setup.clone(), members, setup.seed.unwrap_or_else(draw_seed))
-    }
-
-    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<DifferentialEvolutionState, Error> {
-        Generations::restore(setup, state)
-    }
-
-    fn needs_start(&self) -> bool {
-        false
-    }
-
-    fn describe(&self) -> Vec<(String, String)> {
-        words::fields(self)
-    }
-
-    fn plans_with_budget(&self) -> bool {
-        matches!(self.scheme, Scheme::Adaptive(_)) && self.budget.is_none()
-    }
-
-    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
-        let evaluations = match self.scheme {
-            Scheme::Adaptive(_) => planned(n),
-            Scheme::Classic { .. } => 5000usize.saturating_mul(n + 1),
-        };
-        (Some(evaluations), None)
-    }
-}
 
 /// Evaluations that L-SHADE plans with where nobody limits them, for `n` free parameters. Its authors have 10 000 n
 /// (Tanabe and Fukunaga, CEC 2014), on functions that cost nothing; with a fifth of that it finds the minima of the

@@ -1,0 +1,158 @@
+"""Which modules of a crate import which, read from its sources: no cycles, and only from layers below.
+
+At the top of a crate the layers are listed once, here. Inside a folder there are no cycles among the files, and none of
+them imports from the folder's `mod.rs`, which knows them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
+LAYERS = {
+    "dfo": """
+        number words choices rng answer
+        termination objective trace
+        error
+        memory evaluator tolerances space
+        sampling method
+        gateway methods
+        observe report checkpoint
+        description drive
+        optimizer
+        minimize
+    """,
+}
+
+Module = tuple[str, ...]
+PATH = re.compile(r"\b(?:crate|super|self)(?:::[A-Za-z_]\w*)+")
+USE = re.compile(r"\buse ([^;]+);", re.S)
+
+
+def code(path: Path) -> str:
+    """The source without comments and without the test module at its end."""
+    text = path.read_text(encoding="utf-8").split("#[cfg(test)]\nmod tests", 1)[0]
+    return re.sub(r"(^|\s)//.*$", "", text, flags=re.M)
+
+
+def expand(tree: str) -> Iterator[str]:
+    """The paths of one `use`: `a::{b, c::d}` gives `a::b` and `a::c::d`."""
+    head, brace, rest = tree.partition("{")
+    if not brace:
+        yield tree
+        return
+    depth, part = 0, ""
+    for character in rest[: rest.rindex("}")] + ",":
+        depth += (character == "{") - (character == "}")
+        if character == "," and depth == 0:
+            if part:
+                yield from (head + end for end in expand(part))
+            part = ""
+        else:
+            part += character
+
+
+class Crate:
+    """The modules of a crate, and what each imports."""
+
+    def __init__(self, source: Path) -> None:
+        self.files: dict[Module, Path] = {}
+        for path in source.rglob("*.rs"):
+            parts = path.relative_to(source).with_suffix("").parts
+            self.files[parts[:-1] if parts[-1] in ("mod", "lib") else parts] = path
+        self.code = {module: code(path) for module, path in self.files.items()}
+        self.names = {module: dict(self.reexports(module)) for module in self.files}
+        self.imports = {module: set(self.imported(module)) - {module} for module in self.files}
+
+    def reexports(self, module: Module) -> Iterator[tuple[str, Module]]:
+        """The names that a module hands on, and where they come from."""
+        for use in re.finditer(r"pub(?:\([^)]*\))? use ([^;]+);", self.code[module]):
+            for path in expand(re.sub(r"\s+", "", use[1].replace(" as ", "@"))):
+                origin, _, name = path.partition("@")
+                yield name or origin.split("::")[-1], self.absolute(origin, module)
+
+    def absolute(self, path: str, module: Module) -> Module:
+        """A path as it is written in a module, from the root of the crate."""
+        first, *rest = path.split("::")
+        if first == "crate":
+            return tuple(rest)
+        while first == "super":
+            module, first, rest = module[:-1], (rest or [""])[0], rest[1:]
+        return (*module, *rest) if first == "self" else (*module, first, *rest)
+
+    def module_of(self, path: Module, depth: int = 0) -> Module:
+        """The module in which what the path names is written."""
+        for end in range(len(path) + 1):
+            if path[:end] not in self.files:
+                break
+        else:
+            return path
+        module, rest = path[: end - 1], path[end - 1 :]
+        origin = self.names[module].get(rest[0])
+        if origin is None or origin == path or depth > 8:
+            return module
+        return self.module_of((*origin, *rest[1:]), depth + 1)
+
+    def imported(self, module: Module) -> Iterator[Module]:
+        """What a module names of its own crate."""
+        text = self.code[module]
+        uses = [p for use in USE.finditer(text) for p in expand(re.sub(r"\s+as\s+\w+|\s+", "", use[1]))]
+        for path in [*uses, *PATH.findall(USE.sub("", text))]:
+            first = path.split("::")[0]
+            if first in ("crate", "super", "self") or (*module, first) in self.files:
+                yield self.module_of(self.absolute(path, module))
+
+    def within(self, folder: Module) -> dict[str, set[str]]:
+        """Who imports whom among the parts of a folder; the folder's own `mod.rs` is the part "mod.rs"."""
+        depth = len(folder)
+        graph: dict[str, set[str]] = defaultdict(set)
+        for module, imports in self.imports.items():
+            if module[:depth] == folder and module != folder:
+                seen = (m for m in imports if m[:depth] == folder)
+                graph[module[depth]] |= {m[depth] if len(m) > depth else "mod.rs" for m in seen} - {module[depth]}
+        return graph
+
+
+def cycles(graph: dict[str, set[str]]) -> list[str]:
+    """The parts that stand on a cycle."""
+
+    def reached(start: str) -> set[str]:
+        seen: set[str] = set()
+        todo = list(graph.get(start, ()))
+        while todo:
+            part = todo.pop()
+            if part not in seen:
+                seen.add(part)
+                todo += graph.get(part, ())
+        return seen
+
+    return sorted(part for part in graph if part in reached(part))
+
+
+def findings(crates: Iterable[str] = LAYERS) -> list[str]:
+    """What is wrong with the layers of these crates."""
+    found = []
+    for name in crates:
+        crate = Crate(ROOT / "crates" / name / "src")
+        rank = {m: number for number, line in enumerate(LAYERS[name].strip().splitlines()) for m in line.split()}
+        top = crate.within(())
+        for module, imports in sorted(top.items()):
+            if module not in rank:
+                found.append(f"{name}: module {module} stands in no layer of tools/layers.py")
+            for other in sorted(imports - {"mod.rs"}):
+                if module in rank and rank.get(other, -1) >= rank[module]:
+                    found.append(f"{name}: {module} imports from {other}, which is not below it")
+        folders = {module[:depth] for module in crate.files for depth in range(1, len(module))}
+        for folder in sorted(folders):
+            graph = crate.within(folder)
+            where = "/".join((name, *folder))
+            upward = sorted(part for part, imports in graph.items() if "mod.rs" in imports)
+            found += [f"{where}: {part} imports from mod.rs, which knows it" for part in upward]
+            if ring := cycles(graph):
+                found.append(f"{where}: {', '.join(ring)} import from each other in a circle")
+    return found
