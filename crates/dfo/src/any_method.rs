@@ -199,6 +199,9 @@ impl Method for BoxedMethod {
     fn best(&self) -> Option<(&[f64], f64)> {
         self.0.best()
     }
+    fn without_effect(&self) -> Vec<usize> {
+        self.0.without_effect()
+    }
     fn simplex(&self) -> Option<SimplexView<'_>> {
         self.0.simplex()
     }

@@ -327,6 +327,11 @@ pub trait Method {
     /// The best point and its cost, as the method sees it.
     fn best(&self) -> Option<(&[f64], f64)>;
 
+    /// Parameters that started at zero, and whose size no step could tell because none has changed the cost, by index.
+    fn without_effect(&self) -> Vec<usize> {
+        Vec::new()
+    }
+
     /// The simplex, for methods that have one.
     fn simplex(&self) -> Option<SimplexView<'_>> {
         None

@@ -86,7 +86,8 @@ def minimize(
     options : dict, optional
         For every method: ``x_tol`` (1e-6), ``f_tol`` (1e-6), ``stop`` ("all" or "any" of both tests), ``tolerances``
         ("relative": x_tol in units of the parameters' sizes, f_tol as a fraction of the best cost; or "absolute"),
-        ``nominal`` (typical sizes of the parameters), ``scale`` ("linear" or "log", for all or each), ``kinds``
+        ``nominal`` (typical sizes of the parameters, None where there is none to give; a parameter that starts at 0 without
+        one and without a box is first moved by powers of ten to find its size), ``scale`` ("linear" or "log", for all or each), ``kinds``
         ("continuous", "integer" or "categorical", for all or each), ``cache`` (evaluations remembered, so that exact
         repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``warm_start`` (an earlier result or trace,
         or points and costs: where to start), ``problem`` (a word or hash for what `fun` computes, which you vouch for: the
