@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import logging
 import warnings
 
@@ -55,6 +56,53 @@ def test_times_are_read_with_their_unit(name, scale, shape, tmp_path):
     calibration = decay(data)
     assert calibration.measurements()["x"][0] == pytest.approx(TIME, rel=1e-15, abs=1e-15)
     assert calibration.cost([2.0]) < 1e-9
+
+
+@pytest.mark.parametrize("shape", ["numpy", "objects", "frame", "index"])
+def test_durations_are_times_in_seconds(shape):
+    durations = np.round(TIME * 1e6).astype("timedelta64[us]")
+    if shape == "numpy":
+        data = {"time": durations, "x": DECAY}
+    elif shape == "objects":
+        data = {"time": [datetime.timedelta(seconds=t) for t in TIME.tolist()], "x": DECAY}
+    else:
+        pd = pytest.importorskip("pandas")
+        data = pd.DataFrame({"time": pd.to_timedelta(TIME, unit="s"), "x": DECAY})
+        data = data.set_index("time") if shape == "index" else data
+    calibration = decay(data)
+    assert calibration.measurements()["x"][0] == pytest.approx(TIME, abs=1e-15)
+    assert calibration.cost([2.0]) < 1e-9
+
+
+def test_inputs_over_durations():
+    model = FMUModel(example_fmu("quad_tank"))
+    drive = {"u1": [4.0, 4.5], "u2": [4.0, 4.0]}
+    plain = model.simulate(final_time=2.0, input={"time": [0.0, 2.0], **drive})
+    timed = model.simulate(final_time=2.0, input={"time": np.array([0, 2000], dtype="timedelta64[ms]"), **drive})
+    assert (plain["qt.x1"] == timed["qt.x1"]).all()
+
+
+def test_units_of_time_are_case_sensitive(tmp_path):
+    for name in ("time [MS]", "time (S)", "time [H]"):
+        with pytest.raises(ValueError, match="none of s, ms, us, ns, min, h, d; units are case-sensitive"):
+            decay({name: TIME, "x": DECAY})
+
+
+def test_one_file_has_one_decimal_sign(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("time;x\n0;1,234\n1;2.345\n")
+    with pytest.raises(ValueError, match="'1,234' in column 'x', line 2, has a comma and '2.345' in column 'x', line 3, a point"):
+        decay(path)
+    path.write_text("time;x;\n0;1,5;\n1;0,5;\n")
+    assert decay(path).measurements()["x"][1].tolist() == [1.5, 0.5]
+    path.write_text("time;x\n0;1,5;\n1;0,5;\n")
+    assert decay(path).measurements()["x"][1].tolist() == [1.5, 0.5]
+
+
+def test_a_column_that_differs_from_an_input_in_case_only():
+    data = {"time": [0.0, 1.0], "x1": [1.0, 1.0], "U1": [4.0, 4.0]}
+    with pytest.warns(CalibrationWarning, match="column 'U1' is not used, but the model has an input 'u1'"):
+        Calibration(example_fmu("quad_tank"), data, {"qt.x1": "x1"}, [Parameter("qt.a1", 3e-6, 2e-6, 4e-6)])
 
 
 def test_an_index_without_a_name_is_no_time(tmp_path):
