@@ -144,11 +144,12 @@ impl Data {
         }
         let mut time = columns.remove(time_column.index);
         if let Some((line, text)) = &time.text {
-            let hint = match Some(line) == lines.first() {
-                true => {
-                    "; units stand in the names of the columns, as in 'time [ms]', not in a line of their own"
-                }
-                false => "",
+            let hint = if text.contains(':') {
+                "; clock times and dates must be turned into seconds from the start of the recording"
+            } else if Some(line) == lines.first() {
+                "; units stand in the names of the columns, as in 'time [ms]', not in a line or cell of their own"
+            } else {
+                ""
             };
             return Err(bad(format!("time '{text}' in line {line} is not a number{hint}")));
         }

@@ -1,8 +1,10 @@
 //! Which column of a table holds the times, and in which unit.
 
+type Unit = (&'static [&'static str], &'static [&'static str], (f64, f64));
+
 /// Units of time: symbols, which are compared exactly (S is siemens, M is mega), words, which are compared without regard to
 /// case, and the length in s as a fraction of two whole numbers: dividing by a thousand has no rounding error beyond its own.
-const UNITS: [(&[&str], &[&str], (f64, f64)); 7] = [
+const UNITS: [Unit; 7] = [
     (&["s"], &["sec", "second", "seconds"], (1.0, 1.0)),
     (&["ms"], &["msec", "millisecond", "milliseconds"], (1.0, 1e3)),
     // both letters that look like a Greek mu
@@ -85,7 +87,7 @@ pub(crate) fn parts(name: &str) -> (&str, Option<&str>) {
 
 fn unit(name: &str) -> Result<(f64, f64), String> {
     let Some(given) = parts(name).1 else { return Ok((1.0, 1.0)) };
-    let is_it = |(symbols, words, _): &&(&[&str], &[&str], _)| {
+    let is_it = |(symbols, words, _): &&Unit| {
         symbols.contains(&given) || words.contains(&given.to_lowercase().as_str())
     };
     UNITS.iter().find(is_it).map(|(_, _, length)| *length).ok_or_else(|| {

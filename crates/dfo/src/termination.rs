@@ -228,6 +228,8 @@ pub enum Extent {
     Population,
     /// Of its best eighth.
     BestEighth,
+    /// Of the best points of all generations, as many as an eighth of the population.
+    BestSeen,
 }
 
 impl Extent {
@@ -236,6 +238,7 @@ impl Extent {
             Self::Simplex => "simplex",
             Self::Population => "population",
             Self::BestEighth => "best eighth of the population:",
+            Self::BestSeen => "best points seen:",
         }
     }
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import logging
+import pickle
 import warnings
 
 import numpy as np
@@ -436,3 +437,37 @@ def test_a_checkpoint_in_a_folder_that_is_not_there(tmp_path):
     path = tmp_path / "nowhere" / "run.ck"
     with pytest.raises(FileNotFoundError, match=r"run\.ck: there is no folder '.*nowhere'$"):
         pydfo.minimize(bowl, [0.0], checkpoint=path)
+
+
+# --- What has no effect is refused ------------------------------------------------------------------------------------
+
+
+def test_an_output_counts_once():
+    with pytest.raises(ValueError, match="output 'x' is compared with column 'x' twice"):
+        Calibration(example_fmu("dahlquist"), {"time": TIME, "x": DECAY}, ["x", "x"], [K])
+
+
+def test_clock_times_say_what_to_do(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("time,x\n00:00:00,1\n00:00:01,0.1\n")
+    with pytest.raises(ValueError, match="must be turned into seconds from the start of the recording"):
+        decay(path)
+
+
+def test_attributes_that_would_do_nothing():
+    model = FMUModel(example_fmu("dahlquist"))
+    with pytest.raises(AttributeError, match=r"set\('k', 5.0\) sets this one"):
+        model.k = 5.0
+    model.note = "ours"
+    with pytest.raises(AttributeError, match=r"make another Calibration\(window=...\)"):
+        decay({"time": TIME, "x": DECAY}).window = (0.0, 1.0)
+
+
+def test_what_holds_a_library_cannot_be_pickled():
+    calibration = decay({"time": TIME, "x": DECAY})
+    fit = calibration.fit(max_evaluations=5)
+    for thing in (calibration, calibration.cost, fit):
+        with pytest.raises(TypeError, match="make it in each process, or let fit"):
+            pickle.dumps(thing)
+    with pytest.raises(TypeError, match="open the FMU in each process"):
+        pickle.dumps(FMUModel(example_fmu("dahlquist")))

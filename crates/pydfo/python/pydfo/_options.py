@@ -176,6 +176,17 @@ def build(
     )
 
 
+def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:
+    """Says that a run goes on from a file that nothing binds to the function that is minimised."""
+    if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None or not os.path.exists(checkpoint):
+        return
+    _log.warning(
+        "checkpoint %s is there: the run goes on from it, or its result is returned, whatever the function computes now; resume='never' "
+        "begins anew, resume='require' or options={'problem': ...} say that this is meant",
+        os.fspath(checkpoint),
+    )
+
+
 def dictionary(options: Mapping[str, Any] | None) -> dict[str, Any]:
     """The argument ``options``, which must have strings for names."""
     if options is not None and not isinstance(options, Mapping):
