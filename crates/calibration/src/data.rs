@@ -41,11 +41,11 @@ const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
 
 impl Data {
     /// Reads a CSV file with one header line. The delimiter is the one of comma, semicolon and tab that stands most
-    /// often in the header (a first line `sep=;`, as spreadsheets write it, names it); one more at the end of each row is
-    /// no column. Where it is no comma, numbers may have decimal commas, all of them: where some have commas and others
-    /// points, one of the two separates thousands. The times are those of the column `time` (in any case), in s or in the unit that follows in
-    /// brackets or parentheses: s, ms, us, ns, min, h, d (`time [ms]`). Empty cells, `NaN` and `NA` are missing values. Columns
-    /// of text are kept aside: only using one is an error.
+    /// often in the header (a first line `sep=;`, as spreadsheets write it, names it); one more at the end of each
+    /// row is no column. Where it is no comma, numbers may have decimal commas, all of them: where some have commas
+    /// and others points, one of the two separates thousands. The times are those of the column `time` (in any case),
+    /// in s or in the unit that follows in brackets or parentheses: s, ms, us, ns, min, h, d (`time [ms]`). Empty
+    /// cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an error.
     ///
     /// # Errors
     /// The file cannot be read, has no column of times (the message lists those there are), no rows, rows of different

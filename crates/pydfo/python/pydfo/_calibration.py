@@ -56,10 +56,11 @@ class Calibration:
         The FMU. Values that were set in an FMUModel do not count (a warning says so); give them as `start_values`.
     data : path, dict of arrays, DataFrame or structured array
         The recording: a column of times (ascending, intervals as they come) and what was measured. NaN, None and
-        empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate, and where no
-        commas do, numbers may have decimal commas (all of them: a file with commas and points is refused). The times are those of the column (or the named index of a DataFrame)
-        ``time``, in any case; a unit in brackets or parentheses is read, ``time [ms]``: s, ms, us, ns, min, h, d
-        (exactly so). Durations (``timedelta64``, ``datetime.timedelta``) are times, too.
+        empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate, and
+        where no commas do, numbers may have decimal commas (all of them: a file with commas and points is refused).
+        The times are those of the column (or the named index of a DataFrame) ``time``, in any case; a unit in
+        brackets or parentheses is read, ``time [ms]``: s, ms, us, ns, min, h, d (exactly so). Durations
+        (``timedelta64``, ``datetime.timedelta``) are times, too.
     outputs : dict of str to str, or list of str
         Which output of the model was measured by which column; a list if they have the same names. A simulation in which
         one of them is NaN or infinite where something was measured counts as failed.
@@ -107,9 +108,10 @@ class Calibration:
     Warns
     -----
     CalibrationWarning
-        A column that is not used has the name of an input that nothing drives, but for its case perhaps; the recording of an input does not cover the
-        simulation, outside of it the first and the last value are held; values set in an FMUModel do not count; a setting
-        has no effect (`step_size` with a solver that chooses its steps itself, `max_step` with one that does not, ...).
+        A column that is not used has the name of an input that nothing drives, but for its case perhaps; the
+        recording of an input does not cover the simulation, outside of it the first and the last value are held;
+        values set in an FMUModel do not count; a setting has no effect (`step_size` with a solver that chooses its
+        steps itself, `max_step` with one that does not, ...).
 
     Raises
     ------
