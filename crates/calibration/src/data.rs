@@ -26,19 +26,26 @@ pub struct Data {
 struct Column {
     name: String,
     values: Vec<f64>,
-    /// The first cell that is no number: row counted from 1 as the file shows it, and its text.
-    text: Option<(usize, String)>,
+    /// The first cell that is no number.
+    text: Option<Cell>,
+    /// The first numbers with a comma and with a point.
+    comma: Option<Cell>,
+    point: Option<Cell>,
 }
+
+/// A cell of a file: its line, counted from 1, and its text.
+type Cell = (usize, String);
 
 /// Spellings of a missing value in a CSV file; compared without regard to case.
 const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
 
 impl Data {
     /// Reads a CSV file with one header line. The delimiter is the one of comma, semicolon and tab that stands most
-    /// often in the header (a first line `sep=;`, as spreadsheets write it, names it). Where it is no comma, numbers may
-    /// have decimal commas. The times are those of the column `time` (in any case), in s or in the unit that follows in
-    /// brackets or parentheses: s, ms, us, min, h, d (`time [ms]`). Empty cells, `NaN` and `NA` are missing values. Columns
-    /// of text are kept aside: only using one is an error.
+    /// often in the header (a first line `sep=;`, as spreadsheets write it, names it); one more at the end of each
+    /// row is no column. Where it is no comma, numbers may have decimal commas, all of them: where some have commas
+    /// and others points, one of the two separates thousands. The times are those of the column `time` (in any case),
+    /// in s or in the unit that follows in brackets or parentheses: s, ms, us, ns, min, h, d (`time [ms]`). Empty
+    /// cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an error.
     ///
     /// # Errors
     /// The file cannot be read, has no column of times (the message lists those there are), no rows, rows of different
@@ -89,38 +96,39 @@ impl Data {
         }
         let delimiter =
             named_delimiter.unwrap_or_else(|| delimiter(table.lines().next().unwrap_or_default()));
-        let mut reader =
-            csv::ReaderBuilder::new().delimiter(delimiter).trim(csv::Trim::All).from_reader(table.as_bytes());
+        let mut reader = csv::ReaderBuilder::new()
+            .delimiter(delimiter)
+            .flexible(true)
+            .trim(csv::Trim::All)
+            .from_reader(table.as_bytes());
         let line_of = |position: Option<&csv::Position>| {
             let index = position.map_or(0, |p| p.line() as usize).saturating_sub(1);
             numbers.get(index).copied().unwrap_or(0)
         };
-        let message = |e: csv::Error| match e.kind() {
-            csv::ErrorKind::UnequalLengths { pos, expected_len, len } => {
-                let line = line_of(pos.as_ref());
+        let names: Vec<String> =
+            reader.headers().map_err(|e| bad(e.to_string()))?.iter().map(str::to_owned).collect();
+        if !names.is_empty() && names.iter().all(|n| number(n, delimiter).is_some()) {
+            return Err(bad(format!("there is no header: line {} holds numbers only", numbers[0])));
+        }
+        let mut columns: Vec<Column> = names.iter().map(|n| Column::new(n.clone(), Vec::new())).collect();
+        let mut lines = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(|e| bad(e.to_string()))?;
+            let line = line_of(record.position());
+            lines.push(line);
+            // A delimiter at the end of a row or of the header makes an empty cell that belongs to no column.
+            let (len, expected) = (record.len(), names.len());
+            let is_whole = record.iter().skip(expected).chain(names.iter().skip(len).map(String::as_str));
+            if !is_whole.clone().all(str::is_empty) {
                 let hint = match delimiter {
-                    b',' if *len == 2 * expected_len => {
+                    b',' if len == 2 * expected => {
                         "; numbers with decimal commas need semicolons or tabs between the columns"
                     }
                     _ => "",
                 };
-                format!("line {line} has {len} cells, the header has {expected_len}{hint}")
+                return Err(bad(format!("line {line} has {len} cells, the header has {expected}{hint}")));
             }
-            _ => e.to_string(),
-        };
-        let names: Vec<String> =
-            reader.headers().map_err(|e| bad(message(e)))?.iter().map(str::to_owned).collect();
-        if !names.is_empty() && names.iter().all(|n| number(n, delimiter).is_some()) {
-            return Err(bad(format!("there is no header: line {} holds numbers only", numbers[0])));
-        }
-        let mut columns: Vec<Column> =
-            names.iter().map(|n| Column { name: n.clone(), values: Vec::new(), text: None }).collect();
-        let mut lines = Vec::new();
-        for record in reader.records() {
-            let record = record.map_err(|e| bad(message(e)))?;
-            let line = line_of(record.position());
-            lines.push(line);
-            for (column, cell) in columns.iter_mut().zip(&record) {
+            for (column, cell) in columns.iter_mut().zip(record.iter().chain(std::iter::repeat(""))) {
                 column.push(cell, line, delimiter);
             }
         }
@@ -131,13 +139,17 @@ impl Data {
             let hint = "; there is one column only: columns are separated by commas, semicolons or tabs";
             bad(if names.len() == 1 { message + hint } else { message })
         })?;
+        if let Some(message) = two_signs(&columns, &columns[time_column.index]) {
+            return Err(bad(message));
+        }
         let mut time = columns.remove(time_column.index);
         if let Some((line, text)) = &time.text {
-            let hint = match Some(line) == lines.first() {
-                true => {
-                    "; units stand in the names of the columns, as in 'time [ms]', not in a line of their own"
-                }
-                false => "",
+            let hint = if text.contains(':') {
+                "; clock times and dates must be turned into seconds from the start of the recording"
+            } else if Some(line) == lines.first() {
+                "; units stand in the names of the columns, as in 'time [ms]', not in a line or cell of their own"
+            } else {
+                ""
             };
             return Err(bad(format!("time '{text}' in line {line} is not a number{hint}")));
         }
@@ -160,7 +172,7 @@ impl Data {
             found.map_err(|message| CalibrationError::Data { source_name: "data".to_owned(), message })?;
         let (name, mut times) = columns.remove(found.index);
         times.iter_mut().for_each(|t| *t = found.seconds(*t));
-        let columns = columns.into_iter().map(|(name, values)| Column { name, values, text: None }).collect();
+        let columns = columns.into_iter().map(|(name, values)| Column::new(name, values)).collect();
         Self::new("data".to_owned(), name, times, columns, |row| format!("row {row}"))
     }
 
@@ -189,7 +201,7 @@ impl Data {
         time: Vec<f64>,
         columns: impl IntoIterator<Item = (String, Vec<f64>)>,
     ) -> Result<Self, CalibrationError> {
-        let columns = columns.into_iter().map(|(name, values)| Column { name, values, text: None }).collect();
+        let columns = columns.into_iter().map(|(name, values)| Column::new(name, values)).collect();
         Self::new("data".to_owned(), "time".to_owned(), time, columns, |row| format!("row {row}"))
     }
 
@@ -283,6 +295,9 @@ impl Data {
                  or null"
             )));
         }
+        if let Some(message) = two_signs(&self.columns, column) {
+            return Err(bad(message));
+        }
         if let Some(row) = column.values.iter().position(|v| v.is_infinite()) {
             return Err(bad(format!("column '{name}' is infinite at time {}", self.time[row])));
         }
@@ -364,13 +379,39 @@ fn number(cell: &str, delimiter: u8) -> Option<f64> {
 }
 
 impl Column {
+    fn new(name: String, values: Vec<f64>) -> Self {
+        Self { name, values, text: None, comma: None, point: None }
+    }
+
     fn push(&mut self, cell: &str, line: usize, delimiter: u8) {
         let number = number(cell, delimiter);
-        if number.is_none() && self.text.is_none() {
-            self.text = Some((line, cell.to_owned()));
+        let first = match number {
+            None => &mut self.text,
+            Some(_) if cell.contains(',') => &mut self.comma,
+            _ => &mut self.point,
+        };
+        if first.is_none() && (number.is_none() || cell.contains([',', '.'])) {
+            *first = Some((line, cell.to_owned()));
         }
         self.values.push(number.unwrap_or(f64::NAN));
     }
+}
+
+/// Why the numbers of a column cannot be told: some in the file have a comma, others a point, and one of the two may
+/// separate thousands.
+fn two_signs(all: &[Column], column: &Column) -> Option<String> {
+    let first = |mark: fn(&Column) -> Option<&Cell>| {
+        let own = std::iter::once(column).chain(all.iter().filter(|c| c.text.is_none()));
+        own.into_iter().find_map(|c| mark(c).map(|cell| (&c.name, cell)))
+    };
+    let (commas, (line, comma)) = first(|c| c.comma.as_ref())?;
+    let (points, (other, point)) = first(|c| c.point.as_ref())?;
+    (column.comma.is_some() || column.point.is_some()).then(|| {
+        format!(
+            "'{comma}' in column '{commas}', line {line}, has a comma and '{point}' in column '{points}', line {other}, a \
+             point: write all numbers with one decimal sign and without separators of thousands"
+        )
+    })
 }
 
 #[cfg(test)]
@@ -409,6 +450,35 @@ mod tests {
         assert!(e.contains("test.csv: there is no column 'time'; there are: 'k', 't', 'y'"), "{e}");
         let d = csv("# rig A, run 3\n\ntime;\"a,b,c\";y\n0;1;2\n").unwrap();
         assert_eq!(d.names().collect::<Vec<_>>(), ["a,b,c", "y"]);
+    }
+
+    #[test]
+    fn commas_and_points_in_one_file_are_refused_where_they_are_used() {
+        for (text, column) in [
+            ("time;y\n0;1,234\n1;2.345\n", "y"),
+            ("time;y;z\n0;1,234;1\n1;2,5;2.5\n", "y"),
+            ("time;y;z\n0;1,234;1\n1;2,5;2.5\n", "z"),
+        ] {
+            let e = csv(text).unwrap().column(column).unwrap_err().to_string();
+            assert!(e.contains("'1,234' in column 'y', line 2, has a comma and '2."), "{e}");
+        }
+        let e = csv("time;y\n0.5;1,234\n1;2\n").unwrap_err().to_string();
+        assert!(e.contains("'0.5' in column 'time', line 2, a point"), "{e}");
+        // Whole numbers, texts and columns without either have no sign.
+        let d = csv("time;y;n;note\n0;1,5;7;v1.2\n1;2;8;a.b\n").unwrap();
+        assert_eq!((d.column("y").unwrap(), d.column("n").unwrap()), (&[1.5, 2.0][..], &[7.0, 8.0][..]));
+    }
+
+    #[test]
+    fn a_delimiter_at_the_end_of_a_row_is_no_column() {
+        for text in
+            ["time;y\n0;1;\n1;2;\n", "time;y;\n0;1;\n1;2;\n", "time;y;\n0;1\n1;2\n", "time;y\n0;1;;\n1;2\n"]
+        {
+            assert_eq!(csv(text).unwrap().column("y").unwrap(), [1.0, 2.0], "{text}");
+        }
+        for text in ["time;y\n0;1;3\n", "time;y\n0;1;;3\n", "time;y;z\n0;1\n"] {
+            assert!(csv(text).unwrap_err().to_string().contains("line 2 has"), "{text}");
+        }
     }
 
     #[test]

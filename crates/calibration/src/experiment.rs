@@ -159,7 +159,12 @@ impl Experiment {
         parameters: &[String],
     ) -> Result<(), CalibrationError> {
         let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
-        for Measured { variable, column, .. } in &self.outputs {
+        for (index, Measured { variable, column, .. }) in self.outputs.iter().enumerate() {
+            if self.outputs[..index].iter().any(|o| (&o.variable, &o.column) == (variable, column)) {
+                return Err(CalibrationError::Setup(format!(
+                    "output '{variable}' is compared with column '{column}' twice; a weight makes it count more"
+                )));
+            }
             let Some(declared) = description.variable(variable) else { continue };
             let own = Some((declared.kind, declared.value_reference));
             let is_fitted = parameters.iter().any(|p| reference(p) == own);

@@ -209,8 +209,8 @@ impl Calibration {
             })
             .collect();
         let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
-        let sizes: Vec<f64> =
-            self.parameters().iter().zip(&start).map(|(p, x)| self.size_of(p, *x)).collect();
+        let sizes: Vec<Option<f64>> =
+            self.parameters().iter().zip(&start).map(|(p, x)| self.known_size(p, *x)).collect();
         let mut checkpoint = options.checkpoint;
         if let Some(checkpoint) = &checkpoint {
             self.adopt_solver(checkpoint)?;
@@ -235,7 +235,7 @@ impl Calibration {
                 .map_err(|e| self.name_parameter(e))?
                 .transforms(&transforms)
                 .kinds(&kinds)
-                .scales(&sizes)
+                .known_scales(&sizes)
                 .tolerances(tolerances)
                 .limits(Limits { max_time: left.or(options.limits.max_time), ..options.limits })
                 .problem(self.problem(solver))
@@ -336,12 +336,12 @@ impl Calibration {
     }
 
     /// Typical size of a parameter: what the user said, else the model's nominal value, else the width of its box,
-    /// else its start value, else 1. On a log scale: of its logarithm.
-    pub(crate) fn size_of(&self, parameter: &Parameter, start: f64) -> f64 {
+    /// else its start value; none if that is zero. On a log scale: of its logarithm.
+    fn known_size(&self, parameter: &Parameter, start: f64) -> Option<f64> {
         let (lower, upper) = (parameter.lower(), parameter.upper());
         let usable = |size: f64| (size.is_finite() && size > 0.0).then_some(size);
         match parameter.scale_kind() {
-            Scale::Log => usable((upper / lower).ln()).unwrap_or(1.0),
+            Scale::Log => Some(usable((upper / lower).ln()).unwrap_or(1.0)),
             Scale::Linear => {
                 let nominal = self.fmu().description().variable(parameter.name()).and_then(|v| v.nominal);
                 parameter
@@ -350,8 +350,12 @@ impl Calibration {
                     .and_then(|n| usable(n.abs()))
                     .or_else(|| usable(upper - lower))
                     .or_else(|| usable(start.abs()))
-                    .unwrap_or(1.0)
             }
         }
+    }
+
+    /// The same; 1 where nothing is known.
+    pub(crate) fn size_of(&self, parameter: &Parameter, start: f64) -> f64 {
+        self.known_size(parameter, start).unwrap_or(1.0)
     }
 }

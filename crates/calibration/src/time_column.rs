@@ -1,15 +1,18 @@
 //! Which column of a table holds the times, and in which unit.
 
-/// Names that a unit of time may have, compared without regard to case, and its length in s as a fraction of two whole
-/// numbers: dividing by a thousand has no rounding error beyond its own.
-const UNITS: [(&[&str], (f64, f64)); 6] = [
-    (&["s", "sec", "second", "seconds"], (1.0, 1.0)),
-    (&["ms", "msec"], (1.0, 1e3)),
+type Unit = (&'static [&'static str], &'static [&'static str], (f64, f64));
+
+/// Units of time: symbols, which are compared exactly (S is siemens, M is mega), words, which are compared without regard to
+/// case, and the length in s as a fraction of two whole numbers: dividing by a thousand has no rounding error beyond its own.
+const UNITS: [Unit; 7] = [
+    (&["s"], &["sec", "second", "seconds"], (1.0, 1.0)),
+    (&["ms"], &["msec", "millisecond", "milliseconds"], (1.0, 1e3)),
     // both letters that look like a Greek mu
-    (&["us", "\u{b5}s", "\u{3bc}s"], (1.0, 1e6)),
-    (&["min", "minute", "minutes"], (60.0, 1.0)),
-    (&["h", "hour", "hours"], (3600.0, 1.0)),
-    (&["d", "day", "days"], (86400.0, 1.0)),
+    (&["us", "\u{b5}s", "\u{3bc}s"], &["microsecond", "microseconds"], (1.0, 1e6)),
+    (&["ns"], &["nanosecond", "nanoseconds"], (1.0, 1e9)),
+    (&["min"], &["minute", "minutes"], (60.0, 1.0)),
+    (&["h"], &["hr", "hour", "hours"], (3600.0, 1.0)),
+    (&["d"], &["day", "days"], (86400.0, 1.0)),
 ];
 
 /// Names beyond these are counted only.
@@ -84,10 +87,15 @@ pub(crate) fn parts(name: &str) -> (&str, Option<&str>) {
 
 fn unit(name: &str) -> Result<(f64, f64), String> {
     let Some(given) = parts(name).1 else { return Ok((1.0, 1.0)) };
-    let known = UNITS.iter().find(|(names, _)| names.contains(&given.to_lowercase().as_str()));
-    known
-        .map(|(_, length)| *length)
-        .ok_or_else(|| format!("column '{name}': the unit '{given}' is none of s, ms, us, min, h, d"))
+    let is_it = |(symbols, words, _): &&Unit| {
+        symbols.contains(&given) || words.contains(&given.to_lowercase().as_str())
+    };
+    UNITS.iter().find(is_it).map(|(_, _, length)| *length).ok_or_else(|| {
+        let case = given.to_lowercase();
+        let is_known = UNITS.iter().any(|(symbols, _, _)| symbols.contains(&case.as_str()));
+        let hint = if is_known { format!("; units are case-sensitive: '{case}'?") } else { String::new() };
+        format!("column '{name}': the unit '{given}' is none of s, ms, us, ns, min, h, d{hint}")
+    })
 }
 
 /// Names in quotes, not too many of them.
@@ -120,6 +128,12 @@ mod tests {
             (&["Time", "TIME"], None, "several columns could hold the times: 'Time', 'TIME'"),
             (&["time", "Time [ms]"], None, "several columns could hold the times: 'time', 'Time [ms]'"),
             (&["time [furlong]"], None, "the unit 'furlong' is none of s, ms"),
+            (
+                &["time [MS]"],
+                None,
+                "the unit 'MS' is none of s, ms, us, ns, min, h, d; units are case-sensitive: 'ms'?",
+            ),
+            (&["time (S)"], None, "the unit 'S' is none of"),
         ] {
             let message = find(names, named).unwrap_err();
             assert!(message.contains(expected), "{message}");
@@ -139,6 +153,9 @@ mod tests {
             ("TIME (min)", 180.0),
             ("time [ h ]", 10800.0),
             ("time (d)", 259_200.0),
+            ("time [ns]", 3.0 / 1e9),
+            ("time [Seconds]", 3.0),
+            ("time [SEC]", 3.0),
         ] {
             assert_eq!(find(&[name], None), Ok((0, expected)), "{name}");
         }

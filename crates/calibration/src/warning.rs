@@ -71,8 +71,14 @@ pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experi
         inputs.iter().any(|(name, _)| name == input) || start_values.iter().any(|(name, _)| name == input)
     };
     let input = |column: &str| {
-        let variable = [column, parts(column).0].into_iter().find_map(|name| description.variable(name))?;
-        (variable.causality == Causality::Input && !is_given(&variable.name)).then(|| variable.name.clone())
+        let names = [column, parts(column).0];
+        let open =
+            || description.variables.iter().filter(|v| v.causality == Causality::Input && !is_given(&v.name));
+        let exact = open().find(|v| names.contains(&v.name.as_str()));
+        // Names in a model are case-sensitive, those in a recording often are not.
+        exact
+            .or_else(|| open().find(|v| names.iter().any(|name| name.eq_ignore_ascii_case(&v.name))))
+            .map(|v| v.name.clone())
     };
     let warning = |column: &str| {
         let (data, input) = (data.source().to_owned(), input(column)?);

@@ -28,7 +28,7 @@ pub(crate) struct Description<M = NelderMead> {
     pub(crate) x0: Option<Vec<f64>>,
     pub(crate) bounds: Option<Bounds>,
     pub(crate) transforms: Vec<Transform>,
-    pub(crate) sizes: Vec<f64>,
+    pub(crate) sizes: Vec<Option<f64>>,
     pub(crate) tolerances: Tolerances,
     pub(crate) limits: Limits,
     pub(crate) seed: Option<u64>,

@@ -334,7 +334,7 @@ pub trait Method {
 }
 
 /// Where a method stands, besides its status and its best point. A method gives what it has; all else has a default.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Details<'a> {
     /// Number of complete iterations.
     pub n_iterations: usize,
@@ -348,6 +348,8 @@ pub struct Details<'a> {
     pub lookahead: Lookahead,
     /// The seed in use, for methods that draw random numbers.
     pub seed: Option<u64>,
+    /// Parameters that started at zero, and whose size no step could tell because none has changed the cost, by index.
+    pub without_effect: Vec<usize>,
     /// The simplex, for methods that have one.
     pub simplex: Option<SimplexView<'a>>,
     /// The population, for methods that have one.

@@ -232,8 +232,15 @@ impl<'a, M, D> Minimize<'a, M, D> {
     }
 
     /// Typical sizes of the parameters, positive: the unit of a relative `x_tol`. Default: width of the box, else
-    /// |x0|, else 1. For a logarithmic parameter in units of `ln x`.
-    pub fn scales(mut self, sizes: &[f64]) -> Self {
+    /// |x0|, else what the method finds out (see [`InitialSimplex::Auto`](crate::InitialSimplex::Auto)). For a logarithmic
+    /// parameter in units of `ln x`.
+    pub fn scales(self, sizes: &[f64]) -> Self {
+        let sizes: Vec<_> = sizes.iter().copied().map(Some).collect();
+        self.known_scales(&sizes)
+    }
+
+    /// The same where only some of the sizes are known; the default holds for the others.
+    pub fn known_scales(mut self, sizes: &[Option<f64>]) -> Self {
         self.description.sizes = sizes.to_vec();
         self
     }

@@ -172,8 +172,15 @@ fn message<M: Method + ?Sized>(
         Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
         Termination::NotSaved(reason) => with_tests(format!("stopped, for it cannot be saved: {reason}")),
     };
-    match ledger.trace.constant() {
-        Some(cost) => format!("{message}; the cost was {cost:e} at all {} points", ledger.n_evaluations),
-        None => message,
+    if let Some(cost) = ledger.trace.constant() {
+        format!("{message}; the cost was {cost:e} at all {} points", ledger.n_evaluations)
+    } else if details.without_effect.is_empty() {
+        message
+    } else {
+        let names: Vec<String> = details.without_effect.iter().map(|index| format!("x[{index}]")).collect();
+        format!(
+            "{message}; no step of {} from zero has changed the cost: if it should, give a nominal size",
+            names.join(", ")
+        )
     }
 }

@@ -126,6 +126,8 @@ pub enum Extent {
     Population,
     /// Of its best eighth.
     BestEighth,
+    /// Of the best points of all generations, as many as an eighth of the population.
+    BestSeen,
 }
 
 impl Extent {
@@ -134,6 +136,7 @@ impl Extent {
             Self::Simplex => "simplex",
             Self::Population => "population",
             Self::BestEighth => "best eighth of the population:",
+            Self::BestSeen => "best points seen:",
         }
     }
 }

@@ -161,3 +161,87 @@ fn a_minimum_of_zero_stops_in_time() {
         assert!(one.fun - 1.0 <= 1e-9, "{one}");
     }
 }
+
+/// Random numbers from 0 to 1 (Knuth's MMIX constants).
+fn random(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed;
+    move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+/// Parameters of sizes from 1e-6 to 1e6 that all start at zero, or all but one: valleys that are not along the axes.
+#[test]
+fn sizes_that_nothing_tells_are_found() {
+    let (mut solved, mut wrong, mut evaluations) = (0, 0, Vec::new());
+    for seed in 0..120 {
+        let mut next = random(seed);
+        for _ in 0..9 {
+            next();
+        }
+        let n = 2 + seed as usize % 4;
+        let sizes: Vec<f64> = (0..n).map(|_| 10f64.powf(12.0 * next() - 6.0)).collect();
+        let minimum: Vec<f64> =
+            sizes.iter().map(|s| s * (0.3 + 2.0 * next()) * if next() < 0.5 { -1.0 } else { 1.0 }).collect();
+        let rows: Vec<Vec<f64>> = (0..n).map(|_| (0..n).map(|_| 2.0 * next() - 1.0).collect()).collect();
+        let offset = [0.0, 1.0, 100.0][seed as usize % 3];
+        let cost = |x: &[f64]| -> f64 {
+            let u: Vec<f64> = (0..n).map(|k| (x[k] - minimum[k]) / sizes[k]).collect();
+            let row = |i: usize| rows[i].iter().zip(&u).map(|(a, u)| a * u).sum::<f64>() + u[i];
+            offset + (0..n).map(|i| row(i).powi(2)).sum::<f64>()
+        };
+        let mut start = vec![0.0; n];
+        if seed % 2 == 1 {
+            start[0] = 0.5 * minimum[0];
+        }
+        let report = minimize(cost).start(&start).run().unwrap();
+        let good = report.fun - offset <= 1e-4 * (cost(&start) - offset);
+        solved += usize::from(good);
+        wrong += usize::from(!good && report.is_success());
+        evaluations.push(report.n_evaluations);
+        assert_eq!(report.trace.iter().next().unwrap().x, start);
+        let parallel = minimize(cost).start(&start).workers(3).run().unwrap();
+        assert_eq!((parallel.x, parallel.n_evaluations), (report.x, report.n_evaluations));
+    }
+    evaluations.sort_unstable();
+    println!("{solved} of 120, median {} evaluations, wrong with success: {wrong}", evaluations[60]);
+    assert!(solved >= 117 && wrong <= 2 && evaluations[60] <= 450, "{solved}, {wrong}");
+}
+
+/// At the start the second parameter has no effect; where the first has come to its value, it has.
+#[test]
+fn a_parameter_that_matters_only_later_is_found() {
+    for size in [1e-5, 1.0, 1e5] {
+        let cost = |x: &[f64]| (x[0] - 3.0).powi(2) + (x[0].powi(3) * (x[1] / size - 2.0)).powi(2);
+        let report = minimize(cost).start(&[0.0, 0.0]).run().unwrap();
+        assert!(report.is_success() && report.fun < 1e-9, "{report}");
+        assert!((report.x[1] / size - 2.0).abs() < 1e-4, "{report}");
+    }
+}
+
+#[test]
+fn a_parameter_without_effect_is_named() {
+    let report = minimize(|x: &[f64]| (x[0] - 3.0).powi(2)).start(&[1.0, 0.0]).run().unwrap();
+    assert!(report.is_success() && report.message.contains("no step of x[1] from zero"), "{report}");
+    let told =
+        minimize(|x: &[f64]| (x[0] - 3.0).powi(2)).start(&[1.0, 0.0]).scales(&[1.0, 1.0]).run().unwrap();
+    assert!(!told.message.contains("no step"), "{told}");
+    let partly = minimize(|x: &[f64]| (x[0] - 3.0).powi(2) + x[1].powi(2))
+        .start(&[1.0, 0.0])
+        .known_scales(&[None, Some(1.0)])
+        .run()
+        .unwrap();
+    assert!(partly.is_success() && partly.fun < 1e-10, "{partly}");
+}
+
+/// A bound on one side leaves the size as unknown as none.
+#[test]
+fn one_bound_does_not_tell_a_size() {
+    for size in [1e-6, 1.0, 1e6] {
+        let cost = |x: &[f64]| (x[0] / size - 2.0).powi(2) + (x[0] / size - x[1] + 3.0).powi(2);
+        let bounds = ([0.0, f64::NEG_INFINITY], [f64::INFINITY; 2]);
+        let report = minimize(cost).start(&[0.0, 1.0]).bounds(&bounds.0, &bounds.1).unwrap().run().unwrap();
+        assert!(report.is_success() && report.fun < 1e-9, "{report}");
+    }
+}

@@ -29,7 +29,7 @@ pub(crate) struct Options {
     cache: Option<usize>,
     trace_limit: Option<usize>,
     scale: Vec<String>,
-    nominal: Vec<f64>,
+    nominal: Vec<Option<f64>>,
     kinds: Vec<String>,
     known: Vec<(Vec<f64>, f64)>,
     known_problem: Option<String>,
@@ -53,7 +53,7 @@ pub(crate) struct Settings {
     problem: Option<String>,
     unlimited: bool,
     transforms: Vec<Transform>,
-    sizes: Vec<f64>,
+    sizes: Vec<Option<f64>>,
     kinds: Vec<Kind>,
 }
 
@@ -114,7 +114,7 @@ impl Settings {
             .tolerances(self.tolerances)
             .limits(self.limits)
             .transforms(&self.transforms)
-            .scales(&self.sizes)
+            .known_scales(&self.sizes)
             .kinds(&self.kinds)
             .known(self.known, self.known_problem)
             .workers(self.workers.unwrap_or(1));

@@ -174,3 +174,17 @@ def test_a_file_that_cannot_be_written_any_more_costs_no_result(tmp_path):
     with pytest.raises(FileNotFoundError):
         minimize(func, **run, checkpoint=place / "run")
     assert len(calls) == res.nfev
+
+
+def test_a_file_that_nothing_binds_to_the_function_is_told_of(tmp_path, caplog):
+    path = tmp_path / "run.ckpt"
+
+    def run(offset, **more):
+        return pydfo.minimize(lambda x: float(x @ x) + offset, [1.0], checkpoint=path, **more)
+
+    assert run(0.0).fun < 1e-9 and not caplog.records
+    assert run(5.0).fun < 1e-9
+    assert "run.ckpt is there: the run goes on from it, or its result is returned" in caplog.text
+    caplog.clear()
+    run(5.0, resume="require")
+    assert run(5.0, resume="never").fun >= 5.0 and not caplog.records

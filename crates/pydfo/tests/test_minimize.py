@@ -363,3 +363,37 @@ def test_limits_beyond_the_machine_are_none():
     for name in ("max_time", "max_evaluations", "target"):
         with pytest.raises(TypeError, match=f"{name} must be a number, not '3'"):
             minimize(rosenbrock, [0.0, 0.0], **{name: "3"})
+
+
+def test_what_no_method_has_says_what_to_do_instead():
+    def bowl(x):
+        return float(x @ x)
+
+    for keyword, answer in {"jac": "no method here uses derivatives", "constraints": "there are bounds only"}.items():
+        with pytest.raises(TypeError, match=answer):
+            minimize(bowl, [1.0], **{keyword: None})
+    with pytest.raises(TypeError, match="put further arguments into the function"):
+        pydfo.fmin(bowl, [1.0], args=(2.0,))
+
+    async def listen(progress):
+        pass
+
+    with pytest.raises(TypeError, match="coroutine function"):
+        minimize(bowl, [1.0], callback=listen)
+
+
+def test_sizes_that_nothing_tells():
+    scales = np.array([1e-6, 1e5, 30.0])
+
+    def cost(x):
+        u = x / scales - [2.0, -1.0, 3.0]
+        return float(u @ u + (u[0] - u[1] + u[2]) ** 2)
+
+    found = minimize(cost, [0.0, 0.0, 0.0])
+    assert found.success and found.fun < 1e-9
+    partly = minimize(cost, [0.0, 0.0, 0.0], options={"nominal": [1e-6, None, 30]})
+    assert partly.success and partly.fun < 1e-9
+    unmoved = minimize(lambda x: float((x[0] - 1) ** 2), [0.5, 0.0])
+    assert "no step of x[1] from zero has changed the cost" in unmoved.message
+    with pytest.raises(ValueError, match=r"x\[1\].*NaN"):
+        minimize(cost, [0.0, 0.0, 0.0], options={"nominal": [1e-6, float("nan"), 30]})

@@ -58,7 +58,7 @@ def test_left_anywhere_it_goes_on_from_its_checkpoint(method, tmp_path):
 
 
 def test_none_nan_and_exceptions_mean_failed():
-    opt = Optimizer("nelder-mead", [0.0, 0.0], max_evaluations=20)
+    opt = Optimizer("nelder-mead", [1.0, 1.0], max_evaluations=20)
     ids, points, _ = opt.ask()
     opt.tell(ids, [1.0, None, np.nan])
     ids, _, _ = opt.ask()
@@ -93,7 +93,7 @@ def test_misuse_and_early_ends():
     assert opt.report().nfev == 2
     with pytest.raises(ValueError, match="did you mean 'de'"):
         Optimizer("dee", **RUN)
-    wide = Optimizer("nelder-mead", [0.0, 0.0], workers=4)
+    wide = Optimizer("nelder-mead", [1.0, 1.0], workers=4)
     wide.tell(wide.ask().ids, [3.0, 2.0, 1.0])
     assert len(wide.ask().ids) == 4
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import datetime
 import logging
+import pickle
 import warnings
 
 import numpy as np
@@ -55,6 +57,53 @@ def test_times_are_read_with_their_unit(name, scale, shape, tmp_path):
     calibration = decay(data)
     assert calibration.measurements()["x"][0] == pytest.approx(TIME, rel=1e-15, abs=1e-15)
     assert calibration.cost([2.0]) < 1e-9
+
+
+@pytest.mark.parametrize("shape", ["numpy", "objects", "frame", "index"])
+def test_durations_are_times_in_seconds(shape):
+    durations = np.round(TIME * 1e6).astype("timedelta64[us]")
+    if shape == "numpy":
+        data = {"time": durations, "x": DECAY}
+    elif shape == "objects":
+        data = {"time": [datetime.timedelta(seconds=t) for t in TIME.tolist()], "x": DECAY}
+    else:
+        pd = pytest.importorskip("pandas")
+        data = pd.DataFrame({"time": pd.to_timedelta(TIME, unit="s"), "x": DECAY})
+        data = data.set_index("time") if shape == "index" else data
+    calibration = decay(data)
+    assert calibration.measurements()["x"][0] == pytest.approx(TIME, abs=1e-15)
+    assert calibration.cost([2.0]) < 1e-9
+
+
+def test_inputs_over_durations():
+    model = FMUModel(example_fmu("quad_tank"))
+    drive = {"u1": [4.0, 4.5], "u2": [4.0, 4.0]}
+    plain = model.simulate(final_time=2.0, input={"time": [0.0, 2.0], **drive})
+    timed = model.simulate(final_time=2.0, input={"time": np.array([0, 2000], dtype="timedelta64[ms]"), **drive})
+    assert (plain["qt.x1"] == timed["qt.x1"]).all()
+
+
+def test_units_of_time_are_case_sensitive(tmp_path):
+    for name in ("time [MS]", "time (S)", "time [H]"):
+        with pytest.raises(ValueError, match="none of s, ms, us, ns, min, h, d; units are case-sensitive"):
+            decay({name: TIME, "x": DECAY})
+
+
+def test_one_file_has_one_decimal_sign(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("time;x\n0;1,234\n1;2.345\n")
+    with pytest.raises(ValueError, match="'1,234' in column 'x', line 2, has a comma and '2.345' in column 'x', line 3, a point"):
+        decay(path)
+    path.write_text("time;x;\n0;1,5;\n1;0,5;\n")
+    assert decay(path).measurements()["x"][1].tolist() == [1.5, 0.5]
+    path.write_text("time;x\n0;1,5;\n1;0,5;\n")
+    assert decay(path).measurements()["x"][1].tolist() == [1.5, 0.5]
+
+
+def test_a_column_that_differs_from_an_input_in_case_only():
+    data = {"time": [0.0, 1.0], "x1": [1.0, 1.0], "U1": [4.0, 4.0]}
+    with pytest.warns(CalibrationWarning, match="column 'U1' is not used, but the model has an input 'u1'"):
+        Calibration(example_fmu("quad_tank"), data, {"qt.x1": "x1"}, [Parameter("qt.a1", 3e-6, 2e-6, 4e-6)])
 
 
 def test_an_index_without_a_name_is_no_time(tmp_path):
@@ -388,3 +437,37 @@ def test_a_checkpoint_in_a_folder_that_is_not_there(tmp_path):
     path = tmp_path / "nowhere" / "run.ck"
     with pytest.raises(FileNotFoundError, match=r"run\.ck: there is no folder '.*nowhere'$"):
         pydfo.minimize(bowl, [0.0], checkpoint=path)
+
+
+# --- What has no effect is refused ------------------------------------------------------------------------------------
+
+
+def test_an_output_counts_once():
+    with pytest.raises(ValueError, match="output 'x' is compared with column 'x' twice"):
+        Calibration(example_fmu("dahlquist"), {"time": TIME, "x": DECAY}, ["x", "x"], [K])
+
+
+def test_clock_times_say_what_to_do(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("time,x\n00:00:00,1\n00:00:01,0.1\n")
+    with pytest.raises(ValueError, match="must be turned into seconds from the start of the recording"):
+        decay(path)
+
+
+def test_attributes_that_would_do_nothing():
+    model = FMUModel(example_fmu("dahlquist"))
+    with pytest.raises(AttributeError, match=r"set\('k', 5.0\) sets this one"):
+        model.k = 5.0
+    model.note = "ours"
+    with pytest.raises(AttributeError, match=r"make another Calibration\(window=...\)"):
+        decay({"time": TIME, "x": DECAY}).window = (0.0, 1.0)
+
+
+def test_what_holds_a_library_cannot_be_pickled():
+    calibration = decay({"time": TIME, "x": DECAY})
+    fit = calibration.fit(max_evaluations=5)
+    for thing in (calibration, calibration.cost, fit):
+        with pytest.raises(TypeError, match="make it in each process, or let fit"):
+            pickle.dumps(thing)
+    with pytest.raises(TypeError, match="open the FMU in each process"):
+        pickle.dumps(FMUModel(example_fmu("dahlquist")))

@@ -159,9 +159,9 @@ impl MethodOptions for Barrier {
 fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
     let space = &setup.space;
     let (mut lower, mut upper) = (space.bounds().lower().to_vec(), space.bounds().upper().to_vec());
-    let (mut transforms, mut sizes) = (vec![Default::default(); space.n()], vec![1.0; space.n()]);
+    let (mut transforms, mut sizes) = (vec![Default::default(); space.n()], vec![None; space.n()]);
     for (k, &i) in space.free().iter().enumerate() {
-        (transforms[i], sizes[i]) = (space.transform(k), space.size(k));
+        (transforms[i], sizes[i]) = (space.transform(k), Some(space.size(k)));
         let width = upper[i] - lower[i];
         let step = |bound: f64| {
             if width.is_finite() { MARGIN * width } else { MARGIN * bound.abs().max(space.size(k)) }

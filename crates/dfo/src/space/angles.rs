@@ -25,6 +25,12 @@ impl Space {
         space
     }
 
+    /// The same problem over the parameters themselves.
+    pub(crate) fn without_sine(&self) -> Self {
+        let sizes = if self.sine { self.units.clone() } else { self.sizes.clone() };
+        Self { sizes, sine: false, ..self.clone() }
+    }
+
     /// The coordinate that an angle stands for.
     pub(super) fn fold_sine(&self, k: usize, v: f64) -> f64 {
         let (lower, upper) = self.ends(k);

@@ -18,6 +18,8 @@ pub struct Space {
     pub(super) upper: Vec<f64>,
     pub(super) sizes: Vec<f64>,
     pub(super) size_given: Vec<bool>,
+    /// Whether nothing is known of the size: it was taken for 1.
+    pub(super) size_unknown: Vec<bool>,
     /// Whether working coordinates are angles and the like, see [`BoundsHandling::Sine`].
     pub(super) sine: bool,
     /// With it: the sizes of the parameters themselves, also the unit of the hyperbola at a single bound.
@@ -39,7 +41,12 @@ impl Space {
     /// # Errors
     /// Lengths that differ, a start point that is empty, not finite or outside, a logarithmic parameter that is not
     /// positive, a size that is not positive and finite.
-    pub fn new(x0: &[f64], bounds: Bounds, transforms: &[Transform], sizes: &[f64]) -> Result<Self, Error> {
+    pub fn new(
+        x0: &[f64],
+        bounds: Bounds,
+        transforms: &[Transform],
+        sizes: &[Option<f64>],
+    ) -> Result<Self, Error> {
         let n = x0.len();
         if n == 0 {
             return Err(Error::Empty);
@@ -63,13 +70,14 @@ impl Space {
             upper: Vec::new(),
             sizes: Vec::new(),
             size_given: Vec::new(),
+            size_unknown: Vec::new(),
             sine: false,
             units: Vec::new(),
             boxed: Vec::new(),
         };
         for index in 0..n {
             let transform = transforms.get(index).copied().unwrap_or_default();
-            let size = sizes.get(index).copied();
+            let size = sizes.get(index).copied().flatten();
             if let Some(value) = size.filter(|s| !(*s > 0.0 && s.is_finite())) {
                 let range = "positive and finite";
                 return Err(Error::ParameterOption { name: "nominal size", index, value, range });
@@ -116,6 +124,8 @@ impl Space {
         self.upper.push(hi);
         self.sizes.push(size.unwrap_or(if width.is_finite() && width > 0.0 { width } else { default }));
         self.size_given.push(size.is_some());
+        let linear = transform == Transform::Linear;
+        self.size_unknown.push(linear && value == 0.0 && size.is_none() && width.is_infinite());
         self.boxed.push(width.is_finite());
         Ok(())
     }
@@ -273,6 +283,37 @@ impl Space {
         self.size_given[k]
     }
 
+    /// Whether nothing is known of the size of parameter `k`: it starts at zero, without a nominal size and without a box.
+    pub(crate) fn size_is_unknown(&self, k: usize) -> bool {
+        self.size_unknown[k]
+    }
+
+    /// Typical size of parameter `k` itself, also over angles.
+    pub(crate) fn unit(&self, k: usize) -> f64 {
+        if self.sine { self.units[k] } else { self.sizes[k] }
+    }
+
+    /// Takes the size of a parameter without a box that was found while the search went on.
+    pub(crate) fn set_unit(&mut self, k: usize, size: f64) {
+        if self.sine {
+            self.units[k] = size;
+        }
+        // With one bound an angle keeps its size, and the hyperbola follows its unit.
+        if !self.sine || self.ends(k) == (f64::NEG_INFINITY, f64::INFINITY) {
+            self.sizes[k] = size;
+        }
+    }
+
+    /// Whether two spaces are the same but for sizes that were found while the search went on.
+    pub(crate) fn is_same_space(&self, other: &Self) -> bool {
+        let mut own = self.clone();
+        let unknown = (0..self.n_free()).filter(|&k| self.size_unknown[k]);
+        self.n_free() == other.n_free() && {
+            unknown.for_each(|k| own.set_unit(k, other.unit(k)));
+            own == *other
+        }
+    }
+
     /// Width of the box along working coordinate `k`, if the user's bounds make it finite.
     pub fn width(&self, k: usize) -> Option<f64> {
         self.boxed[k].then(|| self.upper[k] - self.lower[k])
@@ -365,7 +406,7 @@ mod tests {
         let bounds = Bounds::new(&[0.0, 0.0, -INF, -INF], &[4.0, INF, INF, 2.0])?;
         let space = Space::new(&[1.0, 3.0, 0.0, -5.0], bounds.clone(), &[], &[])?;
         assert_eq!([0, 1, 2, 3].map(|k| space.size(k)), [4.0, 3.0, 1.0, 5.0]);
-        let space = Space::new(&[1.0, 3.0, 0.0, -5.0], bounds, &[], &[0.1, 0.2, 0.3, 0.4])?;
+        let space = Space::new(&[1.0, 3.0, 0.0, -5.0], bounds, &[], &[0.1, 0.2, 0.3, 0.4].map(Some))?;
         assert_eq!([0, 1, 2, 3].map(|k| space.size(k)), [0.1, 0.2, 0.3, 0.4]);
         Ok(())
     }

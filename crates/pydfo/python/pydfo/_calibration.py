@@ -5,18 +5,18 @@ from __future__ import annotations
 import logging
 import os
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Literal, NamedTuple, SupportsFloat, SupportsIndex
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, Literal, NamedTuple, NoReturn, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _core, _data, _options
 from ._errors import BadCalibrationError, CalibrationWarning
+from ._experiment import ExperimentFields, pairs_of_columns, path_of, weighted
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
-from ._keywords import explained, given_once
+from ._keywords import argument_names, explained, given_once
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
@@ -27,30 +27,6 @@ _log = logging.getLogger("pydfo")
 
 #: What holds in a fit where ``options`` says nothing.
 _DEFAULTS: Final[Mapping[str, Any]] = {"tolerances": "relative"}
-
-
-@dataclass(frozen=True)
-class ExperimentFields:
-    """A recording and how it is simulated, as the native code reads it."""
-
-    path: str | None
-    columns: _data.Columns
-    left_out: list[str]
-    time: str | None
-    outputs: list[tuple[str, str, float]]
-    inputs: list[tuple[str, str]]
-    start_values: list[tuple[str, Any]]
-    window: tuple[float, float] | None
-    kind: str
-    start_time: float | None
-    timeout: float | None
-    relative_tolerance: float | None
-    solver: str
-    step_size: float | None
-    max_step: float | None
-    input_derivatives: bool
-    chattering: str
-    sharing: str
 
 
 class Raced(NamedTuple):
@@ -67,47 +43,6 @@ class Raced(NamedTuple):
     """"agrees", "differs", "given up", "not compared", or "failed: " and why."""
 
 
-def _pairs(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> list[tuple[str, str]]:
-    """Pairs of variable and column; of a list, columns that are named like the variables."""
-    if value is None:
-        return []
-    if isinstance(value, str):
-        value = [value]
-    if isinstance(value, Mapping):
-        return [(_options.choice(name, variable), _options.choice(name, column)) for variable, column in value.items()]
-    if isinstance(value, Iterable) and not isinstance(value, (set, frozenset)):
-        return [(_options.choice(name, variable), variable) for variable in value]
-    raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {_options.show(value)}")
-
-
-def _weights(
-    outputs: list[tuple[str, str]], weights: Mapping[str, float] | Sequence[float] | None
-) -> list[tuple[str, str, float]]:
-    if weights is None:
-        return [(variable, column, 1.0) for variable, column in outputs]
-    if isinstance(weights, Mapping):
-        known = [variable for variable, _ in outputs]
-        for name in weights:
-            if name not in known:
-                raise BadCalibrationError(f"weights: there is no output '{name}'; there are: {', '.join(known)}")
-        return [(v, c, _options.number("weights", weights.get(v, 1.0))) for v, c in outputs]
-    if isinstance(weights, str) or not isinstance(weights, Iterable):
-        raise TypeError(f"weights must be a dict of outputs and numbers, or a number per output, not {_options.show(weights)}")
-    numbers = [_options.number("weights", w) for w in weights]
-    if len(numbers) != len(outputs):
-        raise BadCalibrationError(f"{len(numbers)} weights for {len(outputs)} outputs")
-    return [(variable, column, weight) for (variable, column), weight in zip(outputs, numbers)]
-
-
-def _path(model: Any) -> str:
-    if isinstance(model, (str, os.PathLike)):
-        return os.fspath(model)
-    path = getattr(model, "path", None)
-    if isinstance(path, (str, os.PathLike)):
-        return os.fspath(path)
-    raise TypeError(f"model must be the path of an FMU or an FMUModel, not {_options.show(model)}")
-
-
 class Calibration:
     """A model, measurements and parameters to be fitted.
 
@@ -121,9 +56,11 @@ class Calibration:
         The FMU. Values that were set in an FMUModel do not count (a warning says so); give them as `start_values`.
     data : path, dict of arrays, DataFrame or structured array
         The recording: a column of times (ascending, intervals as they come) and what was measured. NaN, None and
-        empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate, and where no
-        commas do, numbers may have decimal commas. The times are those of the column (or the named index of a DataFrame)
-        ``time``, in any case; a unit in brackets or parentheses is read, ``time [ms]``: s, ms, us, min, h, d.
+        empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate, and
+        where no commas do, numbers may have decimal commas (all of them: a file with commas and points is refused).
+        The times are those of the column (or the named index of a DataFrame) ``time``, in any case; a unit in
+        brackets or parentheses is read, ``time [ms]``: s, ms, us, ns, min, h, d (exactly so). Durations
+        (``timedelta64``, ``datetime.timedelta``) are times, too.
     outputs : dict of str to str, or list of str
         Which output of the model was measured by which column; a list if they have the same names. A simulation in which
         one of them is NaN or infinite where something was measured counts as failed.
@@ -171,9 +108,10 @@ class Calibration:
     Warns
     -----
     CalibrationWarning
-        A column that is not used has the name of an input that nothing drives; the recording of an input does not cover the
-        simulation, outside of it the first and the last value are held; values set in an FMUModel do not count; a setting
-        has no effect (`step_size` with a solver that chooses its steps itself, `max_step` with one that does not, ...).
+        A column that is not used has the name of an input that nothing drives, but for its case perhaps; the
+        recording of an input does not cover the simulation, outside of it the first and the last value are held;
+        values set in an FMUModel do not count; a setting has no effect (`step_size` with a solver that chooses its
+        steps itself, `max_step` with one that does not, ...).
 
     Raises
     ------
@@ -216,8 +154,8 @@ class Calibration:
                 raise TypeError(
                     f"parameters must be a list of pydfo.Parameter(name, start, lower, upper), not of {_options.show(parameter)}"
                 )
-        pairs = _pairs("outputs", outputs)
-        driven = _pairs("inputs", inputs)
+        pairs = pairs_of_columns("outputs", outputs)
+        driven = pairs_of_columns("inputs", inputs)
         named = None if time is None else _options.choice("time", time)
         table = _data.read(data, [column for _, column in pairs + driven], named)
         span = None
@@ -230,7 +168,7 @@ class Calibration:
             columns=table.columns,
             left_out=table.left_out,
             time=named,
-            outputs=_weights(pairs, weights),
+            outputs=weighted(pairs, weights),
             inputs=driven,
             start_values=_options.pairs("start_values", start_values),
             window=span,
@@ -245,7 +183,7 @@ class Calibration:
             input_derivatives=_options.flag("input_derivatives", input_derivatives),
             sharing=_options.choice("sharing", sharing),
         )
-        self._model = _path(model)
+        self._model = path_of(model)
         opened = getattr(model, "_fmu", None)
         source = opened if isinstance(opened, _core.Fmu) else self._model
         self._native = _core.Calibration(source, experiment, list(self._parameters))
@@ -510,6 +448,18 @@ class Calibration:
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
         return Fit(self, result, np.array(start), self._native.known_solver())
+
+    def __setattr__(self, name: str, value: object) -> None:
+        # An attribute of that name would have no effect.
+        if name in argument_names(Calibration.__init__):
+            raise AttributeError(f"{name} cannot be changed: make another Calibration({name}=...)")
+        super().__setattr__(name, value)
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "a Calibration (and a Fit, which holds it) cannot be pickled, because it holds a loaded model: make it in each process, "
+            "or let fit(workers=...) do several simulations at once; of a Fit keep x, fun and the like"
+        )
 
     def __repr__(self) -> str:
         return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_residuals} measurements>"

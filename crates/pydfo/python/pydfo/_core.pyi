@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
-from ._calibration import ExperimentFields
+from ._experiment import ExperimentFields
 from ._files import OpenOptions
 from ._model import Request
 from ._options import Options

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -46,10 +47,14 @@ def read(data: Any, needed: list[str], time: str | None) -> Table:
     table = _columns(data)
     names = list(table)
     try:
-        at = names[_core.find_time(names, time)[0]]
+        index, (numerator, denominator) = _core.find_time(names, time)
     except ValueError as e:
         raise BadCalibrationError(f"data: {e}") from None
-    columns = [(at, _numbers(at, table[at]))]
+    at = names[index]
+    durations = seconds(table[at])
+    if durations is not None and numerator != denominator:
+        raise BadCalibrationError(f"data: column '{at}' holds durations, which have a unit of their own; take the unit out of its name")
+    columns = [(at, _numbers(at, table[at] if durations is None else durations))]
     for name in dict.fromkeys(needed):
         if name == at:
             continue
@@ -77,6 +82,19 @@ def _columns(data: Any) -> dict[str, Any]:
     )
 
 
+def seconds(values: Any) -> FloatArray | None:
+    """Durations (``timedelta64`` of NumPy and pandas, ``datetime.timedelta``) in s; None if `values` are something else."""
+    array = np.asarray(values)
+    if array.dtype.kind == "O" and array.size and all(isinstance(value, datetime.timedelta) for value in array.flat):
+        array = array.astype("timedelta64[us]")
+    if array.dtype.kind != "m":
+        return None
+    # A timedelta64 without a unit is a number of who knows what.
+    if np.datetime_data(array.dtype)[0] == "generic":
+        return None
+    return np.asarray(array / np.timedelta64(1, "s"), dtype=np.float64)
+
+
 def _numbers(name: str, values: Any) -> list[float]:
     """A column as floats; what is masked, None or NA is missing (NaN)."""
     if isinstance(values, np.ma.MaskedArray):
@@ -89,7 +107,10 @@ def _numbers(name: str, values: Any) -> list[float]:
             values = np.where(np.asarray(mask), np.nan, values)
     array = np.asarray(values)
     if array.dtype.kind in "mM":
-        raise BadCalibrationError(f"data: column '{name}' holds dates; times are numbers, in s or in the unit in the name of their column")
+        raise BadCalibrationError(
+            f"data: column '{name}' holds dates; times are numbers, in s or in the unit in the name of their column, or durations: "
+            "subtract the first date (t - t[0])"
+        )
     if array.ndim != 1:
         raise BadCalibrationError(f"data: column '{name}' must be one-dimensional, not of shape {array.shape}")
     if array.dtype.kind in "fiub":

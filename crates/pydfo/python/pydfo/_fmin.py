@@ -51,6 +51,8 @@ def check_callback(callback: Any) -> None:
     """Refuses what cannot be called."""
     if callback is not None and not callable(callback):
         raise TypeError(f"callback must be callable, not {callback!r}")
+    if inspect.iscoroutinefunction(callback):
+        raise TypeError("callback is a coroutine function (async def), whose body would never run: give a plain function")
 
 
 def listen(callback: Callback) -> Callback:
@@ -129,7 +131,8 @@ def fmin(
     f_tol : float
         Absolute tolerance of the f test: the difference between the worst and the best vertex.
     max_iters, max_fevals : int, optional
-        Exact limits of iterations and of calls of `func`; None for no limit.
+        Exact limits of iterations and of evaluations, those that a run with one worker makes (``nfev``; calls ahead of need
+        are ``n_speculative``); None for no limit.
     disp : bool
         Print a line per iteration, and how the run ended.
     nbr_cores : int, map-like or executor, optional
@@ -156,7 +159,8 @@ def fmin(
         counts in ``n_speculative`` only.
     initial_simplex : array_like, optional
         Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default each parameter has a
-        step of its own: a tenth of the width of its box, else 0.3 abs(xstart) (0.3 where that is 0).
+        step of its own: a tenth of the width of its box, else 0.3 abs(xstart); where that is 0, one that is found by steps
+        of powers of ten.
     target : float, optional
         End the run as soon as the cost is at or below this.
     max_time : float, optional
@@ -227,6 +231,7 @@ def fmin(
     if limits.max_evaluations is None:
         # No limit is what the user said; the optimiser's own defaults shall not step in.
         limits = replace(limits, unlimited=True)
+    _options.tell_of_checkpoint(checkpoint, resume, own)
     built = _options.build(
         fmin,
         method,

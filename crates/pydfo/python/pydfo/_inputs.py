@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options
+from . import _core, _data, _options
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -86,7 +86,11 @@ def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Tab
         at, (numerator, denominator) = _core.find_time(list(names))
     except ValueError as e:
         raise ValueError(f"{what} of inputs: {e}") from None
-    times = _column(names[at], column(names[at]))
+    given = column(names[at])
+    durations = _data.seconds(given)
+    if durations is not None and numerator != denominator:
+        raise ValueError(f"{what} of inputs: '{names[at]}' holds durations, which have a unit of their own; take the unit out of its name")
+    times = _column(names[at], given if durations is None else durations)
     if numerator != denominator:
         times = times * numerator / denominator
     return _columns(times, {name: column(name) for k, name in enumerate(names) if k != at})

@@ -53,6 +53,16 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     "measurements": ("data",),
 }
 
+#: What none of the functions here has, and what to do instead.
+_ABSENT: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("jac", "hess", "hessp", "gradient", "grad"), "no method here uses derivatives: leave it out"),
+    **dict.fromkeys(
+        ("constraints", "cons"),
+        "there are bounds only; a point that breaks another constraint may be given no cost (return NaN)",
+    ),
+    **dict.fromkeys(("args", "kwargs", "fargs"), "put further arguments into the function: lambda x: f(x, a)"),
+}
+
 
 def _option_names() -> set[str]:
     return set(_core.option_names())
@@ -71,13 +81,16 @@ def _hint(name: str, arguments: Collection[str], among_options: bool = False) ->
             return f"; here it is the option{plural} {ours}{how}"
         if ours.startswith("options=") and options:
             return f"; here it is {ours}"
+    if name in _ABSENT:
+        return f"; {_ABSENT[name]}"
     near = difflib.get_close_matches(name, arguments, 1) or difflib.get_close_matches(name, options, 1)
     if not near:
         return f"; there are: {', '.join(arguments)}"
     return f"; did you mean {near[0]}?" if near[0] in arguments else f"; did you mean options={{{near[0]!r}: ...}}?"
 
 
-def _arguments(function: Callable[..., Any]) -> list[str]:
+def argument_names(function: Callable[..., Any]) -> list[str]:
+    """Names of the arguments of a function or method."""
     return [name for name in inspect.signature(function).parameters if name != "self"]
 
 
@@ -90,7 +103,7 @@ def explained(function: Callable[P, R]) -> Callable[P, R]:
         if not known.issuperset(kwargs):
             name = next(name for name in kwargs if name not in known)
             owner = function.__qualname__.removesuffix(".__init__")
-            raise TypeError(f"{owner}() has no argument {name!r}{_hint(name, _arguments(function))}")
+            raise TypeError(f"{owner}() has no argument {name!r}{_hint(name, argument_names(function))}")
         return function(*args, **kwargs)
 
     return call
@@ -98,7 +111,7 @@ def explained(function: Callable[P, R]) -> Callable[P, R]:
 
 def check_options(options: Collection[str], function: Callable[..., Any]) -> None:
     """Refuses options that are arguments of `function`, and such as other tools have, saying what they are called here."""
-    arguments, known = _arguments(function), _option_names()
+    arguments, known = argument_names(function), _option_names()
     for name in options:
         if name in known:
             continue

@@ -77,7 +77,8 @@ def minimize(
     rng : int or numpy.random.Generator, optional
         The seed of what is random, or a generator to draw it from; None draws one. It stands in the result (``seed``).
     max_evaluations, max_iterations : int, optional
-        Exact limits of calls of `fun` and of iterations. Without any of the first three limits the method's defaults
+        Exact limits of evaluations, those that a run with one worker makes (``nfev``; calls ahead of need are
+        ``n_speculative``), and of iterations. Without any of the first three limits the method's defaults
         hold (for Nelder-Mead 5000 (n + 1) evaluations or 1000 (n + 1) iterations).
     max_time : float, optional
         Limit of wall-clock time in s: no call starts after it.
@@ -86,7 +87,8 @@ def minimize(
     options : dict, optional
         For every method: ``x_tol`` (1e-6), ``f_tol`` (1e-6), ``stop`` ("all" or "any" of both tests), ``tolerances``
         ("relative": x_tol in units of the parameters' sizes, f_tol as a fraction of the best cost; or "absolute"),
-        ``nominal`` (typical sizes of the parameters), ``scale`` ("linear" or "log", for all or each), ``kinds``
+        ``nominal`` (typical sizes of the parameters, None where there is none to give; a parameter that starts at 0 without
+        one and without a box is first moved by powers of ten to find its size), ``scale`` ("linear" or "log", for all or each), ``kinds``
         ("continuous", "integer" or "categorical", for all or each), ``cache`` (evaluations remembered, so that exact
         repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``warm_start`` (an earlier result or trace,
         or points and costs: where to start), ``problem`` (a word or hash for what `fun` computes, which you vouch for: the
@@ -109,7 +111,8 @@ def minimize(
         A file for the state of the run, written after batches and at the end.
     resume : {"auto", "never", "require"}
         Whether to continue from that file: if it is there, never, or as a must. A finished run gives its stored result; a
-        file of another run is refused and left as it is. What `fun` computes is not part of what identifies a run.
+        file of another run is refused and left as it is. What `fun` computes is not part of what identifies a run, unless
+        the option ``problem`` names it: else the log (level WARNING) says where "auto" finds a file.
     on_error : {"raise", "fail"}
         What an exception in `fun` means: it is raised, or it counts as a failed evaluation. A return value that is no
         number is always raised.
@@ -195,6 +198,7 @@ def describe(
     checked = _options.Limits.check(
         ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
     )
+    _options.tell_of_checkpoint(checkpoint, resume, options)
     built = _options.build(
         of,
         method,

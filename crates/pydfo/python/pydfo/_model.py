@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, NamedTuple, SupportsFloat
+from typing import Any, Literal, NamedTuple, NoReturn, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
@@ -210,6 +210,15 @@ class FMUModel:
         self._fmu = _core.Fmu(path, options)
         self._kind = self._fmu.check_runnable(kind)
         self._model = _core.Model(self._fmu, self._kind)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        # An attribute of that name would have no effect on the model.
+        if not name.startswith("_") and name in self.description.variables:
+            raise AttributeError(f"variables of the model are no attributes: set('{name}', {_options.show(value)}) sets this one")
+        super().__setattr__(name, value)
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError("an FMUModel cannot be pickled, because it holds a loaded library: open the FMU in each process")
 
     @property
     def path(self) -> Path:

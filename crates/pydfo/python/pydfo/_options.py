@@ -71,7 +71,7 @@ class Options:
     cache: int | None = None
     trace_limit: int | None = None
     scale: list[str] = field(default_factory=list)
-    nominal: list[float] = field(default_factory=list)
+    nominal: list[float | None] = field(default_factory=list)
     kinds: list[str] = field(default_factory=list)
     known: list[tuple[list[float], float]] = field(default_factory=list)
     known_problem: str | None = None
@@ -167,12 +167,23 @@ def build(
         cache=cache,
         trace_limit=trace_limit,
         scale=scale,
-        nominal=[] if nominal is None else bound("nominal", nominal, n, np.nan).tolist(),
+        nominal=[] if nominal is None else numbers_or_none("nominal", nominal, n),
         kinds=kinds,
         known=known,
         known_problem=known_problem,
         problem=None if problem is None else choice("problem", problem),
         unlimited=limits.unlimited,
+    )
+
+
+def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:
+    """Says that a run goes on from a file that nothing binds to the function that is minimised."""
+    if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None or not os.path.exists(checkpoint):
+        return
+    _log.warning(
+        "checkpoint %s is there: the run goes on from it, or its result is returned, whatever the function computes now; resume='never' "
+        "begins anew, resume='require' or options={'problem': ...} say that this is meant",
+        os.fspath(checkpoint),
     )
 
 
@@ -366,6 +377,12 @@ def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: in
     if len(array) != n:
         raise ValueError(f"{name} has {len(array)} values for {n} parameters")
     return array.copy()
+
+
+def numbers_or_none(name: str, value: npt.ArrayLike | Sequence[float | None], n: int) -> list[float | None]:
+    """A number per parameter; None where there is none to give; one number holds for all."""
+    given = [v is not None for v in value] if isinstance(value, (list, tuple)) else [True] * n
+    return [v if is_given else None for v, is_given in zip(bound(name, value, n, np.nan).tolist(), given)]
 
 
 def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | None, list[float] | None]:

@@ -28,8 +28,9 @@ class Parameter:
         Whether the search runs over the value or over its logarithm (for positive parameters known only to an order of
         magnitude). Values and bounds are in the model's unit either way.
     nominal : float, optional
-        A typical size, from which steps and tolerances are taken. Default: the nominal value in the model, else the width
-        of the bounds, else the start value.
+        A typical size, from which steps and tolerances are taken; worth giving where `start` is 0 and there are no bounds.
+        Default: the nominal value in the model, else the width of the bounds, else the start value; else Nelder-Mead finds
+        it by steps of powers of ten.
     kind : {"continuous", "integer", "categorical"}
         Whether it takes any value, whole numbers, or whole numbers that stand for choices. The search is then by "de"
         (integers) or "ga" (both).

@@ -25,9 +25,13 @@ pub enum Selection {
 
 /// Options of the genetic algorithm.
 ///
-/// Every free parameter needs two finite bounds; parameters may be integers or choices. The tolerance tests measure the
-/// best eighth of the population, because mutation always leaves some members far from the best. Neighbouring codes
-/// are 1.5e-5 of the width of the box apart unless `resolution` says otherwise: smaller distances cannot be seen.
+/// Every free parameter needs two finite bounds; parameters may be integers or choices. The tolerance tests measure
+/// the best points of all generations, each once, as many as an eighth of the population, at least n + 1 and at most
+/// 100: copies of one point take a population over long before the minimum is found, and mutation always leaves some
+/// members far from the best. With integers or choices they measure the best eighth of the population. Neighbouring
+/// codes are 1.5e-5 of the width of the box apart unless `resolution` says otherwise: smaller distances cannot be
+/// seen, so a relative `x_tol` below that never passes, and such a run ends as stalled. To 1e-6 of a quadratic it
+/// takes about 1200 evaluations per parameter up to ten parameters, more beyond.
 ///
 /// ```
 /// use dfo::{Genetic, Kind, minimize};

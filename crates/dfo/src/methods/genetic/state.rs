@@ -3,13 +3,20 @@
 use super::coding::Coding;
 use super::operators::{cross, fitness_sums, mutate, spin, tournament};
 use super::options::{Genetic, Selection};
+use crate::choices::Kind;
 use crate::error::Error;
 use crate::method::Setup;
 use crate::methods::shared::generations::{Breeder, Generations, Pool};
+use crate::methods::shared::population::Population;
 use crate::rng::{Purpose, Stream};
 use crate::termination::Termination;
-use crate::tolerances::Extent;
+use crate::tolerances::{Extent, Tests};
 use serde::{Deserialize, Serialize};
+
+/// How many of the best points are compared: an eighth of the population, at least as many as a simplex has, at most 100.
+fn n_seen(members: usize, n: usize) -> usize {
+    members.div_ceil(8).max(n + 1).min(100)
+}
 
 /// A running genetic algorithm; made by [`Genetic`].
 pub type GeneticState = Generations<Strings>;
@@ -27,6 +34,8 @@ pub struct Strings {
     spare: Vec<bool>,
     sums: Vec<f64>,
     decoded: Vec<f64>,
+    /// The best points of all generations, each once; as many as [`n_seen`] says.
+    best_seen: Population,
     /// Generations since the best point changed, and its cost then.
     idle: usize,
     idle_since: f64,
@@ -55,7 +64,9 @@ impl Strings {
                 population.place(slot, &decoded, &setup.space);
             }
         }
+        let best_seen = Population::new(&setup.space, n_seen(members, n));
         let breeder = Self {
+            best_seen,
             mutation_rate: options.mutation_rate.unwrap_or((1.0 / length.max(1) as f64).min(0.1)),
             options: options.clone(),
             coding,
@@ -114,6 +125,9 @@ impl Breeder for Strings {
     /// Children take the places of all but the elite.
     fn select(&mut self, pool: &mut Pool) {
         let Pool { population, candidates, .. } = pool;
+        for child in 0..candidates.len() {
+            self.best_seen.take_better(candidates, child);
+        }
         let length = self.coding.length();
         let replaced = population.len() - candidates.len();
         let slots: &[usize] = &population.order()[replaced..];
@@ -129,6 +143,9 @@ impl Breeder for Strings {
 
     fn started(&mut self, pool: &Pool) {
         let population = &pool.population;
+        for member in 0..population.len() {
+            self.best_seen.take_better(population, member);
+        }
         self.idle_since = population.cost(population.best()).value().unwrap_or(f64::INFINITY);
     }
 
@@ -147,11 +164,21 @@ impl Breeder for Strings {
         Extent::BestEighth
     }
 
+    /// The population itself says little: copies of one point take it over long before the minimum is found, and later most
+    /// children differ from their parents in a bit that matters. Of whole numbers there may be too few to compare.
+    fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<Tests> {
+        let space = &setup.space;
+        let continuous = (0..space.n_free()).all(|k| space.kind(k) == Kind::Continuous);
+        continuous.then(|| self.best_seen.judge(Extent::BestSeen, space, &setup.tolerances, f_0))
+    }
+
     fn is_sound(&self, pool: &Pool) -> bool {
         let (space, length) = (&pool.setup.space, self.coding.length());
         let (members, children) = (pool.population.len(), pool.candidates.len());
         Coding::new(space, &self.options.resolution, self.options.gray).as_ref() == Ok(&self.coding)
             && members >= 1
+            && self.best_seen.is_sound(space)
+            && self.best_seen.len() == n_seen(members, space.n_free())
             && (children + self.options.elite == members || space.n_free() == 0)
             && (self.bits.len(), self.child_bits.len()) == (members * length, children * length)
             && self.spare.len() == length

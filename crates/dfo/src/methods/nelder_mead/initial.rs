@@ -2,8 +2,10 @@
 
 use super::options::InitialSimplex;
 use super::simplex::SimplexData;
+use super::sizes::{Found, SizeSearch};
 use crate::choices::Transform;
 use crate::error::Error;
+use crate::methods::shared::cost::Cost;
 use crate::space::Space;
 
 /// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of the 126 runs in
@@ -87,6 +89,29 @@ fn outward(space: &Space, k: usize) -> f64 {
 fn default_steps(space: &Space) -> Vec<f64> {
     let step = |k: usize| space.width(k).map_or(FREE_FRACTION * outward(space, k), |w| BOX_FRACTION * w);
     (0..space.n_free()).map(step).collect()
+}
+
+/// The point that a search for sizes started from, the steps that it found, and usual ones along the other axes. The space
+/// takes the sizes.
+pub(super) fn around(space: &mut Space, search: &SizeSearch) -> SimplexData {
+    let found = search.found(space);
+    found.iter().for_each(|found| space.set_unit(found.k, found.size));
+    let (base, cost) = search.base();
+    let plain = space.without_sine().starting_at(base);
+    let mut simplex = from_steps(&plain, &default_steps(&plain));
+    simplex.rewrite(space);
+    simplex.set_cost(0, Cost::Value(cost));
+    let (mut u, mut x) = (vec![0.0; space.n_free()], base.to_vec());
+    for Found { k, vertex, .. } in found {
+        let Some((value, cost)) = vertex else { continue };
+        let i = space.free()[k];
+        x[i] = value;
+        space.to_working(&x, &mut u);
+        simplex.set(k + 1, &u, &x);
+        simplex.set_cost(k + 1, Cost::Value(cost));
+        x[i] = base[i];
+    }
+    simplex
 }
 
 /// The start point and one step along each axis, away from a bound that is too near.
@@ -236,7 +261,7 @@ mod tests {
             (vec![3.0, -4e6], vec![3.0, 4e6], vec![]),
             (vec![1e-6, 0.0, 20.0], vec![1e-6, 1.0, 20.0], vec![]),
             (vec![5.0], vec![5.0], vec![]),
-            (vec![3.0, 4.0], vec![10.0, 1.0], vec![10.0, 1.0]),
+            (vec![3.0, 4.0], vec![10.0, 1.0], vec![Some(10.0), Some(1.0)]),
         ] {
             let space = Space::new(&x0, Bounds::unbounded(x0.len()), &[], &nominal).unwrap();
             let vertices = vertices(&space);

@@ -24,9 +24,15 @@
 //! seen say that it goes down (Kelley, SIAM J. Optim. 10, 1999). A simplex that is flat because it lies on a bound is
 //! left alone.
 //!
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, says nothing about its
+//! magnitude. Before the first simplex is built each is moved alone, by steps of powers of ten, to where the cost is least
+//! along it. When the tests pass such steps are made once more from the best vertex; where one finds a lower cost, a new
+//! simplex is built from it.
+//!
 //! **Cutoffs** (where they change no decision): reflection and inside contraction: the worst cost; expansion and outside
 //! contraction: the cost of the reflection. Ahead of need: the worst cost, for the expansion of this iteration the best.
-//! None while the worst vertex has failed, and none for starting and shrinking vertices.
+//! None while the worst vertex has failed, and none for starting and shrinking vertices. Steps that look for sizes: twice
+//! the cost they start from, or the lowest found along the parameter.
 
 mod foresight;
 mod initial;
@@ -34,6 +40,7 @@ mod lee_wiswall;
 mod options;
 mod restart;
 mod simplex;
+mod sizes;
 mod state;
 mod trial;
 

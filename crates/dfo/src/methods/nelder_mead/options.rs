@@ -144,11 +144,13 @@ impl Coefficients {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum InitialSimplex {
-    /// From the sizes of the parameters: the nominal value where one was given, else the width of the box, else |x0|, else
-    /// (where x0 is zero and nothing else is known) 1, the nominal value that FMI assumes. Without any bound: a regular
-    /// simplex with edges of `0.3 * size`, away from zero, so that multiplying a parameter by a constant changes nothing.
-    /// Else one step along each free parameter: a tenth of the width of the box where that is finite, else `0.3 * size`
-    /// (a logarithmic parameter has the size 1 of its logarithm).
+    /// From the sizes of the parameters: the nominal value where one was given, else the width of the box, else |x0|.
+    /// Where x0 is zero and nothing else is known, the size is looked for first, by steps of powers of ten along the
+    /// parameter: the one at which the cost is least becomes a vertex. That takes some ten evaluations per such
+    /// parameter at the start, and some at the end; nominal values save them. Without any bound: a regular simplex
+    /// with edges of `0.3 * size`, away from zero, so that multiplying a parameter by a constant changes nothing.
+    /// Else one step along each free parameter: a tenth of the width of the box where that is finite, else `0.3 *
+    /// size` (a logarithmic parameter has the size 1 of its logarithm).
     #[default]
     Auto,
     /// These steps, one per parameter in the user's order; a step of a logarithmic parameter is one of `ln x`, one of
@@ -267,7 +269,10 @@ impl MethodOptions for NelderMead {
         let mut simplex = initial::simplex(&setup.space, &self.initial)?;
         let setup = self.prepared(setup);
         simplex.rewrite(&setup.space);
-        Ok(NelderMeadState::new(setup, self.batch, numbers, self.bounds, simplex, self.restarts))
+        let unknown = (0..setup.space.n_free()).any(|k| setup.space.size_is_unknown(k));
+        let sizing = unknown && self.initial == InitialSimplex::Auto;
+        let restarts = (self.restarts, sizing);
+        Ok(NelderMeadState::new(setup, self.batch, numbers, self.bounds, simplex, restarts))
     }
 
     fn describe(&self) -> Vec<(String, String)> {

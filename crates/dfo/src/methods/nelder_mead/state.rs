@@ -4,10 +4,12 @@
 //! one, that point is what the next batch asks for.
 
 use super::foresight::{Foresight, Problem};
+use super::initial;
 use super::lee_wiswall::{LeeWiswall, Verdict};
 use super::options::{BatchPlan, Numbers};
 use super::restart;
 use super::simplex::SimplexData;
+use super::sizes::SizeSearch;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
 use crate::answer::{Answers, Outcome};
 use crate::choices::BoundsHandling;
@@ -25,10 +27,16 @@ enum Role {
     Trial(Trial),
     /// A point of a vertex that moves together with others.
     Move(usize),
+    /// A step along a parameter of unknown size.
+    Step(usize),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 enum Phase {
+    /// Sizes of parameters are looked for, from the start point.
+    Sizing,
+    /// The same once the tests have passed, from the best vertex.
+    Checking,
     /// Vertices without a known outcome are asked for: the starting ones.
     Starting,
     /// The same after a shrink.
@@ -82,6 +90,10 @@ pub struct NelderMeadState {
     parallel: Option<LeeWiswall>,
     restarts: usize,
     f_restart: Option<f64>,
+    /// Whether there are parameters of unknown size, and the user gave no simplex.
+    sizing: bool,
+    /// The last search for sizes.
+    sizes: Option<SizeSearch>,
     phase: Phase,
     ended: Option<Termination>,
     roles: Vec<Role>,
@@ -101,7 +113,7 @@ impl NelderMeadState {
         numbers: Numbers,
         handling: BoundsHandling,
         simplex: SimplexData,
-        restarts: usize,
+        (restarts, sizing): (usize, bool),
     ) -> Self {
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         let trial = || TrialPoint::new(n, n_user);
@@ -117,7 +129,9 @@ impl NelderMeadState {
             parallel: (plan == BatchPlan::LeeWiswall).then(|| LeeWiswall::new(n, n_user)),
             restarts,
             f_restart: None,
-            phase: Phase::Starting,
+            sizing,
+            sizes: None,
+            phase: if sizing { Phase::Sizing } else { Phase::Starting },
             ended: None,
             roles: Vec::with_capacity(n + 1),
             waiting: false,
@@ -142,7 +156,8 @@ impl NelderMeadState {
     /// Whether this state fits to a problem and to itself.
     pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
-        self.setup.space == *space
+        space.is_same_space(&self.setup.space)
+            && self.sizes.as_ref().is_none_or(|s| s.is_sound(space))
             && self.simplex.is_sound(space)
             && self.centroid.len() == space.n_free()
             && self.trials.iter().all(|t| t.is_sound(space))
@@ -260,6 +275,13 @@ impl NelderMeadState {
                 let x_size = self.simplex.relative_size(space);
                 restart::orient(&mut self.simplex, space, x_size);
                 self.phase = Phase::Restarting;
+            } else if self.sizing {
+                let best = self.simplex.best();
+                let from = (self.simplex.x(best), tests.f_best);
+                self.sizes =
+                    Some(SizeSearch::beside(&self.setup.space, from, tests.f_limit, self.sizes.as_ref()));
+                self.phase = Phase::Checking;
+                self.sizes_told();
             } else {
                 self.end(Termination::Converged);
             }
@@ -288,6 +310,31 @@ impl NelderMeadState {
         self.ended = Some(termination);
     }
 
+    /// A step in search of sizes, or the start point that they start from, is known.
+    fn sizes_told(&mut self) {
+        let space = &mut self.setup.space;
+        match (&self.sizes, self.simplex.cost(0)) {
+            (None, Cost::Pending) => {}
+            (None, Cost::Value(f_0)) => {
+                self.sizes = Some(SizeSearch::from_start(space, self.simplex.x(0), f_0));
+                self.sizes_told();
+            }
+            // Nothing to compare with.
+            (None, Cost::Failed) => self.phase = Phase::Starting,
+            (Some(search), _) if !search.is_over() => {}
+            (Some(search), _) => {
+                if self.phase == Phase::Checking && !search.is_lower() {
+                    return self.end(Termination::Converged);
+                }
+                self.simplex = initial::around(space, search);
+                self.phase = if self.phase == Phase::Checking { Phase::Restarting } else { Phase::Starting };
+                if !self.simplex.is_pending() {
+                    self.vertices_known();
+                }
+            }
+        }
+    }
+
     /// All vertices asked for are known.
     fn vertices_known(&mut self) {
         let phase = self.phase;
@@ -295,13 +342,20 @@ impl NelderMeadState {
         match phase {
             Phase::Shrinking => return self.end_iteration(Operation::Shrink),
             Phase::Restarting => return self.end_iteration(Operation::Restart),
-            Phase::Starting | Phase::Moving | Phase::Trying(_) | Phase::Done => {}
+            Phase::Starting
+            | Phase::Sizing
+            | Phase::Checking
+            | Phase::Moving
+            | Phase::Trying(_)
+            | Phase::Done => {}
         }
         if self.simplex.cost(self.simplex.best()).value().is_none() {
             self.phase = Phase::Done;
             return;
         }
-        self.f_0 = self.simplex.smallest_cost();
+        // Steps in search of sizes may have come near to the minimum already.
+        let start = self.sizes.as_ref().map(|search| search.base().1.abs()).filter(|f| *f > 0.0);
+        self.f_0 = start.unwrap_or_else(|| self.simplex.smallest_cost());
         self.operation = Some(Operation::Initial);
         if self.setup.space.n_free() == 0 {
             return self.end(Termination::AllFixed);
@@ -330,6 +384,18 @@ impl Method for NelderMeadState {
                     if self.simplex.cost(slot) == Cost::Pending {
                         batch.push(self.simplex.x(slot), f64::INFINITY);
                         self.roles.push(Role::Vertex(slot));
+                    }
+                }
+            }
+            Phase::Sizing | Phase::Checking => {
+                let roles = &mut self.roles;
+                match &mut self.sizes {
+                    Some(search) => {
+                        search.ask(&self.setup.space, batch, |number| roles.push(Role::Step(number)));
+                    }
+                    None => {
+                        batch.push(self.simplex.x(0), f64::INFINITY);
+                        roles.push(Role::Vertex(0));
                     }
                 }
             }
@@ -369,6 +435,11 @@ impl Method for NelderMeadState {
                 Role::Vertex(slot) => {
                     self.simplex.set_cost(slot, cost.map_or(Cost::Failed, Cost::Value));
                 }
+                Role::Step(number) => {
+                    if let Some(search) = &mut self.sizes {
+                        search.see(&self.setup.space, number, cost);
+                    }
+                }
                 Role::Trial(trial) => self.trials[trial as usize].seen = seen,
                 Role::Move(number) => {
                     if let Some(parallel) = &mut self.parallel {
@@ -384,6 +455,7 @@ impl Method for NelderMeadState {
                     self.vertices_known();
                 }
             }
+            Phase::Sizing | Phase::Checking => self.sizes_told(),
             Phase::Moving => {
                 let Some(parallel) = &mut self.parallel else { return Ok(()) };
                 match parallel.conclude(&mut self.simplex) {
@@ -429,7 +501,10 @@ impl Method for NelderMeadState {
             Some(parallel) if !parallel.is_parallel() => "lee-wiswall, then serial",
             _ => self.plan.name(),
         };
+        let space = &self.setup.space;
+        let unmoved = |search: &SizeSearch| search.without_effect(space).collect();
         Details {
+            without_effect: self.sizes.as_ref().map_or_else(Vec::new, unmoved),
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
@@ -450,7 +525,13 @@ impl Method for NelderMeadState {
                 best = Some((self.simplex.x(slot), v));
             }
         }
-        // What was seen and is no vertex yet counts too: a reflection that waits for its expansion, vertices on the move.
+        // What was seen and is no vertex counts too: steps in search of sizes, a reflection that waits for its expansion,
+        // vertices on the move.
+        if let Some(seen) = self.sizes.as_ref().and_then(SizeSearch::best)
+            && best.is_none_or(|(_, b)| seen.1 < b)
+        {
+            best = Some(seen);
+        }
         if let (Phase::Moving, Some(seen)) =
             (self.phase, self.parallel.as_ref().and_then(LeeWiswall::best_seen))
             && best.is_none_or(|(_, b)| seen.1 < b)

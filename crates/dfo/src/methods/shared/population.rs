@@ -167,12 +167,23 @@ impl Population {
         self.order.extend(0..len);
     }
 
+    /// Takes a member of another population in place of the worst, if it is better and at a point of its own.
+    pub(crate) fn take_better(&mut self, from: &Self, member: usize) {
+        let worst = self.order[self.len() - 1];
+        let is_new = || (0..self.len()).all(|slot| self.x(slot) != from.x(member));
+        if from.costs[member].better_than(self.costs[worst]) && is_new() {
+            self.copy_from(worst, from, member);
+            self.rank();
+        }
+    }
+
     /// The tolerance tests over so much of the population, the best first: largest distance of a member from the best,
     /// largest minus smallest cost.
     pub(crate) fn judge(&self, extent: Extent, space: &Space, tolerances: &Tolerances, f_0: f64) -> Tests {
         let counted = match extent {
-            Extent::BestEighth => &self.order[..self.len().div_ceil(8)],
-            Extent::Population | Extent::Simplex => &self.order[..],
+            // One member alone has nothing to be compared with.
+            Extent::BestEighth => &self.order[..self.len().div_ceil(8).max(2).min(self.len())],
+            Extent::Population | Extent::Simplex | Extent::BestSeen => &self.order[..],
         };
         let best = self.best();
         let mut size = 0.0f64;
