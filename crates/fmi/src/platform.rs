@@ -1,6 +1,7 @@
 //! Everything that differs between operating systems and processors: names of folders and libraries,
 //! machine types of binaries, where caches and private folders live, how a C compiler is called.
 
+use crate::binary;
 pub use crate::binary::{BinaryFormat, BinaryHeader, Machine};
 use crate::error::FmiError;
 use std::env;
@@ -128,14 +129,7 @@ fn describe_folder(folder: &Path) -> String {
         .iter()
         .filter(|path| path.is_file())
         .take(5)
-        .map(|path| {
-            let what = match BinaryHeader::read(path) {
-                Ok(Some(header)) => header.to_string(),
-                Ok(None) => "not a library".to_owned(),
-                Err(error) => error.to_string(),
-            };
-            format!("{}: {what}", file_name(path))
-        })
+        .map(|path| format!("{}: {}", file_name(path), binary::describe(path)))
         .collect();
     let inside = if files.is_empty() { "empty".to_owned() } else { files.join(", ") };
     format!("{} ({inside})", file_name(folder))
