@@ -199,8 +199,10 @@ fn read<Elf: FileHeader<Endian = Endianness>>(data: &[u8]) -> Option<DynamicSect
     Some(found)
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
+#[cfg(target_os = "linux")]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
 
     fn linkage(source: &str, arguments: &[&str]) -> Linkage {

@@ -42,6 +42,10 @@ typedef struct {
 #include "process.h"
 #include "state.h"
 
+#ifdef ODD_RUN
+/* Runs in this loaded copy; of which some are odd, by an expression in `runs`. */
+static int runs;
+#endif
 #ifdef LAST_ONLY
 static Model *last;
 #endif
@@ -186,6 +190,12 @@ EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
 #endif
 #ifdef RESTORE_STICKS
     if (((Model *)c)->restored) K((Model *)c) = ((Model *)c)->restored_k;
+#endif
+#ifdef ODD_RUN
+    runs++;
+#ifdef FAILING_START
+    if (ODD_RUN) return FAILING_START;
+#endif
 #endif
 #ifdef NO_START
     say(c, fmi2Error, "no solution for #r2# (## #r99#)");
@@ -492,6 +502,12 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
         m->fatal = 1;
         return fmi2Fatal;
     }
+#endif
+#ifdef FAILING_LATE
+    if (m->time > 0.5 && (ODD_RUN)) return FAILING_LATE;
+#endif
+#ifdef ODD_FACTOR
+    if (ODD_RUN) dx[0] *= ODD_FACTOR;
 #endif
 #ifdef ERROR_ABOVE
     if (K(m) > ERROR_ABOVE) return fmi2Error;
