@@ -276,7 +276,9 @@ impl Calibration {
             if let Some(flag) = &options.cancel {
                 run = run.cancel(Arc::clone(flag));
             }
+            let began = Instant::now();
             let outcome = run.run();
+            let took = began.elapsed();
             let (taken, checks) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
             stats += taken;
             let is_sound = || self.n_history_findings() == n_findings;
@@ -284,7 +286,7 @@ impl Calibration {
                 let report = outcome.map_err(|e| self.name_parameter(e))?;
                 let is_moot = || self.depends_on_history(&report.x, &cancelled);
                 if cancelled()
-                    || !(is_moot() || self.costs_depend_on_history(&checks, &cancelled, &mut stats))
+                    || !(is_moot() || self.costs_depend_on_history(&checks, took, &cancelled, &mut stats))
                 {
                     let of_run = (start.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);

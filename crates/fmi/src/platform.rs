@@ -240,12 +240,13 @@ pub(crate) fn with_usual_permissions<'a, 'b>(
 pub(crate) const C_COMPILERS: &[&str] = &["cc", "gcc", "clang"];
 
 /// Options that make a C compiler write a shared library. Floating-point arithmetic stays as the standard
-/// says: contraction to fused operations would make results depend on the processor.
+/// says: contraction to fused operations would make results depend on the processor. Without assertions, as tools compile the
+/// libraries that they deliver: one that does not hold ends the process (seen in the reset function of Dymola's sources).
 pub(crate) fn shared_library_options() -> &'static [&'static str] {
     if cfg!(windows) {
-        &["-O2", "-shared", "-ffp-contract=off"]
+        &["-O2", "-DNDEBUG", "-shared", "-ffp-contract=off"]
     } else {
-        &["-O2", "-fPIC", "-shared", "-ffp-contract=off"]
+        &["-O2", "-DNDEBUG", "-fPIC", "-shared", "-ffp-contract=off"]
     }
 }
 

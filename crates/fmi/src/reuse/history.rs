@@ -3,7 +3,7 @@
 //!
 //! In each copy these are the runs with 1, 2, 4, 8, ... others before them, those after the first, second, fourth, ... change of
 //! the plan, and failed runs (`failed_runs.rs`). The result of such a run is that of the new copy. At its end, a fit looks again at its
-//! best point in all copies, and in a new one at a twentieth of its costs, 16 at most. So a state that shows in a few runs only (every
+//! best point in all copies, and in a new one at a tenth of its costs, 16 at most. So a state that shows in a few runs only (every
 //! N-th run, the run after one with certain values) is found with a probability, not for certain: between two looks a result may
 //! depend on what ran before.
 

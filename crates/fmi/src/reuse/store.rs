@@ -215,7 +215,8 @@ impl CopyStore {
         if let Some(source) = &source {
             self.resources.get_or_init(|| Snapshot::of(&source.root.join("resources")));
         }
-        if self.verdicts.reuse(request.kind) == Some(Reuse::Reload) {
+        let only_new = reason.is_none() && self.verdicts.reuse(request.kind) == Some(Reuse::Reload);
+        if only_new {
             self.discard_used();
         }
         let mut state = self.state();
@@ -243,7 +244,9 @@ impl CopyStore {
         if !occupied.is_empty() || (state.making > 0 && (all || (serial && state.making_serial))) {
             return Move::Free(occupied);
         }
-        if let Some(copy) = state.idle.pop() {
+        // Another owner may have given one back since.
+        if let Some(place) = state.idle.iter().rposition(|copy| !only_new || !copy.is_used()) {
+            let copy = state.idle.remove(place);
             let id = state.loan(&copy, request);
             return Move::Use(copy, id, source);
         }
