@@ -17,9 +17,9 @@ mod watched {
     const SIGNALS: [c_int; 6] =
         [libc::SIGINT, libc::SIGFPE, libc::SIGSEGV, libc::SIGTERM, libc::SIGPIPE, libc::SIGCHLD];
 
-    /// The first ones matter while FMUs run; the others later: how the process is ended, whether writing to a closed pipe ends it, how
-    /// a compiler has ended.
-    const N_DURING_RUNS: usize = 3;
+    /// The first ones matter while FMUs run; the others later: whether writing to a closed pipe ends the process, and whether it is told
+    /// how a compiler has ended.
+    const N_DURING_RUNS: usize = 4;
 
     /// Between two looks during a run.
     const INTERVAL: u64 = 20;
