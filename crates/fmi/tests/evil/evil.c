@@ -36,6 +36,7 @@ typedef struct {
     int restored;
     double restored_k;
     double remembered;
+    double made_k; /* k when the instance was made */
     fmi2CallbackFunctions functions;
 } Model;
 
@@ -121,6 +122,7 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
 #ifdef REMEMBERS_IN_INSTANCE
     m->remembered = 0;
 #endif
+    m->made_k = K(m);
 #ifdef WRITES_RESOURCES
     {
         char path[4096];
@@ -219,6 +221,9 @@ EXPORT fmi2Status fmi2Reset(fmi2Component c) {
     double k = K(m);
     start_values(m);
     K(m) = k * 1.0000001;
+#elif defined(RESET_AS_MADE)
+    start_values(m);
+    K(m) = m->made_k;
 #elif defined(RESET_KEEPS_PARAMETERS)
     m->time = 0;
     m->x = 1;
