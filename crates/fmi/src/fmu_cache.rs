@@ -90,14 +90,6 @@ impl FmuCache {
         drop(entries);
     }
 
-    /// Returns the FMU at `path` if it is open already; nothing is read.
-    ///
-    /// # Errors
-    /// There is no such file.
-    pub fn find_open(&self, path: impl AsRef<Path>, options: &OpenOptions) -> Result<Option<Fmu>, FmiError> {
-        Ok(self.find(&key_of(path.as_ref())?, options))
-    }
-
     /// The FMUs that were opened with these options.
     fn candidates(&self, options: &OpenOptions) -> Vec<Fmu> {
         self.entries()

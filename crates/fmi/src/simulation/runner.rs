@@ -281,6 +281,7 @@ impl Runner {
             last_event: None,
             not_finite: None,
             undetermined: None,
+            refusal: None,
             stats: Stats::default(),
         }))
     }
