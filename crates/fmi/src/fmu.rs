@@ -582,6 +582,13 @@ impl Fmu {
         }
         let library = self.binary(self.check_interface(kind)?, cancel)?;
         let archive = &self.inner.archive;
+        if let Some(file) = archive.changed_library() {
+            let path = self.path().to_owned();
+            let name = file.strip_prefix(archive.unpack()?).unwrap_or(file).display();
+            let reason =
+                format!("{name} was written over or removed after the folder had been opened; open it again");
+            return Err(FmiError::BadArchive { path, reason });
+        }
         let (root, loader) = (archive.unpack_part(Part::Running, cancel)?, self.inner.options.loader);
         let (key, identity) = match (library.strip_prefix(&root), archive.fingerprint()) {
             (Ok(place), Some(content)) => (Key::Content(content, place.to_owned(), loader), None),

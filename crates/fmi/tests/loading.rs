@@ -126,3 +126,19 @@ fn what_stands_in_the_place_of_a_library_is_named() {
         assert!(error.to_string().contains(part), "{error}");
     }
 }
+
+/// The description would be that of another version.
+#[test]
+fn a_library_that_is_replaced_before_it_is_loaded_is_refused() {
+    let (folder, other) = (evil(&[]), evil(&["OVERRIDES_K"]));
+    let cache = fmi::FmuCache::new(4);
+    let open = || cache.open(folder.path()).unwrap();
+    let fmu = open();
+    assert!(open().is_same(&fmu));
+    let library = library_of(&folder, "evil");
+    std::fs::remove_file(&library).unwrap();
+    std::fs::copy(library_of(&other, "evil"), &library).unwrap();
+    let message = end(&fmu, 1.0).unwrap_err().to_string();
+    assert!(message.contains("evil.so was written over") && message.contains("open it again"), "{message}");
+    assert!((end(&open(), 1.0).unwrap() - (-1.5f64).exp()).abs() < 1e-7);
+}
