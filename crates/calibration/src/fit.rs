@@ -285,9 +285,7 @@ impl Calibration {
             if is_sound() || cancelled() {
                 let report = outcome.map_err(|e| self.name_parameter(e))?;
                 let is_moot = || self.depends_on_history(&report.x, &cancelled);
-                if cancelled()
-                    || !(is_moot() || self.costs_depend_on_history(&checks, took, &cancelled, &mut stats))
-                {
+                if cancelled() || !(is_moot() || self.costs_depend_on_history(&checks, took, &cancelled)) {
                     let of_run = (start.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {

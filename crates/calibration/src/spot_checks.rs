@@ -61,7 +61,6 @@ impl Calibration {
         checks: &SpotChecks,
         took: Duration,
         cancelled: &dyn Fn() -> bool,
-        stats: &mut Stats,
     ) -> bool {
         let Some(mut simulators) = self.simulators_in_new_copies(cancelled) else { return false };
         let (began, longest) = (Instant::now(), Duration::from_secs(1).max(took / PART_OF_TIME));
@@ -69,12 +68,12 @@ impl Calibration {
             if began.elapsed() > longest {
                 break;
             }
-            match self.cost_in(&mut simulators, x, cancelled, stats) {
+            match self.cost_in(&mut simulators, x, cancelled) {
                 Err(NoCost::Cancelled | NoCost::Over(_)) => return false,
                 Ok(found) if found.to_bits() == cost.to_bits() => {}
                 _ => {
                     drop(simulators);
-                    return self.conclude(x, cancelled, stats).unwrap_or(false);
+                    return self.conclude(x, cancelled).unwrap_or(false);
                 }
             }
         }
@@ -82,9 +81,9 @@ impl Calibration {
     }
 
     /// Whether the cost at a point, which is not what it was, is the same in two newly loaded copies; `None`: there are none.
-    fn conclude(&self, x: &[f64], cancelled: &dyn Fn() -> bool, stats: &mut Stats) -> Option<bool> {
+    fn conclude(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> Option<bool> {
         let mut cost = || {
-            let found = self.cost_in(&mut self.simulators_in_new_copies(cancelled)?, x, cancelled, stats);
+            let found = self.cost_in(&mut self.simulators_in_new_copies(cancelled)?, x, cancelled);
             match found {
                 Err(NoCost::Cancelled | NoCost::Over(_)) => None,
                 found => Some(found.ok().map(f64::to_bits)),
@@ -100,9 +99,8 @@ impl Calibration {
         simulators: &mut [Simulator],
         x: &[f64],
         cancelled: &dyn Fn() -> bool,
-        stats: &mut Stats,
     ) -> Result<f64, NoCost> {
-        self.evaluate_by((f64::INFINITY, cancelled), None, stats, |k, observer| {
+        self.evaluate_by((f64::INFINITY, cancelled), None, &mut Stats::default(), |k, observer| {
             Ok(simulators[k].run(x, observer))
         })
     }
