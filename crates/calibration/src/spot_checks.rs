@@ -82,7 +82,7 @@ impl Calibration {
 
     /// Whether the cost at a point, which is not what it was, is the same in two newly loaded copies; `None`: there are none.
     fn conclude(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> Option<bool> {
-        let mut cost = || {
+        let cost = || {
             let found = self.cost_in(&mut self.simulators_in_new_copies(cancelled)?, x, cancelled);
             match found {
                 Err(NoCost::Cancelled | NoCost::Over(_)) => None,
