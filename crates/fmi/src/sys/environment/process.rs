@@ -178,8 +178,8 @@ mod watched {
     }
 
     /// Puts back what has changed. Who logs may wait for locks of others: the state is not locked then.
-    fn look(ends: usize, looks_here: bool) {
-        let is_changed_here = looks_here && look_here();
+    fn look(ends: usize) {
+        let is_changed_here = look_here();
         let is_changed = is_changed_here | {
             let mut state = lock();
             let is_changed = state.watches > 0 && state.put_back(state.watches == ends);
@@ -202,7 +202,12 @@ mod watched {
     }
 
     impl Watch {
+        /// Within another one on this thread it does nothing: that one looks at the end, and now and then.
         pub(in super::super) fn begin() -> Self {
+            if BLOCKED.get().is_some() {
+                return Self { is_first: false };
+            }
+            BLOCKED.set(Some(blocked(None)));
             let mut state = lock();
             if state.watches == 0 {
                 state.remember();
@@ -212,18 +217,14 @@ mod watched {
             let next = now() + INTERVAL;
             NEXT_LOOK.store(next, Ordering::Relaxed);
             NEXT_LOOK_HERE.set(next);
-            let is_first = BLOCKED.get().is_none();
-            if is_first {
-                BLOCKED.set(Some(blocked(None)));
-            }
-            Self { is_first }
+            Self { is_first: true }
         }
     }
 
     impl Drop for Watch {
         fn drop(&mut self) {
-            look(1, self.is_first);
             if self.is_first {
+                look(1);
                 BLOCKED.set(None);
             }
         }
@@ -235,7 +236,7 @@ mod watched {
         let now = now();
         if now >= NEXT_LOOK.load(Ordering::Relaxed) {
             NEXT_LOOK.store(now + INTERVAL, Ordering::Relaxed);
-            look(0, true);
+            look(0);
         } else if now >= NEXT_LOOK_HERE.get() {
             look_here();
         } else {
