@@ -5,6 +5,7 @@ use crate::effect::BoundSide;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
+use crate::spot_checks::SpotChecks;
 use dfo::{
     AnyMethod, ByRef, Checkpoint, Evaluation, Kind, Limits, Measure, NelderMead, Objective, Outcome,
     Progress, Report, Resume, Stop, Tolerances, Transform,
@@ -155,17 +156,20 @@ impl fmt::Display for Fit {
 struct Counted<'a> {
     calibration: &'a Calibration,
     cutoffs: bool,
-    stats: Mutex<Stats>,
+    stats: Mutex<(Stats, SpotChecks)>,
     /// Findings before the run.
     n_findings: u64,
 }
 
 impl Counted<'_> {
-    fn add(&self, evaluate: impl FnOnce(&mut Stats) -> Outcome) -> Outcome {
+    fn add(&self, x: &[f64], evaluate: impl FnOnce(&mut Stats) -> Outcome) -> Outcome {
         let mut stats = Stats::default();
         let outcome = evaluate(&mut stats);
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
-        *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
+        let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
+        known.0 += stats;
+        known.1.note(x, outcome.value());
+        drop(known);
         if self.calibration.n_history_findings() > self.n_findings {
             return Outcome::Abort(HISTORY.to_owned());
         }
@@ -179,7 +183,7 @@ impl Objective for Counted<'_> {
         if !self.cutoffs {
             evaluation.cutoff = f64::INFINITY;
         }
-        self.add(|stats| self.calibration.evaluate_counted(x, &evaluation, None, stats))
+        self.add(x, |stats| self.calibration.evaluate_counted(x, &evaluation, None, stats))
     }
 
     fn uses_cutoff(&self) -> bool {
@@ -189,7 +193,7 @@ impl Objective for Counted<'_> {
     fn residuals(&self, x: &[f64], evaluation: &Evaluation<'_>, out: &mut Vec<f64>) -> Option<Outcome> {
         out.clear();
         out.resize(self.calibration.n_residuals(), 0.0);
-        Some(self.add(|stats| self.calibration.evaluate_counted(x, evaluation, Some(out), stats)))
+        Some(self.add(x, |stats| self.calibration.evaluate_counted(x, evaluation, Some(out), stats)))
     }
 }
 
@@ -272,12 +276,16 @@ impl Calibration {
             if let Some(flag) = &options.cancel {
                 run = run.cancel(Arc::clone(flag));
             }
+            let began = Instant::now();
             let outcome = run.run();
-            stats += *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
+            let took = began.elapsed();
+            let (taken, checks) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+            stats += taken;
             let is_sound = || self.n_history_findings() == n_findings;
             if is_sound() || cancelled() {
                 let report = outcome.map_err(|e| self.name_parameter(e))?;
-                if cancelled() || !self.depends_on_history(&report.x, &cancelled) {
+                let is_moot = || self.depends_on_history(&report.x, &cancelled);
+                if cancelled() || !(is_moot() || self.costs_depend_on_history(&checks, took, &cancelled)) {
                     let of_run = (start.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {
