@@ -152,7 +152,11 @@ fn cutoffs_save_right_hand_sides_and_change_no_decision() {
         let run = |cutoffs: bool| {
             let method = name.parse().unwrap();
             let limits = Limits { max_evaluations: Some(200), ..Limits::default() };
-            let options = FitOptions { method, seed: Some(3), cutoffs, limits, ..FitOptions::default() };
+            // One worker: how many points several workers try ahead depends on the load of the machine,
+            // and each of them is a whole simulation in the count.
+            let workers = Some(1);
+            let options =
+                FitOptions { method, seed: Some(3), cutoffs, limits, workers, ..FitOptions::default() };
             calibration.fit(options).unwrap()
         };
         let (with, without) = (run(true), run(false));

@@ -216,7 +216,8 @@ impl CopyStore {
         if let Some(source) = &source {
             self.resources.get_or_init(|| Snapshot::of(&source.root.join("resources")));
         }
-        if self.verdicts.reuse(request.kind) == Some(Reuse::Reload) {
+        let needs_new = self.verdicts.reuse(request.kind) == Some(Reuse::Reload);
+        if needs_new {
             self.discard_used();
         }
         let mut state = self.state();
@@ -244,7 +245,9 @@ impl CopyStore {
         if !occupied.is_empty() || (state.making > 0 && (all || (serial && state.making_serial))) {
             return Move::Free(occupied);
         }
-        if let Some(copy) = state.idle.pop() {
+        // Somebody may just have given a used one back.
+        if let Some(place) = state.idle.iter().rposition(|copy| !(needs_new && copy.is_used())) {
+            let copy = state.idle.remove(place);
             let id = state.loan(&copy, request);
             return Move::Use(copy, id, source);
         }
