@@ -7,11 +7,12 @@ use crate::identity::identity;
 use crate::parameter::Parameter;
 use crate::residual::{Accumulator, Comparison, Stop};
 use crate::solver::Choice;
+use crate::spot_checks::is_failed_by_history;
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, ignored_nominals, unused_columns};
 use dfo::{Answer, Failure, FailureKind, Objective, Outcome, Query, Want};
 use fmi::platform::without_private_folders;
 use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan, Trajectory};
-use ode::{ErrorKind, Method, Number, Stats, Termination};
+use ode::{ErrorKind, Method, Number, Observer, Report, Stats, Termination};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -436,6 +437,25 @@ impl Calibration {
         mut out: Option<&mut [f64]>,
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
+        loop {
+            let cost = self.evaluate_by(ends, out.as_deref_mut(), stats, |k, observer| {
+                let pool = self.pool(k, ends.1)?;
+                Ok(pool.lend().and_then(|mut simulator| simulator.run(x, observer)))
+            });
+            if !is_failed_by_history(&cost) {
+                return cost;
+            }
+        }
+    }
+
+    /// The same with the simulation of each experiment made by `run`.
+    pub(crate) fn evaluate_by(
+        &self,
+        ends: (f64, &dyn Fn() -> bool),
+        mut out: Option<&mut [f64]>,
+        stats: &mut Stats,
+        mut run: impl FnMut(usize, &mut dyn Observer) -> Result<Result<Report, FmiError>, NoCost>,
+    ) -> Result<f64, NoCost> {
         let mut sum = 0.0;
         let mut place = 0;
         for (k, experiment) in self.experiments.iter().enumerate() {
@@ -444,8 +464,7 @@ impl Calibration {
             let part = out.as_deref_mut().map(|out| &mut out[place..end]);
             place = end;
             let mut accumulator = Accumulator::new(comparison, ends, sum, part);
-            let pool = self.pool(k, ends.1)?;
-            let ran = pool.lend().and_then(|mut simulator| simulator.run(x, &mut accumulator));
+            let ran = run(k, &mut accumulator)?;
             match &ran {
                 Ok(report) => *stats += report.stats,
                 Err(FmiError::Simulation(error)) => *stats += error.stats,

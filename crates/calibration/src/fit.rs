@@ -5,6 +5,7 @@ use crate::effect::BoundSide;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
+use crate::spot_checks::SpotChecks;
 use dfo::{
     Answer, AnyMethod, ByRef, Checkpoint, Kind, Limits, Measure, NelderMead, Objective, Outcome, Progress,
     Query, Report, Resume, Stop, Tolerances, Transform,
@@ -155,7 +156,7 @@ impl fmt::Display for Fit {
 struct Counted<'a> {
     calibration: &'a Calibration,
     cutoffs: bool,
-    stats: Mutex<Stats>,
+    stats: Mutex<(Stats, SpotChecks)>,
     /// Findings before the run.
     n_findings: u64,
 }
@@ -169,7 +170,10 @@ impl Objective for Counted<'_> {
         let mut stats = Stats::default();
         self.calibration.evaluate_counted(x, &query, answer, &mut stats);
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
-        *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
+        let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
+        known.0 += stats;
+        known.1.note(x, answer.outcome.value());
+        drop(known);
         if self.calibration.n_history_findings() > self.n_findings {
             answer.outcome = Outcome::Abort(HISTORY.to_owned());
         }
@@ -263,12 +267,16 @@ impl Calibration {
             if let Some(flag) = &options.cancel {
                 run = run.cancel(Arc::clone(flag));
             }
+            let began = Instant::now();
             let outcome = run.run();
-            stats += *counted.stats.lock().unwrap_or_else(|e| e.into_inner());
+            let took = began.elapsed();
+            let (taken, checks) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+            stats += taken;
             let is_sound = || self.n_history_findings() == n_findings;
             if is_sound() || cancelled() {
                 let report = outcome.map_err(|e| self.name_parameter(e))?;
-                if cancelled() || !self.depends_on_history(&report.x, &cancelled) {
+                let is_moot = || self.depends_on_history(&report.x, &cancelled);
+                if cancelled() || !(is_moot() || self.costs_depend_on_history(&checks, took, &cancelled)) {
                     let of_run = (start.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {

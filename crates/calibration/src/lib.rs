@@ -15,6 +15,7 @@ mod identity;
 mod parameter;
 mod residual;
 mod solver;
+mod spot_checks;
 mod time_column;
 mod warning;
 

@@ -16,10 +16,8 @@ fn a_fit_begins_anew_where_its_simulations_depend_on_earlier_ones() {
         let folder = faulty(&[fault]);
         let mut first = None;
         for workers in [1, 2, 5] {
-            // A file of its own: nothing is known of it yet.
-            let copy = tempfile::tempdir().unwrap();
-            copy_folder(folder.path(), copy.path());
-            let calibration = calibration(Fmu::open(copy.path()).unwrap(), Sharing::Copies);
+            let (_files, fmu) = open_copy(folder.path());
+            let calibration = calibration(fmu, Sharing::Copies);
             let found = fit(&calibration, workers, 150);
             assert!(
                 found.n_beginnings > 1 && found.report.message.contains("begun"),
@@ -36,6 +34,38 @@ fn a_fit_begins_anew_where_its_simulations_depend_on_earlier_ones() {
     }
 }
 
+/// Every N-th run of a loaded copy fails: none of the runs that are made again for their number may be among them.
+#[test]
+fn a_fit_does_not_depend_on_workers_where_every_nth_run_fails() {
+    for fault in ["FAILING_START=fmi2Fatal", "FAILING_LATE=fmi2Error"] {
+        for n in [3, 8, 13] {
+            let folder = faulty(&[fault, &format!("ODD_RUN=runs%{n}==0")]);
+            let mut first = None;
+            for workers in [1, 2, 3] {
+                let (_files, fmu) = open_copy(folder.path());
+                let found = fit(&calibration(fmu, Sharing::Copies), workers, 120);
+                assert!(found.n_beginnings > 1, "{fault} {n} {workers}");
+                assert_eq!(found.report.n_failed, 0, "{fault} {n} {workers}");
+                let expected = first.get_or_insert_with(|| costs(&found));
+                assert_eq!(&costs(&found), expected, "{fault} {n} {workers}");
+            }
+        }
+    }
+}
+
+/// Every N-th run of a loaded copy is another one; the points that are looked at again at the end show it.
+#[test]
+fn a_fit_looks_at_some_of_its_costs_again() {
+    let honest = fit(&calibration(Fmu::open(faulty(&[]).path()).unwrap(), Sharing::Copies), 1, 300);
+    assert_eq!(honest.n_beginnings, 1);
+    for n in [7, 11, 13] {
+        let folder = faulty(&["ODD_FACTOR=1.5", &format!("ODD_RUN=runs%{n}==0")]);
+        let (_files, fmu) = open_copy(folder.path());
+        let found = fit(&calibration(fmu, Sharing::Copies), 1, 300);
+        assert_eq!((found.n_beginnings, &found.x, found.cost), (2, &honest.x, honest.cost), "{n}");
+    }
+}
+
 /// An instance that cannot be ended costs its loaded copy, and no evaluation.
 #[test]
 fn fatal_at_the_end_of_a_run_changes_no_cost() {
@@ -47,6 +77,14 @@ fn fatal_at_the_end_of_a_run_changes_no_cost() {
         assert_eq!(costs(&found), costs(&expected), "{status} {workers}");
         assert_eq!(found.report.n_failed, 0);
     }
+}
+
+/// Opened from files of its own: nothing is known of it yet.
+fn open_copy(folder: &std::path::Path) -> (tempfile::TempDir, Fmu) {
+    let copy = tempfile::tempdir().unwrap();
+    copy_folder(folder, copy.path());
+    let fmu = Fmu::open(copy.path()).unwrap();
+    (copy, fmu)
 }
 
 fn copy_folder(from: &std::path::Path, to: &std::path::Path) {

@@ -1,5 +1,9 @@
-//! Headers of shared libraries: which operating system and which processors they are made for.
+//! Headers of shared libraries: which operating system and which processors they are made for, and how long their files are.
 
+use crate::error::FmiError;
+use object::elf;
+use object::read::elf::{FileHeader, ProgramHeader};
+use object::{Endianness, FileKind, ReadCache, ReadRef};
 use std::env;
 use std::fmt;
 use std::fs::File;
@@ -130,6 +134,76 @@ impl fmt::Display for BinaryHeader {
         }
         Ok(())
     }
+}
+
+/// Refuses a file that is shorter than its ELF headers say. The loader maps the segments without looking at the length, and the first
+/// access beyond the end of the file ends the process (SIGBUS). The loaders of Windows and macOS look for themselves.
+///
+/// # Errors
+/// [`FmiError::LoadFailed`] with both lengths; the file cannot be read.
+pub(crate) fn check_length(library: &Path) -> Result<(), FmiError> {
+    let io_error = FmiError::io("read", library);
+    let (length, data) = match File::open(library).and_then(|file| Ok((file.metadata()?.len(), file))) {
+        Ok((length, file)) => (length, ReadCache::new(file)),
+        Err(error) => return Err(io_error(error)),
+    };
+    let needed = match FileKind::parse(&data) {
+        Ok(FileKind::Elf64) => mapped_length::<elf::FileHeader64<Endianness>, _>(&data),
+        Ok(FileKind::Elf32) => mapped_length::<elf::FileHeader32<Endianness>, _>(&data),
+        _ => return Ok(()),
+    };
+    let what = match needed {
+        Some(needed) if needed <= length => return Ok(()),
+        Some(needed) => format!(
+            "the file has {length} bytes, and what its headers say is to be loaded ends at byte {needed}"
+        ),
+        None => format!("the file has {length} bytes, too few for its ELF headers"),
+    };
+    let message = format!("{what}: it was cut off, perhaps while it was copied, downloaded or packed");
+    Err(FmiError::LoadFailed { library: library.to_owned(), message })
+}
+
+/// Where the segments that are mapped end in the file, and the dynamic section (System V ABI, chapter 5); `None`: the headers are not all there.
+fn mapped_length<'data, Elf: FileHeader<Endian = Endianness>, R: ReadRef<'data>>(data: R) -> Option<u64> {
+    let header = Elf::parse(data).ok()?;
+    let endian = header.endian().ok()?;
+    let segments = header.program_headers(endian, data).ok()?;
+    let mapped = segments.iter().filter(|one| matches!(one.p_type(endian), elf::PT_LOAD | elf::PT_DYNAMIC));
+    let end = |one: &Elf::ProgramHeader| {
+        let (start, size): (u64, u64) = (one.p_offset(endian).into(), one.p_filesz(endian).into());
+        start.saturating_add(size)
+    };
+    Some(mapped.map(end).max().unwrap_or(0))
+}
+
+/// What a file is that stands where a library should be, for a message.
+pub(crate) fn describe(path: &Path) -> String {
+    let header = match BinaryHeader::read(path) {
+        Ok(Some(header)) => return header.to_string(),
+        Ok(None) => File::open(path).and_then(|file| {
+            let mut start = Vec::new();
+            file.take(256).read_to_end(&mut start).map(|_| start)
+        }),
+        Err(error) => Err(error),
+    };
+    let what = match header {
+        Ok(start) if start.is_empty() => "an empty file",
+        // https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md
+        Ok(start) if start.starts_with(b"version https://git-lfs.github.com/spec/") => {
+            "a pointer of Git LFS instead of the file: \"git lfs pull\" fetches it"
+        }
+        Ok(start) if start.starts_with(b"\x7fELF") || start.starts_with(b"MZ") => {
+            "the beginning of a library, cut off"
+        }
+        Ok(start)
+            if std::str::from_utf8(&start[..start.len().min(64)]).is_ok_and(|text| !text.contains('\0')) =>
+        {
+            "a text file, not a library"
+        }
+        Ok(_) => "not a library",
+        Err(error) => return error.to_string(),
+    };
+    what.to_owned()
 }
 
 /// `e_machine` of an ELF header (System V ABI, chapter 4): two bytes at offset 18.

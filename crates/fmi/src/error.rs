@@ -198,6 +198,16 @@ pub enum FmiError {
         /// The library.
         library: PathBuf,
     },
+    /// A simulation failed after others in one loaded copy of the library, and not in a new copy. What is made from now on does not
+    /// depend on earlier simulations: simulate again.
+    #[error(
+        "the simulation has failed because of earlier ones, whose traces the model keeps: in a newly loaded copy of {} it does \
+         not fail; simulate again", library.display()
+    )]
+    FailedByHistory {
+        /// The library.
+        library: PathBuf,
+    },
     /// A call into the FMU failed.
     #[error(transparent)]
     Call(Box<CallFailure>),

@@ -408,6 +408,30 @@ impl Fmu {
         Ok(())
     }
 
+    /// Notes that simulations depend on earlier ones: from now on each is begun by `reuse`.
+    pub(crate) fn note_history(&self, kind: InterfaceKind, reuse: Reuse) -> Result<(), FmiError> {
+        self.store(kind)?.verdicts.set_history(kind, reuse);
+        let way = match reuse {
+            Reuse::Reload => "a newly loaded copy of the library",
+            _ => "a new instance",
+        };
+        let message = format!(
+            "a simulation depends on earlier ones: the model keeps a state that no variable shows, and that resetting does \
+             not bring back; every simulation gets {way} from now on, and results from before may be wrong"
+        );
+        self.note_quirk(QuirkKind::Promise, message);
+        Ok(())
+    }
+
+    /// Notes that simulations in newly loaded copies differ.
+    pub(crate) fn note_not_reproducible(&self, kind: InterfaceKind) -> Result<(), FmiError> {
+        self.store(kind)?.verdicts.set_not_reproducible(kind);
+        let message =
+            "two simulations in newly loaded copies of the library differ: no result can be reproduced";
+        self.note_quirk(QuirkKind::Promise, message.to_owned());
+        Ok(())
+    }
+
     /// How often a simulation was found to depend on earlier ones (see [`quirks_seen`](Self::quirks_seen)): each time, a safer
     /// way of bringing instances back was taken from then on, and results from before may be wrong.
     pub fn n_history_findings(&self, kind: InterfaceKind) -> u64 {
@@ -558,6 +582,13 @@ impl Fmu {
         }
         let library = self.binary(self.check_interface(kind)?, cancel)?;
         let archive = &self.inner.archive;
+        if let Some(file) = archive.changed_library() {
+            let path = self.path().to_owned();
+            let name = file.strip_prefix(archive.unpack()?).unwrap_or(file).display();
+            let reason =
+                format!("{name} was written over or removed after the folder had been opened; open it again");
+            return Err(FmiError::BadArchive { path, reason });
+        }
         let (root, loader) = (archive.unpack_part(Part::Running, cancel)?, self.inner.options.loader);
         let (key, identity) = match (library.strip_prefix(&root), archive.fingerprint()) {
             (Ok(place), Some(content)) => (Key::Content(content, place.to_owned(), loader), None),

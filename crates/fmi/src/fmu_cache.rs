@@ -13,7 +13,7 @@ use std::sync::{Mutex, PoisonError};
 /// options, and so it does for files of the same content.
 ///
 /// A file counts as unchanged while its path, identity on the disk, size and time of modification are the same; it is
-/// not read for that. Of a folder, `modelDescription.xml` and the folder itself are looked at. Another file is compared by
+/// not read for that. Of a folder, `modelDescription.xml`, its libraries and the folder itself are looked at. Another file is compared by
 /// the directory of the archive, and where that is the same by the SHA-256 of its bytes.
 #[derive(Debug)]
 pub struct FmuCache {
@@ -90,14 +90,6 @@ impl FmuCache {
         drop(entries);
     }
 
-    /// Returns the FMU at `path` if it is open already; nothing is read.
-    ///
-    /// # Errors
-    /// There is no such file.
-    pub fn find_open(&self, path: impl AsRef<Path>, options: &OpenOptions) -> Result<Option<Fmu>, FmiError> {
-        Ok(self.find(&key_of(path.as_ref())?, options))
-    }
-
     /// The FMUs that were opened with these options.
     fn candidates(&self, options: &OpenOptions) -> Vec<Fmu> {
         self.entries()
@@ -110,6 +102,12 @@ impl FmuCache {
     fn find(&self, key: &Key, options: &OpenOptions) -> Option<Fmu> {
         let mut entries = self.entries();
         let position = entries.iter().position(|known| known.key == *key && known.options == *options)?;
+        if entries[position].fmu.archive().changed_library().is_some() {
+            let entry = entries.remove(position);
+            drop(entries);
+            drop(entry);
+            return None;
+        }
         let entry = entries.remove(position);
         let fmu = entry.fmu.clone();
         entries.push(entry);

@@ -1,6 +1,7 @@
 //! Everything that differs between operating systems and processors: names of folders and libraries,
 //! machine types of binaries, where caches and private folders live, how a C compiler is called.
 
+use crate::binary;
 pub use crate::binary::{BinaryFormat, BinaryHeader, Machine};
 use crate::error::FmiError;
 use std::env;
@@ -128,14 +129,7 @@ fn describe_folder(folder: &Path) -> String {
         .iter()
         .filter(|path| path.is_file())
         .take(5)
-        .map(|path| {
-            let what = match BinaryHeader::read(path) {
-                Ok(Some(header)) => header.to_string(),
-                Ok(None) => "not a library".to_owned(),
-                Err(error) => error.to_string(),
-            };
-            format!("{}: {what}", file_name(path))
-        })
+        .map(|path| format!("{}: {}", file_name(path), binary::describe(path)))
         .collect();
     let inside = if files.is_empty() { "empty".to_owned() } else { files.join(", ") };
     format!("{} ({inside})", file_name(folder))
@@ -246,12 +240,13 @@ pub(crate) fn with_usual_permissions<'a, 'b>(
 pub(crate) const C_COMPILERS: &[&str] = &["cc", "gcc", "clang"];
 
 /// Options that make a C compiler write a shared library. Floating-point arithmetic stays as the standard
-/// says: contraction to fused operations would make results depend on the processor.
+/// says: contraction to fused operations would make results depend on the processor. Without assertions, as tools compile the
+/// libraries that they deliver: one that does not hold ends the process (seen in the reset function of Dymola's sources).
 pub(crate) fn shared_library_options() -> &'static [&'static str] {
     if cfg!(windows) {
-        &["-O2", "-shared", "-ffp-contract=off"]
+        &["-O2", "-DNDEBUG", "-shared", "-ffp-contract=off"]
     } else {
-        &["-O2", "-fPIC", "-shared", "-ffp-contract=off"]
+        &["-O2", "-DNDEBUG", "-fPIC", "-shared", "-ffp-contract=off"]
     }
 }
 

@@ -34,6 +34,8 @@ pub(crate) struct Current {
     pub(crate) phase: Phase,
     /// An FMU call failed: the instance is not used again.
     pub(crate) broken: bool,
+    /// The call that returned `Discard` last.
+    pub(crate) discarded: Option<&'static str>,
 }
 
 impl Current {
@@ -82,7 +84,10 @@ impl Current {
         let core = self.core().map_err(CallError::failed)?;
         match body(&mut core.raw) {
             Ok(value) => Ok(value),
-            Err(Fault::Discard(_)) => Err(CallError::Discard),
+            Err(Fault::Discard(call)) => {
+                self.discarded = Some(call);
+                Err(CallError::Discard)
+            }
             Err(fault) => {
                 let error = core.error(fault);
                 Err(self.fail(error))
@@ -99,6 +104,12 @@ impl Current {
             }
             Err(error) => Err(self.fail(error)),
         }
+    }
+
+    /// The call that has refused the last point, with its time and what the FMU logged about it.
+    pub(crate) fn refusal(&mut self) -> Option<String> {
+        let call = self.discarded?;
+        self.core().ok().map(|core| core.error(Fault::Discard(call)).to_string())
     }
 
     /// Notes that the instance is not to be used again.
@@ -128,7 +139,7 @@ pub(crate) struct Running {
 impl Running {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
         Self {
-            current: Current { phase: Phase::Gone, broken: false },
+            current: Current { phase: Phase::Gone, broken: false, discarded: None },
             inputs: InputState::new(&plan.inputs),
             buffers: OutputBuffers::new(plan.outputs()),
             clocks: ClockState::default(),
@@ -151,7 +162,7 @@ impl Running {
         parameters: &[f64],
         stop: Option<f64>,
     ) -> Result<Instance<Initialization, K>, FmiError> {
-        self.current = Current { phase: Phase::Gone, broken: false };
+        self.current = Current { phase: Phase::Gone, broken: false, discarded: None };
         self.buffers.begin();
         let Self { plan, inputs, clocks, unset, signed, .. } = self;
         Start { plan, unset, start_values, parameters, stop }.begin(raw, signed, inputs, clocks)
@@ -159,7 +170,7 @@ impl Running {
 
     /// Takes an instance that will have to be reset.
     pub(crate) fn adopt(&mut self, raw: RawInstance) {
-        self.current = Current { phase: Phase::Spare(raw), broken: false };
+        self.current = Current { phase: Phase::Spare(raw), broken: false, discarded: None };
     }
 
     /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.

@@ -173,6 +173,7 @@ impl System {
             return Ok(());
         }
         if !inputs.continuous_at(&plan.inputs, t) {
+            current.discarded = None;
             return Err(CallError::Discard);
         }
         if has(sent, &inputs.continuous) {

@@ -144,6 +144,8 @@ fn a_missing_model_description_is_looked_for_elsewhere() {
     assert!(down.contains("pack the contents of \"BouncingBall\""), "{down}");
     let case = open(&zip(&[Entry::stored("ModelDescription.xml", b"")])).unwrap_err().to_string();
     assert!(case.contains("upper and lower case matter"), "{case}");
+    let folder = open(&zip(&[Entry::stored("modelDescription.xml/", b"")])).unwrap_err().to_string();
+    assert!(folder.contains("is a folder") && !folder.contains("case"), "{folder}");
     let folder = open(&zip(&[Entry::stored("modelDescription.xml/", b"")])).unwrap_err();
     assert!(matches!(folder, FmiError::NoModelDescription { .. }), "{folder}");
 }

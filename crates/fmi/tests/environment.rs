@@ -31,6 +31,7 @@ const INSTANTIATE: u32 = 1;
 const DERIVATIVES: u32 = 3;
 const STEP: u32 = 4;
 const FREE: u32 = 5;
+const INITIALIZE: u32 = 6;
 const END: u32 = 7;
 
 #[test]
@@ -79,6 +80,13 @@ fn calls_by_hand_are_guarded_too() {
 fn ignored() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let line = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap();
+    u64::from_str_radix(line.trim(), 16).unwrap()
+}
+
+/// Signals that this thread blocks, as bits.
+fn blocked() -> u64 {
+    let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("SigBlk:")).unwrap();
     u64::from_str_radix(line.trim(), 16).unwrap()
 }
 
@@ -133,6 +141,43 @@ fn signals_are_handled_as_before() {
     assert!(watch.seen);
     assert!(watch.longest < Duration::from_millis(500), "{:?}", watch.longest);
     assert_eq!(ignored(), before);
+}
+
+#[test]
+fn signals_are_blocked_as_before() {
+    let before = blocked();
+    for place in [INSTANTIATE, DERIVATIVES, STEP, FREE, INITIALIZE, END] {
+        let kind = if place == STEP { Kind::CoSimulation } else { Kind::ModelExchange };
+        let folder = both_kinds(&[&format!("BLOCKS_IN={place}")]);
+        let fmu = folder.open();
+        for _ in 0..2 {
+            fmu.simulate(&SimulateOptions::new().ncp(10).kind(kind)).unwrap();
+            assert_eq!(blocked(), before, "{place}");
+        }
+        drop(fmu);
+        assert_eq!(blocked(), before, "{place}");
+    }
+    let folder = both_kinds(&["BLOCKS_IN=1"]);
+    let instance = folder.open().instantiate().unwrap();
+    assert_eq!(blocked(), before);
+    drop(instance);
+    // Within a long run, too.
+    struct Seen(u64, u32);
+    impl Observer for Seen {
+        fn sample(&mut self, _: &Sample<'_>) -> ControlFlow<()> {
+            ControlFlow::Continue(())
+        }
+        fn poll(&mut self) -> ControlFlow<()> {
+            self.1 += u32::from(blocked() == self.0);
+            ControlFlow::Continue(())
+        }
+    }
+    let folder = evil(&["BLOCKS_IN=1", "SLOW=300"]);
+    let options = SimulateOptions::new().method(fmi::ode::Method::Rk4).step_size(1e-3).ncp(10);
+    let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
+    let mut seen = Seen(before, 0);
+    Simulator::new(plan).unwrap().run(&[], &mut seen).unwrap();
+    assert!(seen.1 > 500, "{}", seen.1);
 }
 
 #[test]

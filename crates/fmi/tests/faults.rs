@@ -38,6 +38,13 @@ fn points_refused_for_good_end_in_an_error_with_the_time() {
     let FmiError::Simulation(error) = fails(&["DISCARD_BELOW"]) else { panic!() };
     assert!(matches!(error.kind, ErrorKind::StepTooSmall { discarded: true }), "{error}");
     assert!((error.time - 2f64.ln()).abs() < 1e-5, "{error}");
+    assert!(error.to_string().contains(": fmi2GetDerivatives returned discard at t = 0.69"), "{error}");
+    // Also where it begins.
+    let error = fails(&["FAILING_ALWAYS=fmi2Discard"]).to_string();
+    assert!(
+        error.contains("its own state at t = 0: fmi2GetDerivatives returned discard at t = 0"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -75,3 +75,70 @@ fn an_fmu_that_needs_its_tool_runs_where_the_tool_is_said_to_be_there() {
     let fmu = Fmu::open_with(folder.path(), &options).unwrap();
     assert!((end(&fmu, 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
 }
+
+/// The library of an FMU in a folder.
+fn library_of(folder: &Folder, name: &str) -> std::path::PathBuf {
+    let platform = &fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits)[0];
+    folder.path().join("binaries").join(platform).join(format!("{name}.{}", fmi::platform::LIBRARY_EXTENSION))
+}
+
+/// The loader of Linux ends the process where it reads beyond the end of a file.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_library_that_was_cut_off_is_refused_with_both_lengths() {
+    let whole = std::fs::read(library_of(&evil(&[]), "evil")).unwrap();
+    for share in [1, 2, 10, 30, 50, 70] {
+        let folder = evil(&[]);
+        let length = whole.len() * share / 100;
+        std::fs::write(library_of(&folder, "evil"), &whole[..length]).unwrap();
+        let error = end(&folder.open(), 1.0).unwrap_err();
+        assert!(matches!(error, FmiError::LoadFailed { .. }), "{share} %: {error}");
+        let message = error.to_string();
+        for part in ["evil.so", "cut off", &format!("the file has {length} bytes")] {
+            assert!(message.contains(part), "{share} %: {message}");
+        }
+    }
+    // A library beside it, which the loader loads with it.
+    let folder = evil_with_sibling(&[], "short");
+    let sibling = library_of(&folder, "libshort");
+    let whole = std::fs::read(&sibling).unwrap();
+    std::fs::write(&sibling, &whole[..whole.len() / 2]).unwrap();
+    let message = end(&folder.open(), 1.0).unwrap_err().to_string();
+    assert!(message.contains("libshort.so") && message.contains("cut off"), "{message}");
+}
+
+#[test]
+fn what_stands_in_the_place_of_a_library_is_named() {
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n";
+    let other_bits = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0\x03\0\x03\0\x01\0\0\0";
+    let cases: [(&[u8], &str); 5] = [
+        (b"", "an empty file"),
+        (pointer, "git lfs pull"),
+        (b"<html>404</html>", "a text file"),
+        (b"\x7fELF\x02", "cut off"),
+        (other_bits, "ELF x86"),
+    ];
+    for (bytes, part) in cases {
+        let folder = evil(&[]);
+        std::fs::write(library_of(&folder, "evil"), bytes).unwrap();
+        let error = end(&folder.open(), 1.0).unwrap_err();
+        assert!(matches!(error, FmiError::NoBinary { .. }), "{error}");
+        assert!(error.to_string().contains(part), "{error}");
+    }
+}
+
+/// The description would be that of another version.
+#[test]
+fn a_library_that_is_replaced_before_it_is_loaded_is_refused() {
+    let (folder, other) = (evil(&[]), evil(&["OVERRIDES_K"]));
+    let cache = fmi::FmuCache::new(4);
+    let open = || cache.open(folder.path()).unwrap();
+    let fmu = open();
+    assert!(open().is_same(&fmu));
+    let library = library_of(&folder, "evil");
+    std::fs::remove_file(&library).unwrap();
+    std::fs::copy(library_of(&other, "evil"), &library).unwrap();
+    let message = end(&fmu, 1.0).unwrap_err().to_string();
+    assert!(message.contains("evil.so was written over") && message.contains("open it again"), "{message}");
+    assert!((end(&open(), 1.0).unwrap() - (-1.5f64).exp()).abs() < 1e-7);
+}

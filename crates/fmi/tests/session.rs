@@ -113,10 +113,11 @@ fn a_flag_that_was_raised_cancels_the_next_simulation_only() {
     assert_eq!(bits(&session.simulate(&options).unwrap()), bits(&first));
 }
 
-/// Also after runs that were made again in another copy of the library, where nothing was ever set.
+/// Also after runs that were made again in another copy of the library, where nothing was ever set. The model keeps its parameter in a
+/// static variable, and its reset function brings back what that was when the instance was made (as Simulink's do).
 #[test]
 fn what_was_set_before_is_set_back_in_every_run() {
-    let folder = evil(&["RESET_KEEPS_PARAMETERS"]);
+    let folder = evil(&["STATIC_PARAMETERS", "RESET_AS_MADE"]);
     let mut session = Session::new(folder.open());
     let plain = SimulateOptions::new().final_time(1.0);
     let truth = bits(&session.simulate(&plain).unwrap());
@@ -124,7 +125,7 @@ fn what_was_set_before_is_set_back_in_every_run() {
         let set = session.simulate(&plain.clone().start_value("k", 3.0)).unwrap();
         assert_ne!(bits(&set), truth);
         for run in 0..6 {
-            assert_eq!(bits(&session.simulate(&plain).unwrap()), truth, "round {round}, run {run}");
+            assert!(bits(&session.simulate(&plain).unwrap()) == truth, "round {round}, run {run}");
         }
     }
 }

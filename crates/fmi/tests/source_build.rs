@@ -192,6 +192,21 @@ fn loses_the_prefix() {
     assert_eq!(fs::read_dir(library.parent().unwrap()).unwrap().count(), 1);
 }
 
+/// An assertion that does not hold would end the process.
+#[test]
+fn assertions_of_the_sources_are_left_out() {
+    in_own_environment("assertions_of_the_sources_are_left_out", &[], leaves_assertions_out);
+}
+
+fn leaves_assertions_out() {
+    let root = source_folder();
+    let source =
+        "#include <assert.h>\n#include \"model.h\"\nint answer(int n) { assert(n > 0); return ANSWER; }\n";
+    fs::write(root.path().join("sources/model.c"), source).unwrap();
+    let library = fs::read(build(root.path()).unwrap()).unwrap();
+    assert!(!library.windows(13).any(|name| name == b"__assert_fail"));
+}
+
 #[test]
 fn what_the_compiler_says_is_passed_on() {
     in_own_environment("what_the_compiler_says_is_passed_on", &[], passes_on_what_the_compiler_says);

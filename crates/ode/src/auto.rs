@@ -351,6 +351,14 @@ impl Stepper for Auto {
         active!(self.forget());
     }
 
+    fn begin_with(&mut self, s: f64, dx: &[f64]) {
+        active!(self.begin_with(s, dx));
+    }
+
+    fn wants_second_derivative(&self) -> bool {
+        active!(self.wants_second_derivative())
+    }
+
     fn kink(&mut self, h: f64) -> f64 {
         active!(self.kink(h))
     }

@@ -165,6 +165,12 @@ impl Bdf {
             self.fresh = false;
             self.h = h;
             self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = h * f);
+            if self.order == 2 {
+                // In `z_2` is half the second derivative; the point before is the one that the parabola passes.
+                self.z[2].iter_mut().for_each(|z| *z *= h * h);
+                self.past[0] = h;
+                self.wait = 3;
+            }
         }
         if self.next_order != self.order {
             self.change_order();
@@ -393,6 +399,19 @@ impl Stepper for Bdf {
         self.rate = 1.0;
         self.jacobian_is_suspect = true;
         self.wants_jacobian = false;
+    }
+
+    fn begin_with(&mut self, s: f64, dx: &[f64]) {
+        for (z, (f, ahead)) in self.z[2].iter_mut().zip(self.f.iter().zip(dx)) {
+            *z = 0.5 * (ahead - f) / s;
+        }
+        if self.z[2].iter().all(|z| z.is_finite()) {
+            (self.order, self.next_order) = (2, 2);
+        }
+    }
+
+    fn wants_second_derivative(&self) -> bool {
+        true
     }
 
     fn kink(&mut self, h: f64) -> f64 {

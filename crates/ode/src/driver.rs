@@ -282,6 +282,7 @@ where
                     last_event: self.last_event,
                     not_finite: self.not_finite,
                     undetermined: self.undetermined,
+                    refusal: None,
                     stats: self.stats,
                 }))
             }

@@ -261,6 +261,8 @@ pub struct SimulationError {
     /// With a singular mass matrix, where steps or consistent states failed: an equation without derivatives that does not
     /// determine the states it should, which is so in systems of index 2 or higher.
     pub undetermined: Option<usize>,
+    /// What the system says about the point that it refused, filled in by who makes the system.
+    pub refusal: Option<String>,
     /// What it had cost.
     pub stats: Stats,
 }
@@ -365,6 +367,9 @@ impl fmt::Display for SimulationError {
         }
         if let (ErrorKind::StepTooSmall { .. }, Some(value)) = (&self.kind, &self.not_finite) {
             write!(f, ": {value}")?;
+        }
+        if let Some(refusal) = &self.refusal {
+            write!(f, ": {refusal}")?;
         }
         if let Some(equation) = self.undetermined {
             write!(

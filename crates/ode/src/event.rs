@@ -10,6 +10,12 @@ mod returns;
 pub(crate) use returns::SLOPE_STEP;
 use returns::{SMALL, SinceEvent};
 
+/// A parabola comes near zero where its turning point is less than this share of the least value that it passes.
+const NEAR: f64 = 0.25;
+
+/// After so many steps without a crossing the sliding of an indicator has ended.
+const CLEAN_STEPS: u32 = 100;
+
 /// Which indicators are positive, and the values they were read from.
 #[derive(Debug, Default)]
 pub(crate) struct Domains {
@@ -25,6 +31,9 @@ pub(crate) struct Domains {
     /// event: what happens behind it counts from there. `None`: from the start of the step.
     from: Vec<f64>,
     counts_since: Option<f64>,
+    /// Times inside the step at which the indicators were looked at, ascending, and their values there, one time after the other.
+    looked_at: Vec<f64>,
+    looked: Vec<f64>,
     /// Indicators at the start of the step before, and that time, if nothing has happened since.
     before: Vec<f64>,
     before_time: Option<f64>,
@@ -37,12 +46,15 @@ pub(crate) struct Domains {
     largest: Vec<f64>,
     /// Those whose last event has changed states.
     resets: Vec<bool>,
+    /// Those that came from the domain `z > 0` at their last event.
+    from_above: Vec<bool>,
     /// Those that an event has turned back, and that were small since.
     bounces: Vec<bool>,
     /// Slopes at the start of the step of the indicators that may come back in it; NaN: of no interest.
     slopes: Vec<f64>,
-    /// Indicators that chatter: their crossings count at the ends of steps.
-    sliding: Vec<bool>,
+    /// Indicators that chatter: their crossings count at the ends of steps. For so many more steps, if they do not cross; 0: they do not
+    /// slide.
+    sliding: Vec<u32>,
 }
 
 /// Where the first change of domain in a step was found.
@@ -70,6 +82,22 @@ fn crosses(direction: Direction, from: f64, to: f64) -> bool {
         }
 }
 
+/// Where after `start` the parabola through three points `(t, z)` in one domain turns, if that is in the other domain or near it.
+fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) -> Option<f64> {
+    let (s1, s2) = ((z1 - z0) / (t1 - t0), (z2 - z1) / (t2 - t1));
+    let curvature = (s2 - s1) / (t2 - t0);
+    let inward = if z1 > 0.0 { curvature } else { -curvature };
+    if flipped(z0, z1) || flipped(z1, z2) || inward.is_nan() || inward <= 0.0 {
+        return None;
+    }
+    let t = 0.5 * (t1 + t2) - 0.5 * s2 / curvature;
+    let value = z1 + (t - t1) * (s2 + curvature * (t - t2));
+    // What was before the step was seen to go on.
+    let least = if t0 < start { z1.abs().min(z2.abs()) } else { z0.abs().min(z1.abs()).min(z2.abs()) };
+    let beyond = if z1 > 0.0 { value < NEAR * least } else { value > -NEAR * least };
+    (t > start.max(t0) && t < t2 && t != t1 && beyond).then_some(t)
+}
+
 impl Domains {
     /// Makes room for `n` indicators whose changes are events in these directions.
     pub(crate) fn begin(&mut self, n: usize, direction: impl Fn(usize) -> Direction) {
@@ -92,7 +120,9 @@ impl Domains {
         self.crossings.resize(n, 0);
         self.since_event.clear();
         self.since_event.resize(n, SinceEvent::Settled);
-        for v in [&mut self.sliding, &mut self.bounces, &mut self.resets] {
+        self.sliding.clear();
+        self.sliding.resize(n, 0);
+        for v in [&mut self.bounces, &mut self.resets, &mut self.from_above] {
             v.clear();
             v.resize(n, false);
         }
@@ -109,6 +139,8 @@ impl Domains {
     /// A step is going to be looked into: changes count from its start.
     pub(crate) fn look(&mut self) {
         self.counts_since = None;
+        self.looked_at.clear();
+        self.looked.clear();
     }
 
     /// From when on changes count, if not from the start of the step.
@@ -123,7 +155,7 @@ impl Domains {
 
     /// Whether the change of an indicator is an event that is to be located.
     fn is_located(&self, i: usize, from: f64, to: f64) -> bool {
-        !self.sliding[i] && crosses(self.direction(i), from, to)
+        !self.slides(i) && crosses(self.direction(i), from, to)
     }
 
     /// Whether any indicator has an event between two points.
@@ -141,7 +173,9 @@ impl Domains {
     pub(crate) fn mark(&mut self, elapsed: f64, tolerance: f64) -> Option<usize> {
         for i in 0..self.len() {
             let (base, end) = (self.base[i], self.end[i]);
-            let has_crossed = if self.sliding[i] {
+            let has_crossed = if self.is_held(i) {
+                self.falls(i) || (self.directions[i] == Direction::Both && flipped(base, end))
+            } else if self.slides(i) {
                 // One that came back in the step may have begun in the domain where it ends.
                 self.is_lost(i) || crosses(self.direction(i), base, end)
             } else {
@@ -153,6 +187,7 @@ impl Domains {
                 _ => 0,
             };
             if has_crossed {
+                self.find_origin(i);
                 let slope = (end - base) / elapsed;
                 // One that jumps is nowhere near.
                 let jumps = end.abs() > SMALL * self.largest[i];
@@ -160,12 +195,16 @@ impl Domains {
             }
         }
         let crossed = |i: &usize| self.crossings[*i] != 0;
-        (0..self.len()).filter(crossed).min_by_key(|i| self.sliding[*i])
+        (0..self.len()).filter(crossed).min_by_key(|i| self.slides(*i))
     }
 
     /// Those marked slide from now on.
     pub(crate) fn slide_marked(&mut self) {
-        self.sliding.iter_mut().zip(&self.crossings).for_each(|(s, c)| *s |= *c != 0);
+        for i in 0..self.len() {
+            if self.crossings[i] != 0 {
+                self.slide(i);
+            }
+        }
     }
 
     /// Whether an indicator that was marked is zero: the crossing is there, or yet to come.
@@ -173,24 +212,28 @@ impl Domains {
         self.end.iter().zip(&self.crossings).any(|(end, crossing)| *end == 0.0 && *crossing != 0)
     }
 
-    /// Whether an indicator that slides is among those marked.
-    pub(crate) fn any_sliding_crossed(&self) -> bool {
-        self.sliding.iter().zip(&self.crossings).any(|(slides, crossing)| *slides && *crossing != 0)
-    }
-
     /// This indicator slides from now on.
     pub(crate) fn slide(&mut self, i: usize) {
-        self.sliding[i] = true;
+        self.sliding[i] = CLEAN_STEPS;
     }
 
-    /// No indicator slides any more.
-    pub(crate) fn stop_sliding(&mut self) {
-        self.sliding.fill(false);
+    /// This indicator slides no more.
+    pub(crate) fn release(&mut self, i: usize) {
+        self.sliding[i] = 0;
+        self.since_event[i] = SinceEvent::Settled;
+    }
+
+    /// A step is over: those that slide and have crossed in it go on sliding. `false`: none slides any more.
+    pub(crate) fn go_on_sliding(&mut self) -> bool {
+        for (left, crossing) in self.sliding.iter_mut().zip(&self.crossings) {
+            *left = if *left > 0 && *crossing != 0 { CLEAN_STEPS } else { left.saturating_sub(1) };
+        }
+        self.sliding.iter().any(|left| *left > 0)
     }
 
     /// Whether this indicator slides.
     pub(crate) fn slides(&self, i: usize) -> bool {
-        self.sliding[i]
+        self.sliding[i] > 0
     }
 
     /// Whether the event at the end of the step has left the indicators as they were, `base` being those after it.
@@ -227,22 +270,21 @@ impl Domains {
         self.before_time.map(|before| (end - start) / (start - before))
     }
 
-    /// Where between `start` and `end` the parabola through the last three values of indicator `i` comes to its turning
-    /// point, if that lies in the other domain or near it: a crossing and its return may hide there.
+    /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to its turning point, if
+    /// that lies in the other domain or near it: a crossing and its return may hide there.
     pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
-        let before = self.before_time?;
-        let (z0, z1, z2) = (self.before[i], self.base[i], self.end[i]);
-        let (s1, s2) = ((z1 - z0) / (start - before), (z2 - z1) / (end - start));
-        let curvature = (s2 - s1) / (end - before);
-        let inward = if z1 > 0.0 { curvature } else { -curvature };
-        if inward.is_nan() || inward <= 0.0 {
-            return None;
-        }
-        let t = 0.5 * (start + end) - 0.5 * s2 / curvature;
-        let value = z1 + (t - start) * (s2 + curvature * (t - end));
-        let near = 0.25 * z1.abs().min(z2.abs());
-        let beyond = if z1 > 0.0 { value < near } else { value > -near };
-        (t > start && t < end && beyond).then_some(t)
+        let looked =
+            self.looked_at.iter().zip(self.looked[i.min(self.looked.len())..].iter().step_by(self.len()));
+        let inside = looked.map(|(t, z)| (*t, *z));
+        let before = self.before_time.map(|t| (t, self.before[i]));
+        let mut points =
+            before.into_iter().chain([(start, self.base[i])]).chain(inside).chain([(end, self.end[i])]);
+        let (mut a, mut b) = (points.next()?, points.next()?);
+        points.find_map(|c| {
+            let found = turning_point([a, b, c], start);
+            (a, b) = (b, c);
+            found
+        })
     }
 
     /// Reads the indicators at a point inside the step behind those looked at before. `true`: one has an event before it,
@@ -261,6 +303,10 @@ impl Domains {
             self.from.copy_from_slice(&self.mid);
             self.counts_since = Some(t);
         }
+        let place = self.looked_at.partition_point(|other| *other < t);
+        self.looked_at.insert(place, t);
+        let place = place * self.len();
+        self.looked.splice(place..place, self.mid.iter().copied());
         Ok(false)
     }
 

@@ -97,10 +97,13 @@ pub enum ChatteringPolicy {
     /// time stands still.
     Warn,
     /// Go on in steps of [`SLIDING_STEP`](Self::SLIDING_STEP) of the span, at whose ends the events happen wherever in the
-    /// step the indicators that chatter crossed, until a hundred such steps have passed without a state event. Where the vector fields
+    /// step the indicators that chatter crossed, each until a hundred such steps have passed without its event. Where the vector fields
     /// on both sides point to each other, the solution slides between them as Filippov defines it, up to an error of
     /// the order of this step (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988, section 8).
-    /// Where events change states and accumulate (bounces), the indicator is held at zero. The other indicators are located
+    /// Where events change states and accumulate (bounces), the indicator is held at zero, on the side that it came from in the run,
+    /// whatever its sign: it crosses where it is found on the other side, and is put back to zero where its event leaves it there and has
+    /// not let it pass. For this a hundred such events within ten steps of sliding (at most a thousandth of a unit of time) are too many.
+    /// The other indicators are located
     /// as ever. Counted in [`Stats::chattering`](crate::Stats::chattering), too. Methods with a fixed step end with the error.
     Slide,
 }
@@ -169,7 +172,8 @@ pub struct Options {
     /// Points inside each step at which the event indicators are looked at too, so that a crossing and its return do not
     /// hide in one step; each is compared with the one before. Default: one for methods that take long steps (DOP853, Radau5, BDF) and where a step is more
     /// than three times as long as the one before, else none, and none where an event is known to lie in the step. Whatever
-    /// this is, the turning point of a parabola through the last three values is looked at where it lies near zero; and
+    /// this is, the turning points of parabolas through three neighbouring values are looked at where they lie near zero (below a
+    /// quarter of these values), again and again while they come nearer; and
     /// an indicator next to zero after its event, that leads out of its domain, is followed until it is seen there or the
     /// run ends with [`ErrorKind::EventsAccumulate`](crate::ErrorKind).
     pub interior_samples: Option<u32>,

@@ -119,6 +119,18 @@ pub(crate) trait Stepper {
     /// The current point has nothing to do with the steps before it.
     fn forget(&mut self);
 
+    /// After [`forget`](Self::forget), while indicators slide: the right-hand side `dx` that the current one leads to after the time `s`. Their difference gives the
+    /// second derivative, with which a multistep method can begin at order 2: its steps of
+    /// order 1 are far shorter than those of sliding where the tolerance is tight.
+    fn begin_with(&mut self, s: f64, dx: &[f64]) {
+        let _ = (s, dx);
+    }
+
+    /// Whether it [begins](Self::begin_with) with the second derivative then.
+    fn wants_second_derivative(&self) -> bool {
+        false
+    }
+
     /// An input changes its slope at the current point, where a step always ends. Returns the step size to go on with.
     fn kink(&mut self, h: f64) -> f64 {
         h

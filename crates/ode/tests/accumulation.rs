@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Driver, *};
+use common::{Driver, Random, *};
 use ode::*;
 
 const METHODS: [Method; 7] =
@@ -101,19 +101,6 @@ impl HybridSystem for Balls {
     }
 }
 
-/// A congruential generator (D. E. Knuth, The Art of Computer Programming 2, 3.3.4, line 26); numbers in [0, 1).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
-    }
-    fn of<T: Copy>(&mut self, list: &[T]) -> T {
-        list[(self.next() * list.len() as f64) as usize]
-    }
-}
-
 /// A run with everything that decides how it goes.
 #[derive(Debug)]
 struct Case {
@@ -183,7 +170,10 @@ impl Case {
         let step = ChatteringPolicy::SLIDING_STEP * span;
         let sunk = if slides { 0.5 * 100.0 * system.gravity * step * step } else { 0.0 };
         let highest = system.balls.iter().map(|b| b.height).fold(0.0, f64::max);
-        let tolerance = 100.0 * rtol * (highest + system.floor.abs()) + sunk;
+        // An event is located to a few times 100 u max(|t|, span).
+        let speed = (2.0 * highest * system.gravity).sqrt();
+        let located = 16.0 * 100.0 * 0.5 * f64::EPSILON * (t0.abs() + span) * speed;
+        let tolerance = 100.0 * rtol * (highest + system.floor.abs()) + sunk + located;
         if least.is_nan() || least < -tolerance {
             return Err(format!("{least:e} below the floor, {outcome:?}"));
         }

@@ -235,11 +235,13 @@ impl HybridSystem for PySystem<'_> {
         }
         outcome.states_changed = self.ask(|this| {
             let Some(on_event) = &this.on_event else { return Ok(false) };
-            let answer = on_event.call1((visit.time, this.array(x), which))?;
-            if answer.is_none() {
+            let states = this.array(x);
+            let answer = on_event.call1((visit.time, &states, which))?;
+            if answer.is_none() && states.readonly().as_slice()? == x {
                 return Ok(false);
             }
-            vector(&answer, x, "on_event")?;
+            // What was changed in place counts where nothing is returned.
+            vector(if answer.is_none() { &states } else { &answer }, x, "on_event")?;
             match x.iter().position(|v| !v.is_finite()) {
                 Some(i) => Err(PyValueError::new_err(format!(
                     "on_event returned {} for state {i} at t = {}",

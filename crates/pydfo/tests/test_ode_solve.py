@@ -183,6 +183,49 @@ def test_a_ball_that_never_rests_does_not_fall_through_the_floor(method):
     assert abs(res.end_time - 2.5586339655858085) < 1e-6 and res.y[0].min() > -1e-9
 
 
+def test_a_handler_may_change_the_states_in_place():
+    def bounce(t, y, which):
+        y[1] = -0.8 * y[1]
+
+    def returned(t, y, which):
+        return [y[0], -0.8 * y[1]]
+
+    def nothing(t, y, which):
+        return None
+
+    def broken(t, y, which):
+        y[1] = math.nan
+
+    def run(handler):
+        return ode.solve(lambda t, y: [y[1], -9.81], (0, 1.5), [1.0, 0.0], events=lambda t, y: y[0], on_event=handler)
+
+    assert np.array_equal(run(bounce).y, run(returned).y) and len(run(bounce).t_events[0]) == 2
+    assert len(run(nothing).t_events[0]) == 1 and run(nothing).y[0, -1] < -1
+    with pytest.raises(ValueError, match="on_event returned NaN for state 1 at t = 0.45"):
+        run(broken)
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_body_rests_whatever_the_sign_of_its_event(method, sign):
+    # Bounces accumulate at t = 1.35.
+    for floor, declared, handler in (
+        (0.0, False, lambda t, y, which: [0.0, abs(0.5 * y[1])]),
+        (100.0, False, lambda t, y, which: [y[0], -0.5 * y[1]] if y[1] < 0 else None),
+        (-3.0, True, lambda t, y, which: [-3.0, -0.5 * y[1]]),
+    ):
+        def event(t, y):
+            return sign * (y[0] - floor)
+
+        if declared:
+            event.direction = -sign
+        res = ode.solve(
+            lambda t, y: [y[1], -9.81], (0, 1.4), [floor + 1.0, 0.0], method, events=event, on_event=handler,
+            chattering="slide",
+        )
+        assert res.success and res.y[0].min() > floor - 1e-6 and abs(res.y[0, -1] - floor) < 1e-6
+
+
 def test_both_sides_of_an_event_where_asked_for_twice():
     def clock(t, y):
         return t - 0.5

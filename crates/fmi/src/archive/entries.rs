@@ -173,6 +173,10 @@ fn check_root(path: &Path, listed: &[Listed]) -> Result<(), FmiError> {
     if listed.iter().any(|entry| entry.name == MODEL_DESCRIPTION && !entry.is_folder) {
         return Ok(());
     }
+    if listed.iter().any(|entry| entry.name == MODEL_DESCRIPTION) {
+        let hint = Some(": what has that name there is a folder".to_owned());
+        return Err(FmiError::NoModelDescription { path: path.to_owned(), hint });
+    }
     let elsewhere = listed.iter().map(|entry| entry.name.as_str()).find(|name| {
         let file = name.rsplit('/').next().unwrap_or(name);
         file.eq_ignore_ascii_case(MODEL_DESCRIPTION) && name.matches('/').count() <= 1

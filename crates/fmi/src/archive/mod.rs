@@ -18,6 +18,7 @@ pub(crate) use snapshot::Snapshot;
 
 use crate::cancel::Cancel;
 use crate::error::{EntryProblem, FmiError};
+use crate::platform::{FileIdentity, LIBRARY_EXTENSION, file_identity};
 use packed::Packed;
 use std::fs::File;
 use std::io::Read;
@@ -88,9 +89,19 @@ pub struct Archive {
 
 #[derive(Debug)]
 enum Content {
-    /// An absolute path, and how many files there may be.
-    Folder(PathBuf, ArchiveLimits),
+    Folder(Folder),
     Packed(Packed),
+}
+
+/// An unpacked folder.
+#[derive(Debug)]
+struct Folder {
+    /// An absolute path.
+    root: PathBuf,
+    /// How many files there may be.
+    limits: ArchiveLimits,
+    /// What the libraries were when the folder was opened.
+    libraries: Vec<(PathBuf, FileIdentity)>,
 }
 
 impl Archive {
@@ -116,7 +127,7 @@ impl Archive {
         let path = path.as_ref();
         let metadata = path.metadata().map_err(FmiError::io("open", path))?;
         let content = match metadata.is_dir() {
-            true => Content::Folder(open_folder(path, limits)?, limits.clone()),
+            true => Content::Folder(Folder::open(path, limits)?),
             false => Content::Packed(Packed::open(path, limits, cancel)?),
         };
         Ok(Archive { content, content_hash: OnceLock::new() })
@@ -136,7 +147,7 @@ impl Archive {
     pub(crate) fn unpack_part(&self, part: Part, cancel: &Cancel) -> Result<PathBuf, FmiError> {
         match &self.content {
             Content::Packed(packed) => packed.unpack(part, cancel),
-            Content::Folder(root, _) => {
+            Content::Folder(Folder { root, .. }) => {
                 root.metadata().map_err(FmiError::io("open", root))?;
                 Ok(root.clone())
             }
@@ -159,7 +170,7 @@ impl Archive {
     pub(crate) fn description(&self, limit: u64, cancel: &Cancel) -> Result<Vec<u8>, FmiError> {
         match &self.content {
             Content::Packed(packed) => packed.read(MODEL_DESCRIPTION, limit, cancel),
-            Content::Folder(root, _) => {
+            Content::Folder(Folder { root, .. }) => {
                 let path = root.join(MODEL_DESCRIPTION);
                 let file = File::open(&path).map_err(FmiError::io("open", &path))?;
                 let mut bytes = Vec::new();
@@ -182,7 +193,7 @@ impl Archive {
         }
         let hash = match &self.content {
             Content::Packed(packed) => packed.hash()?,
-            Content::Folder(root, limits) => hash::of_folder(root, limits)?,
+            Content::Folder(folder) => hash::of_folder(&folder.root, &folder.limits)?,
         };
         Ok(self.content_hash.get_or_init(|| hash))
     }
@@ -217,8 +228,18 @@ impl Archive {
     pub(crate) fn present_hash(&self) -> Result<String, FmiError> {
         match &self.content {
             Content::Packed(_) => self.content_hash().map(str::to_owned),
-            Content::Folder(root, limits) => hash::of_folder(root, limits),
+            Content::Folder(folder) => hash::of_folder(&folder.root, &folder.limits),
         }
+    }
+
+    /// A library in a folder that is not any more what it was when the folder was opened: its description may be that of
+    /// another version.
+    pub(crate) fn changed_library(&self) -> Option<&Path> {
+        let Content::Folder(folder) = &self.content else { return None };
+        let is_changed = |(path, then): &&(PathBuf, FileIdentity)| {
+            !path.metadata().is_ok_and(|now| file_identity(&now).same_content(then))
+        };
+        folder.libraries.iter().find(is_changed).map(|(path, _)| &**path)
     }
 
     /// Whether it is a file, which is unpacked into a private folder that goes with this value.
@@ -227,12 +248,21 @@ impl Archive {
     }
 }
 
-/// The absolute path of a folder whose files are fit to be those of an FMU.
-fn open_folder(path: &Path, limits: &ArchiveLimits) -> Result<PathBuf, FmiError> {
-    let root = std::path::absolute(path).map_err(FmiError::io("find", path))?;
-    if !root.join(MODEL_DESCRIPTION).is_file() {
-        return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: None });
+impl Folder {
+    /// A folder whose files are fit to be those of an FMU.
+    fn open(path: &Path, limits: &ArchiveLimits) -> Result<Self, FmiError> {
+        let root = std::path::absolute(path).map_err(FmiError::io("find", path))?;
+        if !root.join(MODEL_DESCRIPTION).is_file() {
+            return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: None });
+        }
+        let files = files_below(&root, limits.entries)?;
+        let is_library = |name: &str| {
+            let extension = Path::new(name).extension();
+            name.starts_with("binaries/") && extension.is_some_and(|extension| extension == LIBRARY_EXTENSION)
+        };
+        let libraries = files.into_iter().filter(|(name, _)| is_library(name));
+        let known =
+            |(_, path): (String, PathBuf)| Some((path.clone(), file_identity(&path.metadata().ok()?)));
+        Ok(Self { root, limits: limits.clone(), libraries: libraries.filter_map(known).collect() })
     }
-    files_below(&root, limits.entries)?;
-    Ok(root)
 }

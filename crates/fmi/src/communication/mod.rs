@@ -131,6 +131,7 @@ impl Stepping {
                     last_event: None,
                     not_finite: None,
                     undetermined: None,
+                    refusal: None,
                     stats,
                 };
                 Err(FmiError::Simulation(Box::new(error)))

@@ -1,12 +1,14 @@
 //! Runs made again in a newly loaded copy of the library, now and then: shows whether a run depends on earlier ones by a state
 //! that the model keeps and no variable shows (static variables, files, a solver of its own).
 //!
-//! In each copy these are the runs with 1, 2, 4, 8, ... others before them, and those after the first, second, fourth, ...
-//! change of the plan. The result of such a run is that of the new copy.
+//! In each copy these are the runs with 1, 2, 4, 8, ... others before them, those after the first, second, fourth, ... change of
+//! the plan, and failed runs (`failed_runs.rs`). The result of such a run is that of the new copy. At its end, a fit looks again at its
+//! best point in all copies, and in a new one at a tenth of its costs, 16 at most. So a state that shows in a few runs only (every
+//! N-th run, the run after one with certain values) is found with a probability, not for certain: between two looks a result may
+//! depend on what ran before.
 
 use super::lease::CopyLease;
-use super::{Digest, Reuse, Sharing};
-use crate::description::QuirkKind;
+use super::{CopyStore, Digest, Reuse, Sharing};
 use crate::error::FmiError;
 use crate::plan::SimulationPlan;
 use crate::simulation::{Runner, Tenancy};
@@ -39,18 +41,28 @@ pub(crate) struct Past {
 const LONGEST: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
 
 /// Hands on whether a run is to be ended, and no samples. The steps are those of a run with the observer.
-struct Polled<'a> {
+pub(super) struct Polled<'a> {
     poll: &'a mut dyn FnMut() -> ControlFlow<()>,
     wants_steps: bool,
     longest: Duration,
     end: Option<Instant>,
-    is_late: bool,
+    pub(super) is_late: bool,
 }
 
 impl<'a> Polled<'a> {
-    fn new(plan: &SimulationPlan, wants_steps: bool, poll: &'a mut dyn FnMut() -> ControlFlow<()>) -> Self {
+    pub(super) fn new(
+        plan: &SimulationPlan,
+        wants_steps: bool,
+        poll: &'a mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Self {
         let longest = LONGEST[usize::from(!plan.parameter_names().is_empty())];
         Self { poll, wants_steps, longest, end: None, is_late: false }
+    }
+
+    /// The same for a run that may take longer.
+    pub(super) fn at_least(mut self, longest: Duration) -> Self {
+        self.longest = self.longest.max(longest);
+        self
     }
 
     /// A run begins.
@@ -95,7 +107,7 @@ impl Runner {
     }
 
     /// Whether the present copy was used, and it is known how runs in it begin, and not known that they differ anyway.
-    fn has_past(&self) -> bool {
+    pub(super) fn has_past(&self) -> bool {
         self.lease.as_ref().is_some_and(|lease| {
             lease.copy().is_used()
                 && lease.store().verdicts.reuse(self.plan.kind) != Some(Reuse::Reload)
@@ -112,7 +124,7 @@ impl Runner {
         let wants_steps = observer.wants_steps();
         let mut poll = || observer.poll();
         let mut polled = Polled::new(&self.plan, wants_steps, &mut poll);
-        let Some(digest) = self.digest_of(parameters, &mut polled) else { return Ok(None) };
+        let Some((digest, _)) = self.digest_of(parameters, &mut polled) else { return Ok(None) };
         let is_stopped = polled.is_late;
         let (plan, fmu) = (Arc::clone(&self.plan), self.plan.fmu().clone());
         let store = fmu.store(plan.kind)?;
@@ -121,17 +133,23 @@ impl Runner {
             self.settle_in(Some(observer))?;
             return Ok(None);
         }
-        let is_elsewhere = self.step_aside();
-        if !is_elsewhere {
-            if self.reuse() == Some(Reuse::Reinstantiate) {
-                return Ok(None);
-            }
-            drop(self.engine.running().retire());
-            self.fresh = Some(self.new_instance()?);
-        } else {
+        let is_elsewhere = self.go_elsewhere()?;
+        Ok(is_elsewhere.map(|is_elsewhere| Past { digest, is_stopped, wants_steps, is_elsewhere }))
+    }
+
+    /// Goes to a new copy for one run (`true`), or takes a new instance in this one where there is none to be had and that makes a
+    /// difference; `None`: neither.
+    pub(super) fn go_elsewhere(&mut self) -> Result<Option<bool>, FmiError> {
+        if self.step_aside() {
             self.prepare()?;
+            return Ok(Some(true));
         }
-        Ok(Some(Past { digest, is_stopped, wants_steps, is_elsewhere }))
+        if self.reuse() == Some(Reuse::Reinstantiate) || self.is_fatal() {
+            return Ok(None);
+        }
+        drop(self.engine.running().retire());
+        self.fresh = Some(self.new_instance()?);
+        Ok(Some(false))
     }
 
     /// Goes to a new copy for one run; `false`: there is none to be had.
@@ -146,11 +164,33 @@ impl Runner {
 
     /// A newly loaded copy of the library, if it can be had without waiting.
     pub(super) fn new_copy(&self) -> Option<CopyLease> {
-        let store = self.lease.as_ref()?.store();
+        self.new_copy_of(self.lease.as_ref()?.store())
+    }
+
+    fn new_copy_of(&self, store: &Arc<CopyStore>) -> Option<CopyLease> {
         let fmu = self.plan.fmu();
         let open = |from: LoadFrom<'_>| fmu.load(from, self.plan.kind);
         let request = super::CopyRequest { sharing: Sharing::Copies, ..self.request(&open) };
         store.lend_if_free(&request, |copy| !copy.is_used())
+    }
+
+    /// Goes to a newly loaded copy of the library for all runs to come, with which others are to be compared; `false`: there is none
+    /// to be had, or nothing to be found.
+    ///
+    /// # Errors
+    /// The library cannot be found any more.
+    pub(crate) fn settle_in_new(&mut self) -> Result<bool, FmiError> {
+        let kind = self.plan.kind;
+        let store = self.plan.fmu().store(kind)?;
+        let is_known =
+            store.verdicts.reuse(kind) == Some(Reuse::Reload) || store.verdicts.is_not_reproducible(kind);
+        if is_known || self.lease.is_some() {
+            return Ok(false);
+        }
+        self.is_trial = true;
+        self.lease = self.new_copy_of(&store);
+        self.prepare()?;
+        Ok(self.lease.is_some())
     }
 
     /// Goes back to the copy that was left for one run, if there is one.
@@ -169,19 +209,32 @@ impl Runner {
         }
     }
 
-    /// What a run answers, from start to end or until it is late; `None`: it was ended from outside, which says nothing.
-    fn digest_of(&mut self, parameters: &[f64], observer: &mut Polled<'_>) -> Option<Digest> {
+    /// What a run answers, from start to end or until it is late, and whether it fails; `None`: it was ended from outside, which says
+    /// nothing.
+    pub(super) fn digest_of(
+        &mut self,
+        parameters: &[f64],
+        observer: &mut Polled<'_>,
+    ) -> Option<(Digest, bool)> {
         let _environment = CallEnvironment::enter();
-        // A run that cannot be started has answered nothing.
-        if self.start(parameters).is_err() {
-            return (!self.is_fatal()).then(Digest::with_way);
-        }
-        self.engine.running().begin_digest(Digest::with_way());
-        observer.begin();
-        let outcome = self.engine.run(&self.plan, None, observer);
-        let digest = self.engine.running().end_digest();
+        let outcome = self.start(parameters).and_then(|()| {
+            self.engine.running().begin_digest(Digest::with_way());
+            observer.begin();
+            self.engine.run(&self.plan, None, observer)
+        });
+        let digest = self.end_digest(&outcome);
         let is_ended = (observer.is_late || !is_stopped(&outcome)) && !is_ended_from_outside(&outcome);
-        digest.filter(|_| is_ended && !self.is_fatal())
+        is_ended.then_some((digest, outcome.is_err()))
+    }
+
+    /// The digest of a run that is over, with how it has ended.
+    fn end_digest(&mut self, outcome: &Result<Report, FmiError>) -> Digest {
+        // A run that cannot be started has answered nothing.
+        let mut digest = self.engine.running().end_digest().unwrap_or_else(Digest::with_way);
+        if outcome.is_err() {
+            digest.note(&[f64::from(u8::from(self.is_fatal()))]);
+        }
+        digest
     }
 
     /// Compares the run made in a new copy with that in a used one, and draws the conclusions.
@@ -195,66 +248,56 @@ impl Runner {
         parameters: &[f64],
         observer: &mut dyn Observer,
     ) -> Result<(), FmiError> {
-        let fresh = self.engine.running().end_digest().unwrap_or_else(Digest::with_way);
-        if self.is_fatal()
-            || is_ended_from_outside(outcome)
+        let fresh = self.end_digest(outcome);
+        if is_ended_from_outside(outcome)
             || past.digest.agrees(&fresh, (past.is_stopped, is_stopped(outcome)))
         {
             return Ok(());
         }
         let mut poll = || observer.poll();
         let mut polled = Polled::new(&self.plan, past.wants_steps, &mut poll);
-        self.find_cause((past, &fresh, is_stopped(outcome)), parameters, &mut polled)
+        self.find_cause((&fresh, is_stopped(outcome)), past.is_elsewhere, parameters, &mut polled)
     }
 
+    /// A run differs from the same one in a new copy, or by a new instance: finds out what helps.
     #[cold]
-    fn find_cause(
+    pub(super) fn find_cause(
         &mut self,
-        (past, fresh, stopped): (&Past, &Digest, bool),
+        (fresh, stopped): (&Digest, bool),
+        is_elsewhere: bool,
         parameters: &[f64],
         observer: &mut Polled<'_>,
     ) -> Result<(), FmiError> {
         let (plan, fmu) = (Arc::clone(&self.plan), self.plan.fmu().clone());
-        let store = fmu.store(plan.kind)?;
-        let conclude = |reuse: Reuse| {
-            store.verdicts.set_history(plan.kind, reuse);
-            let way = match reuse {
-                Reuse::Reload => "a newly loaded copy of the library",
-                _ => "a new instance",
-            };
-            let message = format!(
-                "a simulation depends on earlier ones: the model keeps a state that no variable shows, and that resetting \
-                 does not bring back; every simulation gets {way} from now on, and results from before may be wrong"
-            );
-            fmu.note_quirk(QuirkKind::Promise, message);
-        };
-        if !past.is_elsewhere {
-            conclude(Reuse::Reinstantiate);
-            return Ok(());
+        if !is_elsewhere {
+            return fmu.note_history(plan.kind, Reuse::Reinstantiate);
         }
         if let Some(lease) = self.new_copy() {
-            let (again, lease) = digest_in(&plan, lease, parameters, observer)?;
+            let (again, lease) = digest_in(&plan, lease, None, parameters, observer)?;
             lease.retire();
-            let Some(again) = again else { return Ok(()) };
+            let Some((again, _)) = again else { return Ok(()) };
             if !again.agrees(fresh, (observer.is_late, stopped)) {
-                store.verdicts.set_not_reproducible(plan.kind);
-                fmu.note_quirk(
-                    QuirkKind::Promise,
-                    "two simulations in newly loaded copies of the library differ: no result can be reproduced"
-                        .to_owned(),
-                );
-                return Ok(());
+                return fmu.note_not_reproducible(plan.kind);
             }
         }
-        let Some(Aside { instance, lease, .. }) = self.aside.take() else { return Ok(()) };
-        drop(instance);
-        // By a new instance in the copy that was used.
-        let (renewed, lease) = digest_in(&plan, lease, parameters, observer)?;
-        drop(lease);
-        let is_enough = self.reuse() != Some(Reuse::Reinstantiate)
-            && renewed.is_some_and(|renewed| renewed.agrees(fresh, (observer.is_late, stopped)));
-        conclude(if is_enough { Reuse::Reinstantiate } else { Reuse::Reload });
-        Ok(())
+        let Some(Aside { instance, lease }) = self.aside.take() else { return Ok(()) };
+        // A new instance is enough where the state is that of the old one: with that the run differs once more, with a new one in the
+        // same copy it does not.
+        let reuse = match instance {
+            Some(used) if self.reuse() != Some(Reuse::Reinstantiate) => {
+                let mut agrees = |lease, used| {
+                    let (digest, lease) = digest_in(&plan, lease, used, parameters, observer)?;
+                    let stopped = (observer.is_late, stopped);
+                    Ok::<_, FmiError>((digest.map(|(digest, _)| digest.agrees(fresh, stopped)), lease))
+                };
+                let (again, lease) = agrees(lease, Some(used))?;
+                let (renewed, _) = agrees(lease, None)?;
+                let is_of_instance = again == Some(false) && renewed == Some(true);
+                if is_of_instance { Reuse::Reinstantiate } else { Reuse::Reload }
+            }
+            _ => Reuse::Reload,
+        };
+        fmu.note_history(plan.kind, reuse)
     }
 
     /// Makes a run in the present copy and in a new one; whether the model was found to depend on earlier runs.
@@ -285,18 +328,22 @@ impl Runner {
     }
 }
 
-/// What a run of a plan answers on a new instance in this copy.
+/// What a run of a plan answers in this copy, on a new instance or on one that is brought back to its start.
 fn digest_in(
     plan: &Arc<SimulationPlan>,
     lease: CopyLease,
+    used: Option<RawInstance>,
     parameters: &[f64],
     observer: &mut Polled<'_>,
-) -> Result<(Option<Digest>, CopyLease), FmiError> {
+) -> Result<(Option<(Digest, bool)>, CopyLease), FmiError> {
     let tenancy = Tenancy::new(Arc::clone(plan))?;
     let mut runner = tenancy.enter();
     lease.copy().free_idle();
     runner.lease = Some(lease);
     runner.prepare()?;
+    if let Some(used) = used {
+        runner.engine.running().adopt(used);
+    }
     let digest = runner.digest_of(parameters, observer);
     runner.fresh = None;
     drop(runner.engine.running().retire());
@@ -308,8 +355,26 @@ fn is_stopped(outcome: &Result<Report, FmiError>) -> bool {
     outcome.as_ref().is_ok_and(|report| report.termination == Termination::StoppedByObserver)
 }
 
-/// Whether a run was cancelled, or ended by a limit of wall-clock time.
+/// Whether a run says nothing about the model.
 fn is_ended_from_outside(outcome: &Result<Report, FmiError>) -> bool {
-    let is_outside = |kind: &ErrorKind| matches!(kind, ErrorKind::Cancelled | ErrorKind::TimedOut(_));
-    matches!(outcome, Err(FmiError::Simulation(error)) if is_outside(&error.kind))
+    outcome.as_ref().is_err_and(is_from_outside)
+}
+
+/// Whether an error is none of the model's: the run was cancelled, or ended by a limit of wall-clock time or of work, by an input
+/// function of the user, or for want of memory, of files or of a copy of the library.
+pub(super) fn is_from_outside(error: &FmiError) -> bool {
+    match error {
+        FmiError::Simulation(error) => match &error.kind {
+            ErrorKind::Cancelled | ErrorKind::TimedOut(_) | ErrorKind::TooMuchWork(_) => true,
+            ErrorKind::Model(inner) => inner.downcast_ref().is_some_and(is_from_outside),
+            _ => false,
+        },
+        FmiError::NotFinite { .. }
+        | FmiError::Cancelled
+        | FmiError::Memory { .. }
+        | FmiError::Io { .. }
+        | FmiError::LoadFailed { .. }
+        | FmiError::NoCopy { .. } => true,
+        _ => false,
+    }
 }

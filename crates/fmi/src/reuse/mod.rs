@@ -3,6 +3,7 @@
 
 mod copies;
 mod digest;
+mod failed_runs;
 mod files;
 mod history;
 mod lease;

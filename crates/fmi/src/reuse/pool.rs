@@ -141,6 +141,30 @@ impl Pool {
         found
     }
 
+    /// A simulator in a newly loaded copy of the library, which stays there: its runs are none that others follow, so they can be
+    /// compared with those of the pool. `None`: there is no such copy to be had, or every run has one anyway.
+    ///
+    /// # Errors
+    /// The FMU cannot be loaded.
+    pub fn simulator_in_new_copy(&self) -> Result<Option<Simulator>, FmiError> {
+        let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
+        let is_there = simulator.runner().settle_in_new()?;
+        Ok(is_there.then_some(simulator))
+    }
+
+    /// Notes that a run of the pool was seen to differ from the same one in a newly loaded copy of the library: where such are the
+    /// same in two of them, every run has a copy of its own from now on.
+    ///
+    /// # Errors
+    /// The FMU cannot be loaded.
+    pub fn note_difference(&self, is_reproducible: bool) -> Result<(), FmiError> {
+        let (fmu, kind) = (self.plan.fmu(), self.plan.kind());
+        match is_reproducible {
+            true => fmu.note_history(kind, Reuse::Reload),
+            false => fmu.note_not_reproducible(kind),
+        }
+    }
+
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

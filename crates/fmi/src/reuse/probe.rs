@@ -25,6 +25,8 @@ pub(crate) enum Probe {
     Nothing,
     /// A time limit ended it, which says nothing about the FMU.
     TimedOut,
+    /// It was not made: the run before has failed and left no instance to bring back.
+    Gone,
 }
 
 impl Runner {
@@ -52,7 +54,7 @@ impl Runner {
         let steps = Some(PROBE_STEPS);
         let after = match self.probe_after_others(reuse, parameters, steps)? {
             // A run that fails leaves no instance to bring back: then at least the same run twice.
-            None => {
+            Some(Probe::Gone) => {
                 self.probe_first(reuse, parameters, steps)?;
                 self.probe_again(reuse, &plan.values.start, parameters, steps, &mut Ignore)?
             }
@@ -64,6 +66,8 @@ impl Runner {
         self.began = Instant::now();
         match (after, from_new) {
             (Some(Probe::TimedOut), _) | (_, Probe::TimedOut) => {}
+            // Runs fail at these values, on new instances too: those with others will show it.
+            (Some(Probe::Gone), _) => {}
             (None | Some(Probe::Nothing), Probe::Nothing) => {}
             (after, new) if after == Some(new) => self.set_reuse(reuse),
             _ => self.give_up_reuse(reuse, DIFFERS),
@@ -171,8 +175,7 @@ impl Runner {
         self.probe_new(&plan.values.start, parameters, steps, &mut Ignore)
     }
 
-    /// A trial run on this simulator's instance, brought back to its beginning; `None` if there is none, or it cannot be
-    /// brought back.
+    /// A trial run on this simulator's instance, brought back to its beginning; `None` if it cannot be brought back.
     ///
     /// # Errors
     /// It was cancelled.
@@ -184,7 +187,7 @@ impl Runner {
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Option<Probe>, FmiError> {
-        let Some(used) = self.engine.running().retire() else { return Ok(None) };
+        let Some(used) = self.engine.running().retire() else { return Ok(Some(Probe::Gone)) };
         let Ok(raw) = instance::renew(used, self.plan.fmu(), reuse) else { return Ok(None) };
         match self.begin_probe(raw, start_values, parameters) {
             true => self.finish_probe(steps, observer).map(Some),
@@ -192,8 +195,8 @@ impl Runner {
         }
     }
 
-    /// The same after a run with other values in between, which shows whether any of them are left behind; `None` if there
-    /// is nothing to bring back, or it cannot be brought back.
+    /// The same after a run with other values in between, which shows whether any of them are left behind; `None` if it cannot
+    /// be brought back.
     ///
     /// # Errors
     /// It was cancelled.

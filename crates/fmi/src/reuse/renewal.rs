@@ -20,7 +20,11 @@ impl Runner {
     /// so often in one loaded copy; then in a new one.
     fn instantiate(&mut self) -> Result<RawInstance, FmiError> {
         let error = match self.instantiate_here() {
-            Err(error) if self.lease.as_ref().is_some_and(|lease| lease.copy().is_used()) => error,
+            Err(error)
+                if self.lease.as_ref().is_some_and(|lease| lease.copy().is_used() && !lease.is_fatal()) =>
+            {
+                error
+            }
             outcome => return outcome,
         };
         let Some(other) = self.new_copy() else { return Err(error) };

@@ -6,12 +6,14 @@
 
 use super::copies::LoadedCopy;
 use super::lease::CopyLease;
+use super::linkage::Linkage;
 use super::record::Defaults;
 use super::source::Source;
 use super::tenant::{CopyRequest, Eviction, Tenant};
 use super::verdict::Verdicts;
-use super::{Reuse, Sharing, files, linkage};
+use super::{Reuse, Sharing, files};
 use crate::archive::Snapshot;
+use crate::binary::check_length;
 use crate::error::FmiError;
 use crate::sys::LoadFrom;
 use std::path::{Path, PathBuf};
@@ -31,10 +33,8 @@ pub(crate) struct CopyStore {
     changed: Condvar,
     /// Owners that wait.
     waiting: AtomicUsize,
-    /// Why copies would share static variables, where they would.
-    shared_state: OnceLock<Option<String>>,
-    /// Whether copies that are not needed any more can be unloaded.
-    may_unload: OnceLock<bool>,
+    /// What the file says about loading it several times, and unloading it.
+    linkage: OnceLock<Linkage>,
     /// The resources before anything was run.
     resources: OnceLock<Snapshot>,
     /// Copies have resources of their own: the model writes into them.
@@ -109,8 +109,7 @@ impl CopyStore {
             state: Mutex::default(),
             changed: Condvar::new(),
             waiting: AtomicUsize::new(0),
-            shared_state: OnceLock::new(),
-            may_unload: OnceLock::new(),
+            linkage: OnceLock::new(),
             resources: OnceLock::new(),
             private_resources: AtomicBool::new(false),
             verdicts: Verdicts::default(),
@@ -216,7 +215,7 @@ impl CopyStore {
         if let Some(source) = &source {
             self.resources.get_or_init(|| Snapshot::of(&source.root.join("resources")));
         }
-        let needs_new = self.verdicts.reuse(request.kind) == Some(Reuse::Reload);
+        let needs_new = reason.is_none() && self.verdicts.reuse(request.kind) == Some(Reuse::Reload);
         if needs_new {
             self.discard_used();
         }
@@ -246,7 +245,7 @@ impl CopyStore {
             return Move::Free(occupied);
         }
         // Somebody may just have given a used one back.
-        if let Some(place) = state.idle.iter().rposition(|copy| !(needs_new && copy.is_used())) {
+        if let Some(place) = state.idle.iter().rposition(|copy| !needs_new || !copy.is_used()) {
             let copy = state.idle.remove(place);
             let id = state.loan(&copy, request);
             return Move::Use(copy, id, source);
@@ -283,6 +282,7 @@ impl CopyStore {
         request: &CopyRequest<'_>,
     ) -> Result<LoadedCopy, FmiError> {
         if original {
+            self.linkage(source).siblings.iter().try_for_each(|sibling| check_length(sibling))?;
             let library = (request.open)(LoadFrom::File(&source.library))?;
             return Ok(LoadedCopy::new(library, request.kind, source.home.clone()));
         }
@@ -417,16 +417,19 @@ impl CopyStore {
         self.defaults.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn linkage(&self, source: &Source) -> &Linkage {
+        self.linkage.get_or_init(|| Linkage::of(&source.library, &source.root))
+    }
+
     /// Why copies would share static variables, where they would.
     fn shared_state(&self, source: &Source) -> Option<&str> {
-        let read = || linkage::shared_state(&source.library, &source.root);
-        self.shared_state.get_or_init(read).as_deref()
+        self.linkage(source).shared_state.as_deref()
     }
 
     /// Whether copies that are not needed any more can be unloaded.
     pub(super) fn may_unload(&self) -> bool {
         let Some(source) = self.state().source.clone() else { return false };
-        *self.may_unload.get_or_init(|| linkage::may_be_unloaded(&source.library))
+        self.linkage(&source).may_be_unloaded
     }
 
     /// A file below the resources that was written, made or removed since the library was loaded, where all copies share them.

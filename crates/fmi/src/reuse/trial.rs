@@ -47,7 +47,8 @@ impl<'a> Trial<'a> {
         Ok(matches!(truth, Probe::Digest(_)).then_some(Self { plan, base, others, steps, truth }))
     }
 
-    /// The first way of bringing an instance back to its beginning that passes; `None`: a time limit ended a run.
+    /// The first way of bringing an instance back to its beginning that passes; `None`: the runs say nothing, for they fail or a time
+    /// limit ends them.
     ///
     /// # Errors
     /// It was cancelled; there is no new instance to be had.
@@ -87,20 +88,22 @@ impl<'a> Trial<'a> {
             runner.probe_again(reuse, &self.plan.values.start, self.base, self.steps, &mut Ignore)
         };
         let last = match runner.probe_again(reuse, others.0, others.1, short, &mut Ignore)? {
-            Some(Probe::TimedOut) => return Ok(None),
+            // The run with the base values fails: there is nothing to bring back.
+            Some(Probe::TimedOut | Probe::Gone) => return Ok(None),
             Some(probe) if probe != other_truth => return Ok(Some(false)),
             Some(_) => again(runner)?,
             None => None,
         };
         let last = match last {
             // A run that fails leaves no instance to bring back: then at least the same run twice.
-            None => {
+            None | Some(Probe::Gone) => {
                 runner.probe_first(reuse, self.base, self.steps)?;
                 again(runner)?
             }
             last => last,
         };
-        Ok(if last == Some(Probe::TimedOut) { None } else { Some(last == Some(self.truth)) })
+        let says_nothing = matches!(last, Some(Probe::TimedOut | Probe::Gone));
+        Ok((!says_nothing).then_some(last == Some(self.truth)))
     }
 }
 

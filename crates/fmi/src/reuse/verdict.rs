@@ -2,6 +2,7 @@
 //! for all copies and all who open the FMU.
 
 use super::Reuse;
+use super::failed_runs::{Failures, Sort};
 use crate::plan::Setting;
 use crate::sys::InterfaceKind;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,6 +27,8 @@ struct Verdict {
     n_found: u64,
     /// Simulations in newly loaded copies differ, too.
     not_reproducible: bool,
+    /// Those in copies that were used before.
+    failures: Failures,
     /// Ways that passed their trials, each with everything that was set in the runs of the trial: that hides what such a
     /// way leaves behind, so the verdict is one for runs that set all of it.
     proven: Vec<(Reuse, Arc<[Setting]>)>,
@@ -91,6 +94,11 @@ impl Verdicts {
     /// How often a simulation was found to depend on earlier ones.
     pub(crate) fn n_found(&self, kind: InterfaceKind) -> u64 {
         self.of(kind).n_found
+    }
+
+    /// Notes a simulation that has failed in a copy that was used before; whether it is to be made again in a new one.
+    pub(super) fn note_failure(&self, kind: InterfaceKind, sort: Sort) -> bool {
+        self.of(kind).failures.note(sort)
     }
 
     /// Whether simulations differ in newly loaded copies, too; then there is nothing to find out.

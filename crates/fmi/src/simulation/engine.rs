@@ -8,7 +8,7 @@ use crate::plan::SimulationPlan;
 use crate::running::Running;
 use crate::sys::{InterfaceKind, RawInstance};
 use crate::system::System;
-use ode::{Driver, Observer, Report};
+use ode::{Driver, ErrorKind, Observer, Report};
 use std::sync::Arc;
 
 /// A way of running a model, with its instance.
@@ -88,6 +88,11 @@ impl Engine {
                 driver.run(&mut **system, plan.start, plan.end, &plan.times, observer).map_err(|mut error| {
                     if let Some(value) = &mut error.not_finite {
                         value.name = plan.name_of(value);
+                    } else if matches!(
+                        error.kind,
+                        ErrorKind::DiscardedAtRestart | ErrorKind::StepTooSmall { discarded: true }
+                    ) {
+                        error.refusal = system.running.current.refusal();
                     }
                     FmiError::Simulation(error)
                 })

@@ -79,6 +79,7 @@ impl Simulator {
     /// A value is not finite, or there are not as many as parameters; the FMU cannot be loaded or instantiated
     /// ([`FmiError::NoCopy`]: not any more, or not now); the FMU or the integration fails. The simulator can be used again
     /// after an error: a broken instance is replaced, after `Fatal` in a newly loaded copy of the library.
+    /// [`FmiError::FailedByHistory`]: make the run again, with a new observer.
     pub fn run(&mut self, parameters: &[f64], observer: &mut dyn Observer) -> Result<Report, FmiError> {
         self.plan.values.check_parameters(parameters)?;
         self.runner().run(parameters, observer)
@@ -103,9 +104,14 @@ impl Simulator {
     ) -> Result<Trajectory, FmiError> {
         self.plan.values.check_parameters(parameters)?;
         let plan = Arc::clone(&self.plan);
-        let mut recorder = Recorder::new(&plan, poll)?;
         let mut runner = self.runner();
-        let report = runner.run(parameters, &mut recorder)?;
+        let (recorder, report) = loop {
+            let mut recorder = Recorder::new(&plan, &mut *poll)?;
+            match runner.run(parameters, &mut recorder) {
+                Err(FmiError::FailedByHistory { .. }) => {}
+                outcome => break (recorder, outcome?),
+            }
+        };
         let running = runner.engine.running();
         let ticks = running.take_ticks();
         Ok(recorder.finish(&plan, &running.buffers.table, ticks, report))

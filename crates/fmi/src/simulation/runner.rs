@@ -9,7 +9,7 @@ use crate::reuse::{
 };
 use crate::running::no_instance;
 use crate::sys::{CallEnvironment, InterfaceKind, Library, LoadFrom, RawInstance};
-use ode::{ErrorKind, Observer, Report, Seconds, SimulationError, Stats};
+use ode::{ErrorKind, Ignore, Observer, Report, Seconds, SimulationError, Stats};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError, Weak};
 use std::thread::ThreadId;
@@ -30,6 +30,8 @@ pub(crate) struct Runner {
     tenant: Weak<Tenancy>,
     /// The copy was needed for another owner.
     evicted: bool,
+    /// Its runs are those with which others are compared: they are not looked into themselves.
+    pub(crate) is_trial: bool,
     /// What is set in the present copy besides the settings of the plan.
     pub(crate) prepared: Option<Prepared>,
     /// The copy that it goes back to, after a run in another one.
@@ -90,6 +92,7 @@ impl Tenancy {
                 sharing,
                 tenant: Weak::clone(tenant),
                 evicted: false,
+                is_trial: false,
                 prepared: None,
                 aside: None,
                 lease: None,
@@ -278,6 +281,7 @@ impl Runner {
             last_event: None,
             not_finite: None,
             undetermined: None,
+            refusal: None,
             stats: Stats::default(),
         }))
     }
@@ -302,7 +306,9 @@ impl Runner {
             Some(raw) if keeps => lease.copy().put_idle(self.plan.kind, self.plan.fmu().logging(), raw),
             raw => drop(raw),
         }
-        drop(lease);
+        if self.is_trial {
+            lease.retire();
+        }
     }
 
     pub(super) fn run(
@@ -311,8 +317,22 @@ impl Runner {
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
         self.settle_in(Some(&mut *observer))?;
+        if self.is_trial {
+            return self.run_here(None, parameters, observer);
+        }
         let past = self.look_back(parameters, observer)?;
-        self.run_here(past, parameters, observer)
+        let may_blame_past = past.is_none() && self.is_copy_used();
+        match self.run_here(past, parameters, observer) {
+            Err(error) if may_blame_past && self.fails_by_history(&error, parameters, observer) => {
+                Err(FmiError::FailedByHistory { library: self.plan.fmu().path().to_owned() })
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// Whether there was a run in the present copy before.
+    fn is_copy_used(&self) -> bool {
+        self.lease.as_ref().is_some_and(|lease| lease.library().shared().is_used())
     }
 
     /// The run itself, in the present copy; compared with what the same run has shown in another one.
@@ -360,6 +380,17 @@ impl Runner {
 
     pub(super) fn initialize_only(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.settle_in(None)?;
+        let may_blame_past = self.is_copy_used();
+        match self.initialize_here(parameters) {
+            Err(error) if may_blame_past && self.fails_by_history(&error, parameters, &mut Ignore) => {
+                self.settle_in(None)?;
+                self.initialize_here(parameters)
+            }
+            outcome => outcome,
+        }
+    }
+
+    fn initialize_here(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         let _environment = CallEnvironment::enter();
         self.start(parameters)?;
         self.engine.settle()

@@ -5,6 +5,7 @@ use super::callbacks::Callbacks;
 use super::environment::CallEnvironment;
 use super::platform::{self, Handle};
 use super::{InterfaceKind, LogFilter, Shared, fmi1, fmi2, fmi3};
+use crate::binary::check_length;
 use crate::description::FmiVersion;
 use crate::error::FmiError;
 use crate::open_options::LoaderOptions;
@@ -77,6 +78,7 @@ impl Library {
         platform::check(options).map_err(|option| FmiError::BadSetting {
             problem: format!("the loader of this system has no option {option}"),
         })?;
+        check_length(path)?;
         let _environment = CallEnvironment::enter();
         let (shared, path_to_open) = Shared::of(path)?;
         if shared.is_fatal() {

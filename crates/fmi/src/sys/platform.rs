@@ -1,6 +1,7 @@
 //! What differs between systems in this module: how a library is opened.
 
 use super::Shared;
+use super::environment::CallEnvironment;
 use crate::open_options::LoaderOptions;
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
@@ -54,6 +55,8 @@ impl Drop for Handle {
     fn drop(&mut self) {
         if self.closes() {
             self.shared.closed();
+            // Its destructors are code of the FMU.
+            let _environment = CallEnvironment::enter();
             // SAFETY: dropped once, here; whoever called `close_on_drop` has promised that nobody is in it or comes back.
             unsafe { ManuallyDrop::drop(&mut self.library) };
         }

@@ -36,12 +36,17 @@ typedef struct {
     int restored;
     double restored_k;
     double remembered;
+    double made_k; /* k when the instance was made */
     fmi2CallbackFunctions functions;
 } Model;
 
 #include "process.h"
 #include "state.h"
 
+#ifdef ODD_RUN
+/* Runs in this loaded copy; of which some are odd, by an expression in `runs`. */
+static int runs;
+#endif
 #ifdef LAST_ONLY
 static Model *last;
 #endif
@@ -117,6 +122,7 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
 #ifdef REMEMBERS_IN_INSTANCE
     m->remembered = 0;
 #endif
+    m->made_k = K(m);
 #ifdef WRITES_RESOURCES
     {
         char path[4096];
@@ -187,6 +193,12 @@ EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
 #ifdef RESTORE_STICKS
     if (((Model *)c)->restored) K((Model *)c) = ((Model *)c)->restored_k;
 #endif
+#ifdef ODD_RUN
+    runs++;
+#ifdef FAILING_START
+    if (ODD_RUN) return FAILING_START;
+#endif
+#endif
 #ifdef NO_START
     say(c, fmi2Error, "no solution for #r2# (## #r99#)");
     return fmi2Error;
@@ -209,6 +221,9 @@ EXPORT fmi2Status fmi2Reset(fmi2Component c) {
     double k = K(m);
     start_values(m);
     K(m) = k * 1.0000001;
+#elif defined(RESET_AS_MADE)
+    start_values(m);
+    K(m) = m->made_k;
 #elif defined(RESET_KEEPS_PARAMETERS)
     m->time = 0;
     m->x = 1;
@@ -492,6 +507,15 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
         m->fatal = 1;
         return fmi2Fatal;
     }
+#endif
+#ifdef FAILING_ALWAYS
+    return FAILING_ALWAYS;
+#endif
+#ifdef FAILING_LATE
+    if (m->time > 0.5 && (ODD_RUN)) return FAILING_LATE;
+#endif
+#ifdef ODD_FACTOR
+    if (ODD_RUN) dx[0] *= ODD_FACTOR;
 #endif
 #ifdef ERROR_ABOVE
     if (K(m) > ERROR_ABOVE) return fmi2Error;

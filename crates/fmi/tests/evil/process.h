@@ -3,7 +3,7 @@
 #if defined(FLUSHES) || defined(FLOAT_IN)
 #include <xmmintrin.h>
 #endif
-#ifdef SIGNALS_IN
+#if defined(SIGNALS_IN) || defined(BLOCKS_IN)
 #include <signal.h>
 #endif
 #ifdef DIRECTORY_IN
@@ -22,7 +22,7 @@ static void thread_ends(void *p) { (void)p; }
 __attribute__((constructor)) static void make_key(void) { pthread_key_create(&key, thread_ends); }
 #endif
 
-/* What an FMU does to its thread and its process, and where: FLOAT_IN, SIGNALS_IN, LOCALE_IN, DIRECTORY_IN. */
+/* What an FMU does to its thread and its process, and where: FLOAT_IN, SIGNALS_IN, BLOCKS_IN, LOCALE_IN, DIRECTORY_IN. */
 enum { INSTANTIATE = 1, SET_TIME, DERIVATIVES, STEP, FREE, INITIALIZE, END };
 
 static void upset(int where) {
@@ -49,6 +49,14 @@ static void upset(int where) {
     if (where == SIGNALS_IN) {
         signal(SIGINT, SIG_IGN);
         signal(SIGFPE, SIG_IGN);
+        signal(SIGTERM, SIG_IGN);
+    }
+#endif
+#ifdef BLOCKS_IN
+    if (where == BLOCKS_IN) {
+        sigset_t all;
+        sigfillset(&all);
+        pthread_sigmask(SIG_SETMASK, &all, NULL);
     }
 #endif
 #ifdef DIRECTORY_IN

@@ -111,7 +111,7 @@ where
         if !same {
             self.stats.restarts += 1;
             self.stepper.forget();
-            if self.sliding.step().is_none() {
+            if self.sliding.step().is_none() || self.stepper.wants_second_derivative() {
                 self.estimate_step()?;
                 self.h = self.h.min(before);
             }
@@ -220,7 +220,7 @@ where
             self.h = self.step_without_states();
             return Ok(());
         }
-        let room = (self.target() - self.t).max(0.0);
+        let room = (self.target() - self.t).max(0.0).min(self.sliding.step().unwrap_or(f64::INFINITY));
         let space = &mut *self.space;
         let dx = self.stepper.derivative();
         let probe = probe_step(&space.weights, &space.x, dx, span).min(room);
@@ -233,7 +233,14 @@ where
         }
         self.stats.right_hand_sides += 1;
         self.h = match self.system.derivatives(self.t + probe, &space.x_mid, &mut space.x_new) {
-            Ok(()) => initial_step(&space.weights, self.stepper.order(), &space.x, dx, &space.x_new, probe),
+            Ok(()) => {
+                let h = initial_step(&space.weights, self.stepper.order(), &space.x, dx, &space.x_new, probe);
+                if self.sliding.step().is_some() {
+                    // Over longer times the right-hand side may switch.
+                    self.stepper.begin_with(probe, &space.x_new);
+                }
+                h
+            }
             Err(CallError::Discard) => 0.01 * probe,
             Err(CallError::Failed(e)) => return Err(kind_of(e).into()),
         };

@@ -10,6 +10,10 @@ use crate::system::{CallError, CallResult, HybridSystem};
 /// So many repetitions of a step for one event; three are usual.
 const MAX_REPETITIONS: u32 = 12;
 
+/// So many times at most the turning point of an indicator in a step is looked for: each time it is nearer to zero by a factor of four, or
+/// given up.
+const MAX_TURNS: u32 = 5;
+
 /// What there was inside a step.
 pub(super) enum Inside {
     Nothing,
@@ -89,13 +93,14 @@ where
             }
         }
         for i in 0..self.space.domains.len() {
-            if self.space.domains.changed() {
-                return Ok(Some(end));
-            }
-            if let Some(at) = self.space.domains.turning_point(i, self.t, end)
-                && self.changed_at(at, end, h, ready)?
-            {
-                return Ok(Some(at));
+            for _ in 0..MAX_TURNS {
+                if self.space.domains.changed() {
+                    return Ok(Some(end));
+                }
+                let Some(at) = self.space.domains.turning_point(i, start, end) else { break };
+                if self.changed_at(at, end, h, ready)? {
+                    return Ok(Some(at));
+                }
             }
         }
         Ok(self.space.domains.changed().then_some(end))

@@ -13,6 +13,9 @@ use crate::system::{CallError, CallResult, HybridSystem};
 /// Slopes of indicators are told from rounding within this share of the span.
 const SLOPE_REACH: f64 = 1e-3;
 
+/// Steps of so many times what tells two instants apart are long enough to show whether an indicator goes on.
+const RESOLVED: f64 = 100.0;
+
 /// Whether an indicator next to zero at the start of a step leaves its domain and comes back within it.
 pub(super) enum Return {
     Nothing,
@@ -66,12 +69,13 @@ where
         let count = &mut self.stats.event_indicators;
         domains.find_slopes((h, reach), |s, z| {
             *count += 1;
+            let (at, s) = later(trial.t, s);
             if follows_trial {
                 stepper.interpolate(trial, s / h, x_mid);
             } else {
                 move_along(x_mid, s, trial.x, stepper.derivative());
             }
-            read_indicators(system, trial.t + s, x_mid, z)
+            read_indicators(system, at, x_mid, z)
         })
     }
 
@@ -92,8 +96,9 @@ where
             let z = domains.end[i];
             let found = domains.slope_along((i, z), (SLOPE_STEP * h, reach), &mut |s, z: &mut [f64]| {
                 *count += 1;
+                let (at, s) = later(at, s);
                 move_along(x_mid, s, x_new, slope);
-                read_indicators(system, at + s, x_mid, z)
+                read_indicators(system, at, x_mid, z)
             })?;
             if domains.contradicts(i, found) {
                 return Ok(Some(i));
@@ -106,6 +111,11 @@ where
     /// start, until it is in the other domain.
     fn follow(&mut self, i: usize, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
         let Some(slope) = self.space.domains.slope(i) else { return Ok(Return::Nothing) };
+        if let Some(step) = self.space.domains.step_of_slope(i, h) {
+            let shorter = Some(step).filter(|step| self.fixed_step.is_none() && *step > RESOLVED * self.same);
+            let lost = self.space.domains.is_lost(i);
+            return Ok(if lost { Return::Unseen { indicator: i, shorter } } else { Return::Nothing });
+        }
         let is_inside = |turn: f64, s: f64| turn > 0.0 && turn < 0.99 * s;
         let mut shorter = None;
         if slope != 0.0 {
@@ -147,14 +157,14 @@ where
         Ok(Inside::Again { h, why: Shrink::Returned })
     }
 
-    /// After an event while indicators slide: where it has left one behind zero that goes back to zero, the states are moved
+    /// After an event while indicators slide: where it has left one beyond zero, and has not let it pass, the states are moved
     /// to where it is zero, by as little as possible beside their sizes. `true`: some were.
     pub(super) fn hold_at_zero(&mut self) -> Step<bool> {
         let mut moved = false;
         for i in 0..self.space.domains.len() {
             if self.space.domains.is_behind(i) {
                 match self.move_to_zero(i) {
-                    Ok(()) => moved = true,
+                    Ok(has_moved) => moved |= has_moved,
                     Err(CallError::Discard) => {}
                     Err(failed) => return Err(no_retreat(failed)),
                 }
@@ -163,16 +173,23 @@ where
         Ok(moved)
     }
 
-    /// One step of Newton's method.
-    fn move_to_zero(&mut self, i: usize) -> CallResult<()> {
-        let Space { x, x_mid, x_new: gradient, weights, domains, .. } = &mut *self.space;
-        let (z0, t) = (domains.base[i], self.t);
-        let step = 1e-3 * self.sliding.usual();
-        move_along(x_mid, step, x, self.stepper.derivative());
-        self.stats.event_indicators += 1 + x.len() as u64;
-        let ahead = domains.value_at(i, |z| read_indicators(self.system, t + step, x_mid, z))?;
-        if (ahead - z0) * z0.signum() > 0.0 {
-            return Ok(());
+    /// One step of Newton's method. `false`: the event has let the indicator pass, which slides no more.
+    fn move_to_zero(&mut self, i: usize) -> CallResult<bool> {
+        let Space { x, x_mid, x_new: gradient, slope: before, weights, domains, .. } = &mut *self.space;
+        let (z0, t, step) = (domains.base[i], self.t, self.sliding.usual());
+        self.stats.event_indicators += 4 + x.len() as u64;
+        let mut slope_along = |dx: &[f64]| {
+            let mut change = |s: f64| {
+                let (at, s) = later(t, s);
+                move_along(x_mid, s, x, dx);
+                domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z)).map(|z| z - z0)
+            };
+            Ok((4.0 * change(0.5 * step)? - change(step)?) / step)
+        };
+        let (after, before) = (slope_along(self.stepper.derivative())?, slope_along(before)?);
+        if domains.passes(i, after, before) {
+            domains.release(i);
+            return Ok(false);
         }
         let mut sum = 0.0;
         for k in 0..x.len() {
@@ -187,8 +204,13 @@ where
             let back = z0 - domains.next_to_zero(i, z0);
             x.iter_mut().zip(&*gradient).for_each(|(x, g)| *x -= back * g / sum);
         }
-        Ok(())
+        Ok(true)
     }
+}
+
+/// The time `s` after `t`, and how much later that is: far from zero times are coarse.
+fn later(t: f64, s: f64) -> (f64, f64) {
+    (t + s, t + s - t)
 }
 
 /// Where `x` is after the time `s` if it moves on as it does now.

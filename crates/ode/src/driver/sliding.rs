@@ -6,16 +6,12 @@ use crate::options::ChatteringPolicy;
 use crate::stepper::Stepper;
 use crate::system::{EventCause, HybridSystem};
 
-/// After so many steps without a state event the sliding has ended.
-const CLEAN_STEPS: u32 = 100;
-
 /// Notices events that follow each other while time hardly advances (chattering, Zeno). The test is on the time that
 /// passes, not on the number of events: many events far apart are a legal model.
 #[derive(Debug)]
 pub(super) struct ChatteringGuard {
     times: [f64; Self::EVENTS],
     next: usize,
-    least: f64,
 }
 
 impl ChatteringGuard {
@@ -24,12 +20,15 @@ impl ChatteringGuard {
     /// State events by this share of the span, or by so many seconds if that is less: how often a relay may switch does
     /// not depend on how long it is watched.
     const STATE_EVENTS: (f64, f64) = (1e-6, 1e-3);
+    /// Bounces of a body that is to slide likewise: they are ten times shorter than a step of sliding, and may be kept up by rounding or
+    /// by what the tolerance leaves.
+    const BOUNCES: (f64, f64) = (10.0 * ChatteringPolicy::SLIDING_STEP, 1e-3);
     /// Time events likewise: a clock may be fast, but it must not stand still.
     const TIME_EVENTS: (f64, f64) = (1e-9, 1e-6);
 
-    /// For a span in which times closer than `same` are one.
-    fn of_span((share, enough): (f64, f64), span: f64, same: f64) -> Self {
-        Self::new((share * span).min(enough.max(Self::still(same))))
+    /// By how much they must, in a span in which times closer than `same` are one.
+    fn least_in((share, enough): (f64, f64), span: f64, same: f64) -> f64 {
+        (share * span).min(enough.max(Self::still(same)))
     }
 
     /// An event is located to a few times what tells two instants apart: in less time than this for all of them, time
@@ -38,16 +37,16 @@ impl ChatteringGuard {
         10.0 * Self::EVENTS as f64 * same
     }
 
-    pub(super) fn new(least: f64) -> Self {
-        Self { times: [f64::NEG_INFINITY; Self::EVENTS], next: 0, least }
+    pub(super) fn new() -> Self {
+        Self { times: [f64::NEG_INFINITY; Self::EVENTS], next: 0 }
     }
 
-    /// Records an event at `t`; returns the time in which the last [`EVENTS`](Self::EVENTS) happened if that is too short.
-    pub(super) fn record(&mut self, t: f64) -> Option<f64> {
+    /// Records an event at `t`; returns the time in which the last [`EVENTS`](Self::EVENTS) happened if that is less than `least`.
+    pub(super) fn record(&mut self, t: f64, least: f64) -> Option<f64> {
         let within = t - self.times[self.next];
         self.times[self.next] = t;
         self.next = (self.next + 1) % Self::EVENTS;
-        (within < self.least).then_some(within)
+        (within < least).then_some(within)
     }
 
     /// Forgets all events.
@@ -61,25 +60,31 @@ impl ChatteringGuard {
 pub(super) struct Sliding {
     state_events: ChatteringGuard,
     time_events: ChatteringGuard,
+    /// In this time a hundred state events, bounces and time events are too many.
+    chatters: f64,
+    bounces: f64,
+    ticks: f64,
     /// In less time than this a hundred events do not go on.
     stands_still: f64,
     /// Length of a step while it slides.
     usual: f64,
     /// The step to try now, if it slides.
     step: Option<f64>,
-    clean: u32,
 }
 
 impl Sliding {
     pub(super) fn new(span: f64, same: f64) -> Self {
-        let time_events = ChatteringGuard::of_span(ChatteringGuard::TIME_EVENTS, span, same);
+        let least = |limits| ChatteringGuard::least_in(limits, span, same);
+        let ticks = least(ChatteringGuard::TIME_EVENTS);
         Self {
-            state_events: ChatteringGuard::of_span(ChatteringGuard::STATE_EVENTS, span, same),
-            stands_still: time_events.least.max(ChatteringGuard::still(same)),
-            time_events,
+            state_events: ChatteringGuard::new(),
+            time_events: ChatteringGuard::new(),
+            chatters: least(ChatteringGuard::STATE_EVENTS),
+            bounces: least(ChatteringGuard::BOUNCES),
+            ticks,
+            stands_still: ticks.max(ChatteringGuard::still(same)),
             usual: ChatteringPolicy::SLIDING_STEP * span,
             step: None,
-            clean: 0,
         }
     }
 
@@ -101,18 +106,13 @@ impl Sliding {
     /// Slides from now on; the length of the next step.
     pub(super) fn begin(&mut self) -> f64 {
         self.step = Some(self.usual);
-        self.clean = 0;
         self.state_events.forget();
         self.usual
     }
 
-    /// A step was accepted, with a crossing of an indicator that slides or not. `false`: nothing slides any more.
-    fn advance(&mut self, crossing: bool) -> bool {
-        if self.step.is_some() {
-            self.clean = if crossing { 0 } else { self.clean + 1 };
-            self.step = (self.clean < CLEAN_STEPS).then_some(self.usual);
-        }
-        self.step.is_some()
+    /// A step was accepted, after which some indicator slides or none.
+    fn advance(&mut self, any_slides: bool) {
+        self.step = any_slides.then_some(self.usual);
     }
 }
 
@@ -126,19 +126,24 @@ where
     /// slide if there is any.
     pub(super) fn watch_events(&mut self, cause: EventCause, crossed: Option<usize>) -> Step<()> {
         let slides = crossed.is_some_and(|i| self.space.domains.slides(i));
-        if self.sliding.step.is_some() && !self.sliding.advance(self.space.domains.any_sliding_crossed()) {
-            self.space.domains.stop_sliding();
+        if self.sliding.step.is_some() {
+            self.sliding.advance(self.space.domains.go_on_sliding());
         }
         let events = ChatteringGuard::EVENTS as u64;
-        if cause.time && self.sliding.time_events.record(self.t).is_some() {
+        if cause.time && self.sliding.time_events.record(self.t, self.sliding.ticks).is_some() {
             return Err(ErrorKind::TimeEventLoop(events).into());
         }
         if !cause.state || slides {
             return Ok(());
         }
-        let Some(within) = self.sliding.state_events.record(self.t) else { return Ok(()) };
+        let can_slide = self.options.chattering == ChatteringPolicy::Slide
+            && self.fixed_step.is_none()
+            && !self.space.x.is_empty();
+        let bounces = can_slide && crossed.is_some_and(|i| self.space.domains.resets(i));
+        let least = if bounces { self.sliding.bounces } else { self.sliding.chatters };
+        let Some(within) = self.sliding.state_events.record(self.t, least) else { return Ok(()) };
         match self.options.chattering {
-            ChatteringPolicy::Slide if self.fixed_step.is_none() && !self.space.x.is_empty() => {
+            ChatteringPolicy::Slide if can_slide => {
                 self.space.domains.slide_marked();
                 self.sliding.begin();
             }
@@ -160,10 +165,10 @@ mod tests {
 
     #[test]
     fn the_guard_looks_at_time_not_at_the_count() {
-        let mut guard = ChatteringGuard::new(1e-6);
-        assert!((0..10_000).all(|i| guard.record(f64::from(i) * 1e-4).is_none()));
-        let mut guard = ChatteringGuard::new(1e-6);
-        let caught = (0..200).position(|i| guard.record(f64::from(i) * 1e-10).is_some());
+        let mut guard = ChatteringGuard::new();
+        assert!((0..10_000).all(|i| guard.record(f64::from(i) * 1e-4, 1e-6).is_none()));
+        let mut guard = ChatteringGuard::new();
+        let caught = (0..200).position(|i| guard.record(f64::from(i) * 1e-10, 1e-6).is_some());
         assert_eq!(caught, Some(100));
     }
 }

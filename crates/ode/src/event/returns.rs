@@ -10,6 +10,10 @@ pub(crate) const SLOPE_STEP: f64 = 1.0 / 256.0;
 /// may be what their bounces have come to.
 pub(super) const SMALL: f64 = 0.1;
 
+/// After an event that has changed states an indicator just goes on if its slope makes more than this share of its way in the
+/// step; else the event may have stopped it, and what is left of its slope be rounding.
+const GOES_ON: f64 = 1.0 / 16.0;
+
 /// What is known of an indicator since its last event. Its `depth` is a value in the domain that it crossed into, with
 /// the sign of that domain, up to which the location of the event explains its values.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -39,20 +43,53 @@ fn is_behind(depth: f64, z: f64) -> bool {
 }
 
 impl Domains {
+    /// Notes which domain indicator `i`, which crosses, comes from: the one that it leaves, unless it was only next to zero there,
+    /// where an event has left it.
+    pub(super) fn find_origin(&mut self, i: usize) {
+        let ends_above = self.end[i] > 0.0;
+        let was_left_behind = self.since_event[i].depth().is_some_and(|depth| !is_behind(depth, self.end[i]));
+        if !was_left_behind && !self.is_held(i) {
+            self.from_above[i] = !ends_above;
+        }
+    }
+
+    /// Whether indicator `i` is held at zero: it slides, and its events put it back by changing states.
+    pub(crate) fn is_held(&self, i: usize) -> bool {
+        self.slides(i) && self.resets[i]
+    }
+
+    /// Whether the last event of indicator `i` has changed states.
+    pub(crate) fn resets(&self, i: usize) -> bool {
+        self.resets[i]
+    }
+
+    /// Whether indicator `i`, of this value, is in the other domain than the one it came from.
+    fn is_beyond(&self, i: usize, z: f64) -> bool {
+        (z > 0.0) != self.from_above[i]
+    }
+
+    /// Whether indicator `i`, which is held, leaves the domain it came from in the step, or goes further away from it.
+    pub(super) fn falls(&self, i: usize) -> bool {
+        let (base, end) = (self.base[i], self.end[i]);
+        self.is_beyond(i, end) && (!self.is_beyond(i, base) || end.abs() > base.abs())
+    }
+
     /// After any event the indicators were read anew: those that crossed and are still next to zero may have turned back.
     /// `reset`: the event has changed states.
     pub(crate) fn begin_after_event(&mut self, reset: bool) {
         for i in 0..self.len() {
-            if self.crossings[i] != 0 {
-                self.resets[i] = reset;
+            let leaves_origin = self.crossings[i] != 0 && (self.crossings[i] < 0) == self.from_above[i];
+            if leaves_origin {
+                self.resets[i] = reset || self.is_held(i);
             }
             let (z, near) = (self.base[i], self.near_zero[i]);
             self.largest[i] = self.largest[i].max(z.abs());
+            let beyond = |size: f64| if self.from_above[i] { -size } else { size };
             let depth = match self.crossings[i] {
                 0 => self.since_event[i].depth(),
                 // One that slides is wherever the step has ended.
-                _ if self.sliding[i] => Some(if z > 0.0 { z } else { -z.abs() }),
-                crossing => Some(f64::from(crossing) * (z.abs() + near)).filter(|_| z.abs() <= near),
+                _ if self.slides(i) => Some(beyond(z.abs())),
+                _ => Some(beyond(z.abs() + near)).filter(|_| z.abs() <= near),
             };
             let stays = depth.is_some_and(|depth| is_behind(depth, z) && z.abs() <= depth.abs());
             self.since_event[i] = match depth {
@@ -100,13 +137,15 @@ impl Domains {
         evaluate: &mut impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<f64> {
         let mut s = step;
-        while 2.0 * s <= reach {
-            evaluate(s, &mut self.mid)?;
-            let d1 = self.mid[i] - z0;
-            evaluate(2.0 * s, &mut self.mid)?;
-            let d2 = self.mid[i] - z0;
+        while 4.0 * s <= reach {
+            let mut change = |s: f64| {
+                evaluate(s, &mut self.mid)?;
+                Ok(self.mid[i] - z0)
+            };
             // Else it is rounding.
-            if d2 != 0.0 && (d2 - 2.0 * d1).abs() <= 0.25 * d2.abs() {
+            let is_twice = |d2: f64, d1: f64| d2 != 0.0 && (d2 - 2.0 * d1).abs() <= 0.25 * d2.abs();
+            let (d1, d2) = (change(s)?, change(2.0 * s)?);
+            if is_twice(d2, d1) && is_twice(change(4.0 * s)?, d2) {
                 return Ok((4.0 * d1 - d2) / (2.0 * s));
             }
             s *= 8.0;
@@ -120,7 +159,7 @@ impl Domains {
         let (z0, z2) = (self.base[i], self.end[i]);
         let from_zero = || self.before_time.is_none() && z0.abs() < 1e-3 * z2.abs();
         let after_event = self.since_event[i].depth().map(|depth| is_behind(depth, z0));
-        z0 != z2 && !flipped(z0, z2) && after_event.unwrap_or_else(from_zero)
+        !self.is_held(i) && z0 != z2 && !flipped(z0, z2) && after_event.unwrap_or_else(from_zero)
     }
 
     /// Whether any indicator [may have returned](Self::may_return).
@@ -141,7 +180,9 @@ impl Domains {
         for i in 0..self.len() {
             let (z0, z1, z2) = (self.base[i], self.mid[i], self.end[i]);
             // As fast at the start as in the whole step, on into the domain.
-            let goes_on = z2.abs() > z0.abs() && (0.25..4.0).contains(&((z1 - z0) / step / ((z2 - z0) / h)));
+            let goes_on = !self.resets[i]
+                && z2.abs() > z0.abs()
+                && (0.25..4.0).contains(&((z1 - z0) / step / ((z2 - z0) / h)));
             self.slopes[i] = match self.may_return(i) {
                 true if goes_on => self.goes_on(i),
                 true => 0.0,
@@ -158,13 +199,23 @@ impl Domains {
             if self.slopes[i] == 0.0 && self.since_event[i] == SinceEvent::Settled {
                 self.slopes[i] = f64::NAN;
             } else if self.slopes[i] != 0.0 && !points_back {
-                self.slopes[i] = self.goes_on(i);
+                let explains = self.slopes[i] * h / (self.end[i] - z0) > GOES_ON && self.is_lost(i);
+                if !self.resets[i] || self.since_event[i] == SinceEvent::Settled || explains {
+                    self.slopes[i] = self.goes_on(i);
+                }
             } else if let (SinceEvent::New { depth }, true) = (self.since_event[i], self.slopes[i] != 0.0) {
                 self.since_event[i] = SinceEvent::TurnedBack { depth };
                 self.bounces[i] = true;
             }
         }
         Ok(())
+    }
+
+    /// The size of a step in which the slope of indicator `i`, which leads on into its domain but far more slowly than the step of size
+    /// `h` does, counts as much as what bends it.
+    pub(crate) fn step_of_slope(&self, i: usize, h: f64) -> Option<f64> {
+        let share = self.slopes[i] * h / (self.end[i] - self.base[i]);
+        (share > 0.0 && self.slopes[i] != 0.0).then_some(2.0 * share * h)
     }
 
     /// Indicator `i` moves on into its domain. Right after its event it just goes on; what is returned is the slope of
@@ -233,11 +284,15 @@ impl Domains {
         if is_event { 1e-3 * z } else { 0.0 }
     }
 
-    /// Whether indicator `i` has just crossed, slides, and is still behind zero after its event.
+    /// Whether indicator `i` has just crossed, is held, and is still beyond zero after its event.
     pub(crate) fn is_behind(&self, i: usize) -> bool {
-        self.sliding[i]
-            && self.crossings[i] != 0
-            && self.base[i] != 0.0
-            && !flipped(self.base[i], self.end[i])
+        self.is_held(i) && self.crossings[i] != 0 && self.base[i] != 0.0 && self.is_beyond(i, self.base[i])
+    }
+
+    /// Whether the event of indicator `i` has let it pass: it leads on away from the domain it came from, with this slope after the event and
+    /// that before it.
+    pub(crate) fn passes(&self, i: usize, after: f64, before: f64) -> bool {
+        let outwards = if self.from_above[i] { -1.0 } else { 1.0 };
+        after * outwards > 0.0 && after * outwards > 0.5 * before * outwards
     }
 }

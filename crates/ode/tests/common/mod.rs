@@ -128,3 +128,16 @@ pub fn bounce_times(v_min: f64, most: usize) -> Vec<f64> {
     }
     times
 }
+
+/// A congruential generator (D. E. Knuth, The Art of Computer Programming 2, 3.3.4, line 26); numbers in [0, 1).
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+    }
+    pub fn of<T: Copy>(&mut self, list: &[T]) -> T {
+        list[(self.next() * list.len() as f64) as usize]
+    }
+}

@@ -232,7 +232,8 @@ def solve(
         gets there: a ball bounces without a ``direction``, too.
     on_event : callable, optional
         ``on_event(t, y, which) -> array_like, shape (n,), or None``: called at each event with the list `which` of the
-        positions of the functions that have crossed; returns the states to go on with, or None to keep them.
+        positions of the functions that have crossed; returns the states to go on with, or None: then those in `y` are taken,
+        which may be changed in place (SciPy has no such function; Julia's callbacks work like this).
     args : tuple
         Further arguments for all of these functions.
     rtol : float
@@ -259,12 +260,17 @@ def solve(
         At how many points inside each step the events are looked at besides its end, each compared with the one before,
         so that a crossing and its return do not hide in one step. By default one where steps are long. An event function
         next to zero after its event that `on_event` has turned back, or stopped, is always followed: its next crossing is
-        found, or the run fails and says so.
+        found, or the run fails and says so. Without it, what is seen within one step is: a change of sign between its ends or
+        at that one point, and a crossing and its return where a parabola through three neighbouring values has its turning
+        point near zero. A function that changes its sign twice within one step and shows nothing of it at these points (a
+        narrow pulse in it, a function of values like -1 and 1) is not seen: use two functions, `max_step`, or more points
+        (SciPy, MATLAB and SUNDIALS look at the ends of steps alone, Julia's OrdinaryDiffEq at ten points in each).
     chattering : {"error", "warn", "slide"}
         What to do where events follow each other while time hardly advances (a hundred within 1e-6 of the span, or within
         1e-3 where the span is longer than 1000): fail; go on and log a warning (an error still where time stands still);
         or go on in steps of 1e-5 of the span at whose ends the events happen, which slides along a border that the
-        solution cannot leave.
+        solution cannot leave. Bodies that bounce less and less are held where their event function is zero then, on the side
+        they came from; with "slide" a hundred bounces within 1e-4 of the span are too many.
     max_steps, max_events : int, optional
         Limits.
     timeout : float, optional

@@ -20,3 +20,67 @@ mod state;
 
 pub use options::{Adaptive, Crossover, DifferentialEvolution, Repair, Scheme, Strategy, Weight};
 pub use state::DifferentialEvolutionState;
+
+use crate::choices::Kind;
+use crate::error::Error;
+use crate::method::{MethodOptions, Setup};
+use crate::methods::shared::generations::Generations;
+use crate::methods::shared::population::MAX_MEMBERS;
+use crate::rng::draw_seed;
+use crate::words;
+use state::Differences;
+
+impl MethodOptions for DifferentialEvolution {
+    type Method = DifferentialEvolutionState;
+
+    fn begin(&self, setup: &Setup) -> Result<DifferentialEvolutionState, Error> {
+        setup.tolerances.check()?;
+        self.check()?;
+        let (space, name) = (&setup.space, self.name());
+        space.require_box(name)?;
+        if let Some(k) = (0..space.n_free()).find(|&k| space.kind(k) == Kind::Categorical) {
+            return Err(Error::NotContinuous {
+                method: name,
+                index: space.free()[k],
+                kind: Kind::Categorical,
+            });
+        }
+        let n = space.n_free();
+        let (default, least) = match self.scheme {
+            Scheme::Adaptive(a) => (18 * n, a.final_population),
+            Scheme::Classic { strategy, .. } => (10 * n, strategy.n_drawn() + 1),
+        };
+        let members = self.population.unwrap_or(default.max(20));
+        if !(least..=MAX_MEMBERS).contains(&members) {
+            let range = "large enough for the strategy (rand/1: 4, rand/2: 6, L-SHADE: its final population), at most \
+                         a million";
+            return Err(Error::Option { name: "population", value: members as f64, range });
+        }
+        let members = if n == 0 { 1 } else { members };
+        Differences::begin(self, setup.clone(), members, setup.seed.unwrap_or_else(draw_seed))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<DifferentialEvolutionState, Error> {
+        Generations::restore(setup, state)
+    }
+
+    fn needs_start(&self) -> bool {
+        false
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        words::fields(self)
+    }
+
+    fn plans_with_budget(&self) -> bool {
+        matches!(self.scheme, Scheme::Adaptive(_)) && self.budget.is_none()
+    }
+
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
+        let evaluations = match self.scheme {
+            Scheme::Adaptive(_) => planned(n),
+            Scheme::Classic { .. } => 5000usize.saturating_mul(n + 1),
+        };
+        (Some(evaluations), None)
+    }
+}

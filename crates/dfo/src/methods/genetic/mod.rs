@@ -16,3 +16,48 @@ mod state;
 
 pub use options::{Genetic, Selection};
 pub use state::GeneticState;
+
+use crate::error::Error;
+use crate::method::{MethodOptions, Setup};
+use crate::methods::shared::generations::Generations;
+use crate::rng::draw_seed;
+use crate::words;
+use coding::Coding;
+use state::Strings;
+
+impl MethodOptions for Genetic {
+    type Method = GeneticState;
+
+    fn begin(&self, setup: &Setup) -> Result<GeneticState, Error> {
+        setup.tolerances.check()?;
+        let space = &setup.space;
+        space.require_box("ga")?;
+        let n = space.n_free();
+        let members = self.population.unwrap_or((10 * n).max(50));
+        self.check(members)?;
+        let coding = Coding::new(space, &self.resolution, self.gray)?;
+        let members = if n == 0 { 1 } else { members };
+        Strings::begin(self, setup.clone(), coding, members, setup.seed.unwrap_or_else(draw_seed))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<GeneticState, Error> {
+        Generations::restore(setup, state)
+    }
+
+    fn needs_start(&self) -> bool {
+        false
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        words::fields(self)
+    }
+
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
+        (Some(5000usize.saturating_mul(n + 1)), None)
+    }
+
+    /// Children that are like a parent are common.
+    fn default_cache(&self) -> usize {
+        10_000
+    }
+}

@@ -1,14 +1,8 @@
 //! What the user may choose about the genetic algorithm.
 
-use super::coding::Coding;
-use super::state::{GeneticState, Strings};
 use crate::error::Error;
-use crate::method::{MethodOptions, Setup};
-use crate::methods::shared::generations::Generations;
 use crate::methods::shared::population::MAX_MEMBERS;
-use crate::rng::draw_seed;
 use crate::sampling::Sampling;
-use crate::words;
 use serde::{Deserialize, Serialize};
 
 /// How parents are chosen.
@@ -187,42 +181,5 @@ impl Genetic {
             }
         }
         Ok(())
-    }
-}
-
-impl MethodOptions for Genetic {
-    type Method = GeneticState;
-
-    fn begin(&self, setup: &Setup) -> Result<GeneticState, Error> {
-        setup.tolerances.check()?;
-        let space = &setup.space;
-        space.require_box("ga")?;
-        let n = space.n_free();
-        let members = self.population.unwrap_or((10 * n).max(50));
-        self.check(members)?;
-        let coding = Coding::new(space, &self.resolution, self.gray)?;
-        let members = if n == 0 { 1 } else { members };
-        Strings::begin(self, setup.clone(), coding, members, setup.seed.unwrap_or_else(draw_seed))
-    }
-
-    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<GeneticState, Error> {
-        Generations::restore(setup, state)
-    }
-
-    fn needs_start(&self) -> bool {
-        false
-    }
-
-    fn describe(&self) -> Vec<(String, String)> {
-        words::fields(self)
-    }
-
-    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
-        (Some(5000usize.saturating_mul(n + 1)), None)
-    }
-
-    /// Children that are like a parent are common.
-    fn default_cache(&self) -> usize {
-        10_000
     }
 }

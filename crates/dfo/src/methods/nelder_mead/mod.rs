@@ -46,3 +46,37 @@ mod trial;
 
 pub use options::{BatchPlan, Coefficients, InitialSimplex, NelderMead};
 pub use state::NelderMeadState;
+
+use crate::error::Error;
+use crate::memory;
+use crate::method::{MethodOptions, Setup, restored};
+use crate::words;
+
+impl MethodOptions for NelderMead {
+    type Method = NelderMeadState;
+
+    fn begin(&self, setup: &Setup) -> Result<NelderMeadState, Error> {
+        setup.tolerances.check()?;
+        setup.space.require_continuous("nelder-mead")?;
+        let numbers = self.coefficients.resolve(setup.space.n_free())?;
+        let (n, n_user) = (setup.space.n_free(), setup.space.n());
+        // The vertices on two scales, those of a batch, and twice the moves of Lee and Wiswall.
+        memory::check("a simplex of so many parameters", &[n + 1, 2 * n + 2 * n_user])?;
+        let mut simplex = initial::simplex(&setup.space, &self.initial)?;
+        let setup = self.prepared(setup);
+        simplex.rewrite(&setup.space);
+        let unknown = (0..setup.space.n_free()).any(|k| setup.space.size_is_unknown(k));
+        let sizing = unknown && self.initial == InitialSimplex::Auto;
+        let restarts = (self.restarts, sizing);
+        Ok(NelderMeadState::new(setup, self.batch, numbers, self.bounds, simplex, restarts))
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        words::fields(self)
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<NelderMeadState, Error> {
+        let setup = self.prepared(setup);
+        restored(state, |s: &NelderMeadState| s.is_sound(&setup))
+    }
+}

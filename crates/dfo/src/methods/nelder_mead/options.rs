@@ -1,12 +1,8 @@
 //! What the user may choose about Nelder-Mead.
 
-use super::initial;
-use super::state::NelderMeadState;
 use crate::choices::BoundsHandling;
 use crate::error::Error;
-use crate::memory;
-use crate::method::{Lookahead, MethodOptions, Setup, restored};
-use crate::words;
+use crate::method::{Lookahead, Setup};
 use serde::{Deserialize, Serialize};
 
 /// How many points are evaluated at once. All plans take the same path but [`LeeWiswall`](Self::LeeWiswall): points
@@ -253,34 +249,5 @@ impl NelderMead {
             setup.space = setup.space.with_sine();
         }
         setup
-    }
-}
-
-impl MethodOptions for NelderMead {
-    type Method = NelderMeadState;
-
-    fn begin(&self, setup: &Setup) -> Result<NelderMeadState, Error> {
-        setup.tolerances.check()?;
-        setup.space.require_continuous("nelder-mead")?;
-        let numbers = self.coefficients.resolve(setup.space.n_free())?;
-        let (n, n_user) = (setup.space.n_free(), setup.space.n());
-        // The vertices on two scales, those of a batch, and twice the moves of Lee and Wiswall.
-        memory::check("a simplex of so many parameters", &[n + 1, 2 * n + 2 * n_user])?;
-        let mut simplex = initial::simplex(&setup.space, &self.initial)?;
-        let setup = self.prepared(setup);
-        simplex.rewrite(&setup.space);
-        let unknown = (0..setup.space.n_free()).any(|k| setup.space.size_is_unknown(k));
-        let sizing = unknown && self.initial == InitialSimplex::Auto;
-        let restarts = (self.restarts, sizing);
-        Ok(NelderMeadState::new(setup, self.batch, numbers, self.bounds, simplex, restarts))
-    }
-
-    fn describe(&self) -> Vec<(String, String)> {
-        words::fields(self)
-    }
-
-    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<NelderMeadState, Error> {
-        let setup = self.prepared(setup);
-        restored(state, |s: &NelderMeadState| s.is_sound(&setup))
     }
 }

@@ -1,15 +1,25 @@
-//! What belongs to the whole process and FMUs are known to change: how SIGINT, SIGFPE and SIGSEGV are handled, the locale,
-//! the working directory. They are remembered while calls into FMUs are under way on any thread, looked at now and then, and put back.
+//! What belongs to the whole process and FMUs are known to change: how some signals are handled, the locale, the working directory;
+//! and the signals that the thread blocks. They are remembered while calls into FMUs are under way on any thread, looked at now and
+//! then, and put back.
 //!
 //! Whoever else changes them meanwhile, on another thread, is taken for an FMU: the calls do not tell.
+//!
+//! Not looked at, for it would cost more than it saves or cannot be put back: the mask of permissions of new files, limits of resources,
+//! priorities, timers, environment variables, the random numbers of the C library, closed standard streams and their buffers.
 
 #[cfg(unix)]
 mod watched {
+    use std::cell::Cell;
     use std::ffi::{CStr, c_char, c_int};
     use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
     use std::sync::{Mutex, MutexGuard, PoisonError};
 
-    const SIGNALS: [c_int; 3] = [libc::SIGINT, libc::SIGFPE, libc::SIGSEGV];
+    const SIGNALS: [c_int; 6] =
+        [libc::SIGINT, libc::SIGFPE, libc::SIGSEGV, libc::SIGTERM, libc::SIGPIPE, libc::SIGCHLD];
+
+    /// The first ones matter while FMUs run; the others later: whether writing to a closed pipe ends the process, and whether it is told
+    /// how a compiler has ended.
+    const N_DURING_RUNS: usize = 4;
 
     /// Between two looks during a run.
     const INTERVAL: u64 = 20;
@@ -19,7 +29,7 @@ mod watched {
         watches: usize,
         process: u32,
         /// As they were when the first of the watches began.
-        signals: Option<[libc::sigaction; 3]>,
+        signals: [Option<libc::sigaction>; SIGNALS.len()],
         /// With its NUL.
         locale: Vec<u8>,
         /// With its NUL; empty where the system does not say.
@@ -29,7 +39,7 @@ mod watched {
     static STATE: Mutex<State> = Mutex::new(State {
         watches: 0,
         process: 0,
-        signals: None,
+        signals: [None; SIGNALS.len()],
         locale: Vec::new(),
         working_directory: Vec::new(),
     });
@@ -91,8 +101,7 @@ mod watched {
 
     impl State {
         fn remember(&mut self) {
-            let [a, b, c] = SIGNALS.map(disposition);
-            self.signals = a.zip(b).zip(c).map(|((a, b), c)| [a, b, c]);
+            self.signals = SIGNALS.map(disposition);
             self.locale.clear();
             self.locale.extend_from_slice(locale().map_or(&[], CStr::to_bytes_with_nul));
             let mut buffer = [0; 1024];
@@ -101,10 +110,12 @@ mod watched {
             self.working_directory.extend_from_slice(directory);
         }
 
-        /// Whether something had to be put back.
-        fn put_back(&self) -> bool {
+        /// Whether something had to be put back; `is_last`: no FMU is called any more after this.
+        fn put_back(&self, is_last: bool) -> bool {
             let mut is_changed = false;
-            for (signal, then) in SIGNALS.into_iter().zip(self.signals.iter().flatten()) {
+            let n = if is_last { SIGNALS.len() } else { N_DURING_RUNS };
+            for (signal, then) in SIGNALS.into_iter().zip(&self.signals).take(n) {
+                let Some(then) = then else { continue };
                 let is_same = |now: &libc::sigaction| {
                     now.sa_sigaction == then.sa_sigaction && now.sa_flags == then.sa_flags
                 };
@@ -132,41 +143,90 @@ mod watched {
         }
     }
 
+    thread_local! {
+        /// The signals that this thread blocked when the first of its watches began.
+        static BLOCKED: Cell<Option<libc::sigset_t>> = const { Cell::new(None) };
+        /// When the next look at them is due.
+        static NEXT_LOOK_HERE: Cell<u64> = const { Cell::new(0) };
+    }
+
+    /// The signals that this thread blocks; with `put_back`, has it block those.
+    fn blocked(put_back: Option<&libc::sigset_t>) -> libc::sigset_t {
+        // SAFETY: a set of signals is made of integers. What the system leaves of it stays zero.
+        let mut blocked: libc::sigset_t = unsafe { std::mem::zeroed() };
+        let new = put_back.map_or(std::ptr::null(), std::ptr::from_ref);
+        // SAFETY: the addresses are NULL or those of sets.
+        unsafe { libc::pthread_sigmask(libc::SIG_SETMASK, new, &raw mut blocked) };
+        blocked
+    }
+
+    fn is_same_set(a: &libc::sigset_t, b: &libc::sigset_t) -> bool {
+        let bytes = |set: *const libc::sigset_t| {
+            // SAFETY: all bytes of a set are set, by `zeroed` or the system.
+            unsafe { std::slice::from_raw_parts(set.cast::<u8>(), size_of::<libc::sigset_t>()) }
+        };
+        bytes(a) == bytes(b)
+    }
+
+    /// Puts the signals back that this thread blocks; whether that was necessary.
+    fn look_here() -> bool {
+        let changed = BLOCKED.get().filter(|then| !is_same_set(then, &blocked(None)));
+        if let Some(then) = &changed {
+            blocked(Some(then));
+        }
+        changed.is_some()
+    }
+
     /// Puts back what has changed. Who logs may wait for locks of others: the state is not locked then.
     fn look(ends: usize) {
-        let is_changed = {
+        let is_changed_here = look_here();
+        let is_changed = is_changed_here | {
             let mut state = lock();
-            let is_changed = state.watches > 0 && state.put_back();
+            let is_changed = state.watches > 0 && state.put_back(state.watches == ends);
             state.watches = state.watches.saturating_sub(ends);
             is_changed
         };
         if is_changed && !IS_TOLD.swap(true, Ordering::Relaxed) {
             log::warn!(
-                "an FMU changed how this process handles SIGINT, SIGFPE or SIGSEGV, its locale or its working \
-                 directory; whenever that happens it is put back"
+                "an FMU changed how this process handles signals or blocks them, its locale or its working directory; \
+                 whenever that happens it is put back"
             );
         }
     }
 
     /// While it lives, what belongs to the process is remembered; looked at on drop.
     #[derive(Debug)]
-    pub(in super::super) struct Watch(());
+    pub(in super::super) struct Watch {
+        /// No other was alive on this thread.
+        is_first: bool,
+    }
 
     impl Watch {
+        /// Within another one on this thread it does nothing: that one looks at the end, and now and then.
         pub(in super::super) fn begin() -> Self {
+            if BLOCKED.get().is_some() {
+                return Self { is_first: false };
+            }
+            BLOCKED.set(Some(blocked(None)));
             let mut state = lock();
             if state.watches == 0 {
                 state.remember();
             }
             state.watches += 1;
-            NEXT_LOOK.store(now() + INTERVAL, Ordering::Relaxed);
-            Self(())
+            drop(state);
+            let next = now() + INTERVAL;
+            NEXT_LOOK.store(next, Ordering::Relaxed);
+            NEXT_LOOK_HERE.set(next);
+            Self { is_first: true }
         }
     }
 
     impl Drop for Watch {
         fn drop(&mut self) {
-            look(1);
+            if self.is_first {
+                look(1);
+                BLOCKED.set(None);
+            }
         }
     }
 
@@ -177,7 +237,12 @@ mod watched {
         if now >= NEXT_LOOK.load(Ordering::Relaxed) {
             NEXT_LOOK.store(now + INTERVAL, Ordering::Relaxed);
             look(0);
+        } else if now >= NEXT_LOOK_HERE.get() {
+            look_here();
+        } else {
+            return;
         }
+        NEXT_LOOK_HERE.set(now + INTERVAL);
     }
 }
 
