@@ -28,6 +28,7 @@ use crate::methods::shared::generations::Generations;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::rng::draw_seed;
 use crate::words;
+use options::planned;
 use state::Differences;
 
 impl MethodOptions for DifferentialEvolution {

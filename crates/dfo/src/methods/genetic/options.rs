@@ -156,7 +156,7 @@ impl Genetic {
         self
     }
 
-    fn check(&self, members: usize) -> Result<(), Error> {
+    pub(super) fn check(&self, members: usize) -> Result<(), Error> {
         let rate = |value: f64| (0.0..=1.0).contains(&value);
         let (mutation, size) = (self.mutation_rate.unwrap_or(0.0), members as f64);
         let tournament = match self.selection {
