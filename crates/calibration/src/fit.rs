@@ -7,8 +7,8 @@ use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
 use dfo::{
-    Answer, AnyMethod, ByRef, Checkpoint, Kind, Limits, Measure, NelderMead, Objective, Outcome, Progress,
-    Query, Report, Resume, Stop, Tolerances, Transform,
+    Answer, AnyMethod, ByRef, Checkpoint, Kind, Known, Limits, Measure, NelderMead, Objective, Outcome,
+    Progress, Query, Report, Resume, Stop, Tolerances, Transform,
 };
 use ode::Number;
 use ode::Stats;
@@ -44,11 +44,9 @@ pub struct FitOptions<'a> {
     /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
     /// work.
     pub cutoffs: bool,
-    /// Points with their costs from an earlier fit, see [`dfo::Minimize::known`].
-    pub known: Vec<(Vec<f64>, f64)>,
-    /// The problem that they belong to ([`dfo::Trace::problem`] of that fit). Where it is not that of this fit, the points
-    /// are evaluated again.
-    pub known_problem: Option<String>,
+    /// Points with their costs from an earlier fit, see [`dfo::Minimize::known`]. Where their problem
+    /// ([`dfo::Trace::problem`] of that fit) is not that of this fit, they are evaluated again.
+    pub known: Vec<Known>,
     /// How many evaluations to remember; default: the method's, see [`dfo::Minimize::cache`].
     pub cache: Option<usize>,
     /// Evaluations to keep in the trace; default all.
@@ -75,7 +73,6 @@ impl Default for FitOptions<'_> {
             seed: None,
             cutoffs: true,
             known: Vec::new(),
-            known_problem: None,
             cache: None,
             trace_limit: None,
             checkpoint: None,
@@ -226,7 +223,7 @@ impl Calibration {
         let is_late = || late.is_some_and(|late| Instant::now() >= late);
         let is_flagged = || options.cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
         let cancelled = || is_late() || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
-        let (mut known_problem, mut stats, mut n_beginnings) = (options.known_problem, Stats::default(), 0);
+        let (mut known, mut stats, mut n_beginnings) = (options.known, Stats::default(), 0);
         let (mut report, found) = loop {
             n_beginnings += 1;
             let n_findings = self.n_history_findings();
@@ -243,7 +240,7 @@ impl Calibration {
                 .tolerances(tolerances)
                 .limits(Limits { max_time: left.or(options.limits.max_time), ..options.limits })
                 .problem(self.problem(solver))
-                .known(options.known.clone(), known_problem.take())
+                .known(known.iter().cloned())
                 .workers(workers)
                 .method(options.method.clone());
             if let Some(seed) = options.seed {
@@ -287,6 +284,7 @@ impl Calibration {
             log::warn!("{}: {HISTORY}: it begins anew", self.fmu().description().model_name);
             // What was stored, here or by an earlier fit, may depend on what ran before.
             checkpoint = checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
+            known.iter_mut().for_each(|known| known.problem = None);
         };
         report.message += &self.remarks(&found);
         if n_beginnings > 1 {

@@ -1,12 +1,14 @@
 //! Checkpoints: the whole state of a run in a file, so that a resumed run is the uninterrupted one, bit for bit.
 //!
-//! The file is a mark, the format, a checksum, the version of the code that wrote it, and the state in postcard's encoding. It is written to a
+//! The file is a mark, the format, a checksum, and a map in CBOR (RFC 8949) that names all its parts, the version of the code
+//! that wrote it first. It is written to a
 //! temporary file beside it and renamed, so that there is always a whole one. What identifies a run (the fingerprint)
 //! is stored in words; a file of another run is refused by naming the difference, and left as it is.
 //!
 //! A batch that was cut short by the end of a run is not told to the stored state: the outcomes that were known are
 //! kept beside it and given again when the resumed run asks.
 
+use crate::encoding::{decode, encode};
 use crate::error::Error;
 use crate::gateway::cache::Cache;
 use crate::gateway::desk::{Desk, Replay};
@@ -96,9 +98,10 @@ impl Checkpoint {
 }
 
 /// The whole state of a run.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Deserialize)]
 pub(crate) struct Snapshot {
     pub(crate) fingerprint: Vec<(String, String)>,
+    #[serde(with = "serde_bytes")]
     pub(crate) method: Vec<u8>,
     pub(crate) ledger: Ledger,
     pub(crate) cache: Cache,
@@ -110,10 +113,18 @@ pub(crate) struct Snapshot {
     pub(crate) seed: Option<u64>,
 }
 
+/// Who wrote a file, whatever else it holds.
+#[derive(Debug, Deserialize)]
+struct Written {
+    version: String,
+}
+
 /// The same, lent: for writing.
 #[derive(Serialize)]
 struct Lent<'a> {
+    version: &'a str,
     fingerprint: &'a [(String, String)],
+    #[serde(with = "serde_bytes")]
     method: &'a [u8],
     ledger: &'a Ledger,
     cache: &'a Cache,
@@ -146,7 +157,7 @@ pub(crate) fn fingerprint(
         all.push(named("max_evaluations", words::limit(setup.max_evaluations)));
     }
     if !prior.is_empty() {
-        let bytes = postcard::to_allocvec(prior).unwrap_or_default();
+        let bytes = encode(prior).unwrap_or_default();
         all.push(named(
             "warm start",
             format!("{} points, {n_pinned} with costs ({:08x})", prior.len(), crc32fast::hash(&bytes)),
@@ -203,9 +214,10 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
     if u32::from_le_bytes(*sum) != crc32fast::hash(rest) {
         return Err(failed(path, "the file is damaged: its checksum does not fit"));
     }
-    let (writer, payload): (&str, _) = postcard::take_from_bytes(rest).map_err(|e| failed(path, e))?;
-    let unreadable = |e| failed(path, format!("version {writer} wrote it, {VERSION} cannot read it: {e}"));
-    postcard::from_bytes(payload).map(Some).map_err(unreadable)
+    decode(rest).map(Some).map_err(|e| {
+        let writer = decode::<Written>(rest).map_or_else(|_| "another".to_owned(), |written| written.version);
+        failed(path, format!("version {writer} wrote it, {VERSION} cannot read it: {e}"))
+    })
 }
 
 /// Reads the checkpoint that a run is to continue from, if it is to.
@@ -357,6 +369,7 @@ impl Writer {
         let path = &self.options.path;
         let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
         let snapshot = Lent {
+            version: VERSION,
             fingerprint: &self.fingerprint,
             method: &state,
             ledger: &desk.ledger,
@@ -369,7 +382,7 @@ impl Writer {
             seed: method.details().seed,
         };
         let begin = Instant::now();
-        let payload = postcard::to_allocvec(&(VERSION, snapshot)).map_err(|e| failed(path, e))?;
+        let payload = encode(&snapshot).map_err(|e| failed(path, e))?;
         let mut file = beside(&self.file)?;
         file.write_all(MARK)
             .and_then(|()| file.write_all(&[FORMAT]))

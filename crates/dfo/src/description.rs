@@ -1,6 +1,6 @@
 //! A run before it begins: what was said about it, and how that becomes a method, a desk and a checkpoint.
 
-use crate::answer::Outcome;
+use crate::answer::{Answer, Outcome};
 use crate::checkpoint::{self, Checkpoint, Writer};
 use crate::choices::{Kind, Transform};
 use crate::error::Error;
@@ -12,13 +12,19 @@ use crate::methods::NelderMead;
 use crate::space::Bounds;
 use crate::space::Space;
 use crate::tolerances::{Limits, Tolerances};
+use serde::{Deserialize, Serialize};
 
-/// A point with its cost, and the problem that it belongs to.
-#[derive(Debug, Clone)]
-pub(crate) struct Known {
-    pub(crate) x: Vec<f64>,
-    pub(crate) cost: f64,
-    pub(crate) problem: Option<String>,
+/// A point with its cost, and the problem that they belong to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Known {
+    /// The point, in the user's units.
+    pub x: Vec<f64>,
+    /// Its cost.
+    pub cost: f64,
+    /// Its residuals; empty where they are not known.
+    pub residuals: Vec<f64>,
+    /// What the cost belongs to; of another problem, or of none in particular, it only says where to start.
+    pub problem: Option<String>,
 }
 
 /// Everything that can be said about a run but who evaluates.
@@ -39,6 +45,7 @@ pub(crate) struct Description<M = NelderMead> {
     pub(crate) unlimited: bool,
     pub(crate) cache: Option<usize>,
     pub(crate) trace_limit: Option<usize>,
+    pub(crate) trace_residuals: bool,
     pub(crate) checkpoint: Option<Checkpoint>,
     pub(crate) workers: Option<usize>,
 }
@@ -61,7 +68,7 @@ impl<M> Description<M> {
     /// The same run with another method.
     pub(crate) fn with_method<N>(self, method: N) -> Description<N> {
         let Self { x0, bounds, transforms, sizes, tolerances, limits, seed, kinds, prior, .. } = self;
-        let Self { problem, unlimited, cache, trace_limit, checkpoint, workers, .. } = self;
+        let Self { problem, unlimited, cache, trace_limit, trace_residuals, checkpoint, workers, .. } = self;
         Description {
             method,
             x0,
@@ -77,6 +84,7 @@ impl<M> Description<M> {
             unlimited,
             cache,
             trace_limit,
+            trace_residuals,
             checkpoint,
             workers,
         }
@@ -129,12 +137,12 @@ impl<M: MethodOptions> Description<M> {
         let mut cache = Cache::new(capacity);
         // A cost of no problem in particular is a cost of none.
         let belongs = |known: &&Known| self.problem.is_some() && known.problem == self.problem;
-        for Known { x, cost, .. } in prior.iter().filter(belongs) {
-            cache.pin(x, Outcome::Value(*cost).into());
+        for Known { x, cost, residuals, .. } in prior.iter().filter(belongs) {
+            cache.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
         }
         let mut begun = Begun {
             method: self.method.begin(&setup)?,
-            desk: Desk::new(Ledger::new(n, self.trace_limit), cache),
+            desk: Desk::new(Ledger::new(n, self.trace_limit, self.trace_residuals), cache),
             limits: self.limits,
             workers,
             writer: None,

@@ -42,6 +42,7 @@ mod checkpoint;
 mod choices;
 mod description;
 mod drive;
+mod encoding;
 mod error;
 mod evaluator;
 mod gateway;
@@ -65,6 +66,7 @@ mod words;
 pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use checkpoint::{Checkpoint, Resume};
 pub use choices::{BoundsHandling, Kind, Measure, Stop, Transform};
+pub use description::Known;
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
 pub use method::{

@@ -2,6 +2,7 @@
 //! objective.
 
 use crate::answer::{Answers, Want};
+use crate::encoding::{decode, encode};
 use crate::error::Error;
 use crate::objective::Query;
 use crate::space::Space;
@@ -385,12 +386,12 @@ pub struct SimplexView<'a> {
 
 /// A state as bytes.
 pub(crate) fn saved<S: Serialize>(state: &S) -> Option<Vec<u8>> {
-    postcard::to_allocvec(state).ok()
+    encode(state).ok()
 }
 
 /// A state from bytes, if it is `sound`.
 pub(crate) fn restored<S: DeserializeOwned>(state: &[u8], sound: impl Fn(&S) -> bool) -> Result<S, Error> {
-    let state: S = postcard::from_bytes(state).map_err(|e| Error::State { message: e.to_string() })?;
+    let state: S = decode(state).map_err(|message| Error::State { message })?;
     if sound(&state) {
         Ok(state)
     } else {

@@ -17,7 +17,7 @@ use crate::optimizer::Optimizer;
 use crate::report::Report;
 use crate::space::Bounds;
 use crate::tolerances::{Limits, Tolerances};
-use crate::trace::Trace;
+use crate::trace::{Trace, TraceEntry};
 use std::fmt;
 use std::marker::PhantomData;
 use std::ops::ControlFlow;
@@ -267,19 +267,16 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// only say where to start.
     pub fn warm_start(self, trace: &Trace) -> Self {
         let problem = trace.problem().map(str::to_owned);
-        self.known(trace.iter().filter_map(|e| e.outcome.value().map(|v| (e.x.to_vec(), v))), problem)
+        let known = |e: TraceEntry<'_>| {
+            let (cost, residuals) = (e.outcome.value()?, e.residuals.to_vec());
+            Some(Known { x: e.x.to_vec(), cost, residuals, problem: problem.clone() })
+        };
+        self.known(trace.iter().filter_map(known))
     }
 
-    /// The same with points and costs that were kept otherwise, and the problem that they belong to; costs that are not
-    /// finite are left out.
-    pub fn known(
-        mut self,
-        points: impl IntoIterator<Item = (Vec<f64>, f64)>,
-        problem: Option<String>,
-    ) -> Self {
-        let finite = points.into_iter().filter(|(_, cost)| cost.is_finite());
-        let known = finite.map(|(x, cost)| Known { x, cost, problem: problem.clone() });
-        self.description.prior.extend(known);
+    /// The same with points that were kept otherwise; those whose costs are not finite are left out.
+    pub fn known(mut self, points: impl IntoIterator<Item = Known>) -> Self {
+        self.description.prior.extend(points.into_iter().filter(|known| known.cost.is_finite()));
         self
     }
 
@@ -293,6 +290,12 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// Keeps only the last so many evaluations in the trace (while the run goes on, up to twice as many).
     pub fn trace_limit(mut self, evaluations: usize) -> Self {
         self.description.trace_limit = Some(evaluations);
+        self
+    }
+
+    /// Keeps the residuals of the points for which the method wanted them in the trace, too.
+    pub fn trace_residuals(mut self) -> Self {
+        self.description.trace_residuals = true;
         self
     }
 

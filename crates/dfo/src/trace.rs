@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 pub struct Trace {
     n: usize,
     points: Vec<f64>,
+    #[serde(with = "columns")]
     records: Vec<Record>,
     /// Evaluations that the path never came to.
     speculative: Vec<Early>,
@@ -27,6 +28,56 @@ pub(crate) struct Record {
     pub(crate) cutoff: f64,
     pub(crate) used: bool,
     pub(crate) seconds: f64,
+    /// Kept only where the user asked for that.
+    pub(crate) residuals: Vec<f64>,
+}
+
+/// Records in a file: column by column, so that the names of the columns stand there once.
+mod columns {
+    use super::{Outcome, Record};
+    use serde::de::{Deserializer, Error};
+    use serde::{Deserialize, Serialize, Serializer};
+    use std::borrow::Cow;
+
+    #[derive(Default, Serialize, Deserialize)]
+    struct Columns<'a> {
+        outcome: Vec<Cow<'a, Outcome>>,
+        id: Vec<u64>,
+        batch: Vec<u64>,
+        cutoff: Vec<f64>,
+        used: Vec<bool>,
+        seconds: Vec<f64>,
+        residuals: Vec<Cow<'a, [f64]>>,
+    }
+
+    pub(super) fn serialize<S: Serializer>(records: &[Record], to: S) -> Result<S::Ok, S::Error> {
+        let mut columns = Columns::default();
+        for r in records {
+            columns.outcome.push(Cow::Borrowed(&r.outcome));
+            columns.id.push(r.id);
+            columns.batch.push(r.batch);
+            columns.cutoff.push(r.cutoff);
+            columns.used.push(r.used);
+            columns.seconds.push(r.seconds);
+            columns.residuals.push(Cow::Borrowed(&r.residuals));
+        }
+        columns.serialize(to)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Record>, D::Error> {
+        let Columns { outcome, id, batch, cutoff, used, seconds, residuals } = Columns::deserialize(from)?;
+        let n = outcome.len();
+        if [id.len(), batch.len(), cutoff.len(), used.len(), seconds.len(), residuals.len()] != [n; 6] {
+            return Err(D::Error::custom("the columns of the trace have different lengths"));
+        }
+        let rest = id.into_iter().zip(batch).zip(cutoff).zip(used).zip(seconds).zip(residuals);
+        let record = |(outcome, rest): (Cow<'_, Outcome>, (_, Cow<'_, [f64]>))| {
+            let (((((id, batch), cutoff), used), seconds), residuals) = rest;
+            let residuals = residuals.into_owned();
+            Record { outcome: outcome.into_owned(), id, batch, cutoff, used, seconds, residuals }
+        };
+        Ok(outcome.into_iter().zip(rest).map(record).collect())
+    }
 }
 
 /// An evaluation made ahead of need.
@@ -57,6 +108,16 @@ pub struct TraceEntry<'a> {
     pub used: bool,
     /// Wall-clock seconds of the evaluation.
     pub seconds: f64,
+    /// The residuals, where they were wanted and the trace was asked to keep them; else empty.
+    pub residuals: &'a [f64],
+}
+
+impl Record {
+    fn entry<'a>(&'a self, x: &'a [f64]) -> TraceEntry<'a> {
+        let Self { outcome, id, batch, cutoff, used, seconds, residuals } = self;
+        let (id, batch, cutoff, used, seconds) = (*id, *batch, *cutoff, *used, *seconds);
+        TraceEntry { x, outcome, id, batch, cutoff, used, seconds, residuals }
+    }
 }
 
 impl Trace {
@@ -147,16 +208,7 @@ impl Trace {
     pub fn get(&self, k: usize) -> Option<TraceEntry<'_>> {
         let r = self.records.get(k)?;
         let x = &self.points[k * self.n..(k + 1) * self.n];
-        let Record { outcome, id, batch, cutoff, used, seconds } = r;
-        Some(TraceEntry {
-            x,
-            outcome,
-            id: *id,
-            batch: *batch,
-            cutoff: *cutoff,
-            used: *used,
-            seconds: *seconds,
-        })
+        Some(r.entry(x))
     }
 
     /// The evaluations of the path in request order.
@@ -170,15 +222,10 @@ impl Trace {
         first: usize,
     ) -> impl DoubleEndedIterator<Item = TraceEntry<'_>> + ExactSizeIterator {
         let first = first.saturating_sub(self.dropped).min(self.len());
-        self.records[first..].iter().enumerate().map(move |(k, r)| TraceEntry {
-            x: &self.points[(first + k) * self.n..(first + k + 1) * self.n],
-            outcome: &r.outcome,
-            id: r.id,
-            batch: r.batch,
-            cutoff: r.cutoff,
-            used: r.used,
-            seconds: r.seconds,
-        })
+        self.records[first..]
+            .iter()
+            .enumerate()
+            .map(move |(k, r)| r.entry(&self.points[(first + k) * self.n..(first + k + 1) * self.n]))
     }
 
     /// The evaluations made ahead of need that the path never came to, in the order in which that was known. How many
@@ -192,6 +239,7 @@ impl Trace {
             cutoff: early.cutoff,
             used: false,
             seconds: early.answer.seconds,
+            residuals: &early.answer.residuals,
         })
     }
 

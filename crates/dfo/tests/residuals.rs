@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use dfo::{
-    Answers, Batch, BatchView, Checkpoint, Details, Error, Lookahead, Method, MethodOptions, Minimize,
+    Answers, Batch, BatchView, Checkpoint, Details, Error, Known, Lookahead, Method, MethodOptions, Minimize,
     Objective, Operation, Outcome, Setup, Status, Termination, Want, by_hand, minimize, minimize_batches,
     residuals,
 };
@@ -203,6 +203,24 @@ fn the_same_bits_serially_in_a_pool_in_batches_by_hand_and_resumed() {
     assert_eq!((resumed.x, resumed.n_evaluations), (serial.x, serial.n_evaluations));
     assert_eq!(seen(&file("resumed")), bits);
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn residuals_that_the_trace_has_kept_are_not_computed_again() {
+    let run = || described(minimize(residuals(decay))).problem("decay");
+    let first = run().trace_residuals().run().unwrap();
+    let kept: Vec<usize> = first.trace.iter().map(|e| e.residuals.len()).collect();
+    assert_eq!((kept.iter().filter(|m| **m == 9).count(), kept.iter().filter(|m| **m == 0).count()), (32, 4));
+    let known = |e: dfo::TraceEntry<'_>| {
+        let (cost, problem) = (e.outcome.value().unwrap(), Some("decay".to_owned()));
+        Known { x: e.x.to_vec(), cost, residuals: e.residuals.to_vec(), problem }
+    };
+    let wanted = || first.trace.iter().filter(|e| !e.residuals.is_empty()).map(known);
+    let again = |points: Vec<Known>| run().known(points).max_evaluations(20).run().unwrap();
+    // Where it starts the residuals are known; where only the cost is, they are asked for.
+    assert_eq!(again(wanted().collect()).n_cached, 1);
+    let costs = again(wanted().map(|known| Known { residuals: Vec::new(), ..known }).collect());
+    assert_eq!((costs.n_cached, costs.n_failed), (0, 0));
 }
 
 #[test]

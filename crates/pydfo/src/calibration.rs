@@ -326,17 +326,7 @@ impl PyCalibration {
         observer: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let Settings {
-            method,
-            tolerances,
-            limits,
-            workers,
-            seed,
-            known,
-            known_problem,
-            cache,
-            trace_limit,
-            checkpoint,
-            ..
+            method, tolerances, limits, workers, seed, known, cache, trace_limit, checkpoint, ..
         } = options.check(py)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
@@ -353,7 +343,6 @@ impl PyCalibration {
                 limits,
                 seed,
                 known,
-                known_problem,
                 cache,
                 trace_limit,
                 checkpoint,

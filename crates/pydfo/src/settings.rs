@@ -1,7 +1,9 @@
 //! What the user chose about a run, checked and in the words of the optimiser.
 
 use crate::methods;
-use dfo::{AnyMethod, Checkpoint, Kind, Limits, Measure, Minimize, Resume, Stop, Tolerances, Transform};
+use dfo::{
+    AnyMethod, Checkpoint, Kind, Known, Limits, Measure, Minimize, Resume, Stop, Tolerances, Transform,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -48,13 +50,18 @@ pub(crate) struct Settings {
     pub(crate) checkpoint: Option<Checkpoint>,
     pub(crate) cache: Option<usize>,
     pub(crate) trace_limit: Option<usize>,
-    pub(crate) known: Vec<(Vec<f64>, f64)>,
-    pub(crate) known_problem: Option<String>,
+    pub(crate) known: Vec<Known>,
     problem: Option<String>,
     unlimited: bool,
     transforms: Vec<Transform>,
     sizes: Vec<Option<f64>>,
     kinds: Vec<Kind>,
+}
+
+/// Points and costs as points of a problem.
+fn known(points: Vec<(Vec<f64>, f64)>, problem: Option<&String>) -> Vec<Known> {
+    let known = |(x, cost)| Known { x, cost, residuals: Vec::new(), problem: problem.cloned() };
+    points.into_iter().map(known).collect()
 }
 
 impl Options {
@@ -95,8 +102,7 @@ impl Options {
             checkpoint,
             cache: self.cache,
             trace_limit: self.trace_limit,
-            known: self.known,
-            known_problem: self.known_problem,
+            known: known(self.known, self.known_problem.as_ref()),
             problem: self.problem,
             unlimited: self.unlimited,
             transforms: words("scale", &self.scale, &scales)?,
@@ -116,7 +122,7 @@ impl Settings {
             .transforms(&self.transforms)
             .known_scales(&self.sizes)
             .kinds(&self.kinds)
-            .known(self.known, self.known_problem)
+            .known(self.known)
             .workers(self.workers.unwrap_or(1));
         if let Some(problem) = self.problem {
             run = run.problem(problem);

@@ -121,6 +121,7 @@ impl Cache {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::encoding::{decode, encode};
 
     fn get(cache: &mut Cache, x: f64, cutoff: f64) -> Option<Outcome> {
         cache.get(&[x], Query::new(0, 0, cutoff)).map(|known| known.outcome.clone())
@@ -136,8 +137,7 @@ mod tests {
         (0..3).map(f64::from).for_each(|k| insert(&mut cache, k, Outcome::Value(k)));
         let known = |c: &mut Cache, x: f64| get(c, x, f64::INFINITY);
         assert_eq!((known(&mut cache, 0.0), known(&mut cache, 2.0)), (None, Some(Outcome::Value(2.0))));
-        let bytes = postcard::to_allocvec(&cache).unwrap();
-        let mut back: Cache = postcard::from_bytes(&bytes).unwrap();
+        let mut back: Cache = decode(&encode(&cache).unwrap()).unwrap();
         insert(&mut back, 9.0, Outcome::Value(9.0));
         assert_eq!((known(&mut back, 1.0), known(&mut back, 2.0)), (None, Some(Outcome::Value(2.0))));
     }
@@ -155,7 +155,7 @@ mod tests {
         let mut pinned = Cache::new(0);
         pinned.pin(&[5.0], Outcome::Value(1.0).into());
         insert(&mut pinned, 6.0, Outcome::Value(2.0));
-        let mut back: Cache = postcard::from_bytes(&postcard::to_allocvec(&pinned).unwrap()).unwrap();
+        let mut back: Cache = decode(&encode(&pinned).unwrap()).unwrap();
         let known = (get(&mut back, 5.0, 1.0), get(&mut back, 6.0, 1.0));
         assert!(known == (Some(Outcome::Value(1.0)), None) && back.is_off());
         let mut off = Cache::new(0);

@@ -29,6 +29,8 @@ pub(crate) enum Source {
 pub(crate) struct Ledger {
     pub(crate) trace: Trace,
     trace_limit: Option<usize>,
+    /// Whether the trace keeps residuals.
+    keeps_residuals: bool,
     /// What was evaluated ahead of need.
     pub(crate) ahead: Ahead,
     pub(crate) best: Option<(Vec<f64>, f64)>,
@@ -45,10 +47,11 @@ pub(crate) struct Ledger {
 }
 
 impl Ledger {
-    pub(crate) fn new(n: usize, trace_limit: Option<usize>) -> Self {
+    pub(crate) fn new(n: usize, trace_limit: Option<usize>, keeps_residuals: bool) -> Self {
         Self {
             trace: Trace::new(n),
             trace_limit,
+            keeps_residuals,
             ahead: Ahead::default(),
             best: None,
             n_evaluations: 0,
@@ -110,6 +113,7 @@ impl Ledger {
             cutoff: batch.cutoff(k),
             used: outcome.is_known(),
             seconds: answer.seconds,
+            residuals: if self.keeps_residuals { answer.only(batch.want()).residuals } else { Vec::new() },
         };
         self.trace.push(batch.point(k), record);
     }
