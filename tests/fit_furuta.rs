@@ -6,7 +6,9 @@ mod common;
 
 use common::*;
 use fmufit::calibration::{Calibration, CalibrationError, Data, Experiment, Fit, FitOptions, Parameter};
-use fmufit::dfo::{AnyMethod, BatchPlan, Checkpoint, Error, Limits, NelderMead, Objective, Outcome, Query};
+use fmufit::dfo::{
+    AnyMethod, BatchPlan, Checkpoint, Error, Limits, NelderMead, Objective, Outcome, Query, RunOptions,
+};
 
 fn calibration(data: Data) -> Calibration {
     Calibration::builder(example("furuta"))
@@ -19,7 +21,7 @@ fn calibration(data: Data) -> Calibration {
 
 fn fit(calibration: &Calibration, workers: usize, plan: BatchPlan) -> Fit {
     let method = NelderMead::default().batch(plan).into();
-    calibration.fit(FitOptions { workers: Some(workers), method, ..FitOptions::default() }).unwrap()
+    calibration.fit(RunOptions { workers: Some(workers), method, ..FitOptions::run() }).unwrap()
 }
 
 #[test]
@@ -106,8 +108,7 @@ fn seeds_that_solve_it(name: &str) -> usize {
     let nearby = fit(&calibration, 2, BatchPlan::Auto);
     let solved = |seed: &u64| {
         let method: AnyMethod = name.parse().unwrap();
-        let found =
-            calibration.fit(FitOptions { method, seed: Some(*seed), ..FitOptions::default() }).unwrap();
+        let found = calibration.fit(RunOptions { method, seed: Some(*seed), ..FitOptions::run() }).unwrap();
         found.cost <= 1.01 * nearby.cost
     };
     (0..10).filter(solved).count()
@@ -120,7 +121,7 @@ fn every_method_fits() {
     for name in AnyMethod::NAMES {
         let limits = Limits { max_evaluations: Some(1000), ..Limits::default() };
         let options =
-            FitOptions { method: name.parse().unwrap(), seed: Some(1), limits, ..FitOptions::default() };
+            RunOptions { method: name.parse().unwrap(), seed: Some(1), limits, ..FitOptions::run() };
         let found = calibration.fit(options).unwrap();
         assert!(found.cost <= 1.02 * nearby.cost, "{found}");
         assert!((found.x[0] - 0.010).abs() < 3e-4 && (found.x[1] - 0.001).abs() < 3e-5, "{found}");
@@ -153,8 +154,8 @@ fn cutoffs_save_right_hand_sides_and_change_no_decision() {
             // One worker: how many points several workers try ahead depends on the load of the machine,
             // and each of them is a whole simulation in the count.
             let workers = Some(1);
-            let options =
-                FitOptions { method, seed: Some(3), cutoffs, limits, workers, ..FitOptions::default() };
+            let options = RunOptions { method, seed: Some(3), limits, workers, ..FitOptions::run() };
+            let options = FitOptions { cutoffs, ..FitOptions::from(options) };
             calibration.fit(options).unwrap()
         };
         let (with, without) = (run(true), run(false));
@@ -194,7 +195,7 @@ fn a_checkpoint_knows_model_data_and_settings() {
     let run = |calibration: &Calibration, evaluations| {
         let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
         let checkpoint = Some(Checkpoint::new(&path));
-        calibration.fit(FitOptions { limits, checkpoint, ..FitOptions::default() })
+        calibration.fit(RunOptions { limits, checkpoint, ..FitOptions::run() })
     };
     let calibration = calibration(furuta_measurements());
     let whole = fit(&calibration, 2, BatchPlan::Auto);

@@ -6,6 +6,7 @@ mod common;
 
 use common::*;
 use fmufit::calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter};
+use fmufit::dfo::RunOptions;
 use std::path::Path;
 
 /// What the measurements were made with, 1e-6 m2, and the standard deviations of the four of a fit.
@@ -30,7 +31,7 @@ fn calibration(data: Data, n: usize) -> Calibration {
 }
 
 fn fit(calibration: &Calibration, workers: usize) -> Fit {
-    calibration.fit(FitOptions { workers: Some(workers), ..FitOptions::default() }).unwrap()
+    calibration.fit(RunOptions { workers: Some(workers), ..FitOptions::run() }).unwrap()
 }
 
 #[test]

@@ -23,6 +23,7 @@ LAYERS = {
         sampling method
         gateway methods
         observe report checkpoint
+        run_options
         description drive
         optimizer
         minimize

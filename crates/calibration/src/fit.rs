@@ -7,8 +7,8 @@ use crate::parameter::{Parameter, Scale};
 use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
 use dfo::{
-    Answer, AnyMethod, ByRef, Checkpoint, Kind, Known, Limits, Measure, NelderMead, Objective, Outcome,
-    Progress, Query, Report, Resume, Stop, Tolerances, Transform,
+    Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RunOptions,
+    Stop, Tolerances, Transform,
 };
 use ode::Number;
 use ode::Stats;
@@ -28,32 +28,15 @@ pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
 /// How a fit is made.
 pub struct FitOptions<'a> {
-    /// The method with its options; default Nelder-Mead.
-    pub method: AnyMethod,
-    /// Simulations at once; default: all cores. The result does not depend on it.
-    pub workers: Option<usize>,
+    /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. Model, data, parameters and settings
+    /// of the calibration identify the fit's problem: a checkpoint of another one is refused, and points that are known
+    /// from another one are evaluated again.
+    pub run: RunOptions<AnyMethod>,
     /// Where to start; default: the parameters' start values.
     pub start: Option<Vec<f64>>,
-    /// Tolerances, `x_tol` in units of the parameters' sizes and `f_tol` as a fraction of the cost; both must hold.
-    /// Default 1e-4 each: a cost made of simulations is seldom smooth below that.
-    pub tolerances: Tolerances,
-    /// Limits; default: those of [`dfo::minimize`].
-    pub limits: Limits,
-    /// Seed of the random numbers, for methods that draw them; default: drawn, and reported.
-    pub seed: Option<u64>,
     /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
     /// work.
     pub cutoffs: bool,
-    /// Points with their costs from an earlier fit, see [`dfo::Minimize::known`]. Where their problem
-    /// ([`dfo::Trace::problem`] of that fit) is not that of this fit, they are evaluated again.
-    pub known: Vec<Known>,
-    /// How many evaluations to remember; default: the method's, see [`dfo::Minimize::cache`].
-    pub cache: Option<usize>,
-    /// Evaluations to keep in the trace; default all.
-    pub trace_limit: Option<usize>,
-    /// Where the state of the fit is written, and continued from. Model, data, parameters and settings of the
-    /// calibration identify the fit: a file of another one is refused.
-    pub checkpoint: Option<Checkpoint>,
     /// Told after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
@@ -62,35 +45,33 @@ pub struct FitOptions<'a> {
     pub cancel: Option<Arc<AtomicBool>>,
 }
 
+impl FitOptions<'_> {
+    /// The run of a fit by default: tolerances of 1e-4 each, `x_tol` in units of the parameters' sizes and `f_tol` as a
+    /// fraction of the cost, for a cost made of simulations is seldom smooth below that; all else as [`dfo::minimize`] has
+    /// it.
+    pub fn run() -> RunOptions<AnyMethod> {
+        let tolerances = Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All };
+        RunOptions { tolerances, ..RunOptions::default() }
+    }
+}
+
 impl Default for FitOptions<'_> {
     fn default() -> Self {
-        Self {
-            method: NelderMead::default().into(),
-            workers: None,
-            start: None,
-            tolerances: Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All },
-            limits: Limits::default(),
-            seed: None,
-            cutoffs: true,
-            known: Vec::new(),
-            cache: None,
-            trace_limit: None,
-            checkpoint: None,
-            observer: None,
-            poll: None,
-            cancel: None,
-        }
+        Self { run: Self::run(), start: None, cutoffs: true, observer: None, poll: None, cancel: None }
+    }
+}
+
+impl<'a> From<RunOptions<AnyMethod>> for FitOptions<'a> {
+    fn from(run: RunOptions<AnyMethod>) -> Self {
+        Self { run, ..Self::default() }
     }
 }
 
 impl fmt::Debug for FitOptions<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("FitOptions")
-            .field("method", &self.method)
-            .field("workers", &self.workers)
+            .field("run", &self.run)
             .field("start", &self.start)
-            .field("tolerances", &self.tolerances)
-            .field("limits", &self.limits)
             .finish_non_exhaustive()
     }
 }
@@ -194,10 +175,10 @@ impl Calibration {
     /// # Errors
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
-    pub fn fit(&self, options: FitOptions<'_>) -> Result<Fit, CalibrationError> {
-        let FitOptions { workers, start, tolerances, mut observer, poll, .. } = options;
+    pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
+        let FitOptions { run: mut described, start, cutoffs, mut observer, poll, cancel } = options.into();
         let poll = RefCell::new(poll);
-        let workers = workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
         let bound = |side: fn(&Parameter) -> f64| self.parameters().iter().map(side).collect::<Vec<_>>();
@@ -212,24 +193,27 @@ impl Calibration {
         let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
         let sizes: Vec<Option<f64>> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.known_size(p, *x)).collect();
-        let mut checkpoint = options.checkpoint;
-        if let Some(checkpoint) = &checkpoint {
+        if let Some(checkpoint) = &described.checkpoint {
             self.adopt_solver(checkpoint)?;
         }
         // The race and the model's first-use test are not part of the time that the fit is given.
         let solver = self.find_solver(poll.borrow_mut().as_deref_mut())?;
         self.prepare()?;
-        let late = options.limits.max_time.and_then(|limit| Instant::now().checked_add(limit));
+        let max_time = described.limits.max_time;
+        let late = max_time.and_then(|limit| Instant::now().checked_add(limit));
         let is_late = || late.is_some_and(|late| Instant::now() >= late);
-        let is_flagged = || options.cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
+        let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
         let cancelled = || is_late() || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
-        let (mut known, mut stats, mut n_beginnings) = (options.known, Stats::default(), 0);
+        described.problem = Some(self.problem(solver));
+        described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
+        let tolerances = described.tolerances;
+        let (mut stats, mut n_beginnings) = (Stats::default(), 0);
         let (mut report, found) = loop {
             n_beginnings += 1;
             let n_findings = self.n_history_findings();
-            let counted =
-                Counted { calibration: self, cutoffs: options.cutoffs, stats: Mutex::default(), n_findings };
+            let counted = Counted { calibration: self, cutoffs, stats: Mutex::default(), n_findings };
             let left = late.map(|late| late.saturating_duration_since(Instant::now()));
+            described.limits.max_time = left.or(max_time);
             let mut run = dfo::minimize(ByRef(&counted))
                 .start(&start)
                 .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
@@ -237,31 +221,14 @@ impl Calibration {
                 .transforms(&transforms)
                 .kinds(&kinds)
                 .known_scales(&sizes)
-                .tolerances(tolerances)
-                .limits(Limits { max_time: left.or(options.limits.max_time), ..options.limits })
-                .problem(self.problem(solver))
-                .known(known.iter().cloned())
-                .workers(workers)
-                .method(options.method.clone());
-            if let Some(seed) = options.seed {
-                run = run.seed(seed);
-            }
-            if let Some(evaluations) = options.cache {
-                run = run.cache(evaluations);
-            }
-            if let Some(evaluations) = options.trace_limit {
-                run = run.trace_limit(evaluations);
-            }
-            if let Some(checkpoint) = checkpoint.clone() {
-                run = run.checkpoint(self.tag(checkpoint, solver));
-            }
+                .options(described.clone());
             if let Some(observer) = &mut observer {
                 run = run.observer(|progress| observer(progress));
             }
             if poll.borrow().is_some() {
                 run = run.poll(|| poll.borrow_mut().as_mut().is_some_and(|poll| poll()));
             }
-            if let Some(flag) = &options.cancel {
+            if let Some(flag) = &cancel {
                 run = run.cancel(Arc::clone(flag));
             }
             let began = Instant::now();
@@ -283,8 +250,8 @@ impl Calibration {
             }
             log::warn!("{}: {HISTORY}: it begins anew", self.fmu().description().model_name);
             // What was stored, here or by an earlier fit, may depend on what ran before.
-            checkpoint = checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
-            known.iter_mut().for_each(|known| known.problem = None);
+            described.checkpoint = described.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
+            described.known.iter_mut().for_each(|known| known.problem = None);
         };
         report.message += &self.remarks(&found);
         if n_beginnings > 1 {

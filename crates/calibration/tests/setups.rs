@@ -5,7 +5,7 @@
 use calibration::{
     BoundSide, Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter, SetupWarning,
 };
-use dfo::{DifferentialEvolution, Limits};
+use dfo::{DifferentialEvolution, Limits, RunOptions};
 use fmi::{Fmu, example_fmu};
 
 fn times(n: u32) -> Vec<f64> {
@@ -79,9 +79,9 @@ fn a_parameter_at_its_bound_is_named() {
 #[test]
 fn a_parameter_without_effect_is_named_whatever_the_budget() {
     let calibration = tank(30.0, &["u1", "u2"]);
-    let options = |evaluations| FitOptions {
+    let options = |evaluations| RunOptions {
         limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
-        ..FitOptions::default()
+        ..FitOptions::run()
     };
     let fit = calibration.fit(options(500)).unwrap();
     assert_eq!(fit.without_effect, [1], "{}", fit.report.message);
@@ -91,7 +91,7 @@ fn a_parameter_without_effect_is_named_whatever_the_budget() {
     let fit = calibration.fit(options(10)).unwrap();
     assert_eq!((fit.report.n_evaluations, fit.n_checks, &fit.without_effect[..]), (10, 0, &[1][..]));
     let fit = calibration
-        .fit(FitOptions { method: DifferentialEvolution::default().into(), seed: Some(1), ..options(60) })
+        .fit(RunOptions { method: DifferentialEvolution::default().into(), seed: Some(1), ..options(60) })
         .unwrap();
     // Generations show nothing of single parameters: one simulation for each comes after the search.
     assert_eq!((fit.report.n_evaluations, fit.n_checks, &fit.without_effect[..]), (60, 2, &[1][..]));

@@ -5,7 +5,7 @@
 use calibration::{
     Calibration, CalibrationError, Data, Experiment, FitOptions, Parameter, SimulationSettings,
 };
-use dfo::{Checkpoint, Limits, Resume};
+use dfo::{Checkpoint, Limits, Resume, RunOptions};
 use fmi::{Fmu, Inputs, SimulateOptions, example_fmu};
 use ode::{Method, Verdict};
 
@@ -51,7 +51,8 @@ fn calibration(method: Method) -> Calibration {
 }
 
 fn few(n: usize) -> FitOptions<'static> {
-    FitOptions { limits: Limits { max_evaluations: Some(n), ..Limits::default() }, ..FitOptions::default() }
+    let limits = Limits { max_evaluations: Some(n), ..Limits::default() };
+    RunOptions { limits, ..FitOptions::run() }.into()
 }
 
 #[test]
@@ -124,7 +125,11 @@ fn a_model_that_is_not_stiff_keeps_auto() {
 fn a_resumed_fit_takes_the_solver_from_its_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("fit");
-    let with = |resume, n| FitOptions { checkpoint: Some(Checkpoint::new(&file).resume(resume)), ..few(n) };
+    let with = |resume, n| {
+        let mut options = few(n);
+        options.run.checkpoint = Some(Checkpoint::new(&file).resume(resume));
+        options
+    };
     let first = calibration(Method::Auto);
     let begun = first.fit(with(Resume::Auto, 5)).unwrap();
     assert!(begun.solver.race.is_some());

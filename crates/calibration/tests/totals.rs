@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
-use dfo::Limits;
+use dfo::{Limits, RunOptions};
 use fmi::{Fmu, example_fmu};
 use ode::{Method, Stats};
 
@@ -20,12 +20,9 @@ fn calibration() -> Calibration {
 }
 
 fn options(evaluations: usize, workers: usize, cutoffs: bool) -> FitOptions<'static> {
-    FitOptions {
-        limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
-        workers: Some(workers),
-        cutoffs,
-        ..FitOptions::default()
-    }
+    let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
+    let run = RunOptions { limits, workers: Some(workers), ..FitOptions::run() };
+    FitOptions { cutoffs, ..run.into() }
 }
 
 #[test]

@@ -30,7 +30,8 @@ const FORMAT: u8 = 5;
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// What to do with a checkpoint that is there already.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Resume {
     /// Continue if there is one, else start.
     #[default]
@@ -42,7 +43,7 @@ pub enum Resume {
 }
 
 /// Where and how often a run writes its state.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Checkpoint {
     /// The file.

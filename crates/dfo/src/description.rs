@@ -1,7 +1,7 @@
 //! A run before it begins: what was said about it, and how that becomes a method, a desk and a checkpoint.
 
 use crate::answer::{Answer, Outcome};
-use crate::checkpoint::{self, Checkpoint, Writer};
+use crate::checkpoint::{self, Writer};
 use crate::choices::{Kind, Transform};
 use crate::error::Error;
 use crate::gateway::cache::Cache;
@@ -9,45 +9,20 @@ use crate::gateway::desk::Desk;
 use crate::gateway::ledger::Ledger;
 use crate::method::{Method, MethodOptions, Setup};
 use crate::methods::NelderMead;
+use crate::run_options::{Known, RunOptions};
 use crate::space::Bounds;
 use crate::space::Space;
-use crate::tolerances::{Limits, Tolerances};
-use serde::{Deserialize, Serialize};
-
-/// A point with its cost, and the problem that they belong to.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Known {
-    /// The point, in the user's units.
-    pub x: Vec<f64>,
-    /// Its cost.
-    pub cost: f64,
-    /// Its residuals; empty where they are not known.
-    pub residuals: Vec<f64>,
-    /// What the cost belongs to; of another problem, or of none in particular, it only says where to start.
-    pub problem: Option<String>,
-}
+use crate::tolerances::Limits;
 
 /// Everything that can be said about a run but who evaluates.
 #[derive(Debug, Default)]
 pub(crate) struct Description<M = NelderMead> {
-    pub(crate) method: M,
+    pub(crate) options: RunOptions<M>,
     pub(crate) x0: Option<Vec<f64>>,
     pub(crate) bounds: Option<Bounds>,
     pub(crate) transforms: Vec<Transform>,
     pub(crate) sizes: Vec<Option<f64>>,
-    pub(crate) tolerances: Tolerances,
-    pub(crate) limits: Limits,
-    pub(crate) seed: Option<u64>,
     pub(crate) kinds: Vec<Kind>,
-    pub(crate) prior: Vec<Known>,
-    pub(crate) problem: Option<String>,
-    /// No limit is what the user said: the method's defaults do not step in.
-    pub(crate) unlimited: bool,
-    pub(crate) cache: Option<usize>,
-    pub(crate) trace_limit: Option<usize>,
-    pub(crate) trace_residuals: bool,
-    pub(crate) checkpoint: Option<Checkpoint>,
-    pub(crate) workers: Option<usize>,
 }
 
 /// A run that can be driven.
@@ -67,56 +42,35 @@ pub(crate) struct Begun<T> {
 impl<M> Description<M> {
     /// The same run with another method.
     pub(crate) fn with_method<N>(self, method: N) -> Description<N> {
-        let Self { x0, bounds, transforms, sizes, tolerances, limits, seed, kinds, prior, .. } = self;
-        let Self { problem, unlimited, cache, trace_limit, trace_residuals, checkpoint, workers, .. } = self;
-        Description {
-            method,
-            x0,
-            bounds,
-            transforms,
-            sizes,
-            tolerances,
-            limits,
-            seed,
-            kinds,
-            prior,
-            problem,
-            unlimited,
-            cache,
-            trace_limit,
-            trace_residuals,
-            checkpoint,
-            workers,
-        }
+        let Self { options, x0, bounds, transforms, sizes, kinds } = self;
+        Description { options: options.with_method(method), x0, bounds, transforms, sizes, kinds }
     }
 }
 
 impl<M: MethodOptions> Description<M> {
     /// Checks everything, and starts or continues.
-    pub(crate) fn begin(mut self) -> Result<Begun<M::Method>, Error> {
-        let start_given = self.x0.is_some();
-        let x0 = match (self.x0, &self.bounds) {
+    pub(crate) fn begin(self) -> Result<Begun<M::Method>, Error> {
+        let Self { options, x0, bounds, transforms, sizes, kinds } = self;
+        let (method, mut limits) = (&options.method, options.limits);
+        let start_given = x0.is_some();
+        let x0 = match (x0, &bounds) {
             (Some(x0), _) => x0,
-            (None, Some(bounds)) if !self.method.needs_start() => {
-                middle(bounds, &self.transforms, &self.kinds).ok_or(Error::NoStart)?
+            (None, Some(bounds)) if !method.needs_start() => {
+                middle(bounds, &transforms, &kinds).ok_or(Error::NoStart)?
             }
             (None, _) => return Err(Error::NoStart),
         };
-        let bounds = self.bounds.unwrap_or_else(|| Bounds::unbounded(x0.len()));
-        let mut space = Space::new(&x0, bounds, &self.transforms, &self.sizes)?;
-        if !self.kinds.is_empty() {
-            space = space.with_kinds(&self.kinds)?;
+        let bounds = bounds.unwrap_or_else(|| Bounds::unbounded(x0.len()));
+        let mut space = Space::new(&x0, bounds, &transforms, &sizes)?;
+        if !kinds.is_empty() {
+            space = space.with_kinds(&kinds)?;
         }
-        self.limits.check()?;
-        let workers = self.workers.unwrap_or(1);
-        if workers == 0 {
-            return Err(Error::Option { name: "workers", value: 0.0, range: "at least 1" });
+        options.check()?;
+        if !options.unlimited {
+            limits.fill(method.default_limits(space.n_free()));
         }
-        if !self.unlimited {
-            self.limits.fill(self.method.default_limits(space.n_free()));
-        }
-        let prior = usable(self.prior, &space);
-        let is_inside = |x: &[f64]| !self.method.starts_inside() || space.is_inside(x);
+        let prior = usable(&options.known, &space);
+        let is_inside = |x: &[f64]| !method.starts_inside() || space.is_inside(x);
         let best = prior.iter().find(|known| is_inside(&known.x)).map(|known| known.x.clone());
         let start_given = start_given || best.is_some();
         if let Some(best) = best {
@@ -124,61 +78,63 @@ impl<M: MethodOptions> Description<M> {
         }
         let n = space.n();
         let discrete = (0..space.n_free()).any(|k| space.kind(k) != Kind::Continuous);
-        let default = self.method.default_cache().max(if discrete { 10_000 } else { 0 });
-        let capacity = self.cache.unwrap_or(default);
+        let default = method.default_cache().max(if discrete { 10_000 } else { 0 });
+        let capacity = options.cache.unwrap_or(default);
         let setup = Setup {
-            tolerances: self.tolerances,
-            seed: self.seed,
-            max_evaluations: self.limits.max_evaluations,
+            tolerances: options.tolerances,
+            seed: options.seed,
+            max_evaluations: limits.max_evaluations,
             start_given,
             prior: prior.iter().map(|known| known.x.clone()).collect(),
             ..Setup::new(space)
         };
         let mut cache = Cache::new(capacity);
         // A cost of no problem in particular is a cost of none.
-        let belongs = |known: &&Known| self.problem.is_some() && known.problem == self.problem;
-        for Known { x, cost, residuals, .. } in prior.iter().filter(belongs) {
+        let belongs = |known: &&Known| options.problem.is_some() && known.problem == options.problem;
+        for Known { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
             cache.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
         }
         let mut begun = Begun {
-            method: self.method.begin(&setup)?,
-            desk: Desk::new(Ledger::new(n, self.trace_limit, self.trace_residuals), cache),
-            limits: self.limits,
-            workers,
+            method: method.begin(&setup)?,
+            desk: Desk::new(Ledger::new(n, options.trace_limit, options.trace_residuals), cache),
+            limits,
+            workers: options.workers.unwrap_or(1),
             writer: None,
             observed: None,
             first_recent: 0,
             before: 0.0,
         };
-        begun.desk.ledger.trace.set_problem(self.problem.clone());
-        let Some(options) = self.checkpoint else { return Ok(begun) };
-        let words = (begun.method.name(), self.method.describe(), self.method.plans_with_budget());
+        begun.desk.ledger.trace.set_problem(options.problem.clone());
+        let Some(place) = options.checkpoint else { return Ok(begun) };
+        let words = (begun.method.name(), method.describe(), method.plans_with_budget());
         let fingerprint = checkpoint::fingerprint(
             words,
             &setup,
-            (capacity, self.trace_limit, begun.desk.cache.n_pinned()),
-            (self.problem.as_deref(), &options.tags),
+            (capacity, options.trace_limit, begun.desk.cache.n_pinned()),
+            (options.problem.as_deref(), &place.tags),
         );
-        if let Some(stored) = checkpoint::read(&options, &fingerprint, setup.seed, n)? {
-            begun.method = self.method.restore(&setup, &stored.method)?;
+        if let Some(stored) = checkpoint::read(&place, &fingerprint, setup.seed, n)? {
+            begun.method = method.restore(&setup, &stored.method)?;
             begun.desk = Desk::new(stored.ledger, stored.cache);
             begun.desk.ledger.ahead.forget_aborts();
             (begun.desk.replay, begun.desk.stale) = (stored.replay, stored.stale);
             (begun.observed, begun.first_recent) = (stored.observed, stored.first_recent);
             begun.before = stored.seconds;
         }
-        begun.writer = Some(Writer::new(options, fingerprint)?);
+        begun.writer = Some(Writer::new(place, fingerprint)?);
         Ok(begun)
     }
 }
 
 /// The points of earlier runs that lie in this space, each once, the best first of its problem.
-fn usable(mut prior: Vec<Known>, space: &Space) -> Vec<Known> {
+fn usable<'a>(known: &'a [Known], space: &Space) -> Vec<&'a Known> {
     let discrete: Vec<usize> =
         (0..space.n_free()).filter(|&k| space.kind(k) != Kind::Continuous).map(|k| space.free()[k]).collect();
-    prior.retain(|known| {
+    let is_inside = |known: &&Known| {
         space.bounds().contains(&known.x) && discrete.iter().all(|&i| known.x[i] == known.x[i].round())
-    });
+    };
+    let mut prior: Vec<&Known> =
+        known.iter().filter(|known| known.cost.is_finite()).filter(is_inside).collect();
     prior.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     prior.dedup_by(|a, b| a.x == b.x && a.problem == b.problem);
     prior

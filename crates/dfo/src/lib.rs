@@ -56,6 +56,7 @@ mod observe;
 mod optimizer;
 mod report;
 mod rng;
+mod run_options;
 mod sampling;
 mod space;
 mod termination;
@@ -66,7 +67,6 @@ mod words;
 pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use checkpoint::{Checkpoint, Resume};
 pub use choices::{BoundsHandling, Kind, Measure, Stop, Transform};
-pub use description::Known;
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
 pub use method::{
@@ -86,6 +86,7 @@ pub use objective::{
 pub use observe::Progress;
 pub use optimizer::{Optimizer, Point};
 pub use report::Report;
+pub use run_options::{Known, RunOptions};
 pub use sampling::Sampling;
 pub use space::{Bounds, Space};
 pub use termination::Termination;

@@ -4,7 +4,7 @@ use crate::answer::Outcome;
 use crate::checkpoint::Checkpoint;
 use crate::choices::{Kind, Transform};
 use crate::choices::{Measure, Stop};
-use crate::description::{Begun, Description, Known};
+use crate::description::{Begun, Description};
 use crate::drive::{Drive, Observer};
 use crate::error::Error;
 use crate::evaluator::{BatchFunction, BatchView, WorkerPool};
@@ -15,6 +15,7 @@ use crate::objective::Objective;
 use crate::observe::Progress;
 use crate::optimizer::Optimizer;
 use crate::report::Report;
+use crate::run_options::{Known, RunOptions};
 use crate::space::Bounds;
 use crate::tolerances::{Limits, Tolerances};
 use crate::trace::{Trace, TraceEntry};
@@ -152,11 +153,18 @@ impl<'a, M, D> Minimize<'a, M, D> {
         Minimize { description: description.with_method(method), driver, life }
     }
 
+    /// All options at once, the method with them.
+    pub fn options<N: MethodOptions>(self, options: RunOptions<N>) -> Minimize<'a, N, D> {
+        let Self { description, driver, life } = self;
+        let Description { x0, bounds, transforms, sizes, kinds, .. } = description;
+        Minimize { description: Description { options, x0, bounds, transforms, sizes, kinds }, driver, life }
+    }
+
     /// Evaluations that may run at once, on threads of our own with 16 MiB of stack; 1 (the default): on the calling
     /// thread. The result does not depend on it. Evaluations that are too short to be worth handing over stay on the
     /// calling thread; so does the first one, which shows that, unless there is a [`poll`](Self::poll) function.
     pub fn workers(mut self, workers: usize) -> Self {
-        self.description.workers = Some(workers);
+        self.description.options.workers = Some(workers);
         self
     }
 
@@ -166,68 +174,68 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// ([`MethodOptions::default_limits`]), for Nelder-Mead `1000 (n + 1)` iterations or `5000 (n + 1)` evaluations, `n`
     /// being the number of free parameters. Setting one lifts these defaults.
     pub fn max_evaluations(mut self, n: usize) -> Self {
-        self.description.limits.max_evaluations = Some(n);
+        self.description.options.limits.max_evaluations = Some(n);
         self
     }
 
     /// Limit of iterations; 0 evaluates only the starting points.
     pub fn max_iterations(mut self, n: usize) -> Self {
-        self.description.limits.max_iterations = Some(n);
+        self.description.options.limits.max_iterations = Some(n);
         self
     }
 
     /// Limit of wall-clock time: no evaluation starts after it, and running ones see
     /// [`Query::cancelled`](crate::Query::cancelled).
     pub fn max_time(mut self, time: Duration) -> Self {
-        self.description.limits.max_time = Some(time);
+        self.description.options.limits.max_time = Some(time);
         self
     }
 
     /// Ends the run after the first batch of the path with a point whose cost is at or below this.
     pub fn target(mut self, cost: f64) -> Self {
-        self.description.limits.target = Some(cost);
+        self.description.options.limits.target = Some(cost);
         self
     }
 
     /// Where no limit is set, none holds: not even the method's defaults.
     pub fn unlimited(mut self) -> Self {
-        self.description.unlimited = true;
+        self.description.options.unlimited = true;
         self
     }
 
     /// All limits at once.
     pub fn limits(mut self, limits: Limits) -> Self {
-        self.description.limits = limits;
+        self.description.options.limits = limits;
         self
     }
 
     /// All tolerances at once.
     pub fn tolerances(mut self, tolerances: Tolerances) -> Self {
-        self.description.tolerances = tolerances;
+        self.description.options.tolerances = tolerances;
         self
     }
 
     /// Tolerance of the x test, see [`Tolerances`]; default 1e-6.
     pub fn x_tol(mut self, tolerance: f64) -> Self {
-        self.description.tolerances.x_tol = tolerance;
+        self.description.options.tolerances.x_tol = tolerance;
         self
     }
 
     /// Tolerance of the f test, see [`Tolerances`]; default 1e-6.
     pub fn f_tol(mut self, tolerance: f64) -> Self {
-        self.description.tolerances.f_tol = tolerance;
+        self.description.options.tolerances.f_tol = tolerance;
         self
     }
 
     /// Whether tolerances are relative (default) or absolute.
     pub fn measure(mut self, measure: Measure) -> Self {
-        self.description.tolerances.measure = measure;
+        self.description.options.tolerances.measure = measure;
         self
     }
 
     /// Whether both tests must pass (default) or either.
     pub fn stop(mut self, stop: Stop) -> Self {
-        self.description.tolerances.stop = stop;
+        self.description.options.tolerances.stop = stop;
         self
     }
 
@@ -247,7 +255,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
 
     /// Seed of the random numbers, for methods that draw them. Default: drawn, and reported.
     pub fn seed(mut self, seed: u64) -> Self {
-        self.description.seed = Some(seed);
+        self.description.options.seed = Some(seed);
         self
     }
 
@@ -255,7 +263,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// the point (model, data, settings), neither bounds nor start. Costs that are known from elsewhere are only used
     /// where they belong to the same problem; a checkpoint of another one is refused.
     pub fn problem(mut self, identity: impl Into<String>) -> Self {
-        self.description.problem = Some(identity.into());
+        self.description.options.problem = Some(identity.into());
         self
     }
 
@@ -276,32 +284,32 @@ impl<'a, M, D> Minimize<'a, M, D> {
 
     /// The same with points that were kept otherwise; those whose costs are not finite are left out.
     pub fn known(mut self, points: impl IntoIterator<Item = Known>) -> Self {
-        self.description.prior.extend(points.into_iter().filter(|known| known.cost.is_finite()));
+        self.description.options.known.extend(points);
         self
     }
 
     /// How many evaluations to remember, so that exact repeats cost nothing; 0 for none. Default: the method's
     /// ([`MethodOptions::default_cache`]), with discrete parameters at least 10 000.
     pub fn cache(mut self, evaluations: usize) -> Self {
-        self.description.cache = Some(evaluations);
+        self.description.options.cache = Some(evaluations);
         self
     }
 
     /// Keeps only the last so many evaluations in the trace (while the run goes on, up to twice as many).
     pub fn trace_limit(mut self, evaluations: usize) -> Self {
-        self.description.trace_limit = Some(evaluations);
+        self.description.options.trace_limit = Some(evaluations);
         self
     }
 
     /// Keeps the residuals of the points for which the method wanted them in the trace, too.
     pub fn trace_residuals(mut self) -> Self {
-        self.description.trace_residuals = true;
+        self.description.options.trace_residuals = true;
         self
     }
 
     /// Writes the state of the run to a file, and continues from it if it is there.
     pub fn checkpoint(mut self, checkpoint: Checkpoint) -> Self {
-        self.description.checkpoint = Some(checkpoint);
+        self.description.options.checkpoint = Some(checkpoint);
         self
     }
 
@@ -358,7 +366,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
     pub fn run(mut self) -> Result<Report, Error> {
         let Driven { mut source, pool, cancel, observer, poll } = self.driver;
         if let Some(pool) = &pool {
-            self.description.workers = Some(pool.workers());
+            self.description.options.workers = Some(pool.workers());
         }
         let Begun { method, desk, limits, workers, writer, observed, first_recent, before, .. } =
             self.description.begin()?;

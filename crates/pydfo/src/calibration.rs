@@ -325,9 +325,7 @@ impl PyCalibration {
         start: Option<Vec<f64>>,
         observer: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let Settings {
-            method, tolerances, limits, workers, seed, known, cache, trace_limit, checkpoint, ..
-        } = options.check(py)?;
+        let Settings { run, .. } = options.check(py)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
@@ -336,16 +334,8 @@ impl PyCalibration {
         let (seen, hearing) = (Arc::clone(&last_seen), listener.clone());
         let outcome = watch.run(move |desk| {
             inner.fit(FitOptions {
-                method,
-                workers,
+                run,
                 start,
-                tolerances,
-                limits,
-                seed,
-                known,
-                cache,
-                trace_limit,
-                checkpoint,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
                     seen.pass_on(progress, desk, hearing.as_ref())
                 })),

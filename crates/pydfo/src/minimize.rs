@@ -72,7 +72,7 @@ pub(crate) fn minimize<'py>(
     cutoffs: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let settings = options.check(py)?;
-    let alone = settings.workers.is_none_or(|workers| workers == 1);
+    let alone = settings.run.workers.is_none_or(|workers| workers == 1);
     let problem = Problem::new(x0, lower, upper, settings);
     let watch = Watch::new(py)?;
     let stop = Arc::clone(watch.stop());

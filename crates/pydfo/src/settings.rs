@@ -2,7 +2,8 @@
 
 use crate::methods;
 use dfo::{
-    AnyMethod, Checkpoint, Kind, Known, Limits, Measure, Minimize, Resume, Stop, Tolerances, Transform,
+    AnyMethod, Checkpoint, Kind, Known, Limits, Measure, Minimize, Resume, RunOptions, Stop, Tolerances,
+    Transform,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -42,17 +43,7 @@ pub(crate) struct Options {
 /// The same for the optimiser.
 #[derive(Debug, Clone)]
 pub(crate) struct Settings {
-    pub(crate) method: AnyMethod,
-    pub(crate) tolerances: Tolerances,
-    pub(crate) limits: Limits,
-    pub(crate) workers: Option<usize>,
-    pub(crate) seed: Option<u64>,
-    pub(crate) checkpoint: Option<Checkpoint>,
-    pub(crate) cache: Option<usize>,
-    pub(crate) trace_limit: Option<usize>,
-    pub(crate) known: Vec<Known>,
-    problem: Option<String>,
-    unlimited: bool,
+    pub(crate) run: RunOptions<AnyMethod>,
     transforms: Vec<Transform>,
     sizes: Vec<Option<f64>>,
     kinds: Vec<Kind>,
@@ -93,18 +84,22 @@ impl Options {
             max_time,
             target: self.target,
         };
-        Ok(Settings {
+        let run = RunOptions {
             method: methods::method(&self.method, self.method_options.bind(py))?,
             tolerances,
             limits,
+            unlimited: self.unlimited,
             workers: self.workers,
             seed: self.seed,
-            checkpoint,
             cache: self.cache,
             trace_limit: self.trace_limit,
+            trace_residuals: false,
+            checkpoint,
             known: known(self.known, self.known_problem.as_ref()),
             problem: self.problem,
-            unlimited: self.unlimited,
+        };
+        Ok(Settings {
+            run,
             transforms: words("scale", &self.scale, &scales)?,
             sizes: self.nominal,
             kinds: words("kinds", &self.kinds, &KINDS)?,
@@ -115,34 +110,8 @@ impl Options {
 impl Settings {
     /// A minimisation with all of it.
     pub(crate) fn apply<M, D>(self, run: Minimize<'_, M, D>) -> Minimize<'_, AnyMethod, D> {
-        let mut run = run
-            .method(self.method)
-            .tolerances(self.tolerances)
-            .limits(self.limits)
-            .transforms(&self.transforms)
-            .known_scales(&self.sizes)
-            .kinds(&self.kinds)
-            .known(self.known)
-            .workers(self.workers.unwrap_or(1));
-        if let Some(problem) = self.problem {
-            run = run.problem(problem);
-        }
-        if self.unlimited {
-            run = run.unlimited();
-        }
-        if let Some(seed) = self.seed {
-            run = run.seed(seed);
-        }
-        if let Some(evaluations) = self.cache {
-            run = run.cache(evaluations);
-        }
-        if let Some(evaluations) = self.trace_limit {
-            run = run.trace_limit(evaluations);
-        }
-        match self.checkpoint {
-            Some(checkpoint) => run.checkpoint(checkpoint),
-            None => run,
-        }
+        let Self { run: options, transforms, sizes, kinds } = self;
+        run.options(options).transforms(&transforms).known_scales(&sizes).kinds(&kinds)
     }
 }
 

@@ -2,7 +2,7 @@
 #![allow(dead_code, clippy::unwrap_used)]
 
 use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, SimulationSettings};
-use dfo::{DifferentialEvolution, Limits};
+use dfo::{DifferentialEvolution, Limits, RunOptions};
 use fmi::Fmu;
 use std::path::Path;
 use std::process::Command;
@@ -42,12 +42,12 @@ pub(crate) fn calibration(fmu: Fmu, sharing: fmi::Sharing) -> Calibration {
 }
 
 pub(crate) fn fit(calibration: &Calibration, workers: usize, evaluations: usize) -> Fit {
-    let options = FitOptions {
+    let options = RunOptions {
         method: DifferentialEvolution::default().into(),
         limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
         workers: Some(workers),
         seed: Some(5),
-        ..FitOptions::default()
+        ..FitOptions::run()
     };
     calibration.fit(options).unwrap()
 }

@@ -16,6 +16,7 @@ pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, Nelde
 use crate::answer::Answers;
 use crate::error::Error;
 use crate::method::{Batch, Details, Method, MethodOptions, Setup, Status};
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
@@ -36,7 +37,8 @@ use std::str::FromStr;
 /// }
 /// # Ok::<(), dfo::Error>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum AnyMethod {
     /// `nelder-mead`, number 1.
@@ -66,6 +68,13 @@ impl AnyMethod {
             4 => Ok(Self::Genetic(Genetic::default())),
             _ => Err(Error::UnknownMethod { name: number.to_string() }),
         }
+    }
+}
+
+impl Default for AnyMethod {
+    /// Nelder-Mead.
+    fn default() -> Self {
+        Self::NelderMead(NelderMead::default())
     }
 }
 

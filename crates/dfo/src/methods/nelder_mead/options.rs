@@ -136,7 +136,7 @@ impl Coefficients {
 }
 
 /// The starting simplex. Its first vertex is always the start point, unless all vertices are given.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum InitialSimplex {
@@ -164,7 +164,7 @@ pub enum InitialSimplex {
 /// let method = NelderMead::default().batch(BatchPlan::Four).initial_steps(&[0.1, 0.02]);
 /// # assert_eq!(method.batch, BatchPlan::Four);
 /// ```
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct NelderMead {
     /// How many points are evaluated at once; default [`BatchPlan::Auto`].

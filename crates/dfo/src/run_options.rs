@@ -1,0 +1,83 @@
+//! What may be chosen about a run, whoever chooses it: one record for Rust, Python, fits and files.
+
+use crate::checkpoint::Checkpoint;
+use crate::error::Error;
+use crate::methods::NelderMead;
+use crate::tolerances::{Limits, Tolerances};
+use serde::{Deserialize, Serialize};
+
+/// A point with its cost, and the problem that they belong to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Known {
+    /// The point, in the user's units.
+    pub x: Vec<f64>,
+    /// Its cost.
+    pub cost: f64,
+    /// Its residuals; empty where they are not known.
+    pub residuals: Vec<f64>,
+    /// What the cost belongs to; of another problem, or of none in particular, it only says where to start.
+    pub problem: Option<String>,
+}
+
+/// All that may be chosen about a run but its objective and the parameters that it searches. No limit is `None`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RunOptions<M = NelderMead> {
+    /// The method with its options; default Nelder-Mead.
+    pub method: M,
+    /// When the tests pass that end a run.
+    pub tolerances: Tolerances,
+    /// What else ends it. Without a limit of evaluations, iterations or time the method's own hold.
+    pub limits: Limits,
+    /// Where no limit is set, none holds: not even the method's own.
+    pub unlimited: bool,
+    /// Evaluations that may run at once. The result does not depend on it.
+    pub workers: Option<usize>,
+    /// Seed of the random numbers, for methods that draw them; default: drawn, and reported.
+    pub seed: Option<u64>,
+    /// How many evaluations to remember, so that exact repeats cost nothing; default: the method's.
+    pub cache: Option<usize>,
+    /// Keeps only the last so many evaluations in the trace; default all.
+    pub trace_limit: Option<usize>,
+    /// Keeps residuals in the trace, where the method wanted them.
+    pub trace_residuals: bool,
+    /// Where the state of the run is written, and continued from.
+    pub checkpoint: Option<Checkpoint>,
+    /// What the objective computes, in a word or a hash that the caller vouches for: everything that a cost depends on but
+    /// the point (model, data, settings), neither bounds nor start. Costs that are known from elsewhere are only used
+    /// where they belong to the same problem; a checkpoint of another one is refused.
+    pub problem: Option<String>,
+    /// Points that are known from earlier runs.
+    pub known: Vec<Known>,
+}
+
+impl<M> RunOptions<M> {
+    /// The same for another method.
+    pub fn with_method<N>(self, method: N) -> RunOptions<N> {
+        let Self { tolerances, limits, unlimited, workers, seed, cache, .. } = self;
+        let Self { trace_limit, trace_residuals, checkpoint, problem, known, .. } = self;
+        RunOptions {
+            method,
+            tolerances,
+            limits,
+            unlimited,
+            workers,
+            seed,
+            cache,
+            trace_limit,
+            trace_residuals,
+            checkpoint,
+            problem,
+            known,
+        }
+    }
+
+    /// Checks what does not depend on the problem.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        self.limits.check()?;
+        match self.workers {
+            Some(0) => Err(Error::Option { name: "workers", value: 0.0, range: "at least 1" }),
+            _ => Ok(()),
+        }
+    }
+}
