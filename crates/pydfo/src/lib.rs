@@ -37,7 +37,7 @@ mod core_module {
     #[pymodule_export]
     use super::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
     #[pymodule_export]
-    use super::methods::option_names;
+    use super::methods::{auto_method, method_names, option_names};
     #[pymodule_export]
     use super::minimize::minimize;
     #[pymodule_export]

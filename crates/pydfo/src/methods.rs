@@ -1,8 +1,9 @@
 //! The options of a method from a Python dict: every entry checked for its type, unknown ones refused with those known.
 
+use crate::settings;
 use dfo::{
-    AnyMethod, BatchPlan, BoundsHandling, Coefficients, Crossover, InitialSimplex, Repair, Sampling, Scheme,
-    Selection, Strategy, Weight,
+    AnyMethod, BatchPlan, BoundsHandling, Coefficients, Crossover, InitialSimplex, Kind, MethodOptions,
+    Repair, Sampling, Scheme, Selection, Strategy, Weight,
 };
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -186,6 +187,20 @@ pub(crate) fn method(name: &str, entries: &Bound<'_, PyDict>) -> PyResult<AnyMet
     let (method, given) = read(name, entries)?;
     given.finish()?;
     Ok(method)
+}
+
+/// The names of the methods, and whether each needs a start point.
+#[pyfunction]
+pub(crate) fn method_names() -> Vec<(&'static str, bool)> {
+    let needs_start = |name: &str| name.parse::<AnyMethod>().is_ok_and(|method| method.needs_start());
+    AnyMethod::NAMES.map(|name| (name, needs_start(name))).to_vec()
+}
+
+/// The name of the method for those who choose none, for parameters of these kinds.
+#[pyfunction]
+pub(crate) fn auto_method(kinds: Vec<String>) -> PyResult<&'static str> {
+    let kinds: Vec<Kind> = kinds.iter().map(|kind| settings::kind("kinds", kind)).collect::<PyResult<_>>()?;
+    Ok(AnyMethod::auto(&kinds).name())
 }
 
 /// The names of the options that there are, of any method.

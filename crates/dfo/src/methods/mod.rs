@@ -14,6 +14,7 @@ pub use genetic::{Genetic, GeneticState, Selection};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
 
 use crate::answer::Answers;
+use crate::choices::Kind;
 use crate::error::Error;
 use crate::method::{Batch, Details, Method, MethodOptions, Setup, Status};
 use serde::{Deserialize, Serialize};
@@ -54,6 +55,28 @@ pub enum AnyMethod {
 impl AnyMethod {
     /// All names.
     pub const NAMES: [&'static str; 5] = ["nelder-mead", "barrier", "de", "de-classic", "ga"];
+
+    /// The method for those who choose none: Nelder-Mead; differential evolution with integer parameters, the genetic
+    /// algorithm with categorical ones.
+    pub fn auto(kinds: &[Kind]) -> Self {
+        if kinds.contains(&Kind::Categorical) {
+            Self::Genetic(Genetic::default())
+        } else if kinds.contains(&Kind::Integer) {
+            Self::DifferentialEvolution(DifferentialEvolution::default())
+        } else {
+            Self::default()
+        }
+    }
+
+    /// The name that it is chosen by.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::NelderMead(_) => "nelder-mead",
+            Self::Barrier(_) => "barrier",
+            Self::DifferentialEvolution(options) => options.name(),
+            Self::Genetic(_) => "ga",
+        }
+    }
 
     /// The method that `fmin` of Gedda et al. (2012) has under this number: 1 Nelder-Mead, 2 sequential barrier,
     /// 3 differential evolution as the paper writes it, 4 genetic algorithm.

@@ -15,7 +15,7 @@ from typing import Any, SupportsFloat, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from . import _keywords
+from . import _core, _keywords
 from ._errors import MethodNotAvailable
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,10 +33,10 @@ def show(value: object) -> str:
 
 
 #: The names of the methods; "auto" stands for one of them.
-METHODS = ("nelder-mead", "barrier", "de", "de-classic", "ga")
+METHODS = tuple(name for name, _ in _core.method_names())
 
 #: The methods that sample a box and need no start.
-SAMPLERS = ("de", "de-classic", "ga")
+SAMPLERS = tuple(name for name, needs_start in _core.method_names() if not needs_start)
 
 #: Other names of the methods.
 _SYNONYMS: Mapping[str, str] = {
@@ -199,7 +199,7 @@ def method_name(method: str, kinds: Sequence[str] = ()) -> str:
     algorithm with categorical ones."""
     name = choice("method", method).strip().lower().replace("_", "-").replace(" ", "-")
     if name == "auto":
-        return "ga" if "categorical" in kinds else "de" if "integer" in kinds else "nelder-mead"
+        return _core.auto_method(kinds)
     if name in LATER:
         raise MethodNotAvailable(f"method = {method!r} is not in this version; there are: {', '.join(METHODS)}")
     if name not in METHODS:
