@@ -31,7 +31,7 @@ LAYERS = {
 
 Module = tuple[str, ...]
 PATH = re.compile(r"\b(?:crate|super|self)(?:::[A-Za-z_]\w*)+")
-USE = re.compile(r"\buse ([^;]+);", re.S)
+USE = re.compile(r"^\s*(?:pub(?:\([^)]*\))? )?use ([^;]+);", re.S | re.M)
 
 
 def code(path: Path) -> str:
