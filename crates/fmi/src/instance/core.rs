@@ -1,28 +1,34 @@
 //! The part of an instance that does not change with the phase: values, sizes, and the words for what goes wrong.
 
-use crate::assign::{self, Assignments};
+use super::assignments::{self, Assignments};
+use super::integer_codec;
+use super::log::expand_references;
 use crate::description::{Structure, Value, Variable, VariableKind};
-use crate::error::FmiError;
-use crate::failure::CallFailure;
+use crate::error::{CallFailure, FmiError, Status};
 use crate::fmu::Fmu;
-use crate::lanes;
-use crate::reuse::CopyLease;
-use crate::sys::{Fault, RawInstance, Sizes, Status};
+use crate::sys::{Fault, RawInstance, Sizes};
+use std::fmt::Debug;
+
+/// A copy of the library in use, which keeps a record of the variables that were ever set in it.
+pub(crate) trait SetRecord: Debug + Send {
+    /// Notes that a variable is about to be set.
+    fn note_set(&self, variable: &Variable);
+}
 
 /// An instance in any phase. The component is dropped before its copy of the library and the FMU.
 #[derive(Debug)]
 pub(crate) struct Core {
     pub(crate) raw: RawInstance,
     /// Of an instance made by hand: its copy of the library.
-    pub(super) lease: Option<CopyLease>,
+    pub(super) library: Option<Box<dyn SetRecord>>,
     pub(super) fmu: Fmu,
     pub(super) structure: Structure,
 }
 
 impl Core {
     /// Of an instance whose structural parameters have their start values.
-    pub(crate) fn new(raw: RawInstance, fmu: Fmu, lease: Option<CopyLease>) -> Self {
-        Self { raw, lease, fmu, structure: Structure::default() }
+    pub(crate) fn new(raw: RawInstance, fmu: Fmu) -> Self {
+        Self { raw, library: None, fmu, structure: Structure::default() }
     }
 
     pub(crate) fn fmu(&self) -> &Fmu {
@@ -31,8 +37,8 @@ impl Core {
 
     /// Notes in the record of its copy of the library that a variable is set by hand.
     pub(super) fn note_set(&self, variable: &Variable) {
-        if let Some(lease) = &self.lease {
-            lease.copy().record().note([(variable.kind, variable.value_reference)]);
+        if let Some(library) = &self.library {
+            library.note_set(variable);
         }
     }
 
@@ -63,7 +69,11 @@ impl Core {
             .filter_map(|reference| variables.iter().find(|v| v.value_reference == *reference && is(v.kind)))
             .map(|variable| variable.name.clone())
             .collect();
-        failure.expand(self.fmu.description());
+        for line in &mut failure.log {
+            if line.text.contains('#') {
+                line.text = expand_references(&line.text, self.fmu.description());
+            }
+        }
         FmiError::Call(Box::new(failure))
     }
 
@@ -189,7 +199,9 @@ impl Core {
             kind => {
                 let mut values = vec![0; n];
                 let read = self.raw.get_packed(kind, &references, &mut values);
-                read.map(|()| values.into_iter().map(|lane| lanes::value(kind, lane)).collect::<Vec<Value>>())
+                read.map(|()| {
+                    values.into_iter().map(|lane| integer_codec::value(kind, lane)).collect::<Vec<Value>>()
+                })
             }
         };
         let mut values = read.map_err(|fault| self.error_about(fault, &references, |other| other == kind))?;
@@ -200,7 +212,7 @@ impl Core {
                 Value::Array(values)
             }
         };
-        Ok(if variable.negated { assign::negate(value) } else { value })
+        Ok(if variable.negated { assignments::negate(value) } else { value })
     }
 
     /// Runs a raw call and words its error.

@@ -2,19 +2,16 @@
 //! what was ever set in it. Most copies cannot be unloaded, so they are kept and used again.
 
 use super::record::Record;
+use super::source::Home;
 use crate::error::FmiError;
 use crate::open_options::LogOptions;
 use crate::sys::{InterfaceKind, Library, LoadFrom, RawInstance};
-use std::any::Any;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Idle instances kept in one copy; more than one only where several owners use it together.
 const MAX_IDLE: usize = 4;
-
-/// What keeps the folder of a copy on the disk.
-pub(super) type Home = Arc<dyn Any + Send + Sync>;
 
 /// A loaded copy of a library.
 pub(crate) struct LoadedCopy {

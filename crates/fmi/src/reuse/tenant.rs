@@ -1,7 +1,7 @@
 //! Who asks for a loaded copy, and can be asked to give it up.
 
-use super::Sharing;
 use crate::error::FmiError;
+use crate::simulation::Sharing;
 use crate::sys::{InterfaceKind, Library, LoadFrom};
 use std::sync::Weak;
 

@@ -1,9 +1,9 @@
 //! What is known about bringing the instances of a library back to their start: one verdict for each kind of interface,
 //! for all copies and all who open the FMU.
 
-use super::Reuse;
-use super::failed_runs::{Failures, Sort};
-use crate::plan::Setting;
+use super::failures::{Failures, Sort};
+use super::way::Reuse;
+use crate::simulation::plan::Setting;
 use crate::sys::InterfaceKind;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -1,25 +1,25 @@
 //! The functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
-use super::binding::{Binding, Call, Values};
+use super::binding::Binding;
+use super::call::{Call, Values};
 use super::callbacks::{Callbacks, fmi3_log};
 use super::fmi3_clocks::ClockFunctions;
 use super::fmi3_functions::{
     CompletedStep, Count, DirectionalDerivative, DoStep, EnterInitialization, Flag, GetOutputDerivatives,
     InstantiateCoSimulation, InstantiateModelExchange, SetDebugLogging, UpdateDiscreteStates,
 };
-use super::fmi3_intermediate::{StepEnvironment, intermediate_update};
 use super::fmi3_numbers::{get_name, set_name};
 use super::fmi3_values::Fmi3Values;
 use super::functions::{
     Interface, LifeFunctions, Plain, PointFunctions, StateFunctions, Table, call, model, optional, table,
 };
-use super::library::Symbols;
-use super::{
-    Component, EventInfo, Experiment, InterfaceKind, IntervalAnswer, MidStep, Request, Status, StepInfo,
-    status,
+use super::symbols::Symbols;
+use super::types::{
+    Component, EventInfo, Experiment, InterfaceKind, IntervalAnswer, Request, StepInfo, status,
 };
 use crate::description::Interval;
 use crate::error::FmiError;
+use crate::error::Status;
 use std::ffi::{CString, c_int, c_void};
 
 /// The functions of one library. The standard demands nearly all of them; FMUs that leave out what they do not need are
@@ -47,7 +47,6 @@ table! {
             exit_configuration_mode: Plain = Call::ExitConfiguration;
             enter_event_mode: Plain = Call::EnterEventMode;
             update_discrete_states: UpdateDiscreteStates = Call::NewDiscreteStates;
-            evaluate_discrete_states: Plain = Call::EvaluateDiscreteStates;
             directional_derivative: DirectionalDerivative = Call::DirectionalDerivative;
         }
     }
@@ -146,7 +145,6 @@ pub(super) fn name(kind: InterfaceKind, call: Call) -> &'static str {
         Call::GetShift(true) => "fmi3GetShiftFraction",
         Call::SetInterval(false) => "fmi3SetIntervalDecimal",
         Call::SetInterval(true) => "fmi3SetIntervalFraction",
-        Call::EvaluateDiscreteStates => "fmi3EvaluateDiscreteStates",
         Call::GetOutputDerivatives => "fmi3GetOutputDerivatives",
         Call::FreeInstance => "fmi3FreeInstance",
         Call::FreeState => "fmi3FreeFMUState",
@@ -181,10 +179,7 @@ impl Binding for Fmi3 {
         path.push(std::path::MAIN_SEPARATOR);
         let resources = CString::new(path).unwrap_or_default();
         let resources = if request.resources.is_dir() { resources.as_ptr() } else { std::ptr::null() };
-        let environment: *mut c_void = match &self.interface {
-            Interface::ModelExchange(..) => std::ptr::from_ref(callbacks.environment()).cast_mut().cast(),
-            Interface::CoSimulation(..) => callbacks.keep(StepEnvironment::new).cast_mut().cast(),
-        };
+        let environment: *mut c_void = std::ptr::from_ref(callbacks.environment()).cast_mut().cast();
         // SAFETY: the strings end in NUL; the environment is on the heap and never freed.
         unsafe {
             match &self.interface {
@@ -205,11 +200,11 @@ impl Binding for Fmi3 {
                     request.logging,
                     request.event_mode,
                     request.early_return,
-                    request.intermediate.as_ptr(),
-                    request.intermediate.len(),
+                    std::ptr::null(),
+                    0,
                     environment,
                     fmi3_log,
-                    intermediate_update,
+                    None,
                 ),
             }
         }
@@ -364,25 +359,6 @@ impl Binding for Fmi3 {
         if info.early || info.reached.is_some() { Status::Discard } else { result }
     }
 
-    unsafe fn do_step_with(
-        &self,
-        component: Component,
-        span: (f64, f64),
-        no_set_state_prior: bool,
-        info: &mut StepInfo,
-        callbacks: &Callbacks,
-        mid_step: &mut dyn MidStep,
-    ) -> Status {
-        // SAFETY: the caller's promises are those of `do_step`.
-        let mut make = || unsafe { self.do_step(component, span, no_set_state_prior, info) };
-        match callbacks.kept::<StepEnvironment>() {
-            Some(environment) => {
-                environment.during(mid_step, component, self.values.functions.set_float64, make)
-            }
-            None => make(),
-        }
-    }
-
     unsafe fn get_interval(
         &self,
         component: Component,
@@ -397,10 +373,6 @@ impl Binding for Fmi3 {
     unsafe fn set_interval(&self, component: Component, clock: u32, interval: Interval) -> Status {
         // SAFETY: the same.
         unsafe { self.clocks.set_interval(component, clock, interval) }
-    }
-
-    unsafe fn evaluate_discrete_states(&self, component: Component) -> Status {
-        optional!(self.common.evaluate_discrete_states, component)
     }
 
     unsafe fn get_shift(

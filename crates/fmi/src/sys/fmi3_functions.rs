@@ -1,7 +1,6 @@
 //! Signatures of the functions of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4), as far as they are bound.
 
-use super::Component;
-use super::fmi3_intermediate::IntermediateUpdate;
+use super::types::Component;
 use std::ffi::{c_char, c_int, c_void};
 
 /// A C `bool` as an FMU may write it: any bits are tolerated.
@@ -17,6 +16,8 @@ pub(super) type InstantiateModelExchange = unsafe extern "C" fn(
     *mut c_void,
     LogMessage,
 ) -> Component;
+/// Never given: inputs are set between steps.
+type IntermediateUpdate = unsafe extern "C" fn(*mut c_void, f64, Flag, Flag, Flag, Flag, *mut Flag, *mut f64);
 pub(super) type InstantiateCoSimulation = unsafe extern "C" fn(
     *const c_char,
     *const c_char,
@@ -29,7 +30,7 @@ pub(super) type InstantiateCoSimulation = unsafe extern "C" fn(
     usize,
     *mut c_void,
     LogMessage,
-    IntermediateUpdate,
+    Option<IntermediateUpdate>,
 ) -> Component;
 pub(super) type EnterInitialization = unsafe extern "C" fn(Component, bool, f64, f64, bool, f64) -> c_int;
 pub(super) type SetDebugLogging = unsafe extern "C" fn(Component, bool, usize, *const *const c_char) -> c_int;

@@ -2,10 +2,11 @@
 //! for all of them.
 
 use super::fmi3_functions::{Flag, Get, Set};
-use super::library::Symbols;
 use super::packed::{self, Element};
-use super::{Component, Status, status};
+use super::symbols::Symbols;
+use super::types::{Component, status};
 use crate::description::VariableKind;
+use crate::error::Status;
 
 /// Getters and setters of numbers but `Float64`.
 macro_rules! numbers {

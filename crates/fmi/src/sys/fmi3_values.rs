@@ -1,13 +1,15 @@
 //! Getters and setters of FMI 3.0, where a reference may stand for an array: the FMU is told the number of values.
 
-use super::binding::{Call, Values};
+use super::call::{Call, Values};
 use super::fmi3_functions::{Flag, Get, GetBinary, GetClock, Set, SetBinary, SetClock};
 use super::fmi3_numbers::Numbers;
 use super::functions::{Table, call, optional, table};
-use super::library::Symbols;
-use super::{Component, Status, packed, status};
+use super::packed;
+use super::symbols::Symbols;
+use super::types::{Component, status};
 use crate::description::VariableKind;
 use crate::error::FmiError;
+use crate::error::Status;
 use std::ffi::c_char;
 
 /// The getters and setters of one library.
