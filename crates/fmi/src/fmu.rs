@@ -5,9 +5,8 @@ use crate::cancel::Cancel;
 use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::open_options::{LogOptions, OpenOptions};
-use crate::platform;
-use crate::source;
 use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
+use crate::{platform, source};
 use std::any::Any;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -212,18 +211,17 @@ impl Fmu {
 
     /// Lists a departure from the standard that showed in a run among the quirks; one that is new goes to the program's
     /// logger, too.
-    pub(crate) fn note_quirk(&self, kind: QuirkKind, message: String) {
-        let quirk = Quirk { kind, message, line: 0 };
+    pub(crate) fn note_quirk(&self, kind: QuirkKind, message: impl AsRef<str> + Into<String>) {
         let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner);
-        if !seen.contains(&quirk) {
-            log::warn!("{}: {}", self.description().model_name, quirk.message);
-            seen.push(quirk);
+        if !seen.iter().any(|quirk| quirk.kind == kind && quirk.message == message.as_ref()) {
+            log::warn!("{}: {}", self.description().model_name, message.as_ref());
+            seen.push(Quirk { kind, message: message.into(), line: 0 });
         }
     }
 
     /// Notes that variables are computed with the derivatives only.
     pub(crate) fn note_stale_outputs(&self) {
-        self.note_quirk(QuirkKind::Promise, STALE_OUTPUTS.to_owned());
+        self.note_quirk(QuirkKind::Promise, STALE_OUTPUTS);
     }
 
     /// The departures from the standard that were noted.

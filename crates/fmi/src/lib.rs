@@ -1,4 +1,25 @@
 //! A safe importer of Functional Mock-up Units: opening, describing, building and running them.
+//!
+//! # Layers
+//!
+//! A module imports from those below it only (`tools/layers.py` checks that), from top to bottom:
+//!
+//! - `session`: one model as scripts use it: set, simulate, get
+//! - `reuse/`: loaded copies of a library and who has them, instances brought back to their start, simulators, pools
+//! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
+//! - `instance/`: the phases of an instance as types, its values
+//! - `fmu`, `fmu_cache`, `open_options`: an opened FMU: its file, its description, its library
+//! - `examples/`: the bundled models
+//! - `source/`: source-code FMUs: build, compiler, cache, pack
+//! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
+//! - `description/`: what `modelDescription.xml` says, whatever the version
+//! - `archive/`: the files of an FMU
+//! - `platform/`, `log`, `cancel`, `error/`, `value`: operating systems and files, the log of an instance, ending early, errors, types of variables
+//!
+//! A right-hand side passes five of them on its way from the stepper to the FMU: `derivatives` of the system
+//! (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call means for the run),
+//! `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths, floating-point mode), that of the binding
+//! (`sys/binding.rs`: version of FMI), the C function.
 #![deny(unsafe_code)]
 
 pub mod archive;

@@ -100,7 +100,7 @@ impl Fmu {
         self.store(kind)?.verdicts.set_not_reproducible(kind);
         let message =
             "two simulations in newly loaded copies of the library differ: no result can be reproduced";
-        self.note_quirk(QuirkKind::Promise, message.to_owned());
+        self.note_quirk(QuirkKind::Promise, message);
         Ok(())
     }
 

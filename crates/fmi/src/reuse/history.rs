@@ -8,10 +8,8 @@
 //! depend on what ran before.
 
 use super::past::{Aside, Past};
-use super::runner::Runner;
-use super::runner::Tenancy;
-use super::store::CopyLease;
-use super::store::CopyStore;
+use super::runner::{Runner, Tenancy};
+use super::store::{CopyLease, CopyStore};
 use super::tenant::CopyRequest;
 use super::way::Reuse;
 use crate::error::FmiError;

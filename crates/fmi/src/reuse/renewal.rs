@@ -37,7 +37,7 @@ impl Runner {
         // Where that fails, too, it is not because the copy was used.
         let raw = self.instantiate_here().map_err(|_| error)?;
         let message = "a loaded copy of the library can be instantiated only so often: simulations go on in newly loaded ones";
-        self.plan.fmu().note_quirk(QuirkKind::Promise, message.to_owned());
+        self.plan.fmu().note_quirk(QuirkKind::Promise, message);
         Ok(raw)
     }
 

@@ -1,19 +1,15 @@
 //! What a simulator has while it has a loaded copy of the library: an instance, the way of resetting it, buffers.
 
-use super::past::Aside;
-use super::past::Past;
+use super::past::{Aside, Past};
 use super::store::CopyLease;
-use super::tenant::CopyRequest;
-use super::tenant::Eviction;
-use super::tenant::Tenant;
+use super::tenant::{CopyRequest, Eviction, Tenant};
 use super::way::Reuse;
 use crate::description::{Value, Variable};
 use crate::error::FmiError;
 use crate::simulation::Sharing;
 use crate::simulation::digest::Digest;
 use crate::simulation::engine::Engine;
-use crate::simulation::plan::ReadBackBuffers;
-use crate::simulation::plan::{Setting, SimulationPlan};
+use crate::simulation::plan::{ReadBackBuffers, Setting, SimulationPlan};
 use crate::simulation::running::no_instance;
 use crate::sys::{CallEnvironment, InterfaceKind, Library, LoadFrom, RawInstance};
 use ode::{ErrorKind, Ignore, Observer, Report, Seconds, SimulationError, Stats};

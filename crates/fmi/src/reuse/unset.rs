@@ -3,10 +3,8 @@
 //! value or to what a new instance answers in which nothing was set.
 
 use super::record::{Defaults, SetKey};
-use super::runner::Prepared;
-use super::runner::Runner;
-use super::store::CopyLease;
-use super::store::CopyStore;
+use super::runner::{Prepared, Runner};
+use super::store::{CopyLease, CopyStore};
 use super::tenant::CopyRequest;
 use crate::description::{Causality, QuirkKind, Structure, Variable};
 use crate::error::FmiError;

@@ -2,22 +2,22 @@
 //! it.
 
 use crate::error::FmiError;
-use crate::instance::{CoSimulation, ContinuousTime, Core, EventMode, Initialization, Instance, StepMode};
+use crate::instance::{CoSimulation, ContinuousTime, Core, EventMode, Instance, StepMode};
 use crate::simulation::clocks::{ClockState, Tick};
 use crate::simulation::digest::Digest;
 use crate::simulation::inputs::InputState;
 use crate::simulation::outputs::OutputBuffers;
 use crate::simulation::plan::SimulationPlan;
-use crate::simulation::start::Start;
-use crate::simulation::start_values::{StartValues, Unset};
+use crate::simulation::start_values::Unset;
 use crate::sys::{Fault, RawInstance};
 use ode::{CallError, CallResult};
 use std::sync::Arc;
 
 /// The instance of a run, as it is at the moment.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) enum Phase {
     /// Nothing: none was made yet, or it broke.
+    #[default]
     Gone,
     /// An instance with a past, to be reset before its next use.
     Spare(RawInstance),
@@ -30,7 +30,7 @@ pub(crate) enum Phase {
 }
 
 /// The instance of a run, and whether it is still good for use.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Current {
     pub(crate) phase: Phase,
     /// An FMU call failed: the instance is not used again.
@@ -134,13 +134,13 @@ pub(crate) struct Running {
     /// What is set besides the settings of the plan.
     pub(crate) unset: Unset,
     /// Values of parameters on their way.
-    signed: Vec<f64>,
+    pub(super) signed: Vec<f64>,
 }
 
 impl Running {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
         Self {
-            current: Current { phase: Phase::Gone, broken: false, discarded: None },
+            current: Current::default(),
             inputs: InputState::new(&plan.inputs),
             buffers: OutputBuffers::new(plan.outputs()),
             clocks: ClockState::default(),
@@ -151,27 +151,9 @@ impl Running {
         }
     }
 
-    /// Brings a fresh instance into initialization mode, with the values of the plan or others for the same variables;
-    /// `stop` as in [`Start`].
-    ///
-    /// # Errors
-    /// As [`Start::begin`]; there is no instance then.
-    pub(crate) fn begin<K>(
-        &mut self,
-        raw: RawInstance,
-        start_values: &StartValues,
-        parameters: &[f64],
-        stop: Option<f64>,
-    ) -> Result<Instance<Initialization, K>, FmiError> {
-        self.current = Current { phase: Phase::Gone, broken: false, discarded: None };
-        self.buffers.begin();
-        let Self { plan, inputs, clocks, unset, signed, .. } = self;
-        Start { plan, unset, start_values, parameters, stop }.begin(raw, signed, inputs, clocks)
-    }
-
     /// Takes an instance that will have to be reset.
     pub(crate) fn adopt(&mut self, raw: RawInstance) {
-        self.current = Current { phase: Phase::Spare(raw), broken: false, discarded: None };
+        self.current = Current { phase: Phase::Spare(raw), ..Current::default() };
     }
 
     /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.

@@ -2,45 +2,33 @@
 
 use crate::error::FmiError;
 use crate::instance::{Core, Initialization, Instance, Instantiated};
-use crate::simulation::clocks::ClockState;
-use crate::simulation::inputs::InputState;
 use crate::simulation::plan::SimulationPlan;
-use crate::simulation::start_values::{StartValues, Unset};
+use crate::simulation::running::{Current, Running};
+use crate::simulation::start_values::StartValues;
 use crate::sys::{InterfaceKind, RawInstance};
 
-/// What a run begins with.
-pub(crate) struct Start<'a> {
-    pub(crate) plan: &'a SimulationPlan,
-    /// What is set besides the settings of the plan, before them.
-    pub(crate) unset: &'a Unset,
-    /// For the variables that have start values in the plan.
-    pub(crate) start_values: &'a StartValues,
-    /// For the plan's parameters, in its order.
-    pub(crate) parameters: &'a [f64],
-    /// The FMU is told that no step leads beyond it.
-    pub(crate) stop: Option<f64>,
-}
-
-impl Start<'_> {
-    /// Brings a fresh instance into initialization mode at the start time, with all that can be set there; `buffer` is used
-    /// on the way.
+impl Running {
+    /// Brings a fresh instance into initialization mode at the start time, with all that can be set there: the values of the
+    /// plan or others for the same variables. `stop`: the FMU is told that no step leads beyond it.
     ///
     /// # Errors
-    /// The FMU refuses; an input function is not finite at the start time.
-    pub(crate) fn begin<K>(
-        &self,
+    /// The FMU refuses; an input function is not finite at the start time. There is no instance then.
+    pub(super) fn begin<K>(
+        &mut self,
         raw: RawInstance,
-        buffer: &mut Vec<f64>,
-        inputs: &mut InputState,
-        clocks: &mut ClockState,
+        start_values: &StartValues,
+        parameters: &[f64],
+        stop: Option<f64>,
     ) -> Result<Instance<Initialization, K>, FmiError> {
-        let plan = self.plan;
+        self.current = Current::default();
+        self.buffers.begin();
+        let Self { plan, inputs, clocks, unset, signed, .. } = self;
         let mut instance: Instance<Instantiated, K> = Instance::from_raw(raw, plan.fmu().clone());
-        plan.values.set_up(instance.core(), self.unset, self.start_values, self.parameters, buffer)?;
+        plan.values.set_up(instance.core(), unset, start_values, parameters, signed)?;
         let mut instance =
-            instance.enter_initialization(plan.start, self.stop, Some(plan.options.relative_tolerance))?;
-        instance.core().apply(&self.unset.inputs)?;
-        plan.values.set_up_inputs(instance.core(), self.start_values, self.parameters, buffer)?;
+            instance.enter_initialization(plan.start, stop, Some(plan.options.relative_tolerance))?;
+        instance.core().apply(&unset.inputs)?;
+        plan.values.set_up_inputs(instance.core(), start_values, parameters, signed)?;
         inputs.begin(&plan.inputs, plan.start);
         if !inputs.continuous_at(&plan.inputs, plan.start) {
             return Err(inputs.bad_function_value(plan.start));

@@ -90,7 +90,7 @@ pub(super) trait Values {
     }
     unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Status;
     unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status;
-    /// Values of all other kinds of numbers, in lanes (see `lanes.rs`).
+    /// Values of all other kinds of numbers, in lanes (see `instance/integer_codec.rs`).
     unsafe fn get_packed(
         &self,
         component: Component,

@@ -13,8 +13,7 @@ use super::functions::{
 use super::symbols::Symbols;
 use super::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri, status};
 use crate::description::VariableKind;
-use crate::error::FmiError;
-use crate::error::Status;
+use crate::error::{FmiError, Status};
 use std::ffi::{c_char, c_int, c_void};
 
 /// `fmiBoolean`.

@@ -18,8 +18,7 @@ use super::types::{
     Component, EventInfo, Experiment, InterfaceKind, IntervalAnswer, Request, StepInfo, status,
 };
 use crate::description::Interval;
-use crate::error::FmiError;
-use crate::error::Status;
+use crate::error::{FmiError, Status};
 use std::ffi::{CString, c_int, c_void};
 
 /// The functions of one library. The standard demands nearly all of them; FMUs that leave out what they do not need are

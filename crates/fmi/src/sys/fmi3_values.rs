@@ -8,8 +8,7 @@ use super::packed;
 use super::symbols::Symbols;
 use super::types::{Component, status};
 use crate::description::VariableKind;
-use crate::error::FmiError;
-use crate::error::Status;
+use crate::error::{FmiError, Status};
 use std::ffi::c_char;
 
 /// The getters and setters of one library.

@@ -1,4 +1,4 @@
-//! A loaded shared library of an FMU with its function table; what all users of the library share is in `shared.rs`.
+//! A loaded shared library of an FMU with its function table; what all users of the file share is in `platform/loaded_file.rs`.
 
 use super::binding::Binding;
 use super::callbacks::Callbacks;
@@ -10,8 +10,7 @@ use super::{fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
 use crate::log::LogFilter;
-use crate::platform::Shared;
-use crate::platform::check_length;
+use crate::platform::{Shared, check_length};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -3,8 +3,7 @@
 use super::attributes::Attributes;
 use super::encoding;
 use super::xml::Xml;
-use crate::description::limits::DescriptionLimits;
-use crate::description::limits::check_size;
+use crate::description::limits::{DescriptionLimits, check_size};
 use crate::description::quirks::Quirks;
 use crate::error::FmiError;
 use std::rc::Rc;

@@ -3,8 +3,7 @@
 use super::stepping::{Call, Stepping};
 use crate::error::FmiError;
 use crate::instance::StepOutcome;
-use crate::simulation::plan::Communication;
-use crate::simulation::plan::SimulationPlan;
+use crate::simulation::plan::{Communication, SimulationPlan};
 use crate::simulation::running::Running;
 use crate::sys::{Fault, RawInstance, look_now_and_then};
 use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Stats, Termination};
