@@ -2,10 +2,6 @@
 
 mod failure;
 mod fmi_error;
-mod log_line;
-mod status;
 
-pub use failure::CallFailure;
+pub use failure::{CallFailure, LogLine, Status};
 pub use fmi_error::{EntryProblem, FmiError};
-pub use log_line::LogLine;
-pub use status::Status;

@@ -5,7 +5,6 @@ mod clocks;
 mod co_simulation;
 mod core;
 pub(crate) mod integer_codec;
-mod log;
 mod model_exchange;
 mod phases;
 mod reconfiguration;

@@ -1,8 +1,7 @@
 //! The phases of the life of an instance, as types, and what can be done in each of them.
 
 use super::assignments::{self, Assignments};
-use super::core::{Core, SetRecord};
-use super::log::expand_references;
+use super::core::{Core, SetRecord, expand_references};
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::{FmiError, LogLine};
 use crate::fmu::Fmu;

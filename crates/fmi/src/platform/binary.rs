@@ -4,11 +4,10 @@ use crate::error::FmiError;
 use object::elf;
 use object::read::elf::{FileHeader, ProgramHeader};
 use object::{Endianness, FileKind, ReadCache, ReadRef};
-use std::env;
-use std::fmt;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
+use std::{env, fmt};
 
 /// Processor a binary is made for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,11 +3,10 @@
 
 use super::binary::{self, BinaryFormat, BinaryHeader, Machine};
 use crate::error::FmiError;
-use std::env;
 use std::fs::{self, File};
-use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
+use std::{env, io};
 
 /// Extension of shared libraries on this platform, without the dot: `so`, `dll`, `dylib`.
 pub const LIBRARY_EXTENSION: &str = env::consts::DLL_EXTENSION;

@@ -3,9 +3,9 @@
 //! Of failures of one sort (the same function, status and kind of error) these are the first four, and those with the numbers 8, 16,
 //! 32, ...: models fail at many points honestly, and then every time.
 
-use super::failures::Sort;
 use super::history::{Polled, is_from_outside};
 use super::runner::Runner;
+use super::verdict::Sort;
 use crate::error::FmiError;
 use ode::Observer;
 use std::sync::Arc;

@@ -1,11 +1,10 @@
 //! What the simulations of an FMU keep with it while it is open: the loaded copies of its library, what showed in runs.
 
 use super::instantiate::NO_EVENT_MODE;
+use super::loans::CopyRequest;
 use super::source::{Key, Source};
 use super::store::CopyStore;
-use super::store_use::StoreUse;
-use super::tenant::CopyRequest;
-use super::way::Reuse;
+use super::verdict::Reuse;
 use crate::archive::Part;
 use crate::cancel::Cancel;
 use crate::description::{Quirk, QuirkKind};
@@ -14,6 +13,8 @@ use crate::fmu::{Fmu, Kind};
 use crate::platform;
 use crate::simulation::Sharing;
 use crate::sys::{InterfaceKind, LoadFrom};
+use std::collections::HashMap;
+use std::ops::Deref;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -188,5 +189,57 @@ impl Fmu {
         let source = Source { library, root, identity, home: Some(Arc::clone(archive) as _) };
         let store = slot.insert(StoreUse::new(key, source));
         Ok(Arc::clone(store))
+    }
+}
+
+/// The stores of this process, which loaded libraries do not leave either.
+static STORES: Mutex<Option<HashMap<Key, Arc<CopyStore>>>> = Mutex::new(None);
+
+/// A use of a store by an open FMU.
+#[derive(Debug)]
+pub(crate) struct StoreUse(Arc<CopyStore>);
+
+impl StoreUse {
+    /// The store of a library; made if there is none.
+    pub(crate) fn new(key: Key, source: Source) -> Self {
+        let store = {
+            let mut stores = STORES.lock().unwrap_or_else(PoisonError::into_inner);
+            Arc::clone(
+                stores.get_or_insert_default().entry(key).or_insert_with(|| Arc::new(CopyStore::new())),
+            )
+        };
+        let mut state = store.state();
+        state.users += 1;
+        // The folder of the first of several users stays as long as there is any.
+        state.source.get_or_insert(source);
+        drop(state);
+        Self(store)
+    }
+}
+
+impl Deref for StoreUse {
+    type Target = Arc<CopyStore>;
+
+    fn deref(&self) -> &Arc<CopyStore> {
+        &self.0
+    }
+}
+
+impl Drop for StoreUse {
+    fn drop(&mut self) {
+        let mut state = self.0.state();
+        state.users -= 1;
+        if state.users > 0 {
+            return;
+        }
+        let source = state.source.take();
+        let idle = state.idle.clone();
+        state.refused = None;
+        drop(state);
+        for copy in &idle {
+            copy.free_idle();
+            copy.leave_home();
+        }
+        drop(source);
     }
 }

@@ -7,11 +7,11 @@
 //! N-th run, the run after one with certain values) is found with a probability, not for certain: between two looks a result may
 //! depend on what ran before.
 
+use super::loans::CopyRequest;
 use super::past::{Aside, Past};
 use super::runner::{Runner, Tenancy};
 use super::store::{CopyLease, CopyStore};
-use super::tenant::CopyRequest;
-use super::way::Reuse;
+use super::verdict::Reuse;
 use crate::error::FmiError;
 use crate::simulation::Sharing;
 use crate::simulation::digest::Digest;

@@ -1,8 +1,8 @@
 //! Instances of an FMU, made in a loaded copy of its library.
 
 use super::copies::LoadedCopy;
+use super::loans::CopyRequest;
 use super::store::CopyLease;
-use super::tenant::CopyRequest;
 use super::unset::set_again;
 use crate::description::Variable;
 use crate::error::FmiError;

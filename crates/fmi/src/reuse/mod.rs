@@ -3,7 +3,6 @@
 
 mod copies;
 mod failed_runs;
-mod failures;
 mod files;
 mod fmu_use;
 mod history;
@@ -13,20 +12,16 @@ mod loans;
 mod past;
 mod pool;
 mod probe;
-mod record;
 mod renewal;
 mod runner;
 mod simulator;
 mod source;
 mod store;
-mod store_use;
-mod tenant;
 mod trial;
 mod unset;
 mod verdict;
-mod way;
 
 pub use instantiate::InstanceOptions;
 pub use pool::{Lease, Pool};
 pub use simulator::Simulator;
-pub use way::Reuse;
+pub use verdict::Reuse;

@@ -3,7 +3,7 @@
 use super::runner::Runner;
 use super::simulator::Simulator;
 use super::trial::Trial;
-use super::way::Reuse;
+use super::verdict::Reuse;
 use crate::error::FmiError;
 use crate::simulation::Sharing;
 use crate::simulation::plan::SimulationPlan;

@@ -2,10 +2,10 @@
 
 use super::renewal::renew;
 use super::runner::Runner;
-use super::way::Reuse;
+use super::verdict::Reuse;
 use crate::error::FmiError;
 use crate::simulation::digest::Digest;
-use crate::simulation::start_values::StartValues;
+use crate::simulation::parameters::StartValues;
 use crate::sys::{CallEnvironment, RawInstance};
 use ode::{ErrorKind, Ignore, Observer};
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! New instances for runs, and old ones reset.
 
 use super::runner::Runner;
-use super::way::Reuse;
+use super::verdict::Reuse;
 use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::fmu::Fmu;

@@ -1,9 +1,9 @@
 //! What a simulator has while it has a loaded copy of the library: an instance, the way of resetting it, buffers.
 
+use super::loans::{CopyRequest, Eviction, Tenant};
 use super::past::{Aside, Past};
 use super::store::CopyLease;
-use super::tenant::{CopyRequest, Eviction, Tenant};
-use super::way::Reuse;
+use super::verdict::Reuse;
 use crate::description::{Value, Variable};
 use crate::error::FmiError;
 use crate::simulation::Sharing;

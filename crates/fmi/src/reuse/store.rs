@@ -4,15 +4,12 @@
 //! beyond a number. All others are kept, and the store of a library stays in the process. What goes with its last user are the
 //! idle instances and the folders.
 
-use super::copies::LoadedCopy;
+use super::copies::{Defaults, LoadedCopy};
 use super::files;
 use super::linkage::Linkage;
-use super::loans::{Loan, State};
-use super::record::Defaults;
+use super::loans::{CopyRequest, Eviction, Loan, State, Tenant};
 use super::source::Source;
-use super::tenant::{CopyRequest, Eviction, Tenant};
-use super::verdict::Verdicts;
-use super::way::Reuse;
+use super::verdict::{Reuse, Verdicts};
 use crate::archive::Snapshot;
 use crate::error::FmiError;
 use crate::platform::check_length;

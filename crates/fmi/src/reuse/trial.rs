@@ -2,10 +2,10 @@
 
 use super::probe::{DIFFERS, PROBE_STEPS, Probe};
 use super::runner::Runner;
-use super::way::Reuse;
+use super::verdict::Reuse;
 use crate::error::FmiError;
+use crate::simulation::parameters::StartValues;
 use crate::simulation::plan::SimulationPlan;
-use crate::simulation::start_values::StartValues;
 use ode::{Ignore, Observer, Sample};
 use std::ops::ControlFlow;
 use std::sync::Arc;

@@ -2,18 +2,18 @@
 //! new instance renews (Simulink): so before each run every variable that was ever set in the copy is set again, to its wanted
 //! value or to what a new instance answers in which nothing was set.
 
-use super::record::{Defaults, SetKey};
+use super::copies::{Defaults, SetKey};
+use super::loans::CopyRequest;
 use super::runner::{Prepared, Runner};
 use super::store::{CopyLease, CopyStore};
-use super::tenant::CopyRequest;
 use crate::description::{Causality, QuirkKind, Structure, Variable};
 use crate::error::FmiError;
 use crate::fmu::Fmu;
 use crate::instance::Core;
 use crate::instance::assignments::{check_settable_at_start, convert};
 use crate::simulation::Sharing;
+use crate::simulation::parameters::Unset;
 use crate::simulation::plan::Setting;
-use crate::simulation::start_values::Unset;
 use crate::sys::{CallEnvironment, Experiment, InterfaceKind, Library, LoadFrom, RawInstance};
 use std::collections::HashMap;
 use std::sync::Arc;

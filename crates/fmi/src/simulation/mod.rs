@@ -16,7 +16,6 @@ pub(crate) mod plan;
 pub(crate) mod running;
 mod sharing;
 mod start;
-pub(crate) mod start_values;
 pub(crate) mod trajectory;
 
 pub use clocks::Tick;

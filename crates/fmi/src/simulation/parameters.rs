@@ -3,7 +3,7 @@
 
 use crate::description::{ModelDescription, Structure, Value};
 use crate::error::FmiError;
-use crate::instance::assignments::{self, resolve};
+use crate::instance::assignments::{self, Assignments, resolve};
 use crate::simulation::outputs::element_of;
 use std::collections::HashMap;
 
@@ -154,4 +154,23 @@ impl<T> Slots<T> {
         };
         Ok(first + element.unwrap_or(0))
     }
+}
+
+/// The values that variables start with.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct StartValues {
+    /// Set before the initialization.
+    pub(crate) early: Assignments,
+    /// Of inputs. The standard allows them before the initialization and in it; models are known that refuse them before.
+    pub(crate) inputs: Assignments,
+}
+
+/// What a run sets besides the settings of its plan: variables that were set in the copy by earlier runs with other plans.
+#[derive(Debug, Default)]
+pub(crate) struct Unset {
+    pub(crate) structural: Assignments,
+    /// Set before the initialization.
+    pub(crate) early: Assignments,
+    /// Of inputs.
+    pub(crate) inputs: Assignments,
 }
