@@ -29,7 +29,7 @@
 //!     there are lanes of 64 bits, and only types of which any bits are a value.
 //!
 //! The versions of FMI stop here: [`Binding`] is one function table in house types, and `fmi1.rs`, `fmi2.rs` and
-//! `fmi3.rs` are the only files that know how a version spells it. What has one shape in several versions is bound once,
+//! `fmi3/` are the only files that know how a version spells it. What has one shape in several versions is bound once,
 //! in `functions.rs`. A further version is a further implementation and a line in `library.rs`.
 #![allow(unsafe_code)]
 
@@ -40,10 +40,6 @@ mod environment;
 mod fmi1;
 mod fmi2;
 mod fmi3;
-mod fmi3_clocks;
-mod fmi3_functions;
-mod fmi3_numbers;
-mod fmi3_values;
 mod functions;
 mod library;
 mod packed;

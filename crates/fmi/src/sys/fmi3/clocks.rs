@@ -1,9 +1,9 @@
 //! The functions of FMI 3.0 that tell when clocks tick (FMI 3.0.x, section 2.2.8.3), bound by name.
 
-use super::symbols::Symbols;
-use super::types::{Component, IntervalAnswer, Qualifier, status};
 use crate::description::Interval;
 use crate::error::Status;
+use crate::sys::symbols::Symbols;
+use crate::sys::types::{Component, IntervalAnswer, Qualifier, status};
 use std::ffi::c_int;
 
 type IntervalDecimal = unsafe extern "C" fn(Component, *const u32, usize, *mut f64, *mut c_int) -> c_int;

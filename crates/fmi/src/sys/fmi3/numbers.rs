@@ -1,12 +1,12 @@
 //! Getters and setters of FMI 3.0 for all numbers but `Float64`: one function of the library for each type, one of ours
 //! for all of them.
 
-use super::fmi3_functions::{Flag, Get, Set};
-use super::packed::{self, Element};
-use super::symbols::Symbols;
-use super::types::{Component, status};
+use super::functions::{Flag, Get, Set};
 use crate::description::VariableKind;
 use crate::error::Status;
+use crate::sys::packed::{self, Element};
+use crate::sys::symbols::Symbols;
+use crate::sys::types::{Component, status};
 
 /// Getters and setters of numbers but `Float64`.
 macro_rules! numbers {

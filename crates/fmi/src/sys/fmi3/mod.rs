@@ -1,25 +1,30 @@
 //! The functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
+mod clocks;
+mod functions;
+mod numbers;
+mod values;
+
 use super::binding::Binding;
 use super::call::{Call, Values};
 use super::callbacks::{Callbacks, fmi3_log};
-use super::fmi3_clocks::ClockFunctions;
-use super::fmi3_functions::{
-    CompletedStep, Count, DirectionalDerivative, DoStep, EnterInitialization, Flag, GetOutputDerivatives,
-    InstantiateCoSimulation, InstantiateModelExchange, SetDebugLogging, UpdateDiscreteStates,
-};
-use super::fmi3_numbers::{get_name, set_name};
-use super::fmi3_values::Fmi3Values;
-use super::functions::{
-    Interface, LifeFunctions, Plain, PointFunctions, StateFunctions, Table, call, model, optional, table,
-};
 use super::symbols::Symbols;
 use super::types::{
     Component, EventInfo, Experiment, InterfaceKind, IntervalAnswer, Request, StepInfo, status,
 };
 use crate::description::Interval;
 use crate::error::{FmiError, Status};
+use crate::sys::functions::{
+    Interface, LifeFunctions, Plain, PointFunctions, StateFunctions, Table, call, model, optional, table,
+};
+use clocks::ClockFunctions;
+use functions::{
+    CompletedStep, Count, DirectionalDerivative, DoStep, EnterInitialization, Flag, GetOutputDerivatives,
+    InstantiateCoSimulation, InstantiateModelExchange, SetDebugLogging, UpdateDiscreteStates,
+};
+use numbers::{get_name, set_name};
 use std::ffi::{CString, c_int, c_void};
+use values::Fmi3Values;
 
 /// The functions of one library. The standard demands nearly all of them; FMUs that leave out what they do not need are
 /// known, so only what every simulation needs must be there.

@@ -1,6 +1,6 @@
 //! Signatures of the functions of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4), as far as they are bound.
 
-use super::types::Component;
+use crate::sys::types::Component;
 use std::ffi::{c_char, c_int, c_void};
 
 /// A C `bool` as an FMU may write it: any bits are tolerated.

@@ -1,14 +1,14 @@
 //! Getters and setters of FMI 3.0, where a reference may stand for an array: the FMU is told the number of values.
 
-use super::call::{Call, Values};
-use super::fmi3_functions::{Flag, Get, GetBinary, GetClock, Set, SetBinary, SetClock};
-use super::fmi3_numbers::Numbers;
-use super::functions::{Table, call, optional, table};
-use super::packed;
-use super::symbols::Symbols;
-use super::types::{Component, status};
+use super::functions::{Flag, Get, GetBinary, GetClock, Set, SetBinary, SetClock};
+use super::numbers::Numbers;
 use crate::description::VariableKind;
 use crate::error::{FmiError, Status};
+use crate::sys::call::{Call, Values};
+use crate::sys::functions::{Table, call, optional, table};
+use crate::sys::packed;
+use crate::sys::symbols::Symbols;
+use crate::sys::types::{Component, status};
 use std::ffi::c_char;
 
 /// The getters and setters of one library.
