@@ -47,7 +47,7 @@ impl Fmu {
     }
 
     /// Departures from the standard that showed when the FMU was run; those of its description are in
-    /// [`ModelDescription::quirks`].
+    /// [`ModelDescription::quirks`](crate::ModelDescription::quirks).
     pub fn quirks_seen(&self) -> Vec<Quirk> {
         let store = self.known_store(InterfaceKind::CoSimulation);
         let refused = store.is_some_and(|store| store.verdicts.is_event_mode_refused());
