@@ -28,16 +28,31 @@ LAYERS = {
         optimizer
         minimize
     """,
+    "fmi": """
+        value
+        error
+        cancel log platform
+        archive
+        description
+        source sys
+        open_options examples
+        fmu
+        fmu_cache instance
+        simulation
+        reuse
+        session
+    """,
 }
 
 Module = tuple[str, ...]
 PATH = re.compile(r"\b(?:crate|super|self)(?:::[A-Za-z_]\w*)+")
-USE = re.compile(r"\buse ([^;]+);", re.S)
+TESTS = re.compile(r"^(?:#\[.*\]\n)+mod tests", re.M)
+USE = re.compile(r"^\s*(?:pub(?:\([^)]*\))? )?use ([^;]+);", re.S | re.M)
 
 
 def code(path: Path) -> str:
     """The source without comments and without the test module at its end."""
-    text = path.read_text(encoding="utf-8").split("#[cfg(test)]\nmod tests", 1)[0]
+    text = TESTS.split(path.read_text(encoding="utf-8"), maxsplit=1)[0]
     return re.sub(r"(^|\s)//.*$", "", text, flags=re.M)
 
 

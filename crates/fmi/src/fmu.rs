@@ -1,31 +1,16 @@
-//! An opened FMU: its folder, its description, the store of its loaded library (found when first needed).
+//! An opened FMU: its file, its description, its library.
 
 use crate::archive::{Archive, Part};
 use crate::cancel::Cancel;
-use crate::description::{Causality, Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
+use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
 use crate::error::FmiError;
-use crate::instance::{CoSimulation, Core, Instance, Instantiated};
 use crate::open_options::{LogOptions, OpenOptions};
-use crate::options::{Kind, SimulateOptions};
-use crate::plan::SimulationPlan;
-use crate::platform;
-use crate::reuse::{
-    CopyLease, CopyRequest, CopyStore, Key, LoadedCopy, Reuse, Sharing, Source, StoreUse, set_again,
-};
-use crate::running::no_instance;
-use crate::simulation::Simulator;
-use crate::source;
-use crate::sys::{InterfaceKind, Library, LoadFrom, LogFilter, RawInstance, Request, Sizes};
-use crate::trajectory::Trajectory;
-use std::ffi::CString;
-use std::ops::ControlFlow;
+use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
+use crate::{platform, source};
+use std::any::Any;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated \
-                             with it: it is run without";
 const STALE_OUTPUTS: &str = "variables read at a new point are those of an earlier one until the derivatives are computed: they are \
                              computed before every reading";
 
@@ -40,15 +25,11 @@ pub struct Fmu {
     path: Arc<Path>,
 }
 
-/// Fields are dropped in this order: idle instances, folder.
+/// What is attached, idle instances among it, is dropped before the folder.
 #[derive(Debug)]
 struct Inner {
-    /// The library of each way of running the model; found when first needed.
-    stores: [Mutex<Option<StoreUse>>; 2],
-    /// The model computes its variables with the derivatives only.
-    has_stale_outputs: AtomicBool,
-    /// Of each way: how long the last simulation of a session took, in ns; 0: there was none.
-    last_runs: [AtomicU64; 2],
+    /// What higher layers keep with the FMU while it is open.
+    attached: OnceLock<Box<dyn Any + Send + Sync>>,
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
     /// Departures from the standard that showed in runs.
@@ -58,18 +39,36 @@ struct Inner {
     archive: Arc<Archive>,
 }
 
-/// How an instance is made.
-#[derive(Debug, Clone, Default)]
-pub struct InstanceOptions {
-    /// Name of the instance, for log messages; default: the name of the model.
-    pub name: Option<String>,
-    /// Ask the FMU to log. FMUs log what they think important without being asked, too.
-    pub logging: bool,
-    /// Which lines of the log are kept (see [`Instance::log`]); an FMU that goes on logging is held to four lines
-    /// for each point of time, step and event iteration, besides its errors, and the rest is counted.
-    pub log_filter: LogFilter,
-    /// Let the FMU show windows.
-    pub visible: bool,
+/// How a model is run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Kind {
+    /// By model exchange where the FMU offers it, else by co-simulation.
+    #[default]
+    Auto,
+    /// The FMU's equations are integrated by a method of [`ode`](crate::ode).
+    ModelExchange,
+    /// The FMU integrates itself, from one communication point to the next.
+    CoSimulation,
+}
+
+impl std::str::FromStr for Kind {
+    type Err = FmiError;
+
+    /// `auto`, `me` or `cs`, or the names in full (`ModelExchange`, `co-simulation`), whatever the case of the letters.
+    fn from_str(text: &str) -> Result<Self, FmiError> {
+        let letters =
+            text.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
+        match letters.as_str() {
+            "auto" => Ok(Kind::Auto),
+            "me" | "modelexchange" => Ok(Kind::ModelExchange),
+            "cs" | "cosimulation" => Ok(Kind::CoSimulation),
+            _ => Err(FmiError::BadSetting {
+                problem: format!(
+                    "kind = '{text}' is none of 'auto', 'ME' (ModelExchange), 'CS' (CoSimulation)"
+                ),
+            }),
+        }
+    }
 }
 
 impl Fmu {
@@ -103,9 +102,7 @@ impl Fmu {
             description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
         }
         let inner = Inner {
-            stores: Default::default(),
-            has_stale_outputs: AtomicBool::new(false),
-            last_runs: Default::default(),
+            attached: OnceLock::new(),
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
             description,
@@ -120,7 +117,15 @@ impl Fmu {
         Fmu { inner: Arc::clone(&self.inner), path: path.into() }
     }
 
-    pub(crate) fn archive(&self) -> &Archive {
+    /// What a higher layer keeps with the FMU while it is open; all clones share it. There is one such layer: one type.
+    pub(crate) fn attached<T: Any + Send + Sync + Default>(&self) -> &T {
+        match self.inner.attached.get_or_init(|| Box::new(T::default())).downcast_ref() {
+            Some(attached) => attached,
+            None => unreachable!("only one type is ever attached"),
+        }
+    }
+
+    pub(crate) fn archive(&self) -> &Arc<Archive> {
         &self.inner.archive
     }
 
@@ -194,115 +199,9 @@ impl Fmu {
         self.inner.archive.content_hash()
     }
 
-    /// Simulates once.
-    ///
-    /// # Errors
-    /// Options that do not fit the model, and everything that can go wrong in a simulation.
-    pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
-        self.simulate_with(options, &mut || ControlFlow::Continue(()))
-    }
-
-    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation there.
-    ///
-    /// # Errors
-    /// As [`simulate`](Self::simulate).
-    pub fn simulate_with(
-        &self,
-        options: &SimulateOptions,
-        poll: &mut dyn FnMut() -> ControlFlow<()>,
-    ) -> Result<Trajectory, FmiError> {
-        let plan = Arc::new(SimulationPlan::new(self, options)?);
-        Simulator::new(Arc::clone(&plan))?.trajectory_with(plan.parameter_starts(), poll)
-    }
-
-    /// How long the last simulation of a [`Session`](crate::Session) of this FMU took, by any of its clones; loading the
-    /// library does not count. `None`: there was none.
-    pub fn last_run(&self, kind: InterfaceKind) -> Option<Duration> {
-        let nanoseconds = self.inner.last_runs[kind as usize].load(Ordering::Relaxed);
-        (nanoseconds > 0).then(|| Duration::from_nanos(nanoseconds))
-    }
-
-    pub(crate) fn note_run(&self, kind: InterfaceKind, took: Duration) {
-        let nanoseconds = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
-        self.inner.last_runs[kind as usize].store(nanoseconds.max(1), Ordering::Relaxed);
-    }
-
-    /// Makes a model-exchange instance. **This loads the library and runs its code.**
-    ///
-    /// # Errors
-    /// The FMU cannot be run here (see [`FmiError`]), or it refuses to be instantiated.
-    pub fn instantiate(&self) -> Result<Instance<Instantiated>, FmiError> {
-        self.instantiate_with(&InstanceOptions::default())
-    }
-
-    /// Makes a model-exchange instance with a name, with logging.
-    ///
-    /// # Errors
-    /// As [`instantiate`](Self::instantiate).
-    pub fn instantiate_with(&self, options: &InstanceOptions) -> Result<Instance<Instantiated>, FmiError> {
-        let (core, lease) = self.instantiate_by_hand(InterfaceKind::ModelExchange, options)?;
-        Ok(Instance::by_hand(core, lease))
-    }
-
-    /// Makes a co-simulation instance. **This loads the library and runs its code.**
-    ///
-    /// # Errors
-    /// As [`instantiate`](Self::instantiate).
-    pub fn instantiate_co_simulation(
-        &self,
-        options: &InstanceOptions,
-    ) -> Result<Instance<Instantiated, CoSimulation>, FmiError> {
-        let (core, lease) = self.instantiate_by_hand(InterfaceKind::CoSimulation, options)?;
-        Ok(Instance::by_hand(core, lease))
-    }
-
-    /// Makes an instance of either kind in a copy of the library that nobody else uses.
-    pub(crate) fn instantiate_by_hand(
-        &self,
-        kind: InterfaceKind,
-        options: &InstanceOptions,
-    ) -> Result<(Core, CopyLease), FmiError> {
-        let store = self.store(kind)?;
-        self.running_root()?;
-        let open = |from: LoadFrom<'_>| self.load(from, kind);
-        let request = CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open };
-        let is_new = |copy: &LoadedCopy| copy.record().keys().is_empty();
-        let make = |lease: CopyLease| -> Result<_, FmiError> {
-            lease.copy().free_idle();
-            let raw = self.instantiate_in(lease.library(), kind, options)?;
-            let mut core = Core::new(raw, self.clone(), None);
-            let is_new = set_again(&mut core, kind, &lease);
-            Ok((core, lease, is_new))
-        };
-        let lease = store.lend(&request, &mut || true)?.ok_or_else(no_instance)?;
-        let (core, lease, is_as_new) = make(lease)?;
-        if is_as_new {
-            return Ok((core, lease));
-        }
-        match store.lend_if_free(&request, is_new) {
-            Some(other) => {
-                drop(core);
-                drop(lease);
-                make(other).map(|(core, lease, _)| (core, lease))
-            }
-            None => Ok((core, lease)),
-        }
-    }
-
     /// What is done with the log.
     pub(crate) fn logging(&self) -> LogOptions {
         self.inner.options.logging
-    }
-
-    /// Makes an instance for simulations.
-    pub(crate) fn instantiate_for_runs(
-        &self,
-        library: &Arc<Library>,
-        kind: InterfaceKind,
-    ) -> Result<RawInstance, FmiError> {
-        let LogOptions { asked, filter, .. } = self.inner.options.logging;
-        let options = InstanceOptions { logging: asked, log_filter: filter, ..InstanceOptions::default() };
-        self.instantiate_in(library, kind, &options)
     }
 
     /// The level at which lines of its log go to the program's logger.
@@ -310,139 +209,24 @@ impl Fmu {
         if self.inner.options.logging.shown { log::Level::Info } else { log::Level::Debug }
     }
 
-    /// Makes an instance of either kind with this library, which is that of the FMU or a copy of it.
-    pub(crate) fn instantiate_in(
-        &self,
-        library: &Arc<Library>,
-        kind: InterfaceKind,
-        options: &InstanceOptions,
-    ) -> Result<RawInstance, FmiError> {
-        let interface = self.check_interface(kind)?;
-        let store = self.store(kind)?;
-        let description = self.description();
-        let text = |what: &str, text: &str| {
-            CString::new(text)
-                .map_err(|_| FmiError::BadSetting { problem: format!("the {what} holds a NUL character") })
-        };
-        let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
-        let guid = text("guid", &description.guid)?;
-        // A cleaner of the folder for temporary files may have been there since the library was loaded.
-        let resources = store.resources_of(library.path(), self.running_root()?.join("resources"));
-        let is_intermediate = |v: &&Variable| {
-            v.intermediate_update && v.causality == Causality::Input && v.kind == VariableKind::Real
-        };
-        let intermediate: Vec<u32> = match interface.capabilities.provides_intermediate_update {
-            true => description.variables.iter().filter(is_intermediate).map(|v| v.value_reference).collect(),
-            false => Vec::new(),
-        };
-        let mut request = Request {
-            name: &name,
-            guid: &guid,
-            resources: &resources,
-            kind,
-            event_mode: interface.capabilities.uses_event_mode() && !store.verdicts.is_event_mode_refused(),
-            early_return: interface.capabilities.may_return_early(),
-            intermediate: &intermediate,
-            visible: options.visible,
-            logging: options.logging,
-            log_filter: options.log_filter,
-        };
-        let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
-        let refusal = match RawInstance::new(library, &request, sizes) {
-            Err(FmiError::Call(refusal)) if request.event_mode => FmiError::Call(refusal),
-            outcome => return outcome,
-        };
-        // Some models promise an event mode that they do not have.
-        request.event_mode = false;
-        let raw = RawInstance::new(library, &request, sizes).map_err(|_| refusal)?;
-        store.verdicts.refuse_event_mode();
-        log::warn!("{}: {NO_EVENT_MODE}", description.model_name);
-        Ok(raw)
-    }
-
-    /// Departures from the standard that showed when the FMU was run; those of its description are in
-    /// [`ModelDescription::quirks`].
-    pub fn quirks_seen(&self) -> Vec<Quirk> {
-        let store = self.known_store(InterfaceKind::CoSimulation);
-        let refused = store.is_some_and(|store| store.verdicts.is_event_mode_refused());
-        let stale = self.inner.has_stale_outputs.load(Ordering::Relaxed);
-        let quirk = |message: &str| Quirk { kind: QuirkKind::Promise, message: message.to_owned(), line: 0 };
-        let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let promises = [(refused, NO_EVENT_MODE), (stale, STALE_OUTPUTS)];
-        seen.extend(promises.into_iter().filter(|(is_seen, _)| *is_seen).map(|(_, message)| quirk(message)));
-        seen
-    }
-
     /// Lists a departure from the standard that showed in a run among the quirks; one that is new goes to the program's
     /// logger, too.
-    pub(crate) fn note_quirk(&self, kind: QuirkKind, message: String) {
-        let quirk = Quirk { kind, message, line: 0 };
+    pub(crate) fn note_quirk(&self, kind: QuirkKind, message: impl AsRef<str> + Into<String>) {
         let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner);
-        if !seen.contains(&quirk) {
-            log::warn!("{}: {}", self.description().model_name, quirk.message);
-            seen.push(quirk);
+        if !seen.iter().any(|quirk| quirk.kind == kind && quirk.message == message.as_ref()) {
+            log::warn!("{}: {}", self.description().model_name, message.as_ref());
+            seen.push(Quirk { kind, message: message.into(), line: 0 });
         }
     }
 
-    /// Notes that simulations write into the resources, which all of them would see: from now on each has a newly loaded copy of
-    /// the library, with the resources as they were in the archive (of a folder: as they are now).
-    ///
-    /// # Errors
-    /// The resources cannot be unpacked again.
-    pub(crate) fn note_written_resource(
-        &self,
-        store: &CopyStore,
-        kind: InterfaceKind,
-        file: &Path,
-    ) -> Result<(), FmiError> {
-        self.inner.archive.renew_resources()?;
-        store.set_private_resources();
-        store.verdicts.set_history(kind, Reuse::Reload);
-        let root = self.running_root()?;
-        let name = file.strip_prefix(&root).unwrap_or(file).display();
-        let message = format!(
-            "simulations write into the resources ({name}): every simulation gets a newly loaded copy of the library, with \
-             resources of its own, from now on; results from before may be wrong"
-        );
-        self.note_quirk(QuirkKind::Promise, message);
-        Ok(())
-    }
-
-    /// Notes that simulations depend on earlier ones: from now on each is begun by `reuse`.
-    pub(crate) fn note_history(&self, kind: InterfaceKind, reuse: Reuse) -> Result<(), FmiError> {
-        self.store(kind)?.verdicts.set_history(kind, reuse);
-        let way = match reuse {
-            Reuse::Reload => "a newly loaded copy of the library",
-            _ => "a new instance",
-        };
-        let message = format!(
-            "a simulation depends on earlier ones: the model keeps a state that no variable shows, and that resetting does \
-             not bring back; every simulation gets {way} from now on, and results from before may be wrong"
-        );
-        self.note_quirk(QuirkKind::Promise, message);
-        Ok(())
-    }
-
-    /// Notes that simulations in newly loaded copies differ.
-    pub(crate) fn note_not_reproducible(&self, kind: InterfaceKind) -> Result<(), FmiError> {
-        self.store(kind)?.verdicts.set_not_reproducible(kind);
-        let message =
-            "two simulations in newly loaded copies of the library differ: no result can be reproduced";
-        self.note_quirk(QuirkKind::Promise, message.to_owned());
-        Ok(())
-    }
-
-    /// How often a simulation was found to depend on earlier ones (see [`quirks_seen`](Self::quirks_seen)): each time, a safer
-    /// way of bringing instances back was taken from then on, and results from before may be wrong.
-    pub fn n_history_findings(&self, kind: InterfaceKind) -> u64 {
-        self.known_store(kind).map_or(0, |store| store.verdicts.n_found(kind))
-    }
-
-    /// Notes, and says once, that variables are computed with the derivatives only.
+    /// Notes that variables are computed with the derivatives only.
     pub(crate) fn note_stale_outputs(&self) {
-        if !self.inner.has_stale_outputs.swap(true, Ordering::Relaxed) {
-            log::warn!("{}: {STALE_OUTPUTS}", self.description().model_name);
-        }
+        self.note_quirk(QuirkKind::Promise, STALE_OUTPUTS);
+    }
+
+    /// The departures from the standard that were noted.
+    pub(crate) fn noted_quirks(&self) -> Vec<Quirk> {
+        self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Whether the FMU can be simulated, one way or the other; the interface that would be used.
@@ -523,88 +307,8 @@ impl Fmu {
         Ok(interface)
     }
 
-    /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends early when
-    /// `cancel` asks for it. **This loads the library and runs its code.**
-    ///
-    /// # Errors
-    /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
-    pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<(), FmiError> {
-        let kind = self.choose(kind)?;
-        let store = self.store_unless(kind, cancel)?;
-        let open = |from: LoadFrom<'_>| self.load(from, kind);
-        store
-            .lend(&CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open }, &mut || {
-                false
-            })?;
-        Ok(())
-    }
-
-    /// How instances are reset, for the interface that is used where nothing else is asked for; `None` before it was tried.
-    pub fn reuse(&self) -> Option<Reuse> {
-        self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
-    }
-
-    /// How instances are reset; `None` before it was tried.
-    pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
-        self.known_store(kind)?.verdicts.reuse(kind)
-    }
-
-    /// How simulations that run in parallel share the process where nothing is asked for: with copies of the library, or one at
-    /// a time where these would share state or cannot be loaded. `None` before the library was first needed.
-    pub fn sharing_of(&self, kind: InterfaceKind) -> Option<Sharing> {
-        self.known_store(kind).map(|store| store.sharing())
-    }
-
-    fn slot(&self, kind: InterfaceKind) -> MutexGuard<'_, Option<StoreUse>> {
-        self.inner.stores[kind as usize].lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The loaded copies of the library; `None` before they are first needed.
-    fn known_store(&self, kind: InterfaceKind) -> Option<Arc<CopyStore>> {
-        self.slot(kind).as_deref().map(Arc::clone)
-    }
-
-    /// The loaded copies of the library for this platform, which is compiled before that if the FMU brings sources only.
-    pub(crate) fn store(&self, kind: InterfaceKind) -> Result<Arc<CopyStore>, FmiError> {
-        self.store_unless(kind, &Cancel::default())
-    }
-
-    /// As [`store`](Self::store), unless `cancel` asks for an early end.
-    pub(crate) fn store_unless(
-        &self,
-        kind: InterfaceKind,
-        cancel: &Cancel,
-    ) -> Result<Arc<CopyStore>, FmiError> {
-        // The lock is held meanwhile: a second thread waits instead of compiling it again.
-        let mut slot = self.slot(kind);
-        if let Some(store) = &*slot {
-            return Ok(Arc::clone(store));
-        }
-        let library = self.binary(self.check_interface(kind)?, cancel)?;
-        let archive = &self.inner.archive;
-        if let Some(file) = archive.changed_library() {
-            let path = self.path().to_owned();
-            let name = file.strip_prefix(archive.unpack()?).unwrap_or(file).display();
-            let reason =
-                format!("{name} was written over or removed after the folder had been opened; open it again");
-            return Err(FmiError::BadArchive { path, reason });
-        }
-        let (root, loader) = (archive.unpack_part(Part::Running, cancel)?, self.inner.options.loader);
-        let (key, identity) = match (library.strip_prefix(&root), archive.fingerprint()) {
-            (Ok(place), Some(content)) => (Key::Content(content, place.to_owned(), loader), None),
-            _ => {
-                let metadata = library.metadata().map_err(FmiError::io("open", &library))?;
-                let identity = platform::file_identity(&metadata);
-                (Key::File(identity.place(&library), identity.clone(), loader), Some(identity))
-            }
-        };
-        let source = Source { library, root, identity, home: Some(Arc::clone(archive) as _) };
-        let store = slot.insert(StoreUse::new(key, source));
-        Ok(Arc::clone(store))
-    }
-
     /// The file of the library for this platform: unpacked, or built from the sources.
-    fn binary(&self, interface: &Interface, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+    pub(crate) fn binary(&self, interface: &Interface, cancel: &Cancel) -> Result<PathBuf, FmiError> {
         let (archive, description) = (&self.inner.archive, self.description());
         let find = |part| {
             let root = archive.unpack_part(part, cancel)?;
@@ -645,6 +349,11 @@ impl Fmu {
                 .map_err(|no_binary| self.no_library(no_binary, &reason)),
             outcome => outcome,
         }
+    }
+
+    /// How the library is loaded.
+    pub(crate) fn loader(&self) -> LoaderOptions {
+        self.inner.options.loader
     }
 
     /// Loads the library. **This runs its constructors.**

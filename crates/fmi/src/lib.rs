@@ -1,73 +1,66 @@
 //! A safe importer of Functional Mock-up Units: opening, describing, building and running them.
+//!
+//! # Layers
+//!
+//! A module imports from those below it only (`tools/layers.py` checks that), from top to bottom:
+//!
+//! - `session`: one model as scripts use it: set, simulate, get
+//! - `reuse/`: loaded copies of a library and who has them, instances brought back to their start, simulators, pools
+//! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
+//! - `instance/`: the phases of an instance as types, its values
+//! - `fmu`, `fmu_cache`, `open_options`: an opened FMU: its file, its description, its library
+//! - `examples/`: the bundled models
+//! - `source/`: source-code FMUs: build, compiler, cache, pack
+//! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
+//! - `description/`: what `modelDescription.xml` says, whatever the version
+//! - `archive/`: the files of an FMU
+//! - `platform/`, `log`, `cancel`, `error/`, `value`: operating systems and files, the log of an instance, ending early, errors, types of variables
+//!
+//! A right-hand side passes five of them on its way from the stepper to the FMU: `derivatives` of the system
+//! (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call means for the run),
+//! `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths, floating-point mode), that of the binding
+//! (`sys/binding.rs`: version of FMI), the C function.
 #![deny(unsafe_code)]
 
 pub mod archive;
-mod assign;
-mod beginning;
-mod binary;
 mod cancel;
-mod clocks;
-mod co_simulation;
-mod column;
-mod communication;
 pub mod description;
 pub mod error;
 mod examples;
-mod failure;
 mod fmu;
 mod fmu_cache;
-mod input;
 mod instance;
-mod intermediate;
-mod jacobian;
-mod lanes;
-mod memory;
-mod model_exchange;
-mod no_effect;
+mod log;
 mod open_options;
-mod options;
-mod outputs;
-mod places;
-mod plan;
 pub mod platform;
-mod points;
-mod reconfiguration;
 mod reuse;
-mod running;
-mod selection;
 mod session;
 mod simulation;
 mod source;
 mod sys;
-mod system;
-mod text_inputs;
-mod texts;
-mod trajectory;
+mod value;
 
+pub use self::log::LogFilter;
 pub use archive::{Archive, ArchiveLimits};
 pub use cancel::Cancel;
-pub use clocks::Tick;
-pub use co_simulation::StepOutcome;
-pub use description::{DescriptionLimits, ModelDescription, Value, Variable};
-pub use error::{EntryProblem, FmiError};
+pub use description::{DescriptionLimits, ModelDescription, Variable};
+pub use error::{CallFailure, EntryProblem, FmiError, LogLine, Status};
 pub use examples::{ExampleKind, example_fmu, example_fmu_as, example_names};
-pub use failure::CallFailure;
-pub use fmu::{Fmu, InstanceOptions};
+pub use fmu::{Fmu, Kind};
 pub use fmu_cache::FmuCache;
-pub use input::{InputFunction, Inputs};
 pub use instance::{
-    CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, ModelExchange, Phase,
-    Readable, Reconfiguration, SavedState, SerializedState, StepMode, Terminated,
+    CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, MAX_EVENT_ITERATIONS,
+    ModelExchange, Phase, Readable, Reconfiguration, SavedState, SerializedState, StepMode, StepOutcome,
+    Terminated,
 };
-pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use ode;
-pub use open_options::{LoaderOptions, LogOptions, OpenOptions};
-pub use options::{DEFAULT_INTERVALS, DEFAULT_TOLERANCE, Kind, SimulateOptions};
-pub use outputs::Recorded;
-pub use plan::SimulationPlan;
-pub use reuse::{Lease, Pool, Reuse, Sharing};
+pub use open_options::{LogOptions, OpenOptions};
+pub use reuse::{InstanceOptions, Lease, Pool, Reuse, Simulator};
 pub use session::Session;
-pub use simulation::Simulator;
+pub use simulation::{
+    DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, Sharing, SimulateOptions,
+    SimulationPlan, Tick, Trajectory, ValueColumn,
+};
 pub use source::{build_library, clear_caches, pack, pack_unless};
-pub use sys::{InterfaceKind, LogFilter, LogLine, Status};
-pub use trajectory::{Trajectory, ValueColumn};
+pub use sys::{InterfaceKind, LoaderOptions};
+pub use value::Value;

@@ -3,8 +3,9 @@
 use crate::archive::ArchiveLimits;
 use crate::cancel::Cancel;
 use crate::description::DescriptionLimits;
+use crate::log::LogFilter;
 use crate::source::COMPILE_TIME;
-use crate::sys::LogFilter;
+use crate::sys::LoaderOptions;
 use std::time::Duration;
 
 /// Options of [`Fmu::open_with`](crate::Fmu::open_with); the default is what [`Fmu::open`](crate::Fmu::open) does.
@@ -56,19 +57,4 @@ pub struct LogOptions {
     pub filter: LogFilter,
     /// Lines go to the program's logger at the level `info`, after the run that they are of; else at `debug`.
     pub shown: bool,
-}
-
-/// How the dynamic loader is asked for a library. By default all its symbols are looked up when it is loaded, so that a
-/// missing one is an error then and not the end of the process later (`RTLD_NOW`), and none of them are offered to other
-/// libraries (`RTLD_LOCAL`). A library that is loaded already stays as it is; that holds for the libraries it depends on too,
-/// which the loader knows by their names: of two with one name in a process it takes the first.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
-pub struct LoaderOptions {
-    /// Symbols of the library and what it depends on come before those of the process (`RTLD_DEEPBIND` of glibc): for
-    /// libraries that call a function of their own and get one of the same name of the host program instead. An error
-    /// where the system has no such flag. Not together with the address sanitizer, which refuses it.
-    pub deepbind: bool,
-    /// Functions are looked up when they are first called (`RTLD_LAZY`): for libraries that lack some which are never
-    /// called. If one is called, the process ends.
-    pub lazy: bool,
 }

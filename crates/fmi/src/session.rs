@@ -1,14 +1,14 @@
 //! One model as scripts use it: set values, simulate, look at the values, set others, simulate again.
 
-use crate::assign::{check_settable_at_start, convert};
 use crate::description::{Causality, Structure, Value, VariableKind};
 use crate::error::FmiError;
-use crate::fmu::Fmu;
-use crate::options::{Kind, SimulateOptions};
-use crate::places::{Place, Starts, element_value};
-use crate::plan::SimulationPlan;
-use crate::simulation::Simulator;
-use crate::trajectory::Trajectory;
+use crate::fmu::{Fmu, Kind};
+use crate::instance::assignments::{check_settable_at_start, convert};
+use crate::reuse::Simulator;
+use crate::simulation::SimulateOptions;
+use crate::simulation::parameters::{Place, Starts, element_value};
+use crate::simulation::plan::SimulationPlan;
+use crate::simulation::trajectory::Trajectory;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
@@ -278,5 +278,28 @@ impl Session {
         values.append(&mut options.start_values);
         options.start_values = values;
         options
+    }
+}
+
+impl Fmu {
+    /// Simulates once.
+    ///
+    /// # Errors
+    /// Options that do not fit the model, and everything that can go wrong in a simulation.
+    pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+        self.simulate_with(options, &mut || ControlFlow::Continue(()))
+    }
+
+    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation there.
+    ///
+    /// # Errors
+    /// As [`simulate`](Self::simulate).
+    pub fn simulate_with(
+        &self,
+        options: &SimulateOptions,
+        poll: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Trajectory, FmiError> {
+        let plan = Arc::new(SimulationPlan::new(self, options)?);
+        Simulator::new(Arc::clone(&plan))?.trajectory_with(plan.parameter_starts(), poll)
     }
 }

@@ -84,7 +84,7 @@ fn co_simulation() {
     let times: Vec<f64> = (0..40).map(f64::from).collect();
     let inputs =
         Inputs::new().table(times.clone(), [("u", times.iter().map(|t| t.sin()).collect::<Vec<f64>>())]);
-    let folder = fixture("intermediate", |xml| xml);
+    let folder = fixture("early_return", |xml| xml);
     allocates_nothing_per_step(&folder.open(), &options.inputs(inputs), [1.0, 20.0]);
 }
 

@@ -80,7 +80,7 @@ def test_the_way_of_using_instances_again_is_told(tmp_path):
 
 
 def test_a_promise_that_is_not_kept_is_a_quirk(tmp_path, caplog):
-    model = FMUModel(fmus.compiled("intermediate", tmp_path / "i.fmu", "NO_EVENT_MODE"))
+    model = FMUModel(fmus.compiled("early_return", tmp_path / "i.fmu", "NO_EVENT_MODE"))
     assert model.description.quirks == []
     with caplog.at_level(logging.WARNING, logger="pydfo"):
         model.simulate()

@@ -1,8 +1,8 @@
 //! The list of entries of an archive, checked: names, kinds, sizes, and that no byte serves two entries.
 
 use super::directory::{Directory, Fields, Record, Unreadable};
+use super::limits::{ArchiveLimits, MODEL_DESCRIPTION};
 use super::names::{self, Names};
-use super::{ArchiveLimits, MODEL_DESCRIPTION};
 use crate::cancel::Cancel;
 use crate::error::{EntryProblem, FmiError};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};

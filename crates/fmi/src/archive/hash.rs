@@ -1,6 +1,6 @@
 //! Content hashes: SHA-256 of an archive, or of the sorted names and contents of a folder.
 
-use super::ArchiveLimits;
+use super::limits::ArchiveLimits;
 use crate::error::FmiError;
 use sha2::{Digest, Sha256};
 use std::fs::{self, File};

@@ -4,6 +4,7 @@
 mod directory;
 mod entries;
 mod hash;
+mod limits;
 mod names;
 mod packed;
 mod positioned;
@@ -12,6 +13,8 @@ mod snapshot;
 mod unpack;
 
 pub(crate) use hash::{files_below, of_texts as hash_of_texts};
+pub use limits::ArchiveLimits;
+pub(crate) use limits::MODEL_DESCRIPTION;
 pub(crate) use packed::Part;
 pub(crate) use private::PrivateFolder;
 pub(crate) use snapshot::Snapshot;
@@ -24,9 +27,6 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
-
-/// Name of the file every FMU has at its root.
-pub(crate) const MODEL_DESCRIPTION: &str = "modelDescription.xml";
 
 /// Whether names could be those of the files of one archive; else the first that could not, and why.
 pub(crate) fn check_names<'a>(
@@ -44,37 +44,6 @@ pub(crate) fn check_names<'a>(
 /// Whether a relative path with slashes stays inside of the folder it starts in.
 pub(crate) fn is_inside(path: &str) -> bool {
     names::check(path).is_ok()
-}
-
-/// What an archive may contain. The defaults are far above any real FMU, and stop archives made to fill a disk.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ArchiveLimits {
-    /// Files and folders (default 100 000).
-    pub entries: u64,
-    /// Folders, those included that have no entry of their own (default 10 000).
-    pub folders: u64,
-    /// Unpacked bytes of one file (default 2 GiB).
-    pub file_bytes: u64,
-    /// Unpacked bytes of all files (default 4 GiB).
-    pub total_bytes: u64,
-    /// Unpacked bytes per packed byte, for one file and for all (default 200). Text tables pack well:
-    /// what unpacks to less than [`ratio_free_bytes`](Self::ratio_free_bytes) is not asked.
-    pub ratio: u64,
-    /// Unpacked bytes up to which the ratio does not matter (default 256 MiB).
-    pub ratio_free_bytes: u64,
-}
-
-impl Default for ArchiveLimits {
-    fn default() -> Self {
-        ArchiveLimits {
-            entries: 100_000,
-            folders: 10_000,
-            file_bytes: 2 << 30,
-            total_bytes: 4 << 30,
-            ratio: 200,
-            ratio_free_bytes: 256 << 20,
-        }
-    }
 }
 
 /// An opened FMU: a `.fmu` file or a folder with `modelDescription.xml` at its root.

@@ -1,9 +1,9 @@
 //! A `.fmu` file: listed and checked when it is opened, unpacked into a private folder part by part when a part is
 //! needed, and again where somebody has removed it.
 
-use super::ArchiveLimits;
 use super::entries::{self, Listed, refused};
 use super::hash::{self, Hashing};
+use super::limits::ArchiveLimits;
 use super::positioned::Positioned;
 use super::private::PrivateFolder;
 use super::unpack::Source;

@@ -3,18 +3,17 @@
 //! Everything that can be worked with is tolerated and reported (FMUs in the wild leave the standard in many small
 //! ways); only what would make a run wrong or unsafe is an error.
 
+use super::draft::Draft;
 use super::limits::Budget;
 use super::model::{ModelDescription, Quirk, QuirkKind, Unknown};
 use super::names::NameIndex;
-use super::parse::Draft;
 use super::quirks::Quirks;
 use super::structure::Structure;
 use super::unit::Unit;
-use super::variable::{
-    Causality, Dimension, Initial, TypeDefinition, Value, Variability, Variable, VariableKind,
-};
+use super::variable::{Causality, Dimension, Initial, TypeDefinition, Variability, Variable};
 use crate::archive::MODEL_DESCRIPTION;
 use crate::error::FmiError;
+use crate::value::{Value, VariableKind};
 use std::collections::{HashMap, HashSet};
 
 /// Resolves the references of a draft and turns it into a description.

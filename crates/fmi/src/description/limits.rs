@@ -94,3 +94,17 @@ impl Default for Budget {
         Self::new(&DescriptionLimits::default(), &Cancel::default())
     }
 }
+
+/// Refuses a file with more bytes than there may be.
+pub(super) fn check_size(
+    bytes: &[u8],
+    file: &'static str,
+    limits: &DescriptionLimits,
+) -> Result<(), FmiError> {
+    let limit = limits.bytes;
+    if bytes.len() as u64 <= limit {
+        return Ok(());
+    }
+    let message = format!("it has more bytes than the limit of {limit} (DescriptionLimits::bytes)");
+    Err(FmiError::Description { file, line: 1, message })
+}

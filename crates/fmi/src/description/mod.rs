@@ -2,11 +2,13 @@
 
 mod checks;
 mod clock;
+mod draft;
 mod limits;
 mod model;
 mod names;
 mod parse;
 mod quirks;
+mod read;
 mod structure;
 mod unit;
 mod variable;
@@ -21,10 +23,10 @@ pub use model::{
 };
 pub use unit::{BaseUnit, DisplayUnit, Unit};
 pub use variable::{
-    Alias, Causality, Dimension, EnumerationItem, Initial, TypeDefinition, Value, Variability, Variable,
-    VariableKind,
+    Alias, Causality, Dimension, EnumerationItem, Initial, TypeDefinition, Variability, Variable,
 };
 
+pub use crate::value::{Value, VariableKind};
 pub use version::FmiVersion;
 
 pub(crate) use structure::Structure;

@@ -1,7 +1,8 @@
 //! Sizes of arrays: dimensions that are numbers, and those that are values of structural parameters.
 
-use super::model::ModelDescription;
-use super::variable::{Dimension, Value, Variable};
+use super::model::{ModelDescription, Unknown};
+use super::variable::{Dimension, Variable};
+use crate::value::Value;
 
 /// Values of structural parameters, where they are not the start values.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -105,7 +106,7 @@ impl Structure {
         }
     }
 
-    fn sum(&self, model: &ModelDescription, unknowns: &[super::Unknown]) -> usize {
+    fn sum(&self, model: &ModelDescription, unknowns: &[Unknown]) -> usize {
         unknowns
             .iter()
             .map(|unknown| self.elements(model, &model.variables[unknown.index]))

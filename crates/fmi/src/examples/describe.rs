@@ -1,7 +1,7 @@
 //! Model descriptions of the bundled models for every version of the standard, written from the one that lies beside
 //! the model's source (FMI 2.0 model exchange).
 
-use super::ExampleKind;
+use super::kind::ExampleKind;
 use crate::description::{
     BaseUnit, Causality, DefaultExperiment, Initial, ModelDescription, Unknown, Value, Variability, Variable,
     VariableKind,

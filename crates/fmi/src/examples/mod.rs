@@ -1,6 +1,9 @@
 //! The bundled example models: their sources are part of this library, and become `.fmu` files on demand.
 
 mod describe;
+mod kind;
+
+pub use kind::ExampleKind;
 
 use crate::archive::hash_of_texts;
 use crate::error::FmiError;
@@ -24,13 +27,6 @@ macro_rules! example {
     };
 }
 
-/// Names and contents of files of the front ends.
-macro_rules! frontend {
-    [$($name:literal),+] => {
-        [$(($name, include_str!(concat!("../../models/frontend/", $name)))),+]
-    };
-}
-
 const EXAMPLES: [Example; 8] = [
     example!("furuta"),
     example!("bouncing_ball"),
@@ -41,63 +37,6 @@ const EXAMPLES: [Example; 8] = [
     example!("quad_tank"),
     example!("exhaust"),
 ];
-
-/// The version and interface an example is made for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum ExampleKind {
-    /// FMI 1.0 for model exchange.
-    Fmi1ModelExchange,
-    /// FMI 1.0 for co-simulation.
-    Fmi1CoSimulation,
-    /// FMI 2.0 model exchange.
-    Fmi2ModelExchange,
-    /// FMI 2.0 co-simulation.
-    Fmi2CoSimulation,
-    /// FMI 3.0, model exchange and co-simulation in one.
-    Fmi3,
-}
-
-impl ExampleKind {
-    /// All of them.
-    pub const ALL: [ExampleKind; 5] = [
-        ExampleKind::Fmi1ModelExchange,
-        ExampleKind::Fmi1CoSimulation,
-        ExampleKind::Fmi2ModelExchange,
-        ExampleKind::Fmi2CoSimulation,
-        ExampleKind::Fmi3,
-    ];
-
-    /// What stands behind the model's name in the name of the file.
-    fn suffix(self) -> &'static str {
-        match self {
-            ExampleKind::Fmi1ModelExchange => "-fmi1-me",
-            ExampleKind::Fmi1CoSimulation => "-fmi1-cs",
-            ExampleKind::Fmi2ModelExchange => "",
-            ExampleKind::Fmi2CoSimulation => "-fmi2-cs",
-            ExampleKind::Fmi3 => "-fmi3",
-        }
-    }
-
-    /// The files that turn a model into an FMU, the one that is compiled first; see `models/readme.md`.
-    fn frontend(self) -> &'static [(&'static str, &'static str)] {
-        match self {
-            ExampleKind::Fmi2CoSimulation => {
-                &frontend!["fmi2_cs.c", "fmi2.h", "fmi2_common.h", "solver.h", "instance.h", "model.h"]
-            }
-            ExampleKind::Fmi2ModelExchange => {
-                &frontend!["fmi2_me.c", "fmi2.h", "fmi2_common.h", "instance.h", "model.h"]
-            }
-            ExampleKind::Fmi1ModelExchange => {
-                &frontend!["fmi1_me.c", "fmi1.h", "fmi1_common.h", "instance.h", "model.h"]
-            }
-            ExampleKind::Fmi1CoSimulation => {
-                &frontend!["fmi1_cs.c", "fmi1.h", "fmi1_common.h", "solver.h", "instance.h", "model.h"]
-            }
-            ExampleKind::Fmi3 => &frontend!["fmi3.c", "fmi3.h", "solver.h", "instance.h", "model.h"],
-        }
-    }
-}
 
 /// The names that [`example_fmu`] knows.
 pub fn example_names() -> impl ExactSizeIterator<Item = &'static str> {

@@ -1,28 +1,33 @@
 //! The part of an instance that does not change with the phase: values, sizes, and the words for what goes wrong.
 
-use crate::assign::{self, Assignments};
-use crate::description::{Structure, Value, Variable, VariableKind};
-use crate::error::FmiError;
-use crate::failure::CallFailure;
+use super::assignments::{self, Assignments};
+use super::integer_codec;
+use crate::description::{ModelDescription, Structure, Value, Variable, VariableKind};
+use crate::error::{CallFailure, FmiError, Status};
 use crate::fmu::Fmu;
-use crate::lanes;
-use crate::reuse::CopyLease;
-use crate::sys::{Fault, RawInstance, Sizes, Status};
+use crate::sys::{Fault, RawInstance, Sizes};
+use std::fmt::Debug;
+
+/// A copy of the library in use, which keeps a record of the variables that were ever set in it.
+pub(crate) trait SetRecord: Debug + Send {
+    /// Notes that a variable is about to be set.
+    fn note_set(&self, variable: &Variable);
+}
 
 /// An instance in any phase. The component is dropped before its copy of the library and the FMU.
 #[derive(Debug)]
 pub(crate) struct Core {
     pub(crate) raw: RawInstance,
     /// Of an instance made by hand: its copy of the library.
-    pub(super) lease: Option<CopyLease>,
+    pub(super) library: Option<Box<dyn SetRecord>>,
     pub(super) fmu: Fmu,
     pub(super) structure: Structure,
 }
 
 impl Core {
     /// Of an instance whose structural parameters have their start values.
-    pub(crate) fn new(raw: RawInstance, fmu: Fmu, lease: Option<CopyLease>) -> Self {
-        Self { raw, lease, fmu, structure: Structure::default() }
+    pub(crate) fn new(raw: RawInstance, fmu: Fmu) -> Self {
+        Self { raw, library: None, fmu, structure: Structure::default() }
     }
 
     pub(crate) fn fmu(&self) -> &Fmu {
@@ -31,8 +36,8 @@ impl Core {
 
     /// Notes in the record of its copy of the library that a variable is set by hand.
     pub(super) fn note_set(&self, variable: &Variable) {
-        if let Some(lease) = &self.lease {
-            lease.copy().record().note([(variable.kind, variable.value_reference)]);
+        if let Some(library) = &self.library {
+            library.note_set(variable);
         }
     }
 
@@ -63,7 +68,11 @@ impl Core {
             .filter_map(|reference| variables.iter().find(|v| v.value_reference == *reference && is(v.kind)))
             .map(|variable| variable.name.clone())
             .collect();
-        failure.expand(self.fmu.description());
+        for line in &mut failure.log {
+            if line.text.contains('#') {
+                line.text = expand_references(&line.text, self.fmu.description());
+            }
+        }
         FmiError::Call(Box::new(failure))
     }
 
@@ -189,7 +198,9 @@ impl Core {
             kind => {
                 let mut values = vec![0; n];
                 let read = self.raw.get_packed(kind, &references, &mut values);
-                read.map(|()| values.into_iter().map(|lane| lanes::value(kind, lane)).collect::<Vec<Value>>())
+                read.map(|()| {
+                    values.into_iter().map(|lane| integer_codec::value(kind, lane)).collect::<Vec<Value>>()
+                })
             }
         };
         let mut values = read.map_err(|fault| self.error_about(fault, &references, |other| other == kind))?;
@@ -200,7 +211,7 @@ impl Core {
                 Value::Array(values)
             }
         };
-        Ok(if variable.negated { assign::negate(value) } else { value })
+        Ok(if variable.negated { assignments::negate(value) } else { value })
     }
 
     /// Runs a raw call and words its error.
@@ -209,5 +220,52 @@ impl Core {
         call: impl FnOnce(&mut RawInstance) -> Result<T, Fault>,
     ) -> Result<T, FmiError> {
         call(&mut self.raw).map_err(|fault| self.error(fault))
+    }
+}
+
+/// Replaces `#r12#` (type letter and value reference) by the name of the variable and `##` by `#`
+/// (FMI 2.0.x, section 2.1.5); anything else stays.
+pub(crate) fn expand_references(text: &str, description: &ModelDescription) -> String {
+    let mut out = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find('#') {
+        out.push_str(&rest[..at]);
+        let after = &rest[at + 1..];
+        let replaced = after.find('#').and_then(|end| {
+            let inner = &after[..end];
+            let name = if inner.is_empty() { Some("#") } else { referenced(inner, description) };
+            name.map(|name| (name, end))
+        });
+        if let Some((name, end)) = replaced {
+            out.push_str(name);
+            rest = &after[end + 1..];
+        } else {
+            out.push('#');
+            rest = after;
+        }
+    }
+    out.push_str(rest);
+    out
+}
+
+/// The name behind `r12`.
+fn referenced<'a>(inner: &str, description: &'a ModelDescription) -> Option<&'a str> {
+    let mut chars = inner.chars();
+    let letter = chars.next()?;
+    let reference: u32 = chars.as_str().parse().ok()?;
+    description
+        .variables
+        .iter()
+        .find(|variable| variable.value_reference == reference && letter_of(variable.kind) == letter)
+        .map(|variable| variable.name.as_str())
+}
+
+fn letter_of(kind: VariableKind) -> char {
+    match kind {
+        VariableKind::Real => 'r',
+        VariableKind::Boolean => 'b',
+        VariableKind::String => 's',
+        // Types of FMI 3.0, whose messages have no references, cannot be meant.
+        _ => 'i',
     }
 }

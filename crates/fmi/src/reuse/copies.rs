@@ -1,20 +1,18 @@
 //! A loaded copy of an FMU's library: a loaded file with static variables of its own, its idle instances, and the record of
 //! what was ever set in it. Most copies cannot be unloaded, so they are kept and used again.
 
-use super::record::Record;
+use super::source::Home;
 use crate::error::FmiError;
 use crate::open_options::LogOptions;
 use crate::sys::{InterfaceKind, Library, LoadFrom, RawInstance};
-use std::any::Any;
+use crate::value::{Value, VariableKind};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Idle instances kept in one copy; more than one only where several owners use it together.
 const MAX_IDLE: usize = 4;
-
-/// What keeps the folder of a copy on the disk.
-pub(super) type Home = Arc<dyn Any + Send + Sync>;
 
 /// A loaded copy of a library.
 pub(crate) struct LoadedCopy {
@@ -180,6 +178,40 @@ impl LoadedCopy {
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+/// A variable by its type and reference; aliases have the same.
+pub(crate) type SetKey = (VariableKind, u32);
+
+/// The variables that were ever set in a copy.
+#[derive(Debug, Default)]
+pub(crate) struct Record {
+    /// Sorted.
+    keys: Vec<SetKey>,
+}
+
+impl Record {
+    /// Notes variables that are about to be set.
+    pub(crate) fn note(&mut self, keys: impl IntoIterator<Item = SetKey>) {
+        for key in keys {
+            if let Err(place) = self.keys.binary_search(&key) {
+                self.keys.insert(place, key);
+            }
+        }
+    }
+
+    /// The variables, sorted; their number tells whether there are new ones.
+    pub(crate) fn keys(&self) -> &[SetKey] {
+        &self.keys
+    }
+
+    /// Whether one of these was set.
+    pub(crate) fn has_any(&self, keys: &[SetKey]) -> bool {
+        keys.iter().any(|key| self.keys.binary_search(key).is_ok())
+    }
+}
+
+/// What new instances of a library answer for variables that were not set; `None`: nothing is known of it.
+pub(crate) type Defaults = HashMap<SetKey, Option<Value>>;
 
 #[cfg(test)]
 mod tests {

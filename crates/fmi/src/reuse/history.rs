@@ -7,34 +7,21 @@
 //! N-th run, the run after one with certain values) is found with a probability, not for certain: between two looks a result may
 //! depend on what ran before.
 
-use super::lease::CopyLease;
-use super::{CopyStore, Digest, Reuse, Sharing};
+use super::loans::CopyRequest;
+use super::past::{Aside, Past};
+use super::runner::{Runner, Tenancy};
+use super::store::{CopyLease, CopyStore};
+use super::verdict::Reuse;
 use crate::error::FmiError;
-use crate::plan::SimulationPlan;
-use crate::simulation::{Runner, Tenancy};
+use crate::simulation::Sharing;
+use crate::simulation::digest::Digest;
+use crate::simulation::plan::SimulationPlan;
+use crate::simulation::running::no_instance;
 use crate::sys::{CallEnvironment, LoadFrom, RawInstance};
 use ode::{ErrorKind, Observer, Report, Sample, Termination};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-
-/// A copy that a runner goes back to after a run in another one.
-#[derive(Debug)]
-pub(crate) struct Aside {
-    // Given back after the instance.
-    instance: Option<RawInstance>,
-    lease: CopyLease,
-}
-
-/// What a run in a used copy showed, before it is made in a new one.
-pub(crate) struct Past {
-    digest: Digest,
-    /// The run was too long to be made twice.
-    is_stopped: bool,
-    wants_steps: bool,
-    /// The other run is made in another copy, not by a new instance in the same one.
-    is_elsewhere: bool,
-}
 
 /// Of a run that takes longer only so much is made twice: of one without parameters, and of one with, which is more likely to be
 /// made over and over.
@@ -170,7 +157,7 @@ impl Runner {
     fn new_copy_of(&self, store: &Arc<CopyStore>) -> Option<CopyLease> {
         let fmu = self.plan.fmu();
         let open = |from: LoadFrom<'_>| fmu.load(from, self.plan.kind);
-        let request = super::CopyRequest { sharing: Sharing::Copies, ..self.request(&open) };
+        let request = CopyRequest { sharing: Sharing::Copies, ..self.request(&open) };
         store.lend_if_free(&request, |copy| !copy.is_used())
     }
 
@@ -347,7 +334,7 @@ fn digest_in(
     let digest = runner.digest_of(parameters, observer);
     runner.fresh = None;
     drop(runner.engine.running().retire());
-    runner.lease.take().map(|lease| (digest, lease)).ok_or_else(crate::running::no_instance)
+    runner.lease.take().map(|lease| (digest, lease)).ok_or_else(no_instance)
 }
 
 /// Whether the observer stopped a run.

@@ -1,10 +1,12 @@
 //! Lends each worker a simulator, and checks how instances can be reset.
 
+use super::runner::Runner;
+use super::simulator::Simulator;
 use super::trial::Trial;
-use super::{Reuse, Sharing};
+use super::verdict::Reuse;
 use crate::error::FmiError;
-use crate::plan::SimulationPlan;
-use crate::simulation::{Runner, Simulator};
+use crate::simulation::Sharing;
+use crate::simulation::plan::SimulationPlan;
 use std::ops::{Deref, DerefMut};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

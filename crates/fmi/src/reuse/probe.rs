@@ -1,10 +1,11 @@
 //! Trial runs: on new instances, and on used ones that were reset, so that they can be compared.
 
-use super::{Digest, Reuse};
-use crate::beginning::StartValues;
+use super::renewal::renew;
+use super::runner::Runner;
+use super::verdict::Reuse;
 use crate::error::FmiError;
-use crate::instance;
-use crate::simulation::Runner;
+use crate::simulation::digest::Digest;
+use crate::simulation::parameters::StartValues;
 use crate::sys::{CallEnvironment, RawInstance};
 use ode::{ErrorKind, Ignore, Observer};
 use std::sync::Arc;
@@ -188,7 +189,7 @@ impl Runner {
         observer: &mut dyn Observer,
     ) -> Result<Option<Probe>, FmiError> {
         let Some(used) = self.engine.running().retire() else { return Ok(Some(Probe::Gone)) };
-        let Ok(raw) = instance::renew(used, self.plan.fmu(), reuse) else { return Ok(None) };
+        let Ok(raw) = renew(used, self.plan.fmu(), reuse) else { return Ok(None) };
         match self.begin_probe(raw, start_values, parameters) {
             true => self.finish_probe(steps, observer).map(Some),
             false => Ok(Some(Probe::Nothing)),

@@ -1,10 +1,11 @@
 //! New instances for runs, and old ones reset.
 
-use super::Reuse;
+use super::runner::Runner;
+use super::verdict::Reuse;
 use crate::description::QuirkKind;
 use crate::error::FmiError;
-use crate::instance;
-use crate::simulation::Runner;
+use crate::fmu::Fmu;
+use crate::instance::{Instance, Instantiated};
 use crate::sys::RawInstance;
 
 impl Runner {
@@ -36,7 +37,7 @@ impl Runner {
         // Where that fails, too, it is not because the copy was used.
         let raw = self.instantiate_here().map_err(|_| error)?;
         let message = "a loaded copy of the library can be instantiated only so often: simulations go on in newly loaded ones";
-        self.plan.fmu().note_quirk(QuirkKind::Promise, message.to_owned());
+        self.plan.fmu().note_quirk(QuirkKind::Promise, message);
         Ok(raw)
     }
 
@@ -68,7 +69,7 @@ impl Runner {
             drop(used);
             return Ok((self.new_instance()?, false));
         }
-        if let Ok(raw) = instance::renew(used, self.plan.fmu(), reuse) {
+        if let Ok(raw) = renew(used, self.plan.fmu(), reuse) {
             return Ok((raw, true));
         }
         if !self.is_fatal() {
@@ -92,4 +93,16 @@ impl Runner {
         let message = format!("{what} does not bring instances back to their start: {reason}");
         self.plan.fmu().note_quirk(QuirkKind::Promise, message);
     }
+}
+
+/// Brings an instance with a past back to its beginning, by a saved state or the FMU's reset function.
+pub(crate) fn renew(mut raw: RawInstance, fmu: &Fmu, reuse: Reuse) -> Result<RawInstance, FmiError> {
+    if reuse != Reuse::Restore {
+        return Instance::<Instantiated>::from_raw(raw, fmu.clone()).reset().map(|fresh| fresh.into_raw().0);
+    }
+    let outcome = raw.restore_origin();
+    raw.clear_log();
+    let mut instance = Instance::<Instantiated>::from_raw(raw, fmu.clone());
+    instance.core().call(|_| outcome)?;
+    Ok(instance.into_raw().0)
 }

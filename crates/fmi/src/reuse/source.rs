@@ -1,10 +1,14 @@
 //! Where the copies of a library come from, and what tells one library from another.
 
-use super::copies::Home;
 use crate::error::FmiError;
-use crate::open_options::LoaderOptions;
 use crate::platform::{self, FileIdentity, FilePlace};
+use crate::sys::LoaderOptions;
+use std::any::Any;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What keeps the folder of a copy on the disk.
+pub(super) type Home = Arc<dyn Any + Send + Sync>;
 
 /// What tells one library from another.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]

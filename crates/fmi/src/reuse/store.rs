@@ -4,25 +4,21 @@
 //! beyond a number. All others are kept, and the store of a library stays in the process. What goes with its last user are the
 //! idle instances and the folders.
 
-use super::copies::LoadedCopy;
-use super::lease::CopyLease;
+use super::copies::{Defaults, LoadedCopy};
+use super::files;
 use super::linkage::Linkage;
-use super::record::Defaults;
+use super::loans::{CopyRequest, Eviction, Loan, State, Tenant};
 use super::source::Source;
-use super::tenant::{CopyRequest, Eviction, Tenant};
-use super::verdict::Verdicts;
-use super::{Reuse, Sharing, files};
+use super::verdict::{Reuse, Verdicts};
 use crate::archive::Snapshot;
-use crate::binary::check_length;
 use crate::error::FmiError;
-use crate::sys::LoadFrom;
+use crate::platform::check_length;
+use crate::simulation::Sharing;
+use crate::sys::{Library, LoadFrom};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
-
-/// Idle copies that stay ready: more than a machine has cores, as a rule.
-const KEPT_IDLE: usize = 64;
 
 /// How long a thread that waits for a copy does not look whether it is to go on waiting.
 const PATIENCE: Duration = Duration::from_millis(20);
@@ -43,36 +39,6 @@ pub(crate) struct CopyStore {
     pub(crate) verdicts: Verdicts,
     /// What new instances answer for the variables that were ever set.
     defaults: Mutex<Defaults>,
-}
-
-#[derive(Default)]
-pub(super) struct State {
-    /// FMUs that are open.
-    pub(super) users: usize,
-    pub(super) source: Option<Source>,
-    pub(super) idle: Vec<Arc<LoadedCopy>>,
-    loans: Vec<Loan>,
-    /// Copies being made; whether one of them is for owners that go one at a time.
-    making: usize,
-    making_serial: bool,
-    /// The original file is loaded, or being loaded.
-    original_taken: bool,
-    /// Why all owners go one at a time.
-    one_at_a_time: Option<String>,
-    /// Why no further copy could be made.
-    pub(super) refused: Option<String>,
-    /// Copies in use then.
-    n_refused: usize,
-    last_lease: u64,
-    /// Counts what a waiting owner waits for.
-    changes: u64,
-}
-
-/// A copy in use.
-struct Loan {
-    copy: Arc<LoadedCopy>,
-    sharing: Sharing,
-    holders: Vec<(u64, Option<Weak<dyn Tenant>>)>,
 }
 
 /// One owner that waits.
@@ -482,31 +448,6 @@ impl CopyStore {
     }
 }
 
-impl State {
-    /// An idle copy beyond those that are kept ready, which still has its folder.
-    fn surplus(&self) -> Option<Arc<LoadedCopy>> {
-        if self.idle.len() <= KEPT_IDLE {
-            return None;
-        }
-        self.idle.iter().find(|copy| copy.home().is_some()).cloned()
-    }
-
-    /// Notes a holder of a copy.
-    fn loan(&mut self, copy: &Arc<LoadedCopy>, request: &CopyRequest<'_>) -> u64 {
-        self.last_lease += 1;
-        let holder = (self.last_lease, request.tenant.clone());
-        match self.loans.iter_mut().find(|loan| Arc::ptr_eq(&loan.copy, copy)) {
-            Some(loan) => loan.holders.push(holder),
-            None => self.loans.push(Loan {
-                copy: Arc::clone(copy),
-                sharing: request.sharing,
-                holders: vec![holder],
-            }),
-        }
-        self.last_lease
-    }
-}
-
 impl std::fmt::Debug for CopyStore {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let state = self.state();
@@ -516,5 +457,57 @@ impl std::fmt::Debug for CopyStore {
             .field("one_at_a_time", &state.one_at_a_time)
             .field("refused", &state.refused)
             .finish_non_exhaustive()
+    }
+}
+
+/// A loaded copy on loan to one owner, for as long as it has instances; given back on drop, after them.
+pub(crate) struct CopyLease {
+    store: Arc<CopyStore>,
+    library: Arc<Library>,
+    /// After the library: a copy that is unloaded takes its folder with it.
+    copy: Arc<LoadedCopy>,
+    id: u64,
+}
+
+impl CopyLease {
+    /// The functions of the copy.
+    pub(crate) fn library(&self) -> &Arc<Library> {
+        &self.library
+    }
+
+    /// The copy.
+    pub(crate) fn copy(&self) -> &LoadedCopy {
+        &self.copy
+    }
+
+    /// Gives the copy up for good, where it can be unloaded; else it is kept for others.
+    pub(crate) fn retire(self) {
+        if self.store.may_unload() {
+            self.copy.free_idle();
+            self.copy.unload_when_unused();
+        }
+    }
+
+    /// The copies of this library.
+    pub(crate) fn store(&self) -> &Arc<CopyStore> {
+        &self.store
+    }
+
+    /// Whether a call of this copy has returned `Fatal`.
+    #[inline]
+    pub(crate) fn is_fatal(&self) -> bool {
+        self.library.shared().is_fatal()
+    }
+}
+
+impl Drop for CopyLease {
+    fn drop(&mut self) {
+        self.store.give_back(&self.copy, self.id);
+    }
+}
+
+impl std::fmt::Debug for CopyLease {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "CopyLease({})", self.library.path().display())
     }
 }

@@ -1,12 +1,11 @@
 //! The check of the ways of resetting: a second run against one on a new instance, after a run with other values, in one thread.
 
-use super::Reuse;
 use super::probe::{DIFFERS, PROBE_STEPS, Probe};
-use crate::beginning::StartValues;
-use crate::description::Variable;
+use super::runner::Runner;
+use super::verdict::Reuse;
 use crate::error::FmiError;
-use crate::plan::SimulationPlan;
-use crate::simulation::Runner;
+use crate::simulation::parameters::StartValues;
+use crate::simulation::plan::SimulationPlan;
 use ode::{Ignore, Observer, Sample};
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -105,17 +104,6 @@ impl<'a> Trial<'a> {
         let says_nothing = matches!(last, Some(Probe::TimedOut | Probe::Gone));
         Ok((!says_nothing).then_some(last == Some(self.truth)))
     }
-}
-
-/// A value a little off, within the variable's bounds.
-pub(crate) fn nudge(variable: &Variable, value: f64) -> f64 {
-    let size = if value != 0.0 {
-        value.abs()
-    } else {
-        variable.nominal.filter(|n| n.is_normal()).unwrap_or(1.0).abs()
-    };
-    let fits = |x: &f64| variable.min.is_none_or(|min| *x >= min) && variable.max.is_none_or(|max| *x <= max);
-    [value + 0.02 * size, value - 0.02 * size].into_iter().find(fits).unwrap_or(value)
 }
 
 /// Ends a run that takes too long to be made again and again.

@@ -1,10 +1,11 @@
 //! What is known about bringing the instances of a library back to their start: one verdict for each kind of interface,
 //! for all copies and all who open the FMU.
 
-use super::Reuse;
-use super::failed_runs::{Failures, Sort};
-use crate::plan::Setting;
+use crate::error::{FmiError, Status};
+use crate::simulation::plan::Setting;
 use crate::sys::InterfaceKind;
+use ode::ErrorKind;
+use std::mem::{Discriminant, discriminant};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -118,6 +119,65 @@ impl Verdicts {
     pub(crate) fn refuse_event_mode(&self) {
         self.no_event_mode.store(true, Ordering::Relaxed);
     }
+}
+
+/// Failures of a sort that are all looked into.
+const ALWAYS: u64 = 4;
+
+/// What tells one sort of failures from another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sort {
+    error: Discriminant<FmiError>,
+    of_simulation: Option<Discriminant<ErrorKind>>,
+    call: Option<(&'static str, Status)>,
+}
+
+impl Sort {
+    pub(super) fn of(error: &FmiError) -> Self {
+        let of_simulation = match error {
+            FmiError::Simulation(error) => Some(discriminant(&error.kind)),
+            _ => None,
+        };
+        let call = error.call_failure().map(|failure| (failure.call, failure.status));
+        Self { error: discriminant(error), of_simulation, call }
+    }
+}
+
+/// The failures of a library's runs, by their sorts.
+#[derive(Debug, Default)]
+pub(crate) struct Failures {
+    counts: Vec<(Sort, u64)>,
+}
+
+impl Failures {
+    /// Notes a failure; whether it is one of those to be looked into.
+    pub(super) fn note(&mut self, sort: Sort) -> bool {
+        let place = self.counts.iter().position(|(known, _)| *known == sort).unwrap_or_else(|| {
+            self.counts.push((sort, 0));
+            self.counts.len() - 1
+        });
+        let (_, count) = &mut self.counts[place];
+        *count += 1;
+        *count <= ALWAYS || count.is_power_of_two()
+    }
+}
+
+/// How the instances of an FMU are brought back to their start between simulations: the first of these ways that was
+/// seen to be right. Right means that runs have the same bits as on a new instance, also after a run with other values;
+/// which way is faster is never asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum Reuse {
+    /// By restoring the state saved when the instance was new (model exchange, FMUs that can save states): it was seen to restore
+    /// everything, bit for bit. All values are set again afterwards, and read back.
+    Restore,
+    /// By the FMU's reset function: it was seen to restore everything, bit for bit.
+    Reset,
+    /// By a new instance for every simulation: nothing else is offered, or it fails, or it leaves traces.
+    Reinstantiate,
+    /// By a newly loaded copy of the library, with resources of its own, for every simulation: the model keeps a state outside of its
+    /// instances.
+    Reload,
 }
 
 #[cfg(test)]

@@ -1,13 +1,13 @@
 //! What makes the steps of a simulation: the driver of integrations, or the FMU itself.
 
-use crate::beginning::StartValues;
-use crate::communication::Stepping;
 use crate::description::{Value, Variable};
 use crate::error::FmiError;
-use crate::plan::SimulationPlan;
-use crate::running::Running;
+use crate::simulation::co_simulation::Stepping;
+use crate::simulation::model_exchange::System;
+use crate::simulation::parameters::StartValues;
+use crate::simulation::plan::SimulationPlan;
+use crate::simulation::running::Running;
 use crate::sys::{InterfaceKind, RawInstance};
-use crate::system::System;
 use ode::{Driver, ErrorKind, Observer, Report};
 use std::sync::Arc;
 

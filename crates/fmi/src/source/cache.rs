@@ -3,10 +3,9 @@
 
 use crate::error::FmiError;
 use crate::platform;
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
+use std::{fs, io};
 
 /// Folder of built libraries, one folder for each key inside.
 const LIBRARIES: &str = "libraries";

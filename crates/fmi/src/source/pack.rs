@@ -1,6 +1,6 @@
 //! Packing a folder into an `.fmu`: everything in it, and a library for this platform built from its sources.
 
-use super::{COMPILE_TIME, build_unchanged};
+use super::library::{COMPILE_TIME, build_unchanged};
 use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, files_below};
 use crate::cancel::Cancel;
 use crate::description::{DescriptionLimits, Interface, ModelDescription};

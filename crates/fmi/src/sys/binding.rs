@@ -1,89 +1,15 @@
 //! What a version of FMI has to supply: its functions in house types, and the names it has for them.
 
+use super::call::{Call, Values};
 use super::callbacks::{Callbacks, Current};
 use super::environment::restore_default;
 use super::functions::{LifeFunctions, PointFunctions, StateFunctions, StepFunctions, call, optional};
-use super::{
-    Component, EventInfo, Experiment, IntervalAnswer, MidStep, Request, StatePointer, Status, StepInfo,
-    status,
+use super::types::{
+    Component, EventInfo, Experiment, IntervalAnswer, Request, StatePointer, StepInfo, status,
 };
 use crate::description::{Interval, VariableKind};
+use crate::error::Status;
 use std::ffi::c_char;
-
-/// The calls, in house words; [`Binding::name`] gives the standard's.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Call {
-    Instantiate,
-    SetDebugLogging,
-    SetupExperiment,
-    EnterInitialization,
-    ExitInitialization,
-    Terminate,
-    Reset,
-    FreeInstance,
-    Get(VariableKind),
-    Set(VariableKind),
-    EnterConfiguration,
-    ExitConfiguration,
-    CountStates,
-    CountIndicators,
-    EnterStepMode,
-    SaveState,
-    RestoreState,
-    FreeState,
-    SerializedSize,
-    Serialize,
-    Deserialize,
-    DirectionalDerivative,
-    EnterEventMode,
-    NewDiscreteStates,
-    EnterContinuousTimeMode,
-    CompletedIntegratorStep,
-    SetTime,
-    SetContinuousStates,
-    GetContinuousStates,
-    GetDerivatives,
-    GetEventIndicators,
-    GetNominals,
-    DoStep,
-    StepStatus,
-    /// Of kinds of status that are real numbers and Booleans.
-    StepRealStatus,
-    StepBooleanStatus,
-    CancelStep,
-    SetInputDerivatives,
-    /// Of clocks; as a fraction or not.
-    GetInterval(bool),
-    GetShift(bool),
-    SetInterval(bool),
-    EvaluateDiscreteStates,
-    GetOutputDerivatives,
-}
-
-impl Call {
-    /// What a call is spoken of as where a version has no function for it. No symbol has such a name.
-    pub(super) fn in_brackets(self) -> &'static str {
-        match self {
-            Call::SetupExperiment => "(experiment)",
-            Call::Reset => "(reset)",
-            Call::Get(_) | Call::Set(_) => "(variables of this type)",
-            Call::SaveState | Call::RestoreState | Call::FreeState => "(saved states)",
-            Call::SerializedSize | Call::Serialize | Call::Deserialize => "(serialized states)",
-            Call::DirectionalDerivative => "(directional derivatives)",
-            Call::EnterEventMode | Call::EnterContinuousTimeMode | Call::EnterStepMode => "(modes)",
-            Call::EnterConfiguration | Call::ExitConfiguration => "(configuration mode)",
-            Call::CountStates | Call::CountIndicators => "(number of states)",
-            Call::GetInterval(_) | Call::GetShift(_) | Call::SetInterval(_) => "(clocks)",
-            Call::EvaluateDiscreteStates => "(evaluation of discrete states)",
-            Call::StepStatus | Call::StepRealStatus | Call::StepBooleanStatus | Call::CancelStep => {
-                "(pending steps)"
-            }
-            Call::SetInputDerivatives => "(input derivatives)",
-            Call::GetOutputDerivatives => "(output derivatives)",
-            _ => "(no function)",
-        }
-    }
-}
 
 /// Methods that do what those of [`Values`] of the same names do, with the FMU's own component.
 macro_rules! entered {
@@ -116,65 +42,6 @@ macro_rules! optional_of {
         let (component, _current) = unsafe { $self.enter($component) };
         optional!(functions.$function, component $(, $argument)*)
     }};
-}
-
-/// Getters and setters of one library in house types.
-///
-/// # Safety
-/// As for [`Binding`].
-#[allow(clippy::missing_safety_doc)]
-pub(super) trait Values {
-    /// Whether a reference may stand for several values. If not, there are as many values as references.
-    fn has_arrays(&self) -> bool {
-        false
-    }
-    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Status;
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status;
-    /// Values of all other kinds of numbers, in lanes (see `lanes.rs`).
-    unsafe fn get_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status;
-    /// The lanes are used up.
-    unsafe fn set_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status;
-    unsafe fn get_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &mut [*const c_char],
-    ) -> Status;
-    unsafe fn set_string(&self, component: Component, references: &[u32], values: &[*const c_char])
-    -> Status;
-    /// Addresses and sizes of binary values; they stay valid until the next call on the component.
-    unsafe fn get_binary(
-        &self,
-        component: Component,
-        references: &[u32],
-        sizes: &mut [usize],
-        values: &mut [*const u8],
-    ) -> Status {
-        let _ = (component, references, sizes, values);
-        Status::Missing
-    }
-    unsafe fn set_binary(
-        &self,
-        component: Component,
-        references: &[u32],
-        sizes: &[usize],
-        values: &[*const u8],
-    ) -> Status {
-        let _ = (component, references, sizes, values);
-        Status::Missing
-    }
 }
 
 /// The function table of one library in house types: what a version of FMI has to supply.
@@ -350,20 +217,6 @@ pub(super) trait Binding: Send + Sync {
         no_set_state_prior: bool,
         info: &mut StepInfo,
     ) -> Status;
-    /// The same for models that call back during the step; `callbacks` are those the component was made with.
-    unsafe fn do_step_with(
-        &self,
-        component: Component,
-        span: (f64, f64),
-        no_set_state_prior: bool,
-        info: &mut StepInfo,
-        callbacks: &Callbacks,
-        mid_step: &mut dyn MidStep,
-    ) -> Status {
-        let _ = (callbacks, mid_step);
-        // SAFETY: the caller's promises are those of `do_step`.
-        unsafe { self.do_step(component, span, no_set_state_prior, info) }
-    }
     /// How a pending step stands; as for `do_step`.
     unsafe fn step_status(&self, component: Component, info: &mut StepInfo) -> Status {
         let Some(functions) = self.steps() else { return Status::Missing };
@@ -395,11 +248,6 @@ pub(super) trait Binding: Send + Sync {
     /// Gives a clock an interval.
     unsafe fn set_interval(&self, component: Component, clock: u32, interval: Interval) -> Status {
         let _ = (component, clock, interval);
-        Status::Missing
-    }
-    /// Computes the discrete states without updating them.
-    unsafe fn evaluate_discrete_states(&self, component: Component) -> Status {
-        let _ = component;
         Status::Missing
     }
     /// From the start to the first tick of a clock.

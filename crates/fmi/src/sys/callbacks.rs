@@ -5,7 +5,8 @@
 //! with `vsnprintf` and passes plain bytes to [`sink`]. FMI 1.0 has no environment for its callbacks either: a message
 //! goes to the instance that is being called on the thread it comes from; messages from threads of the FMU's own are lost.
 
-use super::log_lines::{Log, LogFilter};
+use super::types;
+use crate::log::{Log, LogFilter};
 use std::any::Any;
 use std::collections::VecDeque;
 use std::ffi::{CStr, c_char, c_int, c_void};
@@ -45,11 +46,6 @@ impl Callbacks {
         let kept = self.keep.get_or_init(|| Arc::new(make(&self.environment)));
         // Of another type only if the instances of one library followed different versions.
         kept.downcast_ref::<T>().map_or(std::ptr::null(), std::ptr::from_ref)
-    }
-
-    /// What the version keeps.
-    pub(super) fn kept<T: Any>(&self) -> Option<&T> {
-        self.keep.get()?.downcast_ref()
     }
 
     /// For another instance.
@@ -94,7 +90,7 @@ unsafe extern "C" fn admits(data: *mut c_void, status: c_int) -> c_int {
     // SAFETY: `Environment::new` stored the address of a `Log` that outlives the component (invariant 3). Nothing here
     // panics.
     let log = unsafe { &*data.cast::<Log>() };
-    c_int::from(log.admits(super::status(status)))
+    c_int::from(log.admits(types::status(status)))
 }
 
 /// Takes a message from the C shim.
@@ -120,7 +116,7 @@ unsafe extern "C" fn sink(
                 std::slice::from_raw_parts(text.cast::<u8>(), text_length),
             )
         };
-        log.lines().push(super::status(status), category, text);
+        log.lines().push(types::status(status), category, text);
     }));
 }
 
@@ -210,9 +206,9 @@ unsafe extern "C" {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Status;
-    use super::super::log_lines::LINES;
     use super::*;
+    use crate::error::Status;
+    use crate::log::LINES;
     use std::ptr::null;
 
     fn texts(log: &Log) -> Vec<String> {

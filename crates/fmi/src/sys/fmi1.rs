@@ -3,16 +3,17 @@
 //! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks; a component here is therefore a
 //! box around the FMU's, with what has to be remembered between calls. Names carry the model identifier as prefix.
 
-use super::binding::{Binding, Call, Values};
+use super::binding::Binding;
+use super::call::{Call, Values};
 use super::callbacks::{Callbacks, Current, Environment, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
 use super::functions::{
     Interface, LifeFunctions, PointFunctions, StepFunctions, Table, ValueFunctions, call, model, optional,
     table,
 };
-use super::library::Symbols;
-use super::{Component, EventInfo, Experiment, InterfaceKind, Request, Status, StepInfo, file_uri, status};
+use super::symbols::Symbols;
+use super::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri, status};
 use crate::description::VariableKind;
-use crate::error::FmiError;
+use crate::error::{FmiError, Status};
 use std::ffi::{c_char, c_int, c_void};
 
 /// `fmiBoolean`.

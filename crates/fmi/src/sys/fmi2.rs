@@ -1,15 +1,16 @@
 //! The functions of an FMI 2.0 library (FMI 2.0.x, sections 2.1, 3.2 and 4.2), bound by name.
 
-use super::binding::{Binding, Call, Values};
+use super::binding::Binding;
+use super::call::{Call, Values};
 use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi2_log, fmufit_free};
 use super::functions::{
     Interface, LifeFunctions, Plain, PointFunctions, StateFunctions, StepFunctions, Table, ValueFunctions,
     call, model, optional, table,
 };
-use super::library::Symbols;
-use super::{Component, EventInfo, Experiment, InterfaceKind, Request, Status, StepInfo, file_uri, status};
+use super::symbols::Symbols;
+use super::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri, status};
 use crate::description::VariableKind;
-use crate::error::FmiError;
+use crate::error::{FmiError, Status};
 use std::ffi::{c_char, c_int, c_void};
 
 /// `fmi2Boolean`.

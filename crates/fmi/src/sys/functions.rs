@@ -1,12 +1,12 @@
 //! Functions that have one shape in several versions of the standard: their signatures, and tables of those that belong
 //! together. What they are called is for each version to say (see [`Binding::name`](super::binding::Binding::name)).
 
-use super::binding::Values;
-use super::library::Symbols;
+use super::call::{Call, Values};
 use super::packed::{self, Element};
-use super::{Call, Component, InterfaceKind, StatePointer, Status, StepInfo, status};
+use super::symbols::Symbols;
+use super::types::{Component, InterfaceKind, StatePointer, StepInfo, status};
 use crate::description::VariableKind;
-use crate::error::FmiError;
+use crate::error::{FmiError, Status};
 use std::ffi::{c_char, c_int};
 
 pub(super) type Plain = unsafe extern "C" fn(Component) -> c_int;

@@ -1,14 +1,16 @@
-//! A loaded shared library of an FMU with its function table; what all users of the library share is in `shared.rs`.
+//! A loaded shared library of an FMU with its function table; what all users of the file share is in `platform/loaded_file.rs`.
 
 use super::binding::Binding;
 use super::callbacks::Callbacks;
 use super::environment::CallEnvironment;
-use super::platform::{self, Handle};
-use super::{InterfaceKind, LogFilter, Shared, fmi1, fmi2, fmi3};
-use crate::binary::check_length;
+use super::platform::{self, Handle, LoaderOptions};
+use super::symbols::Symbols;
+use super::types::InterfaceKind;
+use super::{fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
-use crate::open_options::LoaderOptions;
+use crate::log::LogFilter;
+use crate::platform::{Shared, check_length};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -142,42 +144,5 @@ fn message(error: &libloading::Error) -> String {
     match std::error::Error::source(error) {
         Some(source) => source.to_string(),
         None => error.to_string(),
-    }
-}
-
-/// Looks symbols up in a library while its tables are being made.
-pub(super) struct Symbols<'a> {
-    handle: &'a Handle,
-    path: &'a Path,
-    /// Before the names, up to an underscore.
-    prefix: Option<&'a str>,
-}
-
-impl<'a> Symbols<'a> {
-    /// The same library with a prefix before the names; where a name does not have it, as some tools export it, the plain
-    /// one is taken.
-    pub(super) fn with_prefix(&self, prefix: &'a str) -> Self {
-        Self { handle: self.handle, path: self.path, prefix: Some(prefix) }
-    }
-
-    /// A function that must be there.
-    ///
-    /// # Safety
-    /// `T` is a function pointer type that fits the symbol, and is not called after the library is closed.
-    pub(super) unsafe fn required<T: Copy>(&self, name: &'static str) -> Result<T, FmiError> {
-        // SAFETY: handed on to the caller.
-        unsafe { self.optional(name) }
-            .ok_or_else(|| FmiError::MissingSymbol { library: self.path.to_owned(), symbol: name })
-    }
-
-    /// A function that may be missing.
-    ///
-    /// # Safety
-    /// As for [`required`](Self::required).
-    pub(super) unsafe fn optional<T: Copy>(&self, name: &str) -> Option<T> {
-        // SAFETY: handed on to the caller.
-        let find = |name: &str| unsafe { self.handle.get::<T>(name) }.ok().map(|symbol| *symbol);
-        let prefixed = self.prefix.and_then(|prefix| find(&format!("{prefix}_{name}")));
-        prefixed.or_else(|| find(name))
     }
 }

@@ -29,229 +29,38 @@
 //!     there are lanes of 64 bits, and only types of which any bits are a value.
 //!
 //! The versions of FMI stop here: [`Binding`] is one function table in house types, and `fmi1.rs`, `fmi2.rs` and
-//! `fmi3.rs` are the only files that know how a version spells it. What has one shape in several versions is bound once,
+//! `fmi3/` are the only files that know how a version spells it. What has one shape in several versions is bound once,
 //! in `functions.rs`. A further version is a further implementation and a line in `library.rs`.
 #![allow(unsafe_code)]
 
 mod binding;
+mod call;
 mod callbacks;
 mod environment;
 mod fmi1;
 mod fmi2;
 mod fmi3;
-mod fmi3_clocks;
-mod fmi3_functions;
-mod fmi3_intermediate;
-mod fmi3_numbers;
-mod fmi3_values;
 mod functions;
 mod library;
-mod log_lines;
 mod packed;
 mod platform;
 mod raw_instance;
-mod shared;
+mod symbols;
+mod types;
 
 pub(crate) use environment::{CallEnvironment, look_now_and_then};
 pub(crate) use library::{Library, LoadFrom};
-pub use log_lines::{LogFilter, LogLine};
-pub(crate) use raw_instance::{Failed, Fault, RawInstance, SavedSlot, Sizes};
-pub(crate) use shared::Shared;
-
-use crate::description::Interval;
-use binding::{Binding, Call};
-use std::ffi::{CStr, CString, c_void};
-use std::fmt;
-use std::path::Path;
-
-/// Pointer to a component of an FMU.
-type Component = *mut c_void;
-/// Pointer to a saved state of a component.
-type StatePointer = *mut c_void;
-
-/// What a call into an FMU returned.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Status {
-    /// Done.
-    Ok,
-    /// Done, with something to say about it.
-    Warning,
-    /// Not possible at this point; nothing is broken.
-    Discard,
-    /// The instance cannot go on; it can be freed or reset.
-    Error,
-    /// The instance is broken beyond repair.
-    Fatal,
-    /// Not finished yet (co-simulation only).
-    Pending,
-    /// The library does not offer the function.
-    Missing,
-    /// A number that the standard does not know.
-    Unknown(i32),
-}
-
-impl fmt::Display for Status {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Status::Ok => f.write_str("ok"),
-            Status::Warning => f.write_str("warning"),
-            Status::Discard => f.write_str("discard"),
-            Status::Error => f.write_str("error"),
-            Status::Fatal => f.write_str("fatal"),
-            Status::Pending => f.write_str("pending"),
-            Status::Missing => f.write_str("that there is no such function"),
-            Status::Unknown(code) => write!(f, "the unknown status {code}"),
-        }
-    }
-}
-
-/// The numbers of `fmiStatus`, which all versions share (1.0 for model exchange and 3.0 have no `Pending`).
-fn status(code: std::ffi::c_int) -> Status {
-    match code {
-        0 => Status::Ok,
-        1 => Status::Warning,
-        2 => Status::Discard,
-        3 => Status::Error,
-        4 => Status::Fatal,
-        5 => Status::Pending,
-        other => Status::Unknown(other),
-    }
-}
-
-/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 1.0 and 2.0 ask.
-fn file_uri(path: &Path) -> CString {
-    let mut uri = String::from("file://");
-    let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
-    if !text.starts_with('/') {
-        uri.push('/');
-    }
-    for byte in text.bytes() {
-        if byte.is_ascii_alphanumeric() || b"/-._~:".contains(&byte) {
-            uri.push(char::from(byte));
-        } else {
-            uri.push_str(&format!("%{byte:02X}"));
-        }
-    }
-    CString::new(uri).unwrap_or_default()
-}
-
-/// What an event iteration told.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct EventInfo {
-    /// Another iteration is wanted.
-    pub(crate) new_discrete_states_needed: bool,
-    /// The model wishes to end the simulation.
-    pub(crate) terminate: bool,
-    /// The nominals of the states have changed.
-    pub(crate) nominals_changed: bool,
-    /// The continuous states have changed.
-    pub(crate) values_changed: bool,
-    /// The next time event.
-    pub(crate) next_event_time: Option<f64>,
-}
-
-/// What a model says about the interval before the next tick of a clock.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct IntervalAnswer {
-    pub(crate) qualifier: Qualifier,
-    pub(crate) interval: Interval,
-}
-
-/// How an interval is meant.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Qualifier {
-    NotYetKnown,
-    /// As told before.
-    Unchanged,
-    Changed,
-}
-
-/// The two ways of running a model.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum InterfaceKind {
-    /// The importer integrates the model.
-    ModelExchange,
-    /// The model brings its own solver and is asked to step from one communication point to the next.
-    CoSimulation,
-}
-
-impl fmt::Display for InterfaceKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            InterfaceKind::ModelExchange => "model exchange",
-            InterfaceKind::CoSimulation => "co-simulation",
-        })
-    }
-}
-
-/// What a communication step told.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct StepInfo {
-    /// How far the model got, where that is not the end of the step (or not known to be).
-    pub(crate) reached: Option<f64>,
-    /// The model returned before the end of the step and goes on from where it got (FMI 3.0).
-    pub(crate) early: bool,
-    /// The model wishes to end the simulation.
-    pub(crate) terminate: bool,
-    /// The model knows how far it got but has no word for the end of a simulation: it may have meant that.
-    pub(crate) may_have_ended: bool,
-    /// The model wants to enter event mode.
-    pub(crate) event: bool,
-    /// The step is still being computed.
-    pub(crate) pending: bool,
-}
-
-/// A model calls back during a communication step.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Update {
-    /// Where the model stands.
-    pub(crate) time: f64,
-    /// It takes new values of continuous inputs.
-    pub(crate) set_requested: bool,
-}
-
-/// What an importer does when a model calls back during a communication step, maybe on another thread.
-pub(crate) trait MidStep: Send {
-    /// May set real inputs (value references and values); returns whether the step is to end here, if that can be.
-    fn update(&mut self, update: &Update, set: &mut dyn FnMut(&[u32], &[f64])) -> bool;
-}
-
-/// Nothing is done then.
-impl MidStep for () {
-    fn update(&mut self, _: &Update, _: &mut dyn FnMut(&[u32], &[f64])) -> bool {
-        false
-    }
-}
-
-/// What an instance is made with.
-#[derive(Debug)]
-pub(crate) struct Request<'a> {
-    pub(crate) name: &'a CStr,
-    pub(crate) guid: &'a CStr,
-    pub(crate) resources: &'a Path,
-    pub(crate) kind: InterfaceKind,
-    /// Co-simulation: events are handled between steps, and a step may end early at one.
-    pub(crate) event_mode: bool,
-    pub(crate) early_return: bool,
-    /// Inputs that are set during steps.
-    pub(crate) intermediate: &'a [u32],
-    pub(crate) visible: bool,
-    pub(crate) logging: bool,
-    pub(crate) log_filter: LogFilter,
-}
-
-/// What an experiment is set up with.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Experiment {
-    pub(crate) tolerance: Option<f64>,
-    pub(crate) start: f64,
-    pub(crate) stop: Option<f64>,
-}
+pub use platform::LoaderOptions;
+pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};
+pub use types::InterfaceKind;
+pub(crate) use types::{EventInfo, Experiment, IntervalAnswer, Qualifier, Request, StepInfo};
 
 #[cfg(test)]
 mod tests {
+    use super::call::Call;
+    use super::types::file_uri;
     use super::*;
+    use std::path::Path;
 
     /// The functions of the standard, without prefix (FMI 1.0 for model exchange and for co-simulation, FMI 2.0.4, FMI 3.0.1).
     const FMI1: &str = "GetModelTypesPlatform GetVersion InstantiateModel FreeModelInstance SetDebugLogging SetTime \
@@ -340,7 +149,6 @@ mod tests {
             Call::StepBooleanStatus,
             Call::CancelStep,
             Call::SetInputDerivatives,
-            Call::EvaluateDiscreteStates,
             Call::GetOutputDerivatives,
         ];
         calls.extend(kinds.into_iter().flat_map(|kind| [Call::Get(kind), Call::Set(kind)]));

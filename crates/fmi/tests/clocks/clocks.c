@@ -214,12 +214,6 @@ FMI3_EXPORT fmi3Status fmi3SetIntervalFraction(fmi3Instance i, const fmi3ValueRe
     m->period = (double)c[0] / (double)d[0];
     return fmi3OK;
 }
-FMI3_EXPORT fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance i) {
-    Model *m = i;
-    if (m->phase != EVENT) return fmi3Error;
-    if (m->active[SAMPLE]) m->u = m->K * (m->setpoint - m->x);
-    return fmi3OK;
-}
 
 FMI3_EXPORT fmi3Status fmi3EnterEventMode(fmi3Instance i) {
     Model *m = i;

@@ -4,8 +4,8 @@ use super::xml::Element;
 use crate::description::limits::Budget;
 use crate::description::model::QuirkKind;
 use crate::description::quirks::Quirks;
-use crate::description::variable::{Value, VariableKind};
 use crate::error::FmiError;
+use crate::value::{Value, VariableKind};
 use std::borrow::Cow;
 
 /// The attributes of one element.

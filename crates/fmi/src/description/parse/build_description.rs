@@ -1,10 +1,9 @@
 //! `sources/buildDescription.xml`: what to compile for which interface (FMI 3.0, also used by some FMI 2.0 FMUs).
 
 use super::attributes::Attributes;
-use super::check_size;
 use super::encoding;
 use super::xml::Xml;
-use crate::description::limits::DescriptionLimits;
+use crate::description::limits::{DescriptionLimits, check_size};
 use crate::description::quirks::Quirks;
 use crate::error::FmiError;
 use std::rc::Rc;

@@ -1,8 +1,8 @@
 //! What the elements `<Clock>` and `<ClockType>` say about the ticks of clocks (FMI 3.0.x, sections 2.2.8.3 and 2.4.4).
 
-use super::Draft;
 use super::attributes::Attributes;
 use crate::description::clock::{ClockKind, ClockTiming, Interval};
+use crate::description::draft::Draft;
 use crate::description::model::QuirkKind;
 use crate::description::quirks::Quirks;
 use std::collections::HashMap;

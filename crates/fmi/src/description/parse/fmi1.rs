@@ -2,12 +2,14 @@
 //! variables are states stands in no file of FMI 1.0, so the model structure stays empty.
 
 use super::attributes::Attributes;
+use super::shared;
 use super::xml::{Element, Xml};
-use super::{Draft, Flags, shared};
+use crate::description::draft::{Draft, Flags};
 use crate::description::model::{Capabilities, Interface};
 use crate::description::unit::{DisplayUnit, Unit};
-use crate::description::variable::{Causality, Initial, Variability, Variable, VariableKind};
+use crate::description::variable::{Causality, Initial, Variability, Variable};
 use crate::error::FmiError;
+use crate::value::VariableKind;
 
 pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
     let attributes = Attributes::of(root)?;

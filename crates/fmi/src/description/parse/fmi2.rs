@@ -1,11 +1,13 @@
 //! Model descriptions of FMI 2.0 (specification 2.0.4, chapter 2.2 and the ME and CS parts of 3.3 and 4.3).
 
 use super::attributes::Attributes;
+use super::shared;
 use super::xml::{Element, Xml};
-use super::{Draft, Flags, StructureList, shared};
+use crate::description::draft::{Draft, Flags, StructureList};
 use crate::description::model::{Interface, QuirkKind, Unknown};
-use crate::description::variable::{Variable, VariableKind};
+use crate::description::variable::Variable;
 use crate::error::FmiError;
+use crate::value::VariableKind;
 
 pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
     shared::header(&Attributes::of(root)?, "guid", draft)?;

@@ -3,12 +3,14 @@
 
 use super::attributes::Attributes;
 use super::clocks::{ClockAttributes, Clocks};
+use super::shared;
 use super::xml::{Element, Xml};
-use super::{Draft, Flags, NOWHERE, StructureList, shared};
 use crate::description::clock::ClockTiming;
+use crate::description::draft::{Draft, Flags, NOWHERE, StructureList};
 use crate::description::model::{Interface, QuirkKind, Unknown};
-use crate::description::variable::{Alias, Dimension, Value, Variable, VariableKind};
+use crate::description::variable::{Alias, Dimension, Variable};
 use crate::error::FmiError;
+use crate::value::{Value, VariableKind};
 use std::collections::HashMap;
 
 /// Positions of variables by value reference, which FMI 3.0 uses where FMI 2.0 has positions; `None` for variables

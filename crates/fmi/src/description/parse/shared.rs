@@ -2,13 +2,14 @@
 
 use super::attributes::Attributes;
 use super::xml::{Element, Xml};
-use super::{Draft, NOWHERE};
+use crate::description::draft::{Draft, NOWHERE};
 use crate::description::model::{Capabilities, DependencyKind, LogCategory, QuirkKind};
 use crate::description::unit::{BaseUnit, DisplayUnit, Unit};
 use crate::description::variable::{
-    Causality, EnumerationItem, Initial, TypeDefinition, Variability, Variable, VariableKind,
+    Causality, EnumerationItem, Initial, TypeDefinition, Variability, Variable,
 };
 use crate::error::FmiError;
+use crate::value::VariableKind;
 
 pub(super) const CAUSALITIES: &[(&str, Causality)] = &[
     ("parameter", Causality::Parameter),

@@ -22,10 +22,10 @@ mod of_thread {
 
     /// The C locale is that of this thread, whatever that of the process is; undone on drop.
     #[derive(Debug)]
-    pub(in super::super) struct CLocale(libc::locale_t);
+    pub(crate) struct CLocale(libc::locale_t);
 
     impl CLocale {
-        pub(in super::super) fn enter() -> Self {
+        pub(crate) fn enter() -> Self {
             // SAFETY: the handle is a locale object (or NULL, which changes nothing) and is never freed.
             Self(unsafe { libc::uselocale(handle()) })
         }
@@ -43,10 +43,10 @@ mod of_thread {
 mod of_thread {
     /// Threads have no locales of their own here.
     #[derive(Debug)]
-    pub(in super::super) struct CLocale;
+    pub(crate) struct CLocale;
 
     impl CLocale {
-        pub(in super::super) fn enter() -> Self {
+        pub(crate) fn enter() -> Self {
             Self
         }
     }

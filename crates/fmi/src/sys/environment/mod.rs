@@ -72,23 +72,6 @@ pub(super) fn restore_default() -> bool {
     is_changed
 }
 
-/// For code of ours that an FMU calls back: the default floating-point mode, and the FMU's again on drop.
-pub(super) struct OwnMode(FloatMode);
-
-impl OwnMode {
-    pub(super) fn enter() -> Self {
-        let theirs = FloatMode::present();
-        FloatMode::set_default();
-        Self(theirs)
-    }
-}
-
-impl Drop for OwnMode {
-    fn drop(&mut self) {
-        self.0.set();
-    }
-}
-
 /// The thread is set up for calls; undone on drop.
 #[derive(Debug)]
 struct ThreadSetup {

@@ -196,14 +196,14 @@ mod watched {
 
     /// While it lives, what belongs to the process is remembered; looked at on drop.
     #[derive(Debug)]
-    pub(in super::super) struct Watch {
+    pub(crate) struct Watch {
         /// No other was alive on this thread.
         is_first: bool,
     }
 
     impl Watch {
         /// Within another one on this thread it does nothing: that one looks at the end, and now and then.
-        pub(in super::super) fn begin() -> Self {
+        pub(crate) fn begin() -> Self {
             if BLOCKED.get().is_some() {
                 return Self { is_first: false };
             }
@@ -250,10 +250,10 @@ mod watched {
 mod watched {
     /// Nothing is watched here.
     #[derive(Debug)]
-    pub(in super::super) struct Watch;
+    pub(crate) struct Watch;
 
     impl Watch {
-        pub(in super::super) fn begin() -> Self {
+        pub(crate) fn begin() -> Self {
             Self
         }
     }

@@ -1,24 +1,19 @@
 //! Communication steps: made, asked for while they are pending, given up; derivatives of inputs and outputs with them.
 
-use super::{Fault, Outcome, RawInstance};
-use crate::sys::{Call, MidStep, Status, StepInfo};
+use super::component::RawInstance;
+use super::fault::{Fault, Outcome};
+use crate::error::Status;
+use crate::sys::call::Call;
+use crate::sys::types::StepInfo;
 
 impl RawInstance {
     /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says how far the
     /// model got, and the answer is `false`. A pending step has to be asked for with [`step_status`](Self::step_status).
-    /// `mid_step` is asked when the model calls back during the step.
-    pub(crate) fn do_step(
-        &mut self,
-        (time, step): (f64, f64),
-        info: &mut StepInfo,
-        mid_step: &mut dyn MidStep,
-    ) -> Result<bool, Fault> {
+    pub(crate) fn do_step(&mut self, (time, step): (f64, f64), info: &mut StepInfo) -> Result<bool, Fault> {
         self.callbacks.log().go_on();
         self.time = Some(time);
         let no_set_state_prior = !self.saved.may_be_restored();
-        let outcome = run!(self, Call::DoStep, |b, c| {
-            b.do_step_with(c, (time, step), no_set_state_prior, info, &self.callbacks, mid_step)
-        });
+        let outcome = run!(self, Call::DoStep, |b, c| b.do_step(c, (time, step), no_set_state_prior, info));
         completed(outcome, info)
     }
 

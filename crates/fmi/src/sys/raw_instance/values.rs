@@ -1,28 +1,10 @@
 //! Values of variables: read and set by their references, one call for all of one kind.
 
-use super::{Fault, Outcome, RawInstance};
+use super::component::RawInstance;
+use super::fault::{Fault, Outcome};
 use crate::description::VariableKind;
-use crate::sys::Call;
+use crate::sys::call::Call;
 use std::ffi::{CStr, CString, c_char};
-
-/// What is written on the way between the FMU and the outside. The pointers mean something during a call only.
-#[derive(Default)]
-pub(super) struct ValueBuffers {
-    lanes: Vec<i64>,
-    texts: Vec<*const c_char>,
-    sizes: Vec<usize>,
-    binaries: Vec<*const u8>,
-}
-
-impl ValueBuffers {
-    /// The buffers for binary values, empty.
-    fn take_binaries(&mut self) -> (Vec<usize>, Vec<*const u8>) {
-        let (mut sizes, mut pointers) = (std::mem::take(&mut self.sizes), std::mem::take(&mut self.binaries));
-        sizes.clear();
-        pointers.clear();
-        (sizes, pointers)
-    }
-}
 
 impl RawInstance {
     pub(crate) fn get_real(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {

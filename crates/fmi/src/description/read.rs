@@ -1,0 +1,62 @@
+//! From an archive or from bytes to a description that was checked; its sizes.
+
+use super::checks;
+use super::limits::DescriptionLimits;
+use super::model::ModelDescription;
+use super::parse::parse;
+use super::structure::Structure;
+use super::variable::Variable;
+use crate::archive::Archive;
+use crate::cancel::Cancel;
+use crate::error::FmiError;
+
+impl ModelDescription {
+    /// Parses the bytes of a `modelDescription.xml` of any version.
+    ///
+    /// Lenient: what the standard does not know is ignored, and where a file departs from it in a way that can be
+    /// worked with, the departure is listed in [`quirks`](Self::quirks).
+    ///
+    /// Errors: [`FmiError::Description`] with a line for what is no model description, is dangerous (document type
+    /// definitions, bottomless nesting, model identifiers with path separators) or cannot be worked with;
+    /// [`FmiError::UnknownVersion`] for versions other than 1, 2 and 3.
+    pub fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
+        parse(bytes.into(), &DescriptionLimits::default(), &Cancel::default()).and_then(checks::finish)
+    }
+
+    /// Reads and parses `modelDescription.xml` of an archive; nothing else of it is read.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse), and those of reading.
+    pub fn read(archive: &Archive) -> Result<ModelDescription, FmiError> {
+        Self::read_with(archive, &DescriptionLimits::default(), &Cancel::default())
+    }
+
+    /// The same with other limits; ends early when `cancel` asks for it.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), and [`FmiError::Cancelled`].
+    pub fn read_with(
+        archive: &Archive,
+        limits: &DescriptionLimits,
+        cancel: &Cancel,
+    ) -> Result<ModelDescription, FmiError> {
+        let bytes = archive.description(limits.bytes, cancel)?;
+        parse(bytes.into(), limits, cancel).and_then(checks::finish)
+    }
+
+    /// Refuses a description that departs from the standard anywhere ([`FmiError::NotConforming`]).
+    pub fn require_conforming(&self) -> Result<(), FmiError> {
+        checks::require_conforming(&self.quirks)
+    }
+
+    /// Number of continuous states: the elements of the derivatives in the model structure, where there is one; with
+    /// structural parameters at their start values.
+    pub fn n_states(&self) -> usize {
+        Structure::default().states(self)
+    }
+
+    /// Extents of an array, with structural parameters at their start values; empty for a single value.
+    pub fn extents(&self, variable: &Variable) -> Vec<usize> {
+        Structure::default().extents(self, variable)
+    }
+}

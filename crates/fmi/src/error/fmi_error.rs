@@ -1,0 +1,528 @@
+//! What can go wrong with an FMU: one error type that names the place and the numbers.
+
+use super::failure::CallFailure;
+use crate::value::{Value, VariableKind};
+use ode::Number;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why an FMU could not be opened, understood, built or run.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FmiError {
+    /// Opening, unpacking or compiling was ended from outside.
+    #[error("cancelled")]
+    Cancelled,
+    /// There is not enough memory for something large; nothing was taken.
+    #[error("{what} would take {} MB of memory, more than is available", bytes / 1_000_000)]
+    Memory {
+        /// What was to be made, with its numbers.
+        what: String,
+        /// How much it would take.
+        bytes: u64,
+    },
+    /// The operating system refused something.
+    #[error("cannot {action} {}: {source}{}", path.display(), limit_of_files(source.raw_os_error()))]
+    Io {
+        /// What was tried, as a verb phrase: "open", "create".
+        action: &'static str,
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The file is not a zip archive, or it is damaged.
+    #[error("{} is not a usable FMU archive: {reason}", path.display())]
+    BadArchive {
+        /// The archive.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// An entry of the archive is not what an honest FMU contains; nothing of it was unpacked.
+    #[error("{}: entry \"{}\" {problem}", path.display(), entry.escape_debug())]
+    BadEntry {
+        /// The archive.
+        path: PathBuf,
+        /// Name of the entry as stored.
+        entry: String,
+        /// What is wrong with it.
+        problem: EntryProblem,
+    },
+    /// The archive as a whole exceeds a limit of [`ArchiveLimits`](crate::archive::ArchiveLimits).
+    #[error("{}: {found} {what}, more than the limit of {limit}", path.display())]
+    ArchiveLimit {
+        /// The archive.
+        path: PathBuf,
+        /// What was counted.
+        what: &'static str,
+        /// How much there is (at least).
+        found: u64,
+        /// How much is allowed.
+        limit: u64,
+    },
+    /// There is no `modelDescription.xml` at the root.
+    #[error("{} has no modelDescription.xml at its root{}", path.display(), hint.as_deref().unwrap_or(""))]
+    NoModelDescription {
+        /// The archive or folder.
+        path: PathBuf,
+        /// Where one was found instead, as the rest of the sentence.
+        hint: Option<String>,
+    },
+    /// `modelDescription.xml` (or `buildDescription.xml`) cannot be read as what it should be.
+    #[error("{file}, line {line}: {message}")]
+    Description {
+        /// Name of the file.
+        file: &'static str,
+        /// Line in the file, counted from 1.
+        line: u32,
+        /// What is wrong.
+        message: String,
+    },
+    /// A version of the standard that does not exist yet.
+    #[error("the FMU follows FMI {version}; known are 1.0, 2.0 and 3.0")]
+    UnknownVersion {
+        /// As written in the file.
+        version: String,
+    },
+    /// `modelDescription.xml` is well formed but leaves the standard, and strict reading was asked for.
+    #[error(
+        "the model description departs from the FMI standard in {count} places, first (line {line}): {first}"
+    )]
+    NotConforming {
+        /// Number of quirks.
+        count: usize,
+        /// Line of the first one.
+        line: u32,
+        /// The first one.
+        first: String,
+    },
+    /// The FMU has no sources to build a library from.
+    #[error("no sources for \"{model_identifier}\": {reason}")]
+    NoSources {
+        /// Model identifier of the interface.
+        model_identifier: String,
+        /// What was looked for.
+        reason: String,
+    },
+    /// No C compiler was found.
+    #[error("no C compiler found to build \"{model_identifier}\" (tried {tried}); install one or set CC")]
+    NoCompiler {
+        /// Model identifier of the interface.
+        model_identifier: String,
+        /// The names tried.
+        tried: String,
+    },
+    /// The C compiler refused the sources.
+    #[error("building \"{model_identifier}\" failed ({status}): {command}\n{output}")]
+    CompileFailed {
+        /// Model identifier of the interface.
+        model_identifier: String,
+        /// The command.
+        command: String,
+        /// How the compiler ended.
+        status: String,
+        /// The last lines it wrote.
+        output: String,
+    },
+    /// No binary for this platform.
+    #[error("{} has no binary for this platform ({wanted}); present: {present}", path.display())]
+    NoBinary {
+        /// The FMU.
+        path: PathBuf,
+        /// The folders looked for, in order.
+        wanted: String,
+        /// The folders (with their machine types) present.
+        present: String,
+    },
+    /// The FMU cannot be run in the way asked for.
+    #[error("{model} offers no {wanted}; it offers {offered}")]
+    NotOffered {
+        /// Name of the model.
+        model: String,
+        /// The interface asked for.
+        wanted: String,
+        /// The interfaces there are.
+        offered: String,
+    },
+    /// The FMU is a front for another program.
+    #[error("{model} needs the tool that made it{} (needsExecutionTool)", tool.as_deref().map(|t| format!(" ({t})")).unwrap_or_default())]
+    NeedsExecutionTool {
+        /// Name of the model.
+        model: String,
+        /// The tool, if the FMU names it.
+        tool: Option<String>,
+    },
+    /// The dynamic loader refused the library; its own words.
+    #[error("cannot load {}: {message}{}", library.display(), limit_of_files(message.contains(TOO_MANY_FILES).then_some(EMFILE)))]
+    LoadFailed {
+        /// The library.
+        library: PathBuf,
+        /// The loader's message.
+        message: String,
+    },
+    /// The library lacks a function that FMI demands.
+    #[error("{} has no function {symbol}, which the standard demands", library.display())]
+    MissingSymbol {
+        /// The library.
+        library: PathBuf,
+        /// The function.
+        symbol: &'static str,
+    },
+    /// An optional function was called that the library does not have.
+    #[error("the FMU has no function {function}")]
+    MissingFunction {
+        /// The function.
+        function: &'static str,
+    },
+    /// There is no loaded copy of the library that can be used: all are in use, and no further one can be loaded.
+    #[error("no copy of {} can be used: {reason}", library.display())]
+    NoCopy {
+        /// The library.
+        library: PathBuf,
+        /// Why no further copy can be loaded (with the loader's message), who uses those that there are, what to close.
+        reason: String,
+    },
+    /// A call of the instance's copy of the library returned `Fatal`: the standard lets nothing of it be called after that.
+    #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have another copy of it", library.display())]
+    LibraryUnusable {
+        /// The library.
+        library: PathBuf,
+    },
+    /// The final values of a simulation are gone: its copy of the library was needed for another one.
+    #[error(
+        "the values are gone: another simulation has used {} since, of which no further copy can be loaded; \
+         simulate again, or read values before others simulate", library.display()
+    )]
+    Disturbed {
+        /// The library.
+        library: PathBuf,
+    },
+    /// A simulation failed after others in one loaded copy of the library, and not in a new copy. What is made from now on does not
+    /// depend on earlier simulations: simulate again.
+    #[error(
+        "the simulation has failed because of earlier ones, whose traces the model keeps: in a newly loaded copy of {} it does \
+         not fail; simulate again", library.display()
+    )]
+    FailedByHistory {
+        /// The library.
+        library: PathBuf,
+    },
+    /// A call into the FMU failed.
+    #[error(transparent)]
+    Call(Box<CallFailure>),
+    /// Slices of different lengths, or a vector that has not the model's size; the FMU was not called.
+    #[error("{call}: {found} values where {expected} are needed")]
+    Length {
+        /// The call.
+        call: &'static str,
+        /// Length needed.
+        expected: usize,
+        /// Length given.
+        found: usize,
+    },
+    /// The FMU says that a value has more bytes than there can be.
+    #[error("{call}: the FMU has a value of {size} bytes, more than memory can hold")]
+    TooLarge {
+        /// The call.
+        call: &'static str,
+        /// The size it says.
+        size: usize,
+    },
+    /// A step that the model ended where it began, again and again, without an event.
+    #[error("{call} returned early at t = {time} without having gone on, and without an event", time = Number(*.time))]
+    NoProgress {
+        /// The call.
+        call: &'static str,
+        /// Time at which the model stands.
+        time: f64,
+    },
+    /// The discrete states do not settle.
+    #[error("the event iteration at t = {time} did not end after {limit} rounds", time = Number(*.time))]
+    EventIteration {
+        /// Time of the event.
+        time: f64,
+        /// Rounds allowed.
+        limit: u32,
+    },
+    /// A saved state of another instance, or written by an instance of another FMU or of another kind.
+    #[error("the saved state belongs to another instance")]
+    ForeignState,
+    /// A saved state of another phase: the instance would be in one and its type would say another.
+    #[error("the state was saved in {saved}, the instance is in {now}")]
+    StateOfAnotherPhase {
+        /// The phase of the saved state.
+        saved: &'static str,
+        /// The phase of the instance.
+        now: &'static str,
+    },
+    /// The model has no variable of this name.
+    #[error("the model has no variable \"{name}\"{}", did_you_mean(nearest))]
+    UnknownVariable {
+        /// The name.
+        name: String,
+        /// Names that resemble it, the most similar first.
+        nearest: Vec<String>,
+    },
+    /// A value reference that no variable of type Real has; the FMU was not called.
+    #[error("{call}: the model has no variable of type Real with the value reference {reference}")]
+    UnknownReference {
+        /// The call.
+        call: &'static str,
+        /// The reference.
+        reference: u32,
+    },
+    /// A value of the wrong type.
+    #[error("{name} is of type {kind}, {value} ({given}) does not fit")]
+    WrongType {
+        /// The variable.
+        name: String,
+        /// Its type.
+        kind: VariableKind,
+        /// The value.
+        value: Value,
+        /// Type of the value.
+        given: &'static str,
+    },
+    /// A number that the type of the variable has no room for.
+    #[error("{name} is of type {kind} ({} bits, from {} to {}), {value} does not fit", bits(*range), range.0, range.1)]
+    OutOfRange {
+        /// The variable.
+        name: String,
+        /// Its type.
+        kind: VariableKind,
+        /// The value.
+        value: Value,
+        /// The smallest and the largest value that fit.
+        range: (i128, i128),
+    },
+    /// A variable that cannot be set, or not now.
+    #[error("{name} cannot be set: {reason}")]
+    NotSettable {
+        /// The variable.
+        name: String,
+        /// Why.
+        reason: &'static str,
+    },
+    /// NaN or an infinity where a number is needed.
+    #[error("{name} = {value}: a finite number is needed", value = Number(*.value))]
+    NotFinite {
+        /// What was to get the value.
+        name: String,
+        /// The value.
+        value: f64,
+    },
+    /// A variable that cannot be an output.
+    #[error("{name} cannot be an output: {reason}")]
+    NotAnOutput {
+        /// The variable.
+        name: String,
+        /// Why.
+        reason: &'static str,
+    },
+    /// An input that cannot be used.
+    #[error("input {name}: {problem}")]
+    BadInput {
+        /// The variable, or what stands for it.
+        name: String,
+        /// What is wrong, with numbers.
+        problem: String,
+    },
+    /// Settings of a simulation that do not make sense.
+    #[error("{problem}")]
+    BadSetting {
+        /// What is wrong, with numbers.
+        problem: String,
+    },
+    /// An option of the integration method that cannot be used.
+    #[error(transparent)]
+    Options(#[from] ode::OptionsError),
+    /// A simulation that started but failed.
+    #[error(transparent)]
+    Simulation(Box<ode::SimulationError>),
+    /// No result holds this variable.
+    #[error("there is no value of \"{name}\"; there are: {present}")]
+    NotInResult {
+        /// The name.
+        name: String,
+        /// The names in the result.
+        present: String,
+    },
+    /// There is no bundled example of this name.
+    #[error("there is no example \"{name}\"; there are: {known}")]
+    UnknownExample {
+        /// The name.
+        name: String,
+        /// The names that exist.
+        known: String,
+    },
+    /// The folder cannot be packed into an FMU.
+    #[error("cannot pack {}: {reason}", folder.display())]
+    CannotPack {
+        /// The folder.
+        folder: PathBuf,
+        /// Why not.
+        reason: String,
+    },
+}
+
+/// What is wrong with one entry of an archive.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EntryProblem {
+    /// The name is empty or has an empty component.
+    #[error("has an empty name or an empty folder name in it")]
+    EmptyName,
+    /// `..` or `.` as a component.
+    #[error("leads out of the archive (\"..\" or \".\" in its path)")]
+    Traversal,
+    /// Starts with `/` or a drive letter.
+    #[error("has an absolute path")]
+    Absolute,
+    /// Holds a backslash, a colon or a control character (NUL included).
+    #[error("has the character {0:?} in its name")]
+    ForbiddenCharacter(char),
+    /// The name or one of its components is longer than file systems take.
+    #[error("has a name of {found} bytes, more than the limit of {limit}")]
+    NameTooLong {
+        /// Bytes of the name or component.
+        found: usize,
+        /// Bytes allowed.
+        limit: usize,
+    },
+    /// More folders within folders than allowed.
+    #[error("lies more than {limit} folders deep")]
+    TooDeep {
+        /// Components allowed.
+        limit: usize,
+    },
+    /// A folder that has contents of its own.
+    #[error("is a folder with {0} bytes of data")]
+    FolderWithData(u64),
+    /// A device name reserved on Windows, or a component ending in a dot or a space.
+    #[error("has a name that is not a file name on every system")]
+    ReservedName,
+    /// Neither a file nor a folder: symbolic link, device, pipe or socket.
+    #[error("is a {0}, not a file")]
+    NotAFile(&'static str),
+    /// Encrypted.
+    #[error("is encrypted")]
+    Encrypted,
+    /// A compression method other than stored and deflate.
+    #[error("is compressed with method {0}; FMUs use 0 (stored) and 8 (deflate)")]
+    Compression(u16),
+    /// Two entries of the same name with different contents.
+    #[error("occurs twice, with different contents")]
+    Duplicate,
+    /// Two entries whose names differ in case only.
+    #[error("differs from \"{0}\" in upper and lower case only")]
+    CaseDuplicate(String),
+    /// A file where another entry needs a folder, or the other way round.
+    #[error("makes \"{0}\" both a file and a folder")]
+    FileAndFolder(String),
+    /// The data overlap those of another entry.
+    #[error("shares bytes {start}..{end} of the archive with \"{other}\"")]
+    Overlap {
+        /// First shared byte.
+        start: u64,
+        /// One behind the last.
+        end: u64,
+        /// The other entry.
+        other: String,
+    },
+    /// The local header and the central directory disagree.
+    #[error("is described differently in its local header: {0}")]
+    HeaderMismatch(String),
+    /// Inflates to another size than the directory says.
+    #[error("inflates to {found} bytes{}, its header says {declared}", if *.found > *.declared { " or more" } else { "" })]
+    WrongSize {
+        /// Bytes counted (counting stops behind the declared size).
+        found: u64,
+        /// Bytes declared.
+        declared: u64,
+    },
+    /// Larger than the limit for one file.
+    #[error("has {found} bytes, more than the limit of {limit}")]
+    TooLarge {
+        /// Bytes declared.
+        found: u64,
+        /// Bytes allowed.
+        limit: u64,
+    },
+    /// Inflates too much to be honest.
+    #[error("would inflate from {compressed} to {size} bytes, more than {limit} times")]
+    Ratio {
+        /// Compressed bytes.
+        compressed: u64,
+        /// Bytes declared.
+        size: u64,
+        /// Factor allowed.
+        limit: u64,
+    },
+    /// The compressed data are damaged (bad stream, wrong checksum, truncated).
+    #[error("is damaged: {0}")]
+    Damaged(String),
+}
+
+/// Width of a type of integers.
+fn bits((least, most): (i128, i128)) -> u32 {
+    i128::BITS - (most - least).leading_zeros()
+}
+
+impl FmiError {
+    /// The failed call at the bottom of this error, if there is one.
+    pub fn call_failure(&self) -> Option<&CallFailure> {
+        match self {
+            FmiError::Call(failure) => Some(failure),
+            FmiError::Simulation(error) => match &error.kind {
+                ode::ErrorKind::Model(inner) => {
+                    inner.downcast_ref::<FmiError>().and_then(FmiError::call_failure)
+                }
+                _ => None,
+            },
+            _ => None,
+        }
+    }
+
+    /// A library file that is not any more what was loaded from it.
+    pub(crate) fn written_over(library: &Path) -> FmiError {
+        let message = "the file was written over after this process had loaded it; restart the process, or give the new \
+                       version a file of its own";
+        FmiError::LoadFailed { library: library.to_owned(), message: message.to_owned() }
+    }
+
+    /// Wraps an error of the operating system with what was tried on which path.
+    pub(crate) fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> FmiError {
+        let path = path.into();
+        move |source| FmiError::Io { action, path, source }
+    }
+}
+
+/// Number of the system's error for more open files than a process may have, and the C library's words for it.
+const EMFILE: i32 = 24;
+const TOO_MANY_FILES: &str = "Too many open files";
+
+/// How many files this process may have open; `None` where the system does not say, or there is no limit.
+fn open_files_limit() -> Option<u64> {
+    #[cfg(unix)]
+    return rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+    #[cfg(not(unix))]
+    None
+}
+
+/// What is to be added to an error where the process has as many open files as it may have.
+fn limit_of_files(error: Option<i32>) -> String {
+    match open_files_limit() {
+        Some(limit) if error == Some(EMFILE) => {
+            format!(
+                "; the process may have {limit} open files (ulimit -n): close models that are not used any more"
+            )
+        }
+        _ => String::new(),
+    }
+}
+
+/// The end of a sentence about a name that does not exist.
+fn did_you_mean(nearest: &[String]) -> String {
+    if nearest.is_empty() { String::new() } else { format!("; did you mean {}?", nearest.join(", ")) }
+}

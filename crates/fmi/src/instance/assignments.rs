@@ -1,0 +1,245 @@
+//! Values on their way into an FMU: names resolved, types and settability checked, sorted into one call per type.
+
+use super::integer_codec::{self, whole};
+use crate::description::{Causality, Initial, ModelDescription, Value, Variability, Variable, VariableKind};
+use crate::error::FmiError;
+use std::ffi::CString;
+
+/// Position of the variable of this name.
+///
+/// # Errors
+/// [`FmiError::UnknownVariable`] with the nearest names.
+pub(crate) fn resolve(description: &ModelDescription, name: &str) -> Result<usize, FmiError> {
+    description.variable_index(name).ok_or_else(|| FmiError::UnknownVariable {
+        name: name.to_owned(),
+        nearest: description.nearest_names(name, 3).into_iter().map(str::to_owned).collect(),
+    })
+}
+
+/// Converts a value to the variable's type: integers to reals, and reals that are whole numbers to integers. For an
+/// array the elements, of which there must be as many as `elements` says.
+///
+/// # Errors
+/// [`FmiError::WrongType`], and [`FmiError::NotFinite`] for NaN and infinities.
+pub(crate) fn convert(
+    variable: &Variable,
+    value: &Value,
+    elements: Option<usize>,
+) -> Result<Value, FmiError> {
+    let wrong = |given| FmiError::WrongType {
+        name: variable.name.clone(),
+        kind: variable.kind,
+        value: value.clone(),
+        given,
+    };
+    let Some(elements) = elements else { return convert_one(variable, value) };
+    match value {
+        Value::Array(values) if values.len() == elements => values
+            .iter()
+            .map(|value| convert_one(variable, value))
+            .collect::<Result<_, _>>()
+            .map(Value::Array),
+        Value::Array(_) => Err(wrong("array of another size")),
+        _ if elements == 1 => Ok(Value::Array(vec![convert_one(variable, value)?])),
+        _ => Err(wrong("one value for an array")),
+    }
+}
+
+/// [`convert`] for a single value.
+pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value, FmiError> {
+    if let Value::Real(x) = value
+        && !x.is_finite()
+    {
+        return Err(FmiError::NotFinite { name: variable.name.clone(), value: *x });
+    }
+    let kind = variable.kind;
+    let wrong =
+        |given| FmiError::WrongType { name: variable.name.clone(), kind, value: value.clone(), given };
+    let in_range = |i: i128| match variable.integer_range() {
+        Some((least, most)) if (least..=most).contains(&i) => Ok(Value::Integer(i)),
+        _ => Err(out_of_range(variable, value)),
+    };
+    match (kind, value) {
+        (VariableKind::Real | VariableKind::Float32, Value::Real(_))
+        | (VariableKind::Boolean | VariableKind::Clock, Value::Boolean(_))
+        | (VariableKind::String, Value::String(_))
+        | (VariableKind::Binary, Value::Binary(_)) => Ok(value.clone()),
+        (VariableKind::Real | VariableKind::Float32, Value::Integer(i)) => Ok(Value::Real(*i as f64)),
+        (kind, Value::Integer(i)) if kind.is_integer() => in_range(*i),
+        (kind, Value::Real(x)) if kind.is_integer() => match whole(*x) {
+            Some(i) => in_range(i),
+            None => Err(wrong(value.kind_name())),
+        },
+        _ => Err(wrong(value.kind_name())),
+    }
+}
+
+fn out_of_range(variable: &Variable, value: &Value) -> FmiError {
+    let range = variable.integer_range().unwrap_or_default();
+    FmiError::OutOfRange { name: variable.name.clone(), kind: variable.kind, value: value.clone(), range }
+}
+
+/// The value with its sign (a Boolean: its truth) reversed.
+pub(crate) fn negate(value: Value) -> Value {
+    match value {
+        Value::Real(x) => Value::Real(-x),
+        Value::Integer(i) => Value::Integer(-i),
+        Value::Boolean(b) => Value::Boolean(!b),
+        Value::Array(values) => Value::Array(values.into_iter().map(negate).collect()),
+        other => other,
+    }
+}
+
+/// Refuses variables that can never be set before a simulation, and says why
+/// (FMI 2.0.x, section 2.2.7: table of causality, variability and initial; section 3.2.2: when what may be set).
+pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<(), FmiError> {
+    let reason = if variable.causality == Causality::Independent {
+        "it is the independent variable (time)"
+    } else if variable.variability == Variability::Constant {
+        "it is a constant"
+    } else if variable.kind == VariableKind::Clock {
+        "it is a clock, and clocks are activated in event mode"
+    } else if variable.causality == Causality::Input
+        || matches!(variable.initial, Some(Initial::Exact | Initial::Approx))
+    {
+        return Ok(());
+    } else if variable.causality == Causality::CalculatedParameter {
+        "it is a calculated parameter"
+    } else {
+        "the model calculates it (initial = calculated)"
+    };
+    Err(not_settable(variable, reason))
+}
+
+/// Refuses what initialization mode does not let be set: all but inputs and variables with `initial = exact`.
+pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<(), FmiError> {
+    check_settable_at_start(variable)?;
+    if variable.causality == Causality::StructuralParameter {
+        return Err(not_settable(variable, "structural parameters are set before the initialization"));
+    }
+    if variable.causality == Causality::Input || variable.initial == Some(Initial::Exact) {
+        Ok(())
+    } else {
+        Err(not_settable(variable, "its start value is a guess, which initialization mode calculates"))
+    }
+}
+
+/// Refuses what event mode does not let be set: all but inputs and tunable parameters.
+pub(crate) fn check_settable_in_event_mode(variable: &Variable) -> Result<(), FmiError> {
+    match (variable.causality, variable.variability) {
+        (Causality::Input, _) | (Causality::Parameter, Variability::Tunable) => Ok(()),
+        _ => Err(not_settable(variable, "in event mode only inputs and tunable parameters can be set")),
+    }
+}
+
+/// Refuses what continuous-time mode does not let be set: all but continuous inputs.
+pub(crate) fn check_settable_in_continuous_time(variable: &Variable) -> Result<(), FmiError> {
+    match (variable.causality, variable.variability) {
+        (Causality::Input, Variability::Continuous) => Ok(()),
+        _ => Err(not_settable(variable, "in continuous-time mode only continuous inputs can be set")),
+    }
+}
+
+/// Refuses what cannot be set between communication points: all but inputs and tunable parameters.
+pub(crate) fn check_settable_in_step_mode(variable: &Variable) -> Result<(), FmiError> {
+    match (variable.causality, variable.variability) {
+        (Causality::Input, _) | (Causality::Parameter, Variability::Tunable) => Ok(()),
+        _ => Err(not_settable(variable, "between steps only inputs and tunable parameters can be set")),
+    }
+}
+
+/// Refuses everything but tunable structural parameters.
+pub(crate) fn check_settable_in_reconfiguration(variable: &Variable) -> Result<(), FmiError> {
+    match (variable.causality, variable.variability) {
+        (Causality::StructuralParameter, Variability::Tunable) => Ok(()),
+        (Causality::StructuralParameter, _) => {
+            Err(not_settable(variable, "it is a structural parameter that is fixed after the initialization"))
+        }
+        _ => Err(not_settable(
+            variable,
+            "in reconfiguration mode only tunable structural parameters can be set",
+        )),
+    }
+}
+
+pub(crate) fn not_settable(variable: &Variable, reason: &'static str) -> FmiError {
+    FmiError::NotSettable { name: variable.name.clone(), reason }
+}
+
+/// Values by type, each type for one call.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Assignments {
+    pub(crate) reals: (Vec<u32>, Vec<f64>),
+    pub(crate) packed: Vec<(VariableKind, Vec<u32>, Vec<i64>)>,
+    pub(crate) strings: (Vec<u32>, Vec<CString>),
+    pub(crate) binaries: (Vec<u32>, Vec<Vec<u8>>),
+}
+
+impl Assignments {
+    /// Whether there is nothing to set.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.reals.0.is_empty()
+            && self.packed.is_empty()
+            && self.strings.0.is_empty()
+            && self.binaries.0.is_empty()
+    }
+
+    /// The variables set, each by its type and reference.
+    pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
+        fn of(kind: VariableKind, list: &[u32]) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
+            list.iter().map(move |reference| (kind, *reference))
+        }
+        of(VariableKind::Real, &self.reals.0)
+            .chain(self.packed.iter().flat_map(|(kind, list, _)| of(*kind, list)))
+            .chain(of(VariableKind::String, &self.strings.0))
+            .chain(of(VariableKind::Binary, &self.binaries.0))
+    }
+
+    /// Adds a value, or the elements of an array (`elements` of them).
+    ///
+    /// # Errors
+    /// The value has the wrong type, is not finite, or is a text with a NUL.
+    pub(crate) fn push(
+        &mut self,
+        variable: &Variable,
+        value: &Value,
+        elements: Option<usize>,
+    ) -> Result<(), FmiError> {
+        let value = convert(variable, value, elements)?;
+        let value = if variable.negated { negate(value) } else { value };
+        let (kind, reference) = (variable.kind, variable.value_reference);
+        match kind {
+            VariableKind::Real => self.reals.0.push(reference),
+            VariableKind::String => self.strings.0.push(reference),
+            VariableKind::Binary => self.binaries.0.push(reference),
+            kind => match self.packed.iter_mut().find(|(known, ..)| *known == kind) {
+                Some((_, references, _)) => references.push(reference),
+                None => self.packed.push((kind, vec![reference], Vec::new())),
+            },
+        }
+        match value {
+            Value::Array(values) => values.iter().try_for_each(|value| self.push_value(variable, value)),
+            value => self.push_value(variable, &value),
+        }
+    }
+
+    fn push_value(&mut self, variable: &Variable, value: &Value) -> Result<(), FmiError> {
+        let kind = variable.kind;
+        let wrong =
+            |given| FmiError::WrongType { name: variable.name.clone(), kind, value: value.clone(), given };
+        match (kind, value) {
+            (VariableKind::Real, Value::Real(x)) => self.reals.1.push(*x),
+            (VariableKind::String, Value::String(text)) => {
+                let text = CString::new(text.as_str()).map_err(|_| wrong("text with a NUL character"))?;
+                self.strings.1.push(text);
+            }
+            (VariableKind::Binary, Value::Binary(bytes)) => self.binaries.1.push(bytes.clone()),
+            _ => {
+                let lane = integer_codec::lane(kind, value).ok_or_else(|| out_of_range(variable, value))?;
+                let group = self.packed.iter_mut().find(|(known, ..)| *known == kind);
+                group.into_iter().for_each(|(_, _, lanes)| lanes.push(lane));
+            }
+        }
+        Ok(())
+    }
+}

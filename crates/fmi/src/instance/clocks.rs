@@ -1,0 +1,59 @@
+//! What can be done with the clocks of an instance by hand.
+
+use super::assignments::resolve;
+use super::phases::{Initialization, Instance, Readable};
+use crate::description::{Causality, ClockKind, Interval, Variable};
+use crate::error::FmiError;
+use crate::sys::Qualifier;
+
+impl<K> Instance<Initialization, K> {
+    /// Gives a clock with fixed or tunable intervals the interval between its ticks.
+    ///
+    /// # Errors
+    /// There is no such clock, or it cannot be given this interval; the FMU cannot, or refuses.
+    pub fn set_clock_interval(&mut self, name: &str, interval: Interval) -> Result<(), FmiError> {
+        let core = self.core();
+        let fmu = core.fmu().clone();
+        let variable = &fmu.description().variables[resolve(fmu.description(), name)?];
+        check_interval(variable, interval)?;
+        core.call(|raw| raw.set_interval(variable.value_reference, interval))
+    }
+}
+
+impl<P: Readable, K> Instance<P, K> {
+    /// What the model says about the interval before the next tick of a clock, in initialization or event mode; `None`
+    /// while a countdown does not run.
+    ///
+    /// # Errors
+    /// There is no such variable or it is no clock; the FMU cannot tell, or refuses.
+    pub fn clock_interval(&mut self, name: &str) -> Result<Option<Interval>, FmiError> {
+        let core = self.core();
+        let fmu = core.fmu().clone();
+        let variable = &fmu.description().variables[resolve(fmu.description(), name)?];
+        let Some(timing) = &variable.clock else {
+            return Err(FmiError::BadSetting { problem: format!("{name} is no clock") });
+        };
+        let (reference, fraction) = (variable.value_reference, timing.supports_fraction);
+        let answer = core.call(|raw| raw.get_interval(reference, fraction))?;
+        Ok((answer.qualifier != Qualifier::NotYetKnown).then_some(answer.interval))
+    }
+}
+
+/// Refuses intervals that the importer cannot give a clock (FMI 3.0.x, section 2.2.8.3).
+pub(crate) fn check_interval(variable: &Variable, interval: Interval) -> Result<(), FmiError> {
+    let name = &variable.name;
+    let timing = variable.clock.as_deref().filter(|_| variable.causality == Causality::Input);
+    let positive = interval.value() > 0.0 && interval.value().is_finite();
+    let problem = match timing {
+        Some(timing) if !matches!(timing.kind, ClockKind::Fixed | ClockKind::Tunable) => {
+            format!("it has {} intervals; only fixed and tunable ones can be set", timing.kind.name())
+        }
+        Some(timing) if matches!(interval, Interval::Fraction(..)) && !timing.supports_fraction => {
+            "its intervals are no fractions".to_owned()
+        }
+        Some(_) if !positive => format!("{interval:?} is not positive and finite"),
+        Some(_) => return Ok(()),
+        None => "it is no clock that the importer activates".to_owned(),
+    };
+    Err(FmiError::BadSetting { problem: format!("{name} cannot be given an interval: {problem}") })
+}

@@ -1,0 +1,138 @@
+//! The running mode of co-simulation: communication steps from point to point.
+
+use super::core::Core;
+use super::model_exchange::MAX_EVENT_ITERATIONS;
+use super::phases::{CoSimulation, Initialization, Instance, StepMode, Terminated};
+use crate::error::FmiError;
+use crate::sys::{RawInstance, StepInfo};
+use ode::EventOutcome;
+use std::thread;
+use std::time::Duration;
+
+/// What became of a communication step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
+pub struct StepOutcome {
+    /// The model stands at the end of the step.
+    pub complete: bool,
+    /// Where it stands otherwise, if it says so.
+    pub reached: Option<f64>,
+    /// It stands there because it returned early (FMI 3.0): no more of the step is to be made.
+    pub early: bool,
+    /// The model wishes to end the simulation here.
+    pub terminate: bool,
+    /// The model wants its events handled here: see [`Instance::handle_events`](Instance::handle_events).
+    pub event: bool,
+    /// The step was cut short by a model that cannot say whether it wishes to end the simulation (FMI 1.0): if it makes
+    /// no further step of whatever length, it does.
+    pub may_have_ended: bool,
+}
+
+/// How often a step that is computed in the background is asked for.
+const POLL: Duration = Duration::from_micros(100);
+
+impl Core {
+    /// One communication step: time and length. A step that goes on in the background is waited for as long as `keep_waiting` says so,
+    /// and then cancelled (`None`).
+    pub(crate) fn do_step(
+        &mut self,
+        span: (f64, f64),
+        keep_waiting: &mut dyn FnMut() -> bool,
+    ) -> Result<Option<StepOutcome>, FmiError> {
+        let mut info = StepInfo::default();
+        let mut complete = self.call(|raw| raw.do_step(span, &mut info))?;
+        while info.pending {
+            if !keep_waiting() {
+                self.raw.abandon_step();
+                return Ok(None);
+            }
+            thread::sleep(POLL);
+            info = StepInfo::default();
+            complete = self.call(|raw| raw.step_status(&mut info))?;
+        }
+        let StepInfo { reached, early, terminate, event, may_have_ended, .. } = info;
+        Ok(Some(StepOutcome { complete, reached, early, terminate, event, may_have_ended }))
+    }
+}
+
+impl Core {
+    /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model ends the
+    /// simulation.
+    pub(crate) fn settle(
+        &mut self,
+        time: f64,
+        events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome, FmiError>,
+    ) -> Result<EventOutcome, FmiError> {
+        let outcome = events(self, time)?;
+        if !outcome.terminate {
+            self.call(RawInstance::enter_step_mode)?;
+        }
+        Ok(outcome)
+    }
+}
+
+/// The events that the model makes by itself.
+fn just_events(core: &mut Core, time: f64) -> Result<EventOutcome, FmiError> {
+    core.iterate_events(time, 0.0, MAX_EVENT_ITERATIONS)
+}
+
+impl Instance<Initialization, CoSimulation> {
+    /// Ends the initialization; the initial events happen.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
+        self.begin_steps(just_events).map(|(instance, _)| instance)
+    }
+
+    /// The same with events made by `events`, and what they told.
+    pub(crate) fn begin_steps(
+        self,
+        events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome, FmiError>,
+    ) -> Result<(Instance<StepMode, CoSimulation>, EventOutcome), FmiError> {
+        let mut instance: Instance<StepMode, CoSimulation> =
+            self.step_to(RawInstance::exit_initialization)?;
+        let core = instance.core();
+        let time = core.raw.time().unwrap_or(0.0);
+        let outcome =
+            if core.raw.has_event_mode() { core.settle(time, events)? } else { EventOutcome::default() };
+        Ok((instance, outcome))
+    }
+}
+
+impl Instance<StepMode, CoSimulation> {
+    /// Lets the model compute the step from `time`, where it stands, to `time + step`.
+    ///
+    /// # Errors
+    /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
+    pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome, FmiError> {
+        Ok(self.core().do_step((time, step), &mut || true)?.unwrap_or_default())
+    }
+
+    /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.
+    ///
+    /// # Errors
+    /// The FMU has no event mode, or refuses.
+    pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome, FmiError> {
+        let core = self.core();
+        core.call(RawInstance::enter_event_mode)?;
+        core.settle(time, just_events)
+    }
+
+    /// Sets the first derivatives of real inputs with respect to time, for the next step.
+    ///
+    /// # Errors
+    /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or refuses.
+    pub fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Result<(), FmiError> {
+        self.core().check_reals("set_input_derivatives", references, values.len())?;
+        self.core().call(|raw| raw.set_input_derivatives(references, values))
+    }
+
+    /// Ends the simulation.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn terminate(self) -> Result<Instance<Terminated, CoSimulation>, FmiError> {
+        self.step_to(RawInstance::terminate)
+    }
+}

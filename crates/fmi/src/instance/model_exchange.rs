@@ -1,0 +1,197 @@
+//! The two running modes of model exchange: event mode with its iteration, and continuous-time mode.
+
+use super::core::Core;
+use super::phases::{ContinuousTime, EventMode, Instance, Terminated};
+use crate::error::FmiError;
+use crate::sys::{EventInfo, RawInstance};
+use ode::EventOutcome;
+
+/// Rounds of an event iteration before it counts as endless.
+pub const MAX_EVENT_ITERATIONS: u32 = 100;
+
+impl Core {
+    /// Updates the discrete states until they settle. What the model says in any of the rounds counts: flags of
+    /// early rounds are not lost. A next event time that is `time` itself is one more round; one that lies before
+    /// `time` by more than `tolerance` is passed on.
+    pub(crate) fn iterate_events(
+        &mut self,
+        time: f64,
+        tolerance: f64,
+        limit: u32,
+    ) -> Result<EventOutcome, FmiError> {
+        self.iterate_events_watched(time, tolerance, limit, &mut |_| Ok(()))
+    }
+
+    /// The same; `watch` looks at the model before each round.
+    pub(crate) fn iterate_events_watched(
+        &mut self,
+        time: f64,
+        tolerance: f64,
+        limit: u32,
+        watch: &mut dyn FnMut(&mut Core) -> Result<(), FmiError>,
+    ) -> Result<EventOutcome, FmiError> {
+        let mut outcome = EventOutcome::default();
+        for _ in 0..limit {
+            watch(self)?;
+            let mut info = EventInfo::default();
+            self.call(|raw| raw.new_discrete_states(&mut info))?;
+            outcome.states_changed |= info.values_changed;
+            outcome.nominals_changed |= info.nominals_changed;
+            outcome.terminate |= info.terminate;
+            outcome.next_time = info.next_event_time;
+            if outcome.terminate {
+                return Ok(outcome);
+            }
+            let due = info.next_event_time.is_some_and(|next| next <= time && time - next <= tolerance);
+            if !info.new_discrete_states_needed && !due {
+                return Ok(outcome);
+            }
+        }
+        Err(FmiError::EventIteration { time, limit })
+    }
+}
+
+impl<P> Instance<P> {
+    fn states(&mut self, states: &mut [f64]) -> Result<(), FmiError> {
+        self.core().call(|raw| raw.get_continuous_states(states))
+    }
+
+    fn indicators(&mut self, indicators: &mut [f64]) -> Result<(), FmiError> {
+        self.core().call(|raw| raw.get_event_indicators(indicators))
+    }
+
+    fn terminated(self) -> Result<Instance<Terminated>, FmiError> {
+        self.step_to(RawInstance::terminate)
+    }
+}
+
+impl Instance<EventMode> {
+    /// Updates the discrete states until they settle, at most `limit` rounds (see [`MAX_EVENT_ITERATIONS`]).
+    ///
+    /// # Errors
+    /// [`FmiError::EventIteration`] when they do not settle; the FMU refuses.
+    pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome, FmiError> {
+        let time = self.core().raw.time().unwrap_or(0.0);
+        self.core().iterate_events(time, 0.0, limit)
+    }
+
+    /// Reads the continuous states.
+    ///
+    /// # Errors
+    /// The slice has not the length of the state vector; the FMU refuses.
+    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<(), FmiError> {
+        self.states(states)
+    }
+
+    /// Reads the event indicators.
+    ///
+    /// # Errors
+    /// The slice has not as many elements as there are indicators; the FMU refuses.
+    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<(), FmiError> {
+        self.indicators(indicators)
+    }
+
+    /// Reads the nominal values of the states as the FMU gives them.
+    ///
+    /// # Errors
+    /// The slice has not the length of the state vector; the FMU refuses.
+    pub fn get_nominals(&mut self, nominals: &mut [f64]) -> Result<(), FmiError> {
+        self.core().call(|raw| raw.get_nominals(nominals))
+    }
+
+    /// Goes on in continuous time.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn enter_continuous_time(self) -> Result<Instance<ContinuousTime>, FmiError> {
+        self.step_to(RawInstance::enter_continuous_time_mode)
+    }
+
+    /// Ends the simulation.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn terminate(self) -> Result<Instance<Terminated>, FmiError> {
+        self.terminated()
+    }
+}
+
+impl Instance<ContinuousTime> {
+    /// Sets the time.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn set_time(&mut self, time: f64) -> Result<(), FmiError> {
+        self.core().call(|raw| raw.set_time(time))
+    }
+
+    /// Sets the continuous states.
+    ///
+    /// # Errors
+    /// The slice has not the length of the state vector; the FMU refuses.
+    pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<(), FmiError> {
+        self.core().call(|raw| raw.set_continuous_states(states))
+    }
+
+    /// Reads the continuous states.
+    ///
+    /// # Errors
+    /// The slice has not the length of the state vector; the FMU refuses.
+    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<(), FmiError> {
+        self.states(states)
+    }
+
+    /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs stay as they are.
+    ///
+    /// # Errors
+    /// A slice has not the length of the state vector; the FMU refuses.
+    pub fn right_hand_side(
+        &mut self,
+        time: f64,
+        states: &[f64],
+        derivatives: &mut [f64],
+    ) -> Result<(), FmiError> {
+        self.core().call(|raw| raw.right_hand_side(time, states, derivatives))
+    }
+
+    /// Computes the derivatives of the states.
+    ///
+    /// # Errors
+    /// The slice has not the length of the state vector; the FMU refuses.
+    pub fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Result<(), FmiError> {
+        self.core().call(|raw| raw.get_derivatives(derivatives))
+    }
+
+    /// Computes the event indicators.
+    ///
+    /// # Errors
+    /// The slice has not as many elements as there are indicators; the FMU refuses.
+    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<(), FmiError> {
+        self.indicators(indicators)
+    }
+
+    /// Says that a step has been completed, and that the instance will not be taken back behind it. Returns whether the
+    /// model wants to enter event mode, and whether it wants to end the simulation.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn completed_integrator_step(&mut self) -> Result<(bool, bool), FmiError> {
+        self.core().call(RawInstance::completed_integrator_step)
+    }
+
+    /// Enters event mode.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn enter_event_mode(self) -> Result<Instance<EventMode>, FmiError> {
+        self.step_to(RawInstance::enter_event_mode)
+    }
+
+    /// Ends the simulation.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn terminate(self) -> Result<Instance<Terminated>, FmiError> {
+        self.terminated()
+    }
+}

@@ -1,0 +1,349 @@
+//! Headers of shared libraries: which operating system and which processors they are made for, and how long their files are.
+
+use crate::error::FmiError;
+use object::elf;
+use object::read::elf::{FileHeader, ProgramHeader};
+use object::{Endianness, FileKind, ReadCache, ReadRef};
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::{env, fmt};
+
+/// Processor a binary is made for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Machine {
+    /// 32-bit x86.
+    X86,
+    /// 64-bit x86.
+    X86_64,
+    /// 32-bit ARM.
+    Arm,
+    /// 64-bit ARM.
+    Aarch64,
+    /// 64-bit RISC-V.
+    Riscv64,
+    /// Anything else, with the number the file gives.
+    Other(u32),
+}
+
+impl Machine {
+    /// The processor this library was compiled for.
+    pub fn host() -> Machine {
+        match env::consts::ARCH {
+            "x86" => Machine::X86,
+            "x86_64" => Machine::X86_64,
+            "arm" => Machine::Arm,
+            "aarch64" => Machine::Aarch64,
+            "riscv64" => Machine::Riscv64,
+            _ => Machine::Other(0),
+        }
+    }
+}
+
+impl fmt::Display for Machine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Machine::X86 => f.write_str("x86"),
+            Machine::X86_64 => f.write_str("x86_64"),
+            Machine::Arm => f.write_str("arm"),
+            Machine::Aarch64 => f.write_str("aarch64"),
+            Machine::Riscv64 => f.write_str("riscv64"),
+            Machine::Other(number) => write!(f, "machine {number}"),
+        }
+    }
+}
+
+/// File format of a binary, which tells the operating system.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BinaryFormat {
+    /// Linux and most other Unix systems.
+    Elf,
+    /// Windows.
+    Pe,
+    /// macOS.
+    MachO,
+}
+
+impl BinaryFormat {
+    /// The format this platform loads.
+    pub fn host() -> BinaryFormat {
+        if cfg!(windows) {
+            BinaryFormat::Pe
+        } else if cfg!(target_vendor = "apple") {
+            BinaryFormat::MachO
+        } else {
+            BinaryFormat::Elf
+        }
+    }
+}
+
+impl fmt::Display for BinaryFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            BinaryFormat::Elf => "ELF",
+            BinaryFormat::Pe => "Windows",
+            BinaryFormat::MachO => "Mach-O",
+        })
+    }
+}
+
+/// What the header of a shared library says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BinaryHeader {
+    /// File format.
+    pub format: BinaryFormat,
+    /// Processors it has code for; more than one only in universal Mach-O files.
+    pub machines: Vec<Machine>,
+}
+
+impl BinaryHeader {
+    /// Reads the header of a file; `None` if it is not a binary of a known format.
+    pub fn read(path: &Path) -> io::Result<Option<BinaryHeader>> {
+        Self::read_from(&mut File::open(path)?)
+    }
+
+    /// Reads the header of a binary from a stream that stands at its beginning.
+    fn read_from(file: &mut (impl Read + Seek)) -> io::Result<Option<BinaryHeader>> {
+        let mut start = Vec::with_capacity(1024);
+        file.by_ref().take(1024).read_to_end(&mut start)?;
+        let header = match start.get(..4) {
+            Some([0x7f, b'E', b'L', b'F']) => elf_machine(&start).map(|m| (BinaryFormat::Elf, vec![m])),
+            Some([b'M', b'Z', ..]) => pe_machine(&start, file)?.map(|m| (BinaryFormat::Pe, vec![m])),
+            Some([0xcf | 0xce, 0xfa, 0xed, 0xfe]) => {
+                u32_le(&start, 4).map(|cpu| (BinaryFormat::MachO, vec![mach_o_machine(cpu)]))
+            }
+            Some([0xca, 0xfe, 0xba, 0xbe]) => universal_machines(&start).map(|m| (BinaryFormat::MachO, m)),
+            _ => None,
+        };
+        Ok(header.map(|(format, machines)| BinaryHeader { format, machines }))
+    }
+
+    /// Whether this platform can load it.
+    pub fn runs_here(&self) -> bool {
+        self.format == BinaryFormat::host() && self.machines.contains(&Machine::host())
+    }
+}
+
+impl fmt::Display for BinaryHeader {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.format)?;
+        for machine in &self.machines {
+            write!(f, " {machine}")?;
+        }
+        Ok(())
+    }
+}
+
+/// Refuses a file that is shorter than its ELF headers say. The loader maps the segments without looking at the length, and the first
+/// access beyond the end of the file ends the process (SIGBUS). The loaders of Windows and macOS look for themselves.
+///
+/// # Errors
+/// [`FmiError::LoadFailed`] with both lengths; the file cannot be read.
+pub(crate) fn check_length(library: &Path) -> Result<(), FmiError> {
+    let io_error = FmiError::io("read", library);
+    let (length, data) = match File::open(library).and_then(|file| Ok((file.metadata()?.len(), file))) {
+        Ok((length, file)) => (length, ReadCache::new(file)),
+        Err(error) => return Err(io_error(error)),
+    };
+    let needed = match FileKind::parse(&data) {
+        Ok(FileKind::Elf64) => mapped_length::<elf::FileHeader64<Endianness>, _>(&data),
+        Ok(FileKind::Elf32) => mapped_length::<elf::FileHeader32<Endianness>, _>(&data),
+        _ => return Ok(()),
+    };
+    let what = match needed {
+        Some(needed) if needed <= length => return Ok(()),
+        Some(needed) => format!(
+            "the file has {length} bytes, and what its headers say is to be loaded ends at byte {needed}"
+        ),
+        None => format!("the file has {length} bytes, too few for its ELF headers"),
+    };
+    let message = format!("{what}: it was cut off, perhaps while it was copied, downloaded or packed");
+    Err(FmiError::LoadFailed { library: library.to_owned(), message })
+}
+
+/// Where the segments that are mapped end in the file, and the dynamic section (System V ABI, chapter 5); `None`: the headers are not all there.
+fn mapped_length<'data, Elf: FileHeader<Endian = Endianness>, R: ReadRef<'data>>(data: R) -> Option<u64> {
+    let header = Elf::parse(data).ok()?;
+    let endian = header.endian().ok()?;
+    let segments = header.program_headers(endian, data).ok()?;
+    let mapped = segments.iter().filter(|one| matches!(one.p_type(endian), elf::PT_LOAD | elf::PT_DYNAMIC));
+    let end = |one: &Elf::ProgramHeader| {
+        let (start, size): (u64, u64) = (one.p_offset(endian).into(), one.p_filesz(endian).into());
+        start.saturating_add(size)
+    };
+    Some(mapped.map(end).max().unwrap_or(0))
+}
+
+/// What a file is that stands where a library should be, for a message.
+pub(crate) fn describe(path: &Path) -> String {
+    let header = match BinaryHeader::read(path) {
+        Ok(Some(header)) => return header.to_string(),
+        Ok(None) => File::open(path).and_then(|file| {
+            let mut start = Vec::new();
+            file.take(256).read_to_end(&mut start).map(|_| start)
+        }),
+        Err(error) => Err(error),
+    };
+    let what = match header {
+        Ok(start) if start.is_empty() => "an empty file",
+        // https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md
+        Ok(start) if start.starts_with(b"version https://git-lfs.github.com/spec/") => {
+            "a pointer of Git LFS instead of the file: \"git lfs pull\" fetches it"
+        }
+        Ok(start) if start.starts_with(b"\x7fELF") || start.starts_with(b"MZ") => {
+            "the beginning of a library, cut off"
+        }
+        Ok(start)
+            if std::str::from_utf8(&start[..start.len().min(64)]).is_ok_and(|text| !text.contains('\0')) =>
+        {
+            "a text file, not a library"
+        }
+        Ok(_) => "not a library",
+        Err(error) => return error.to_string(),
+    };
+    what.to_owned()
+}
+
+/// `e_machine` of an ELF header (System V ABI, chapter 4): two bytes at offset 18.
+fn elf_machine(start: &[u8]) -> Option<Machine> {
+    let bytes: [u8; 2] = start.get(18..20)?.try_into().ok()?;
+    let big_endian = *start.get(5)? == 2;
+    let number = if big_endian { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) };
+    Some(match number {
+        3 => Machine::X86,
+        62 if start.get(4) == Some(&1) => Machine::Other(62), // x32: 32-bit pointers on x86-64
+        62 => Machine::X86_64,
+        40 => Machine::Arm,
+        183 => Machine::Aarch64,
+        243 if start.get(4) == Some(&2) => Machine::Riscv64,
+        other => Machine::Other(u32::from(other)),
+    })
+}
+
+/// `Machine` of the COFF header behind the PE signature (Microsoft PE format).
+fn pe_machine(start: &[u8], file: &mut (impl Read + Seek)) -> io::Result<Option<Machine>> {
+    let Some(offset) = u32_le(start, 0x3c) else { return Ok(None) };
+    file.seek(SeekFrom::Start(u64::from(offset)))?;
+    let mut header = Vec::with_capacity(6);
+    file.by_ref().take(6).read_to_end(&mut header)?;
+    let [b'P', b'E', 0, 0, low, high] = header[..] else { return Ok(None) };
+    Ok(Some(match u16::from_le_bytes([low, high]) {
+        0x014c => Machine::X86,
+        0x8664 => Machine::X86_64,
+        0x01c0 | 0x01c4 => Machine::Arm,
+        0xaa64 => Machine::Aarch64,
+        0x5064 => Machine::Riscv64,
+        other => Machine::Other(u32::from(other)),
+    }))
+}
+
+/// `cputype` of a Mach-O header (`mach/machine.h`).
+fn mach_o_machine(cpu: u32) -> Machine {
+    match cpu {
+        7 => Machine::X86,
+        0x0100_0007 => Machine::X86_64,
+        12 => Machine::Arm,
+        0x0100_000c => Machine::Aarch64,
+        other => Machine::Other(other),
+    }
+}
+
+/// Processors of a universal Mach-O file. Java class files have the same magic number; their next
+/// field, read as a count, is far above any number of processors.
+fn universal_machines(start: &[u8]) -> Option<Vec<Machine>> {
+    let count = u32_be(start, 4)?;
+    if !(1..=30).contains(&count) {
+        return None;
+    }
+    (0..count as usize).map(|slice| u32_be(start, 8 + 20 * slice).map(mach_o_machine)).collect()
+}
+
+fn u32_le(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
+}
+
+fn u32_be(bytes: &[u8], at: usize) -> Option<u32> {
+    u32_le(bytes, at).map(u32::swap_bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Cursor;
+
+    fn header(bytes: &[u8]) -> Option<BinaryHeader> {
+        BinaryHeader::read_from(&mut Cursor::new(bytes)).unwrap()
+    }
+
+    fn elf(class: u8, order: u8, machine: [u8; 2]) -> Vec<u8> {
+        let mut bytes = vec![0x7f, b'E', b'L', b'F', class, order, 1];
+        bytes.resize(18, 0);
+        bytes.extend(machine);
+        bytes.resize(64, 0);
+        bytes
+    }
+
+    #[test]
+    fn elf_headers_tell_the_machine() {
+        for (bytes, machine) in [
+            (elf(2, 1, [62, 0]), Machine::X86_64),
+            (elf(1, 1, [3, 0]), Machine::X86),
+            (elf(2, 1, [183, 0]), Machine::Aarch64),
+            (elf(2, 2, [0, 183]), Machine::Aarch64),
+            (elf(1, 1, [62, 0]), Machine::Other(62)),
+            (elf(2, 1, [21, 0]), Machine::Other(21)),
+        ] {
+            assert_eq!(
+                header(&bytes),
+                Some(BinaryHeader { format: BinaryFormat::Elf, machines: vec![machine] })
+            );
+        }
+    }
+
+    #[test]
+    fn pe_headers_tell_the_machine() {
+        let mut bytes = b"MZ".to_vec();
+        bytes.resize(0x3c, 0);
+        bytes.extend(2000u32.to_le_bytes());
+        bytes.resize(2000, 0);
+        bytes.extend(b"PE\0\0\x64\x86");
+        assert_eq!(
+            header(&bytes),
+            Some(BinaryHeader { format: BinaryFormat::Pe, machines: vec![Machine::X86_64] })
+        );
+    }
+
+    #[test]
+    fn mach_o_headers_tell_all_machines() {
+        let thin = [0xcf, 0xfa, 0xed, 0xfe, 0x0c, 0, 0, 1];
+        assert_eq!(header(&thin).map(|h| h.machines), Some(vec![Machine::Aarch64]));
+        let mut fat = vec![0xca, 0xfe, 0xba, 0xbe, 0, 0, 0, 2];
+        fat.extend([1, 0, 0, 7]);
+        fat.extend([0; 16]);
+        fat.extend([1, 0, 0, 12]);
+        fat.extend([0; 16]);
+        assert_eq!(header(&fat).map(|h| h.machines), Some(vec![Machine::X86_64, Machine::Aarch64]));
+    }
+
+    #[test]
+    fn other_files_are_not_binaries() {
+        let java = [0xca, 0xfe, 0xba, 0xbe, 0, 0, 0, 52];
+        for bytes in [
+            &b""[..],
+            b"\x7fEL",
+            b"\x7fELF",
+            b"MZ",
+            b"MZ and more text, but not that much of it, and no header",
+            &java,
+        ] {
+            assert_eq!(header(bytes), None, "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn this_very_program_runs_here() {
+        let header = BinaryHeader::read(&env::current_exe().unwrap()).unwrap().unwrap();
+        assert!(header.runs_here(), "{header}");
+    }
+}

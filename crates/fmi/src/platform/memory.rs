@@ -1,0 +1,37 @@
+//! Whether there is memory for something large, asked before it is taken: systems promise more than they have, and end the
+//! process that believes them.
+
+use super::system::available_memory;
+use crate::error::FmiError;
+
+/// What is taken without asking.
+const SMALL: u64 = 64 << 20;
+
+/// Refuses to go on if `bytes` for `what` are more than is available.
+///
+/// # Errors
+/// [`FmiError::Memory`].
+pub(crate) fn check(what: impl FnOnce() -> String, bytes: u64) -> Result<(), FmiError> {
+    if bytes <= SMALL {
+        return Ok(());
+    }
+    let available = available_memory().unwrap_or(u64::MAX);
+    // Limits of the process itself show when it asks for as much.
+    let is_given = || usize::try_from(bytes).is_ok_and(|n| Vec::<u8>::new().try_reserve_exact(n).is_ok());
+    if bytes < available && is_given() {
+        return Ok(());
+    }
+    Err(FmiError::Memory { what: what(), bytes })
+}
+
+/// Room for `n` items in an empty list.
+///
+/// # Errors
+/// [`FmiError::Memory`].
+pub(crate) fn list_of<T>(what: &str, n: usize) -> Result<Vec<T>, FmiError> {
+    let bytes = (n as u64).saturating_mul(size_of::<T>() as u64);
+    check(|| what.to_owned(), bytes)?;
+    let mut list = Vec::new();
+    list.try_reserve_exact(n).map_err(|_| FmiError::Memory { what: what.to_owned(), bytes })?;
+    Ok(list)
+}

@@ -1,0 +1,12 @@
+//! Everything that differs between operating systems and processors: names of folders and libraries, headers of shared
+//! libraries, what tells one file from another, memory that is left.
+
+mod binary;
+mod loaded_file;
+pub(crate) mod memory;
+mod system;
+
+pub(crate) use binary::check_length;
+pub use binary::{BinaryFormat, BinaryHeader, Machine};
+pub(crate) use loaded_file::Shared;
+pub use system::*;

@@ -1,0 +1,232 @@
+//! The clocks of a simulation, resolved and checked: who ticks when, and what is set when they tick.
+
+use super::schedule::Schedule;
+use crate::description::{
+    Causality, ClockKind, ClockTiming, Interval, ModelDescription, Variable, VariableKind,
+};
+use crate::error::FmiError;
+use crate::instance::assignments::resolve;
+use crate::instance::{Core, check_interval};
+use crate::simulation::column::{Column, HeldColumn};
+use crate::sys::{IntervalAnswer, Qualifier, RawInstance};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// A clock whose ticks the importer schedules.
+#[derive(Debug)]
+pub(super) struct Timed {
+    pub(super) reference: u32,
+    pub(super) name: Arc<str>,
+    pub(super) timing: ClockTiming,
+    /// The interval that the importer gives it in initialization mode.
+    given: Option<Interval>,
+    /// 0 where its ticks are left out.
+    pub(super) enabled: Option<Column>,
+}
+
+/// A clock that the inputs trigger.
+#[derive(Debug)]
+pub(super) struct Triggered {
+    pub(super) reference: u32,
+    pub(super) name: Arc<str>,
+    pub(super) times: Arc<[f64]>,
+}
+
+/// An input that may be set only when one of its clocks ticks.
+#[derive(Debug, Clone)]
+pub(crate) struct Clocked {
+    variable: usize,
+    kind: VariableKind,
+    pub(super) reference: u32,
+    column: HeldColumn,
+}
+
+impl Clocked {
+    pub(crate) fn new(position: usize, variable: &Variable, column: HeldColumn) -> Self {
+        let (kind, reference) = (variable.kind, variable.value_reference);
+        let column = if variable.negated { column.negated(kind) } else { column };
+        Self { variable: position, kind, reference, column }
+    }
+
+    /// Sets the value that is held from `t` on.
+    pub(super) fn set(&self, core: &mut Core, t: f64) -> Result<(), FmiError> {
+        let references = [self.reference];
+        match self.kind {
+            VariableKind::Real => core.set_reals(&references, &[self.column.column.held(t)]),
+            kind => core.call(|raw| raw.set_packed(kind, &references, &[self.column.lane(kind, t)])),
+        }
+    }
+}
+
+/// What the inputs say about clocks.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct ClockInputs {
+    /// Position of the clock and its ticks.
+    pub(crate) ticks: Vec<(usize, Arc<[f64]>)>,
+    /// Position of the clock and where it is enabled.
+    pub(crate) enabled: Vec<(usize, Column)>,
+    pub(crate) clocked: Vec<Clocked>,
+}
+
+/// The clocks of a simulation.
+#[derive(Debug, Default)]
+pub(crate) struct ClockPlan {
+    pub(super) timed: Vec<Timed>,
+    pub(super) triggered: Vec<Triggered>,
+    /// Triggered by the model.
+    pub(super) watched: Vec<(u32, Arc<str>)>,
+    pub(super) watched_references: Vec<u32>,
+    /// With the value references of their clocks.
+    pub(super) clocked: Vec<(Clocked, Vec<u32>)>,
+    /// Times closer than this are one.
+    pub(super) same: f64,
+}
+
+impl ClockPlan {
+    /// The clocks of a model that is driven by these inputs and whose clocks are given these intervals.
+    ///
+    /// # Errors
+    /// An interval that the clock cannot be given.
+    pub(crate) fn new(
+        description: &ModelDescription,
+        inputs: &ClockInputs,
+        intervals: &[(String, Interval)],
+        same: f64,
+    ) -> Result<Self, FmiError> {
+        let mut given = HashMap::new();
+        for (name, interval) in intervals {
+            let index = resolve(description, name)?;
+            check_interval(&description.variables[index], *interval)?;
+            given.insert(index, *interval);
+        }
+        let mut plan = Self { same, ..Self::default() };
+        let name = |variable: &Variable| Arc::from(variable.name.as_str());
+        for (index, variable) in description.variables.iter().enumerate() {
+            let Some(timing) = variable.clock.as_deref().filter(|_| variable.kind == VariableKind::Clock)
+            else {
+                continue;
+            };
+            let reference = variable.value_reference;
+            if variable.causality != Causality::Input {
+                plan.watched.push((reference, name(variable)));
+                plan.watched_references.push(reference);
+            } else if timing.kind == ClockKind::Triggered {
+                if let Some((_, times)) = inputs.ticks.iter().find(|(clock, _)| *clock == index) {
+                    plan.triggered.push(Triggered {
+                        reference,
+                        name: name(variable),
+                        times: Arc::clone(times),
+                    });
+                }
+            } else {
+                let enabled = inputs.enabled.iter().find(|(clock, _)| *clock == index);
+                let enabled = enabled.map(|(_, column)| column.clone());
+                plan.timed.push(Timed {
+                    reference,
+                    name: name(variable),
+                    timing: *timing,
+                    given: given.get(&index).copied(),
+                    enabled,
+                });
+            }
+        }
+        for clocked in &inputs.clocked {
+            let clocks = &description.variables[clocked.variable].clocks;
+            let clocks = clocks.iter().map(|clock| description.variables[*clock].value_reference);
+            plan.clocked.push((clocked.clone(), clocks.collect()));
+        }
+        Ok(plan)
+    }
+
+    /// No clocks, for a model that would have to handle them without an event mode.
+    ///
+    /// # Errors
+    /// It has clocks that tick by themselves, or something is to be done with its clocks.
+    pub(crate) fn without_event_mode(
+        description: &ModelDescription,
+        inputs: &ClockInputs,
+        intervals: &[(String, Interval)],
+    ) -> Result<Self, FmiError> {
+        let ticks = |v: &&Variable| {
+            v.causality == Causality::Input
+                && v.clock.as_ref().is_some_and(|clock| clock.kind != ClockKind::Triggered)
+        };
+        let problem = if let Some(clock) = description.variables.iter().find(ticks) {
+            format!("the clock {} ticks in event mode, and this co-simulation has none", clock.name)
+        } else if let Some((name, _)) = intervals.first() {
+            format!("the clock {name} is given an interval, and this co-simulation has no event mode")
+        } else if !inputs.ticks.is_empty() {
+            "the inputs trigger clocks, which takes an event mode, and this co-simulation has none".to_owned()
+        } else {
+            return Ok(Self::default());
+        };
+        Err(FmiError::BadSetting { problem })
+    }
+
+    /// Whether there is anything to do for clocks.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.timed.is_empty() && self.triggered.is_empty() && self.watched.is_empty()
+    }
+}
+
+impl ClockPlan {
+    pub(super) fn name_of(&self, reference: u32) -> Option<&Arc<str>> {
+        let timed = self.timed.iter().map(|clock| (clock.reference, &clock.name));
+        let triggered = self.triggered.iter().map(|clock| (clock.reference, &clock.name));
+        let watched = self.watched.iter().map(|(reference, name)| (*reference, name));
+        timed.chain(triggered).chain(watched).find(|(known, _)| *known == reference).map(|(_, name)| name)
+    }
+}
+
+impl Timed {
+    /// The first ticks, asked for in initialization mode where the description does not say them.
+    pub(super) fn first(&self, core: &mut Core, start: f64) -> Result<Schedule, FmiError> {
+        match self.timing.kind {
+            ClockKind::Changing | ClockKind::Countdown => {
+                let answer = self.interval(core)?;
+                if answer.qualifier == Qualifier::NotYetKnown {
+                    return Ok(Schedule::IDLE);
+                }
+                self.check(answer.interval, false)?;
+                Ok(Schedule::once(start + answer.interval.value()))
+            }
+            _ => {
+                if let Some(given) = self.given {
+                    core.call(|raw| raw.set_interval(self.reference, given))?;
+                }
+                let mut shift = self.timing.shift;
+                if self.timing.interval.is_none() {
+                    let (reference, fraction) = (self.reference, self.timing.supports_fraction);
+                    core.call(|raw| raw.get_shift(reference, fraction, &mut shift))?;
+                }
+                let interval = match self.given.or(self.timing.interval) {
+                    Some(interval) => interval,
+                    None => self.interval(core)?.interval,
+                };
+                self.check(interval, true)?;
+                self.check(shift, false)?;
+                Ok(Schedule::periodic(start, shift, interval, 0))
+            }
+        }
+    }
+
+    pub(super) fn interval(&self, core: &mut Core) -> Result<IntervalAnswer, FmiError> {
+        let (reference, fraction) = (self.reference, self.timing.supports_fraction);
+        core.call(|raw: &mut RawInstance| raw.get_interval(reference, fraction))
+    }
+
+    pub(super) fn check(&self, interval: Interval, positive: bool) -> Result<(), FmiError> {
+        let value = interval.value();
+        if value.is_finite() && (value > 0.0 || (value == 0.0 && !positive)) {
+            return Ok(());
+        }
+        let least = if positive { "positive" } else { "not negative" };
+        Err(FmiError::BadSetting {
+            problem: format!(
+                "the {} clock {} has an interval or shift of {interval:?}: it must be finite and {least}",
+                self.timing.kind.name(),
+                self.name
+            ),
+        })
+    }
+}

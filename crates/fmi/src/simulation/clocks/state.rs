@@ -1,0 +1,228 @@
+//! Clocks of model exchange and co-simulation: who ticks when, and what happens at a tick.
+//!
+//! The importer activates input clocks, all that are due at an instant in one visit of event mode, together with every
+//! other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never sums; fractions are
+//! multiplied out before they are divided. The rules are those of FMI 3.0.x, sections 2.2.8.3 and 2.3.5.
+
+use super::plan::ClockPlan;
+use super::schedule::Schedule;
+use crate::description::{ClockKind, Interval, VariableKind};
+use crate::error::FmiError;
+use crate::instance::{Core, MAX_EVENT_ITERATIONS};
+use crate::simulation::outputs::OutputBuffers;
+use crate::sys::Qualifier;
+use ode::EventOutcome;
+use std::sync::Arc;
+
+/// A tick of a clock.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Tick {
+    /// When: exactly by the interval of the clock, where other events within rounding are handled with it.
+    pub time: f64,
+    /// Name of the clock.
+    pub clock: Arc<str>,
+}
+
+/// Where a run stands in its clocks.
+#[derive(Debug, Default)]
+pub(crate) struct ClockState {
+    schedules: Vec<Schedule>,
+    /// Ticks of the triggered clocks that have happened.
+    passed: Vec<usize>,
+    /// Of the timed clocks those that tick in the present round, and the exact times.
+    ticked: Vec<(usize, f64)>,
+    /// References of the clocks that the importer activates in it.
+    active: Vec<u32>,
+    lanes: Vec<i64>,
+    pub(crate) ticks: Vec<Tick>,
+}
+
+impl ClockState {
+    /// Names of the clock that ticks next, for messages.
+    pub(crate) fn name_of_next<'a>(&self, plan: &'a ClockPlan) -> Option<&'a str> {
+        let next = self.next(plan)?;
+        let timed = plan.timed.iter().zip(&self.schedules);
+        let timed = timed.filter(|(_, schedule)| schedule.next == Some(next)).map(|(clock, _)| &*clock.name);
+        let triggered = plan.triggered.iter().zip(&self.passed);
+        let triggered = triggered
+            .filter(|(clock, passed)| clock.times.get(**passed) == Some(&next))
+            .map(|(clock, _)| &*clock.name);
+        timed.chain(triggered).next()
+    }
+
+    /// Before the initialization ends: learns the intervals that only the model knows, and sets clocked inputs, which
+    /// may be set once more here without a tick.
+    pub(crate) fn begin(&mut self, plan: &ClockPlan, core: &mut Core, start: f64) -> Result<(), FmiError> {
+        self.ticks.clear();
+        self.schedules.clear();
+        self.passed.clear();
+        // Ticks before the start are none of this run.
+        self.passed.extend(
+            plan.triggered.iter().map(|clock| clock.times.partition_point(|time| *time < start - plan.same)),
+        );
+        for clock in &plan.timed {
+            let schedule = clock.first(core, start)?;
+            self.schedules.push(schedule);
+        }
+        for (clocked, _) in &plan.clocked {
+            clocked.set(core, start)?;
+        }
+        Ok(())
+    }
+
+    /// The first tick known.
+    pub(crate) fn next(&self, plan: &ClockPlan) -> Option<f64> {
+        let timed = self.schedules.iter().filter_map(|schedule| schedule.next);
+        let triggered = plan
+            .triggered
+            .iter()
+            .zip(&self.passed)
+            .filter_map(|(clock, passed)| clock.times.get(*passed).copied());
+        timed.chain(triggered).min_by(f64::total_cmp)
+    }
+
+    /// Notes and lists the clocks that are due, with the exact times of their ticks, and plans their next ones.
+    fn take_due(&mut self, plan: &ClockPlan, t: f64) {
+        self.ticked.clear();
+        self.active.clear();
+        for (i, (clock, schedule)) in plan.timed.iter().zip(&mut self.schedules).enumerate() {
+            let Some(time) = schedule.next.filter(|next| *next <= t + plan.same) else { continue };
+            match clock.timing.kind {
+                ClockKind::Changing | ClockKind::Countdown => schedule.next = None,
+                _ => schedule.advance(),
+            }
+            self.ticked.push((i, time));
+            if clock.enabled.as_ref().is_none_or(|enabled| enabled.held(t + plan.same) != 0.0) {
+                self.active.push(clock.reference);
+                self.ticks.push(Tick { time, clock: Arc::clone(&clock.name) });
+            }
+        }
+        for (clock, passed) in plan.triggered.iter().zip(&mut self.passed) {
+            let happened = clock.times.partition_point(|time| *time <= t + plan.same);
+            if happened > *passed {
+                *passed = happened;
+                self.active.push(clock.reference);
+                self.ticks.push(Tick { time: clock.times[happened - 1], clock: Arc::clone(&clock.name) });
+            }
+        }
+    }
+
+    /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete states until they
+    /// settle, and notes what ticks follow. `next_time` of the outcome is the next event that the model announced or the
+    /// next tick; that of the model alone comes second.
+    pub(crate) fn settle(
+        &mut self,
+        plan: &ClockPlan,
+        core: &mut Core,
+        t: f64,
+        outputs: (&[u32], &mut OutputBuffers),
+    ) -> Result<(EventOutcome, Option<f64>), FmiError> {
+        if plan.is_empty() {
+            let outcome = core.iterate_events(t, plan.same, MAX_EVENT_ITERATIONS)?;
+            return Ok((outcome, outcome.next_time));
+        }
+        let first = self.ticks.len();
+        let mut total = EventOutcome::default();
+        for _ in 0..MAX_EVENT_ITERATIONS {
+            self.take_due(plan, t);
+            self.activate(plan, core, t)?;
+            let outcome = core.iterate_events_watched(t, plan.same, MAX_EVENT_ITERATIONS, &mut |core| {
+                self.watch(plan, core, t)
+            })?;
+            total.states_changed |= outcome.states_changed;
+            total.nominals_changed |= outcome.nominals_changed;
+            total.terminate |= outcome.terminate;
+            total.next_time = outcome.next_time;
+            if outcome.terminate {
+                break;
+            }
+            self.learn(plan, core, t)?;
+            // An interval of 0: the next tick of this instant.
+            if self.next(plan).is_none_or(|next| next > t + plan.same) {
+                break;
+            }
+        }
+        if self.next(plan).is_some_and(|next| next <= t + plan.same) && !total.terminate {
+            return Err(FmiError::EventIteration { time: t, limit: MAX_EVENT_ITERATIONS });
+        }
+        let (references, buffers) = outputs;
+        for (reference, ticked) in references.iter().zip(&mut buffers.ticked) {
+            let name = plan.name_of(*reference);
+            if self.ticks[first..].iter().any(|tick| Some(&tick.clock) == name) {
+                *ticked = t;
+            }
+        }
+        let announced = total.next_time;
+        total.next_time = [announced, self.next(plan)].into_iter().flatten().min_by(f64::total_cmp);
+        Ok((total, announced))
+    }
+
+    /// Sets the clocks that tick, and the inputs that belong to them.
+    fn activate(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
+        if self.active.is_empty() {
+            return Ok(());
+        }
+        let Self { active, lanes, .. } = self;
+        lanes.clear();
+        lanes.resize(active.len(), 1);
+        core.call(|raw| raw.set_packed(VariableKind::Clock, active, lanes))?;
+        for (clocked, clocks) in &plan.clocked {
+            if clocks.iter().any(|clock| active.contains(clock)) {
+                clocked.set(core, t + plan.same)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes the clocks that the model has activated.
+    fn watch(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
+        if plan.watched.is_empty() {
+            return Ok(());
+        }
+        let Self { lanes, ticks, .. } = self;
+        lanes.clear();
+        lanes.resize(plan.watched.len(), 0);
+        core.call(|raw| raw.get_packed(VariableKind::Clock, &plan.watched_references, lanes))?;
+        for ((_, name), lane) in plan.watched.iter().zip(lanes.iter()) {
+            if *lane != 0 {
+                ticks.push(Tick { time: t, clock: Arc::clone(name) });
+            }
+        }
+        Ok(())
+    }
+
+    /// Asks for the intervals that may have changed in this visit.
+    fn learn(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
+        for (i, clock) in plan.timed.iter().enumerate() {
+            let tick = self.ticked.iter().find(|(clock, _)| *clock == i).map(|(_, time)| *time);
+            let asks = match clock.timing.kind {
+                ClockKind::Changing => tick.is_some(),
+                ClockKind::Countdown => true,
+                ClockKind::Tunable => clock.timing.interval.is_none(),
+                _ => false,
+            };
+            if !asks {
+                continue;
+            }
+            let answer = clock.interval(core)?;
+            let schedule = &mut self.schedules[i];
+            match (clock.timing.kind, answer.qualifier) {
+                (ClockKind::Tunable, Qualifier::Changed) => {
+                    clock.check(answer.interval, true)?;
+                    *schedule =
+                        Schedule::periodic(tick.unwrap_or(t), Interval::Decimal(0.0), answer.interval, 1);
+                }
+                (ClockKind::Countdown, Qualifier::NotYetKnown) => schedule.next = None,
+                // The standard wants "changed" after a tick; what else can be meant with a clock that has just ticked?
+                (ClockKind::Changing, Qualifier::Unchanged | Qualifier::Changed)
+                | (ClockKind::Countdown, Qualifier::Changed) => {
+                    clock.check(answer.interval, false)?;
+                    *schedule = Schedule::once(tick.unwrap_or(t) + answer.interval.value());
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,81 @@
+//! Co-simulation: the loop over communication points, which delivers the same samples as the integration of a model.
+//! Which points these are says [`Communication`].
+//!
+//! At each point the row is read first; the inputs of the next step are set just before the step. So rows are limits from
+//! the left, and those at the start are read after the initialization with the inputs of that time. Limits from the right
+//! exist in event mode only (FMI 3.0): at a point with events or jumps of inputs the row is read behind them, and a time
+//! listed twice has both.
+
+mod run;
+mod samples;
+mod stepping;
+
+pub(crate) use stepping::Stepping;
+
+use crate::error::FmiError;
+use crate::simulation::running::no_instance;
+use ode::{ErrorKind, Limits, Observer, Report, Seconds, SimulationError, Stats};
+use run::{Exit, Run};
+use std::sync::Arc;
+use std::time::Instant;
+
+impl Stepping {
+    /// Runs from the start to the end.
+    ///
+    /// # Errors
+    /// [`FmiError::Simulation`] says why, where and with which numbers; samples delivered before it stay valid.
+    pub(crate) fn run(&mut self, limits: &Limits, observer: &mut dyn Observer) -> Result<Report, FmiError> {
+        let plan = Arc::clone(&self.running.plan);
+        let Some(communication) = &plan.communication else { return Err(no_instance()) };
+        self.stopwatch.reset();
+        let mut run = Run {
+            stepping: self,
+            plan: &plan,
+            communication,
+            limits,
+            observer,
+            t: plan.start,
+            origin: plan.start,
+            passed: 0,
+            on_grid: true,
+            next_row: 0,
+            lengths: [f64::NAN; _],
+            longest: f64::INFINITY,
+            next_event: None,
+            discards: 0,
+            tried: 0.0,
+            stats: Stats::default(),
+            began: Instant::now(),
+        };
+        let exit = match run.start() {
+            Ok(()) => loop {
+                if let Err(exit) = run.advance() {
+                    break exit;
+                }
+            },
+            Err(exit) => exit,
+        };
+        let seconds = run.began.elapsed().as_secs_f64();
+        run.stats.seconds = Seconds::new(seconds);
+        run.stats.seconds_in_model = Seconds::new(run.stepping.stopwatch.seconds().min(seconds));
+        let (time, step, stats) = (run.t.min(plan.end), run.tried, run.stats);
+        match exit {
+            Exit::Normal(termination) => Ok(Report { termination, time, stats }),
+            Exit::Error(kind) => {
+                self.running.current.broken |= matches!(kind, ErrorKind::Model(_));
+                let error = SimulationError {
+                    kind,
+                    time,
+                    step,
+                    worst_state: None,
+                    last_event: None,
+                    not_finite: None,
+                    undetermined: None,
+                    refusal: None,
+                    stats,
+                };
+                Err(FmiError::Simulation(Box::new(error)))
+            }
+        }
+    }
+}

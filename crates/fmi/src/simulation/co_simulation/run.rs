@@ -1,0 +1,398 @@
+//! The loop over communication points: from one to the next, with inputs and events between two steps.
+
+use super::stepping::{Call, Stepping};
+use crate::error::FmiError;
+use crate::instance::StepOutcome;
+use crate::simulation::plan::{Communication, SimulationPlan};
+use crate::simulation::running::Running;
+use crate::sys::{Fault, RawInstance, look_now_and_then};
+use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Stats, Termination};
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+/// Steps of which nothing was computed, in a row, before a run gives up.
+const MAX_DISCARDS: u32 = 12;
+
+/// Events at one instant before a run gives up.
+const MAX_EVENTS_HERE: u32 = 100;
+
+/// Lengths of steps that are remembered.
+const LENGTHS: usize = 4;
+
+/// Why the loop is left.
+pub(super) enum Exit {
+    Normal(Termination),
+    Error(ErrorKind),
+}
+
+impl From<FmiError> for Exit {
+    fn from(error: FmiError) -> Self {
+        Exit::Error(ErrorKind::Model(Box::new(error)))
+    }
+}
+
+pub(super) type Step<T> = Result<T, Exit>;
+
+/// One run: everything that changes between the start and the end.
+pub(super) struct Run<'a> {
+    pub(super) stepping: &'a mut Stepping,
+    pub(super) plan: &'a SimulationPlan,
+    pub(super) communication: &'a Communication,
+    pub(super) limits: &'a Limits,
+    pub(super) observer: &'a mut dyn Observer,
+    pub(super) t: f64,
+    /// Where the regular points count from: the start, or where a model that takes steps of one length only returned early.
+    pub(super) origin: f64,
+    /// Regular points passed, and whether the run stands on the last of them.
+    pub(super) passed: u64,
+    pub(super) on_grid: bool,
+    pub(super) next_row: usize,
+    /// Lengths of steps that were made, the last first.
+    pub(super) lengths: [f64; LENGTHS],
+    /// Longest step after one was refused.
+    pub(super) longest: f64,
+    /// The time event that the model announced.
+    pub(super) next_event: Option<f64>,
+    pub(super) discards: u32,
+    pub(super) tried: f64,
+    pub(super) stats: Stats,
+    pub(super) began: Instant,
+}
+
+/// On which side of a step.
+#[derive(Clone, Copy)]
+pub(super) enum Place {
+    Before,
+    After,
+}
+
+/// The next communication point.
+#[derive(Debug, Clone, Copy)]
+struct Target {
+    time: f64,
+    step: f64,
+    /// It is the next regular point.
+    regular: bool,
+}
+
+impl Run<'_> {
+    /// Makes a call into the model, and times it.
+    pub(super) fn timed<T>(&mut self, call: Call, make: impl FnOnce(&mut Self) -> T) -> T {
+        let timing = match call {
+            Call::Events => self.stepping.stopwatch.start_timed(call as usize),
+            _ => self.stepping.stopwatch.start(call as usize),
+        };
+        let elsewhere = self.stepping.running.seconds_elsewhere();
+        let answer = make(self);
+        let elsewhere = self.stepping.running.seconds_elsewhere() - elsewhere;
+        self.stepping.stopwatch.stop(timing, elsewhere);
+        answer
+    }
+
+    pub(super) fn start(&mut self) -> Step<()> {
+        let initial = self.stepping.initial;
+        self.next_event = initial.next_time;
+        self.sample_here()?;
+        if initial.terminate {
+            return Err(Exit::Normal(Termination::StoppedByModel));
+        }
+        self.reached_end()
+    }
+
+    /// One communication step with everything that belongs to it.
+    pub(super) fn advance(&mut self) -> Step<()> {
+        self.check_limits()?;
+        look_now_and_then();
+        let target = self.target();
+        self.tried = target.step;
+        self.check_ticks(&target)?;
+        // Only a model that cannot stop at a row makes it necessary to look on both sides of it.
+        let row_inside = self.row_before(target.time).is_some();
+        if row_inside {
+            self.read(Place::Before)?;
+        }
+        if !self.plan.inputs.driven.is_empty() {
+            self.timed(Call::Inputs, |run| run.set_inputs(&target))?;
+        }
+        let (limits, began, cancel) = (*self.limits, self.began, &self.plan.options.cancel);
+        let goes_on = || {
+            limits.timeout.is_none_or(|limit| began.elapsed() < limit)
+                && !cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed))
+        };
+        let step = self.timed(Call::Step, |run| {
+            run.stepping.running.current.core()?.do_step((run.t, target.step), &mut { goes_on })
+        });
+        let Some(outcome) = step? else {
+            self.stepping.running.current.broken = true;
+            self.check_limits()?;
+            return Err(Exit::Error(ErrorKind::Cancelled));
+        };
+        if outcome.complete {
+            self.discards = 0;
+            self.longest = f64::INFINITY;
+            self.arrive(target.time, target.regular, row_inside, outcome.event)?;
+        } else {
+            self.cut_short(&target, &outcome, row_inside)?;
+        }
+        if outcome.terminate {
+            return Err(Exit::Normal(Termination::StoppedByModel));
+        }
+        self.reached_end()
+    }
+
+    /// A step of which only a part was computed, or nothing.
+    fn cut_short(&mut self, target: &Target, outcome: &StepOutcome, row_inside: bool) -> Step<()> {
+        let StepOutcome { reached, early, terminate, event, may_have_ended, .. } = *outcome;
+        let same = self.plan.same;
+        let can_retry = self.communication.variable;
+        let reached = reached.map_or(self.t, |reached| reached.clamp(self.t, target.time));
+        if reached > self.t + same && (can_retry || early || terminate || may_have_ended) {
+            // The model stands there and goes on from there.
+            self.discards = 0;
+            let regular = target.regular && reached >= target.time - same;
+            self.arrive(reached, regular, row_inside, event && !terminate)?;
+            if !can_retry && !regular {
+                (self.origin, self.passed, self.on_grid) = (reached, 0, true);
+            }
+            return if can_retry || early || terminate {
+                Ok(())
+            } else {
+                Err(Exit::Normal(Termination::StoppedByModel))
+            };
+        }
+        if terminate {
+            return Ok(());
+        }
+        if event {
+            // An event right here: the step begins once more behind it, but not for ever.
+            self.discards += 1;
+            if self.discards > MAX_EVENTS_HERE {
+                let events = self.discards.into();
+                return Err(Exit::Error(ErrorKind::Chattering { events, within: 0.0, indicator: 0 }));
+            }
+            return self.arrive_at(self.t, true);
+        }
+        self.stats.rejected_steps += 1;
+        self.discards += 1;
+        if !can_retry || self.discards > MAX_DISCARDS {
+            if may_have_ended && self.stats.accepted_steps > 0 {
+                return Err(Exit::Normal(Termination::StoppedByModel));
+            }
+            let core = self.stepping.running.current.core()?;
+            let call = core.raw.step_function();
+            return Err(match early {
+                true => FmiError::NoProgress { call, time: self.t }.into(),
+                false => core.error(Fault::Discard(call)).into(),
+            });
+        }
+        self.longest = 0.5 * target.step;
+        Ok(())
+    }
+
+    /// The step is good: samples inside of it, then those at its end, before and after the inputs change.
+    fn arrive(&mut self, time: f64, regular: bool, row_inside: bool, event: bool) -> Step<()> {
+        self.stats.accepted_steps += 1;
+        if row_inside {
+            self.read(Place::After)?;
+            self.timed(Call::Outputs, Self::read_slopes)?;
+            self.sample_inside(time)?;
+        }
+        self.passed += u64::from(regular);
+        self.on_grid = regular;
+        self.arrive_at(time, event)
+    }
+
+    /// The model stands at a communication point: samples and events. Inputs change here in event mode only, where there
+    /// is one; else they are set when the row has been read, just before the next step (FMI 2.0.5, section 4.2.4: outputs
+    /// that are read after inputs were set, with no step between, may be anything).
+    fn arrive_at(&mut self, time: f64, event: bool) -> Step<()> {
+        self.t = time;
+        self.sample_left()?;
+        if self.stepping.running.digest.is_some() {
+            // Steps between requested times count too.
+            self.read(Place::After)?;
+            self.stepping.running.note(&self.stepping.after);
+        }
+        let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
+        let ended = event_mode && self.handle_events(event)?;
+        self.sample_here()?;
+        if ended {
+            return Err(Exit::Normal(Termination::StoppedByModel));
+        }
+        Ok(())
+    }
+
+    fn reached_end(&self) -> Step<()> {
+        if self.t >= self.plan.end - self.plan.same {
+            return Err(Exit::Normal(Termination::Finished));
+        }
+        Ok(())
+    }
+
+    /// As the driver of integrations does before each step.
+    fn check_limits(&mut self) -> Step<()> {
+        if self.observer.poll().is_break() {
+            return Err(Exit::Normal(Termination::StoppedByObserver));
+        }
+        if self.plan.options.cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
+            return Err(Exit::Error(ErrorKind::Cancelled));
+        }
+        if let Some(most) = self.limits.max_steps
+            && self.stats.accepted_steps + self.stats.rejected_steps >= most
+        {
+            return Err(Exit::Error(ErrorKind::TooManySteps(most)));
+        }
+        if let Some(limit) = self.limits.timeout.filter(|limit| self.began.elapsed() >= *limit) {
+            return Err(Exit::Error(ErrorKind::TimedOut(limit)));
+        }
+        Ok(())
+    }
+
+    fn target(&mut self) -> Target {
+        let (plan, same) = (self.plan, self.plan.same);
+        let grid = self.communication.step.map(|step| (self.origin + (self.passed + 1) as f64 * step, step));
+        if !self.communication.variable
+            && let Some((time, step)) = grid
+        {
+            return Target { time, step, regular: true };
+        }
+        let mut time = plan.end;
+        if let Some((next, _)) = grid.filter(|(next, _)| *next < time + same) {
+            time = next.min(time);
+        }
+        let input = plan.inputs.next_stop(self.t).map(|stop| stop.time);
+        let event = self.next_event.filter(|next| *next > self.t + same);
+        let retry = Some(self.t + self.longest);
+        for stop in [self.row_before(time - same), input, event, retry].into_iter().flatten() {
+            if stop < time - same {
+                time = stop;
+            }
+        }
+        let regular = grid.is_some_and(|(next, _)| (next - time).abs() <= same);
+        let step = match grid {
+            // From one regular point to the next, unless rounding would lead beyond the end.
+            Some((_, step)) if regular && self.on_grid && self.t + step <= plan.end => step,
+            _ => self.length(time - self.t),
+        };
+        Target { time, step, regular }
+    }
+
+    /// A length that was used before, where this one is the same but for rounding.
+    fn length(&mut self, length: f64) -> f64 {
+        let is_same =
+            |known: &&f64| (**known - length).abs() <= self.plan.same && self.t + **known <= self.plan.end;
+        if let Some(known) = self.lengths.iter().find(is_same) {
+            return *known;
+        }
+        self.lengths.rotate_right(1);
+        self.lengths[0] = length;
+        length
+    }
+
+    /// Refuses to step over a tick: a model that takes steps of one length only may not be able to stop there.
+    fn check_ticks(&self, target: &Target) -> Step<()> {
+        let (clocks, same) = (&self.stepping.running.clocks, self.plan.same);
+        match clocks.next(&self.plan.clocks) {
+            Some(tick) if tick < target.time - same && !self.communication.variable => {
+                let name = clocks.name_of_next(&self.plan.clocks).unwrap_or_default();
+                let problem = format!(
+                    "the clock {name} ticks at {tick}, within the step from {} to {}, and the model takes no steps of \
+                     other lengths than {}: choose a step that meets the ticks",
+                    self.t, target.time, target.step
+                );
+                Err(FmiError::BadSetting { problem }.into())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The next requested time, if it lies between here and `limit`.
+    pub(super) fn row_before(&self, limit: f64) -> Option<f64> {
+        let row = self.plan.times.get(self.next_row).copied();
+        row.filter(|row| *row > self.t + self.plan.same && *row < limit - self.plan.same)
+    }
+
+    fn set_input_derivatives(&mut self, target: &Target) -> Step<()> {
+        let inputs = &self.plan.inputs;
+        let Stepping { running: Running { inputs: state, current, .. }, slopes, .. } = &mut *self.stepping;
+        slopes.copy_from_slice(&state.continuous);
+        if !state.continuous_at(inputs, target.time) {
+            return Err(state.bad_function_value(target.time).into());
+        }
+        for (slope, end) in slopes.iter_mut().zip(&state.continuous) {
+            *slope = (end - *slope) / target.step;
+        }
+        let references = &inputs.continuous.references;
+        match current.core()?.call(|raw| raw.set_input_derivatives(references, slopes)) {
+            // Offered, but not there: then inputs are held, as for everybody else.
+            Ok(()) | Err(FmiError::MissingFunction { .. }) => Ok(()),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// The events of this point, in event mode: those of the model, and the jumps of inputs. Returns whether the model ends
+    /// the simulation.
+    fn handle_events(&mut self, event: bool) -> Step<bool> {
+        let jumped = self.stepping.running.inputs.pass(&self.plan.inputs, self.t);
+        let cause = EventCause {
+            input: jumped,
+            step: event,
+            time: self.next_event.is_some_and(|next| next <= self.t + self.plan.same),
+            state: false,
+        };
+        if cause == EventCause::default() {
+            return Ok(false);
+        }
+        let outcome = self.timed(Call::Events, Self::visit_event_mode)?;
+        self.next_event = outcome.next_time.filter(|next| *next > self.t + self.plan.same);
+        self.stats.events += 1;
+        self.stats.input_events += u64::from(cause.input);
+        self.stats.step_events += u64::from(cause.step);
+        self.stats.time_events += u64::from(cause.time);
+        self.observer.event(&EventRecord { time: self.t, cause });
+        Ok(outcome.terminate)
+    }
+
+    fn visit_event_mode(&mut self) -> Step<EventOutcome> {
+        self.compute_continuous()?;
+        let Running { inputs, current, clocks, buffers, .. } = &mut self.stepping.running;
+        let core = current.core()?;
+        core.call(RawInstance::enter_event_mode)?;
+        inputs.set_held(core, &self.plan.inputs)?;
+        core.set_reals(&self.plan.inputs.continuous.references, &inputs.continuous)?;
+        Ok(core.settle(self.t, |core, time| {
+            let recorded = &self.plan.outputs().clocks;
+            clocks.settle(&self.plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
+        })?)
+    }
+
+    /// The inputs of the next step, and their derivatives: where there is an event mode only the continuous ones, for the
+    /// others were set there.
+    fn set_inputs(&mut self, target: &Target) -> Step<()> {
+        let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
+        if !event_mode {
+            self.stepping.running.inputs.pass(&self.plan.inputs, self.t);
+        }
+        self.compute_continuous()?;
+        let Running { inputs, current, .. } = &mut self.stepping.running;
+        let core = current.core()?;
+        if !event_mode {
+            inputs.set_held(core, &self.plan.inputs)?;
+        }
+        let references = &self.plan.inputs.continuous.references;
+        core.set_reals(references, &inputs.continuous)?;
+        if self.communication.input_derivatives && !references.is_empty() {
+            self.set_input_derivatives(target)?;
+        }
+        Ok(())
+    }
+
+    /// Computes the continuous inputs at this point.
+    fn compute_continuous(&mut self) -> Step<()> {
+        let inputs = &mut self.stepping.running.inputs;
+        match inputs.continuous_at(&self.plan.inputs, self.t) {
+            true => Ok(()),
+            false => Err(inputs.bad_function_value(self.t).into()),
+        }
+    }
+}

@@ -1,0 +1,494 @@
+//! Time-varying inputs: tables and functions; linear between rows for continuous reals, held for everything else.
+
+use super::texts::TextInput;
+use crate::description::{Causality, ClockKind, Value, Variability, Variable, VariableKind};
+use crate::error::FmiError;
+use crate::instance::assignments::convert_one;
+use crate::instance::integer_codec;
+use crate::simulation::clocks::{ClockInputs, Clocked};
+use crate::simulation::column::{Column, HeldColumn};
+use crate::simulation::parameters::{Place, Slots, Starts};
+use ode::InputStop;
+use std::fmt;
+use std::sync::Arc;
+
+/// A function of time.
+pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
+
+/// What drives the inputs of a model.
+///
+/// Continuous real inputs are linear between the rows of their table, all other inputs (texts, too: [`values`](Self::values)) keep
+/// the value of a row until the next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
+/// is the limit from the left. Jumps and changes of held values are events; changes of slope are hit by steps.
+///
+/// ```
+/// use fmi::Inputs;
+/// let inputs = Inputs::new()
+///     .table(vec![0.0, 1.0, 1.0, 5.0], [("u", vec![0.0, 0.0, 1.0, 1.0]), ("mode", vec![1.0, 1.0, 2.0, 2.0])])
+///     .function("v", |t| (2.0 * t).sin());
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct Inputs {
+    sources: Vec<Source>,
+}
+
+#[derive(Clone)]
+enum Source {
+    Column { name: String, times: Arc<[f64]>, values: Arc<[f64]> },
+    Function { name: String, function: InputFunction },
+    Values { name: String, times: Arc<[f64]>, values: Arc<[Value]> },
+}
+
+impl Source {
+    fn name(&self) -> &String {
+        let (Self::Column { name, .. } | Self::Function { name, .. } | Self::Values { name, .. }) = self;
+        name
+    }
+
+    /// Functions are the same only if they are one.
+    fn is_same(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Column { name, times, values }, Self::Column { name: n, times: t, values: v }) => {
+                name == n && times == t && values == v
+            }
+            (Self::Values { name, times, values }, Self::Values { name: n, times: t, values: v }) => {
+                name == n && times == t && values == v
+            }
+            (Self::Function { name, function }, Self::Function { name: n, function: f }) => {
+                name == n && Arc::ptr_eq(function, f)
+            }
+            _ => false,
+        }
+    }
+}
+
+impl fmt::Debug for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Source::Column { name, times, .. } | Source::Values { name, times, .. } => {
+                write!(f, "{name}: {} rows", times.len())
+            }
+            Source::Function { name, .. } => write!(f, "{name}: function"),
+        }
+    }
+}
+
+impl Inputs {
+    /// No inputs.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a table: times in ascending order and, for each variable, as many values. Integers and Booleans are given as
+    /// numbers. What is wrong with a table is said when a simulation is planned.
+    #[must_use]
+    pub fn table<N, C>(mut self, times: impl Into<Arc<[f64]>>, columns: C) -> Self
+    where
+        N: Into<String>,
+        C: IntoIterator<Item = (N, Vec<f64>)>,
+    {
+        let times: Arc<[f64]> = times.into();
+        for (name, values) in columns {
+            self.sources.push(Source::Column {
+                name: name.into(),
+                times: Arc::clone(&times),
+                values: values.into(),
+            });
+        }
+        self
+    }
+
+    /// Adds one variable with times of its own.
+    #[must_use]
+    pub fn series(
+        mut self,
+        name: impl Into<String>,
+        times: impl Into<Arc<[f64]>>,
+        values: impl Into<Arc<[f64]>>,
+    ) -> Self {
+        self.sources.push(Source::Column { name: name.into(), times: times.into(), values: values.into() });
+        self
+    }
+
+    /// Adds a variable of any type with times of its own, for what a double cannot hold: texts, bytes, integers of 64 bits.
+    #[must_use]
+    pub fn values(
+        mut self,
+        name: impl Into<String>,
+        times: impl Into<Arc<[f64]>>,
+        values: impl IntoIterator<Item = impl Into<Value>>,
+    ) -> Self {
+        let values = values.into_iter().map(Into::into).collect();
+        self.sources.push(Source::Values { name: name.into(), times: times.into(), values });
+        self
+    }
+
+    /// Adds a continuous real input that is a function of time. It should be smooth; where it returns NaN or an
+    /// infinity, the model counts as not defined. It may be called from any thread.
+    #[must_use]
+    pub fn function(
+        mut self,
+        name: impl Into<String>,
+        function: impl Fn(f64) -> f64 + Send + Sync + 'static,
+    ) -> Self {
+        self.sources.push(Source::Function { name: name.into(), function: Arc::new(function) });
+        self
+    }
+
+    /// Whether the same drives the same.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        self.sources.len() == other.sources.len()
+            && self.sources.iter().zip(&other.sources).all(|(source, other)| source.is_same(other))
+    }
+
+    /// The names, in the order given.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.sources.iter().map(|source| match source {
+            Source::Column { name, .. } | Source::Function { name, .. } | Source::Values { name, .. } => {
+                name.as_str()
+            }
+        })
+    }
+}
+
+/// A held column and where its value goes.
+#[derive(Debug, Clone)]
+pub(super) struct Held {
+    pub(super) column: HeldColumn,
+    pub(super) target: Target,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Target {
+    Real(usize),
+    /// Group and place in it.
+    Packed(usize, usize),
+    Text(usize),
+}
+
+/// The inputs of one simulation, resolved and checked.
+#[derive(Clone, Default)]
+pub(crate) struct InputPlan {
+    /// Columns of continuous inputs, and where their values go.
+    pub(super) linear: Vec<(Column, usize)>,
+    /// The same of functions.
+    pub(super) functions: Vec<(InputFunction, usize)>,
+    pub(crate) continuous: Slots<f64>,
+    pub(super) held: Vec<Held>,
+    pub(crate) held_reals: Slots<f64>,
+    pub(crate) held_packed: Vec<(VariableKind, Slots<i64>)>,
+    pub(super) texts: Vec<TextInput>,
+    /// Instants of jumps, ascending.
+    pub(super) jumps: Vec<f64>,
+    /// Jumps and kinks, ascending.
+    pub(super) stops: Vec<InputStop>,
+    /// Times closer than this are one.
+    pub(super) same: f64,
+    /// What is driven.
+    pub(crate) driven: Vec<Place>,
+    /// What is said about clocks and their inputs.
+    pub(crate) clocks: ClockInputs,
+}
+
+impl fmt::Debug for InputPlan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("InputPlan")
+            .field("continuous", &self.continuous.references)
+            .field("held", &self.held.len())
+            .field("stops", &self.stops.len())
+            .finish_non_exhaustive()
+    }
+}
+
+impl InputPlan {
+    /// Resolves and checks the inputs; `same` is the distance within which times are equal.
+    ///
+    /// # Errors
+    /// Unknown names, variables that are not inputs, tables whose rows cannot be used.
+    pub(crate) fn new(starts: &Starts<'_>, inputs: &Inputs, same: f64) -> Result<Self, FmiError> {
+        let description = starts.description;
+        let mut plan = Self { same, ..Self::default() };
+        let mut stops = Vec::new();
+        for source in &inputs.sources {
+            let name = source.name();
+            let place = Place::of_name(description, starts.structure, name)?;
+            let variable = &description.variables[place.variable];
+            if variable.causality != Causality::Input {
+                return Err(bad(
+                    variable,
+                    format!("it is not an input but a variable of causality {}", variable.causality),
+                ));
+            }
+            // Each source before this one drives one place.
+            if let Some(first) = plan.driven.iter().position(|driven| driven.overlaps(place, description)) {
+                let problem = match inputs.sources[first].name() {
+                    first if first == name => "it is given twice".to_owned(),
+                    first => format!("it is the same variable as {first}, which is given too"),
+                };
+                return Err(FmiError::BadInput { name: name.clone(), problem });
+            }
+            plan.driven.push(place);
+            if !variable.dimensions.is_empty() && place.element.is_none() {
+                let problem = format!("it is an array; drive its elements, {name}[...], counted from 1");
+                return Err(bad(variable, problem));
+            }
+            match source {
+                Source::Function { function, .. } if is_linear(variable) => {
+                    let function = Arc::clone(function);
+                    let function = if variable.negated { Arc::new(move |t| -function(t)) } else { function };
+                    let at = plan.place_continuous(starts, place)?;
+                    plan.functions.push((function, at));
+                }
+                Source::Function { .. } => {
+                    let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
+                    return Err(bad(variable, problem.to_owned()));
+                }
+                Source::Values { times, values, .. } if !variable.kind.is_number() => {
+                    if place.element.is_some() || !variable.clocks.is_empty() {
+                        let problem = "texts drive single variables that belong to no clock";
+                        return Err(bad(variable, problem.to_owned()));
+                    }
+                    let (text, numbers) = TextInput::new(variable, values)?;
+                    check_rows(variable, times, &numbers)?;
+                    let column = Column { times: Arc::clone(times), values: numbers.into() };
+                    column.held_stops(&mut stops);
+                    plan.held.push(Held { column: column.into(), target: Target::Text(plan.texts.len()) });
+                    plan.texts.push(text);
+                }
+                Source::Values { times, values, .. } => {
+                    let converted: Vec<Value> =
+                        values.iter().map(|value| convert_one(variable, value)).collect::<Result<_, _>>()?;
+                    if matches!(variable.kind, VariableKind::Int64 | VariableKind::UInt64) {
+                        let lanes: Vec<i64> = converted
+                            .iter()
+                            .filter_map(|value| integer_codec::lane(variable.kind, value))
+                            .collect();
+                        let column = HeldColumn::of_lanes(times, &lanes);
+                        check_rows(variable, times, &column.column.values)?;
+                        plan.add_held(starts, place, column, &mut stops)?;
+                    } else {
+                        let numbers: Vec<f64> = converted.iter().filter_map(Value::as_number).collect();
+                        plan.add_numbers(starts, place, (times, &numbers.into()), &mut stops)?;
+                    }
+                }
+                Source::Column { times, values, .. } => {
+                    plan.add_numbers(starts, place, (times, values), &mut stops)?;
+                }
+            }
+        }
+        plan.take_stops(stops);
+        Ok(plan)
+    }
+
+    /// A column of numbers for a variable or an element of one.
+    fn add_numbers(
+        &mut self,
+        starts: &Starts<'_>,
+        place: Place,
+        (times, values): (&Arc<[f64]>, &Arc<[f64]>),
+        stops: &mut Vec<InputStop>,
+    ) -> Result<(), FmiError> {
+        let variable = &starts.description.variables[place.variable];
+        check_rows(variable, times, values)?;
+        let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
+        if is_linear(variable) {
+            let column = column.times(if variable.negated { -1.0 } else { 1.0 });
+            column.linear_stops(self.same, stops);
+            let at = self.place_continuous(starts, place)?;
+            self.linear.push((column, at));
+            return Ok(());
+        }
+        let column = check_held(variable, column)?;
+        if variable.kind == VariableKind::Clock && place.element.is_none() {
+            return self.clock(variable, place.variable, column, stops);
+        }
+        self.add_held(starts, place, column.into(), stops)
+    }
+
+    /// A held column for a variable that is no clock, or an element of one.
+    fn add_held(
+        &mut self,
+        starts: &Starts<'_>,
+        place: Place,
+        column: HeldColumn,
+        stops: &mut Vec<InputStop>,
+    ) -> Result<(), FmiError> {
+        let variable = &starts.description.variables[place.variable];
+        let is_clocked = !variable.clocks.is_empty();
+        if place.element.is_some() && (variable.kind == VariableKind::Clock || is_clocked) {
+            let problem = "elements of arrays cannot be clocks, nor be driven by clocks";
+            return Err(bad(variable, problem.to_owned()));
+        }
+        if is_clocked {
+            self.clocks.clocked.push(Clocked::new(place.variable, variable, column));
+            return Ok(());
+        }
+        column.column.held_stops(stops);
+        self.hold(starts, place, column)
+    }
+
+    fn place_continuous(&mut self, starts: &Starts<'_>, place: Place) -> Result<usize, FmiError> {
+        let reference = starts.description.variables[place.variable].value_reference;
+        self.continuous.place(reference, place.element, || starts.reals(place))
+    }
+
+    fn hold(&mut self, starts: &Starts<'_>, place: Place, column: HeldColumn) -> Result<(), FmiError> {
+        let variable = &starts.description.variables[place.variable];
+        let (kind, reference) = (variable.kind, variable.value_reference);
+        let target = if kind == VariableKind::Real {
+            Target::Real(self.held_reals.place(reference, place.element, || starts.reals(place))?)
+        } else {
+            let group = match self.held_packed.iter().position(|(known, _)| *known == kind) {
+                Some(group) => group,
+                None => {
+                    self.held_packed.push((kind, Slots::default()));
+                    self.held_packed.len() - 1
+                }
+            };
+            let slots = &mut self.held_packed[group].1;
+            Target::Packed(group, slots.place(reference, place.element, || starts.lanes(place))?)
+        };
+        let column = if variable.negated { column.negated(kind) } else { column };
+        self.held.push(Held { column, target });
+        Ok(())
+    }
+
+    /// A clock: the rows of a triggered one that hold 1 are its ticks; one that can be deactivated leaves its ticks out
+    /// where it holds 0.
+    fn clock(
+        &mut self,
+        variable: &Variable,
+        index: usize,
+        column: Column,
+        stops: &mut Vec<InputStop>,
+    ) -> Result<(), FmiError> {
+        match variable.clock.as_deref() {
+            Some(timing) if timing.kind != ClockKind::Triggered && timing.can_be_deactivated => {
+                self.clocks.enabled.push((index, column));
+                Ok(())
+            }
+            Some(timing) if timing.kind != ClockKind::Triggered => Err(bad(
+                variable,
+                format!(
+                    "it is a clock with {} intervals, which the model determines, and cannot be deactivated",
+                    timing.kind.name()
+                ),
+            )),
+            _ => {
+                let rows = column.times.iter().zip(&*column.values);
+                let ticks: Arc<[f64]> = rows.filter(|(_, on)| **on != 0.0).map(|(time, _)| *time).collect();
+                stops.extend(ticks.iter().map(|time| InputStop { time: *time, jump: true }));
+                self.clocks.ticks.push((index, ticks));
+                Ok(())
+            }
+        }
+    }
+
+    /// Merges stops of all columns that are one instant, and moves the rows there onto it.
+    pub(super) fn take_stops(&mut self, mut stops: Vec<InputStop>) {
+        stops.sort_by(|a, b| a.time.total_cmp(&b.time));
+        let mut first = f64::NEG_INFINITY;
+        for stop in stops {
+            match self.stops.last_mut() {
+                Some(last) if stop.time - first <= self.same => {
+                    last.time = stop.time;
+                    last.jump |= stop.jump;
+                }
+                _ => {
+                    first = stop.time;
+                    self.stops.push(stop);
+                }
+            }
+        }
+        self.jumps = self.stops.iter().filter(|stop| stop.jump).map(|stop| stop.time).collect();
+        let linear = self.linear.iter_mut().map(|(column, _)| column);
+        for column in linear.chain(self.held.iter_mut().map(|held| &mut held.column.column)) {
+            column.snap(&self.jumps, self.same);
+        }
+    }
+
+    /// The variables that are driven, each by its type and reference.
+    pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
+        let reals = self.continuous.references.iter().chain(&self.held_reals.references);
+        let packed = self.held_packed.iter();
+        let texts = self.texts.iter().map(TextInput::reference);
+        reals.map(|reference| (VariableKind::Real, *reference)).chain(texts).chain(
+            packed.flat_map(|(kind, slots)| slots.references.iter().map(|reference| (*kind, *reference))),
+        )
+    }
+
+    /// The first stop after `t`.
+    pub(crate) fn next_stop(&self, t: f64) -> Option<InputStop> {
+        let next = self.stops.partition_point(|stop| stop.time <= t + self.same);
+        self.stops.get(next).copied()
+    }
+}
+
+impl Starts<'_> {
+    /// All start values of a variable of type Real; 0 for a single value, which is written before it is set.
+    pub(crate) fn reals(&self, place: Place) -> Result<Vec<f64>, FmiError> {
+        if place.element.is_none() {
+            return Ok(vec![0.0]);
+        }
+        let values = self.elements(place.variable)?;
+        Ok(values.into_iter().map(|value| if let Value::Real(x) = value { x } else { 0.0 }).collect())
+    }
+
+    /// The same of a variable of any other type of numbers.
+    fn lanes(&self, place: Place) -> Result<Vec<i64>, FmiError> {
+        if place.element.is_none() {
+            return Ok(vec![0]);
+        }
+        let kind = self.description.variables[place.variable].kind;
+        let values = self.elements(place.variable)?;
+        Ok(values.iter().map(|value| integer_codec::lane(kind, value).unwrap_or_default()).collect())
+    }
+}
+
+/// Whether an input goes from row to row along a line.
+fn is_linear(variable: &Variable) -> bool {
+    variable.kind == VariableKind::Real && variable.variability == Variability::Continuous
+}
+
+fn bad(variable: &Variable, problem: String) -> FmiError {
+    FmiError::BadInput { name: variable.name.clone(), problem }
+}
+
+/// Refuses what cannot be held, and values that are none of the type.
+fn check_held(variable: &Variable, column: Column) -> Result<Column, FmiError> {
+    let kind = variable.kind;
+    if !kind.is_number() {
+        return Err(bad(variable, "text and binary inputs cannot vary with time".to_owned()));
+    }
+    let misfit =
+        column.values.iter().position(|v| kind != VariableKind::Real && !integer_codec::is_of(variable, *v));
+    let Some(row) = misfit else { return Ok(column) };
+    let what = match kind {
+        VariableKind::Boolean | VariableKind::Clock => "0 or 1".to_owned(),
+        VariableKind::Integer | VariableKind::Enumeration => "an integer".to_owned(),
+        kind => format!("of type {kind}"),
+    };
+    Err(bad(variable, format!("{} in row {} is not {what}", column.values[row], row + 1)))
+}
+
+fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<(), FmiError> {
+    if times.len() != values.len() {
+        return Err(bad(variable, format!("{} values for {} times", values.len(), times.len())));
+    }
+    if times.is_empty() {
+        return Err(bad(variable, "the table has no rows".to_owned()));
+    }
+    for (row, (time, value)) in times.iter().zip(values).enumerate() {
+        if !time.is_finite() || !value.is_finite() {
+            return Err(bad(variable, format!("row {} (time {time}, value {value}) is not finite", row + 1)));
+        }
+        if row > 0 && *time < times[row - 1] {
+            let before = times[row - 1];
+            return Err(bad(
+                variable,
+                format!("times must ascend: row {} has {time} after {before}", row + 1),
+            ));
+        }
+    }
+    Ok(())
+}

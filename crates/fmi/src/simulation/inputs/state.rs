@@ -1,0 +1,219 @@
+//! Where a run stands in its inputs: which jumps have happened, and the values for the next calls.
+
+use super::plan::{InputPlan, Target};
+use crate::error::FmiError;
+use crate::instance::Core;
+use ode::Stopwatch;
+
+/// Where a run stands in its inputs, and the values for the next calls.
+#[derive(Debug, Default)]
+pub(crate) struct InputState {
+    /// Jumps that have happened.
+    passed: usize,
+    cursors: Vec<usize>,
+    pub(crate) continuous: Vec<f64>,
+    pub(crate) held_reals: Vec<f64>,
+    /// Lanes, by the groups of the plan.
+    pub(crate) held_packed: Vec<Vec<i64>>,
+    /// The number of the value that each text has.
+    texts: Vec<usize>,
+    /// Seconds in functions of the user since the start: a sum over all calls, each of which adds what is known of it when
+    /// it ends, so that also differences of it mean the time between.
+    in_functions: f64,
+    /// All functions at one instant are one call: one of them may do the work for the others.
+    stopwatch: Stopwatch<1>,
+}
+
+impl InputState {
+    /// Buffers of the right sizes.
+    pub(crate) fn new(plan: &InputPlan) -> Self {
+        Self {
+            passed: 0,
+            cursors: vec![0; plan.linear.len()],
+            continuous: plan.continuous.start.clone(),
+            held_reals: plan.held_reals.start.clone(),
+            held_packed: plan.held_packed.iter().map(|(_, slots)| slots.start.clone()).collect(),
+            texts: vec![0; plan.texts.len()],
+            in_functions: 0.0,
+            stopwatch: Stopwatch::new(),
+        }
+    }
+
+    /// Seconds that the functions of the user took since the start; an estimate where they are fast, see
+    /// [`Stopwatch`](ode::Stopwatch).
+    pub(crate) fn seconds_in_functions(&self) -> f64 {
+        self.in_functions
+    }
+
+    /// Goes to the start of a run: jumps up to `t` have happened.
+    pub(crate) fn begin(&mut self, plan: &InputPlan, t: f64) {
+        self.in_functions = 0.0;
+        self.stopwatch.reset();
+        self.passed = 0;
+        self.cursors.fill(0);
+        self.pass(plan, t);
+    }
+
+    /// Lets the jumps up to `t` happen and takes over the held values; whether there were any.
+    pub(crate) fn pass(&mut self, plan: &InputPlan, t: f64) -> bool {
+        let before = self.passed;
+        let happened = plan.jumps.partition_point(|jump| *jump <= t + plan.same);
+        self.passed = self.passed.max(happened);
+        let now = match self.passed.checked_sub(1).and_then(|last| plan.jumps.get(last)) {
+            Some(jump) => jump.max(t),
+            None => t,
+        };
+        for held in &plan.held {
+            match held.target {
+                Target::Real(i) => self.held_reals[i] = held.column.column.held(now),
+                Target::Packed(group, i) => {
+                    self.held_packed[group][i] = held.column.lane(plan.held_packed[group].0, now);
+                }
+                Target::Text(i) => self.texts[i] = held.column.column.held(now) as usize,
+            }
+        }
+        self.passed > before
+    }
+
+    /// Computes the continuous inputs at `t`; `false` if one is not finite. The piece between two jumps is used until
+    /// the jump has happened ([`pass`](Self::pass)), also for times a little beyond it.
+    pub(crate) fn continuous_at(&mut self, plan: &InputPlan, t: f64) -> bool {
+        let next = plan.jumps.get(self.passed).copied().unwrap_or(f64::INFINITY);
+        let last = self.passed.checked_sub(1).map_or(f64::NEG_INFINITY, |i| plan.jumps[i]);
+        let (at, left) = if t >= next { (next, true) } else { (t.max(last), false) };
+        for ((column, place), cursor) in plan.linear.iter().zip(&mut self.cursors) {
+            self.continuous[*place] = column.linear(at, left, cursor);
+        }
+        if !plan.functions.is_empty() {
+            let timing = self.stopwatch.start(0);
+            for (function, place) in &plan.functions {
+                self.continuous[*place] = function(t);
+            }
+            self.in_functions += self.stopwatch.stop(timing, 0.0);
+        }
+        self.continuous.iter().all(|value| value.is_finite())
+    }
+}
+
+impl InputState {
+    /// Sets the held inputs, one call per type.
+    pub(crate) fn set_held(&self, core: &mut Core, plan: &InputPlan) -> Result<(), FmiError> {
+        core.set_reals(&plan.held_reals.references, &self.held_reals)?;
+        for ((kind, slots), lanes) in plan.held_packed.iter().zip(&self.held_packed) {
+            core.call(|raw| raw.set_packed(*kind, &slots.references, lanes))?;
+        }
+        for (text, number) in plan.texts.iter().zip(&self.texts) {
+            text.set(core, *number)?;
+        }
+        Ok(())
+    }
+
+    /// What is wrong where [`continuous_at`](Self::continuous_at) said no.
+    pub(crate) fn bad_function_value(&self, t: f64) -> FmiError {
+        let bad = self.continuous.iter().find(|value| !value.is_finite());
+        let value = bad.copied().unwrap_or(f64::NAN);
+        FmiError::NotFinite { name: format!("an input function at t = {t}"), value }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::column::Column;
+    use crate::simulation::inputs::plan::Held;
+    use std::sync::Arc;
+
+    fn column(times: &[f64], values: &[f64]) -> Column {
+        Column { times: times.into(), values: values.into() }
+    }
+
+    fn plan_of(linear: Vec<Column>, held: Vec<Column>) -> InputPlan {
+        let mut plan = InputPlan { same: 1e-14, ..InputPlan::default() };
+        let mut stops = Vec::new();
+        linear.iter().for_each(|c| c.linear_stops(plan.same, &mut stops));
+        held.iter().for_each(|c| c.held_stops(&mut stops));
+        plan.held_reals.start = vec![0.0; held.len()];
+        plan.continuous.start = vec![0.0; linear.len()];
+        plan.linear = linear.into_iter().zip(0..).collect();
+        plan.held = held
+            .into_iter()
+            .enumerate()
+            .map(|(i, column)| Held { column: column.into(), target: Target::Real(i) })
+            .collect();
+        plan.take_stops(stops);
+        plan
+    }
+
+    #[test]
+    fn the_piece_before_a_jump_holds_until_the_jump_has_happened() {
+        let plan = plan_of(
+            vec![column(&[0.0, 1.0, 1.0, 2.0], &[0.0, 1.0, 5.0, 5.0])],
+            vec![column(&[0.0, 1.0, 1.5], &[7.0, 8.0, 9.0])],
+        );
+        let mut state = InputState::new(&plan);
+        state.begin(&plan, 0.0);
+        assert_eq!(state.held_reals, [7.0]);
+        for (t, u) in [(0.5, 0.5), (1.0, 1.0), (1.5, 1.0)] {
+            assert!(state.continuous_at(&plan, t));
+            assert_eq!(state.continuous, [u], "t = {t}");
+        }
+        state.pass(&plan, 1.0);
+        assert_eq!(state.held_reals, [8.0]);
+        state.continuous_at(&plan, 1.0);
+        assert_eq!(state.continuous, [5.0]);
+        state.pass(&plan, 1.5);
+        assert_eq!(state.held_reals, [9.0]);
+    }
+
+    #[test]
+    fn jumps_within_rounding_are_one_instant() {
+        let near = 0.1 + 0.2; // 0.30000000000000004
+        let plan = plan_of(
+            vec![column(&[0.0, 0.3, 0.3, 1.0], &[0.0, 1.0, 5.0, 5.0])],
+            vec![column(&[0.0, near], &[7.0, 8.0])],
+        );
+        assert_eq!(plan.jumps, [near]);
+        let mut state = InputState::new(&plan);
+        state.begin(&plan, 0.0);
+        state.continuous_at(&plan, near);
+        assert_eq!(state.continuous, [1.0]);
+        state.pass(&plan, 0.3);
+        state.continuous_at(&plan, 0.3);
+        assert_eq!((state.continuous[0], state.held_reals[0]), (5.0, 8.0));
+        assert_eq!(plan.next_stop(0.3), None);
+        assert_eq!(plan.next_stop(0.0).map(|stop| (stop.time, stop.jump)), Some((near, true)));
+    }
+
+    #[test]
+    fn time_in_functions_is_that_of_all_of_them_since_the_start() {
+        let mut plan = plan_of(vec![column(&[0.0, 1.0], &[0.0, 1.0])], vec![]);
+        let mut state = InputState::new(&plan);
+        state.continuous_at(&plan, 0.5);
+        assert_eq!(state.seconds_in_functions(), 0.0);
+        plan.continuous.start = vec![0.0; 3];
+        let slowly = |t| {
+            std::thread::sleep(std::time::Duration::from_millis(2));
+            2.0 * t
+        };
+        plan.functions = vec![(Arc::new(|t| -t), 1), (Arc::new(slowly), 2)];
+        let mut state = InputState::new(&plan);
+        let mut before = 0.0;
+        for t in [0.0, 0.5, 0.25] {
+            assert!(state.continuous_at(&plan, t));
+            assert_eq!(state.continuous, [t, -t, 2.0 * t]);
+            assert!(state.seconds_in_functions() >= before + 0.00199);
+            before = state.seconds_in_functions();
+        }
+        state.begin(&plan, 0.0);
+        assert_eq!(state.seconds_in_functions(), 0.0);
+    }
+
+    #[test]
+    fn a_jump_at_the_start_has_happened() {
+        let plan = plan_of(vec![column(&[0.0, 0.0, 1.0], &[1.0, 2.0, 2.0])], vec![]);
+        let mut state = InputState::new(&plan);
+        state.begin(&plan, 0.0);
+        state.continuous_at(&plan, 0.0);
+        assert_eq!(state.continuous, [2.0]);
+    }
+}

@@ -1,0 +1,500 @@
+//! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
+
+use crate::description::Variable;
+use crate::error::FmiError;
+use crate::instance::{Core, Initialization, Instance};
+use crate::simulation::inputs::{InputPlan, InputState};
+use crate::simulation::parameters::StartValues;
+use crate::simulation::plan::SimulationPlan;
+use crate::simulation::running::{Phase, Running};
+use crate::sys::{Fault, RawInstance, look_now_and_then};
+use ode::{
+    CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
+};
+use std::sync::Arc;
+
+/// One worker's system: the instance and everything that is written during a run.
+#[derive(Debug)]
+pub(crate) struct System {
+    pub(crate) running: Running,
+    /// The continuous inputs as the FMU has them; none while that is not known. FMUs may allow an input to be set only
+    /// once at an instant (FMI 2.0.x, section 2.2.7, `canHandleMultipleSetPerTimeInstant`).
+    sent: Vec<f64>,
+    /// The point last set in the FMU, as far as that is known.
+    set_time: Option<f64>,
+    set_states: Option<()>,
+    states: Vec<f64>,
+    /// The point last committed: what `get` refers to after a run.
+    last_time: f64,
+    last_states: Vec<f64>,
+    /// Derivatives that nobody asked for.
+    unused: Vec<f64>,
+    /// The time event that the model announced.
+    announced: Option<f64>,
+    /// The derivatives were computed at the point last set.
+    is_evaluated: bool,
+    freshness: Freshness,
+    /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and never gone back
+    /// behind.
+    floor: f64,
+}
+
+/// Samples at which a model has to answer the same with and without the derivatives computed before, while something has
+/// changed since the sample before, to be trusted in the rest of the run.
+const GOOD_SAMPLES: u32 = 8;
+
+/// Whether the model computes its variables when they are read, as the standard wants it, or only together with the
+/// derivatives: then those are computed before (seen in FMUs of OpenModelica 1.12). Judged anew in every run, by its own
+/// first samples, which are right in any case: so a run does not depend on those before it.
+#[derive(Debug, Clone, Copy)]
+enum Freshness {
+    /// So many samples went well.
+    Open(u32),
+    WhenRead,
+    WithDerivatives,
+}
+
+impl Default for Freshness {
+    fn default() -> Self {
+        Freshness::Open(0)
+    }
+}
+
+/// Same bits, so that NaN and signed zeros count as what they are.
+fn same_bits(a: f64, b: f64) -> bool {
+    a.to_bits() == b.to_bits()
+}
+
+impl System {
+    pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
+        let n = plan.n_states;
+        Self {
+            sent: Vec::with_capacity(plan.inputs.continuous.start.len()),
+            set_time: None,
+            set_states: None,
+            is_evaluated: false,
+            freshness: Freshness::default(),
+            states: vec![0.0; n],
+            last_time: plan.start,
+            last_states: vec![0.0; n],
+            unused: vec![0.0; n],
+            announced: None,
+            floor: f64::NEG_INFINITY,
+            running: Running::new(plan),
+        }
+    }
+
+    /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
+    pub(crate) fn initialize(
+        &mut self,
+        raw: RawInstance,
+        start_values: &StartValues,
+        parameters: &[f64],
+    ) -> Result<(), FmiError> {
+        let (start, end) = (self.running.plan.start, self.running.plan.end);
+        let instance: Instance<Initialization> =
+            self.running.begin(raw, start_values, parameters, Some(end))?;
+        self.sent.clone_from(&self.running.inputs.continuous);
+        self.running.current.phase = Phase::Event(instance.exit_initialization()?);
+        self.set_time = None;
+        self.set_states = None;
+        self.freshness = Freshness::default();
+        self.announced = None;
+        self.floor = f64::NEG_INFINITY;
+        self.last_time = start;
+        Ok(())
+    }
+
+    /// Lets the initial events happen, for those who only want initial values.
+    pub(crate) fn settle(&mut self) -> Result<(), FmiError> {
+        let mut states = vec![0.0; self.running.plan.n_states];
+        let start = self.running.plan.start;
+        match self.start(start, &mut states) {
+            // States that are not finite can be looked at all the same.
+            Ok(_) | Err(CallError::Discard) => Ok(()),
+            Err(CallError::Failed(error)) => Err(unbox(error)),
+        }
+    }
+
+    /// Value of a variable at the point last committed.
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value, FmiError> {
+        self.running.current.trusted()?;
+        let (time, states) = (self.last_time, self.last_states.clone());
+        match self.set_point(time, &states) {
+            // The model may compute its variables with the derivatives only.
+            Ok(()) if matches!(self.running.current.phase, Phase::Continuous(_)) && !self.is_evaluated => {
+                self.evaluate().or_else(|error| match error {
+                    CallError::Failed(error) => Err(unbox(error)),
+                    CallError::Discard => Ok(()),
+                })?;
+            }
+            Ok(()) => {}
+            Err(CallError::Failed(error)) => return Err(unbox(error)),
+            // The point was good when the step was completed; the value there is the best there is.
+            Err(CallError::Discard) => {}
+        }
+        self.running.current.core()?.value(variable)
+    }
+
+    /// Makes a raw call; see [`Current::call`](crate::simulation::running::Current::call).
+    #[inline]
+    fn call<T>(&mut self, body: impl FnOnce(&mut RawInstance) -> Result<T, Fault>) -> CallResult<T> {
+        self.running.current.call(body)
+    }
+
+    /// Sets time, continuous inputs and states together; what has these very bits already is left out.
+    fn set_point(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
+        let t = t.max(self.floor);
+        if !self.set_time.is_some_and(|set| same_bits(set, t)) {
+            self.is_evaluated = false;
+            self.set_time = None;
+            self.call(|raw| raw.set_time(t))?;
+            self.set_inputs(t)?;
+            self.set_time = Some(t);
+        }
+        if x.is_empty() {
+            return Ok(());
+        }
+        let same = self.set_states.is_some() && self.states.iter().zip(x).all(|(a, b)| same_bits(*a, *b));
+        if !same {
+            self.is_evaluated = false;
+            self.set_states = None;
+            self.call(|raw| raw.set_continuous_states(x))?;
+            self.states.copy_from_slice(x);
+            self.set_states = Some(());
+        }
+        Ok(())
+    }
+
+    /// Sets the continuous inputs at `t`.
+    fn set_inputs(&mut self, t: f64) -> CallResult<()> {
+        let Self { running: Running { plan, inputs, current, .. }, sent, .. } = self;
+        if plan.inputs.continuous.references.is_empty() {
+            return Ok(());
+        }
+        if !inputs.continuous_at(&plan.inputs, t) {
+            current.discarded = None;
+            return Err(CallError::Discard);
+        }
+        if has(sent, &inputs.continuous) {
+            return Ok(());
+        }
+        sent.clear();
+        current.call(|raw| raw.set_real(&plan.inputs.continuous.references, &inputs.continuous))?;
+        sent.extend_from_slice(&inputs.continuous);
+        Ok(())
+    }
+
+    /// Reads the outputs at the point last set.
+    fn read_outputs(&mut self) -> CallResult<()> {
+        let is_continuous = matches!(self.running.current.phase, Phase::Continuous(_));
+        let must_compare = match self.freshness {
+            _ if self.is_evaluated || !is_continuous || self.states.is_empty() => false,
+            Freshness::WhenRead => false,
+            Freshness::WithDerivatives => {
+                self.evaluate()?;
+                false
+            }
+            Freshness::Open(_) => true,
+        };
+        if must_compare { self.compare_outputs() } else { self.running.read_outputs() }
+    }
+
+    /// Reads the outputs, computes the derivatives and reads them again.
+    fn compare_outputs(&mut self) -> CallResult<()> {
+        self.running.buffers.keep();
+        self.running.read_outputs()?;
+        let has_changed = !self.running.buffers.are_as_kept();
+        self.running.buffers.keep();
+        self.evaluate()?;
+        self.running.read_outputs()?;
+        if !self.running.buffers.are_as_kept() {
+            self.freshness = Freshness::WithDerivatives;
+            self.running.plan.fmu().note_stale_outputs();
+        } else if let Freshness::Open(good) = self.freshness
+            && has_changed
+        {
+            self.freshness =
+                if good + 1 < GOOD_SAMPLES { Freshness::Open(good + 1) } else { Freshness::WhenRead };
+        }
+        Ok(())
+    }
+
+    /// Computes the derivatives at the point last set, for what the model computes along with them. A point without
+    /// derivatives is none to compare at.
+    fn evaluate(&mut self) -> CallResult<()> {
+        let Self { running, unused, .. } = self;
+        match running.current.call(|raw| raw.get_derivatives(unused)) {
+            Ok(()) | Err(CallError::Discard) => {
+                self.is_evaluated = true;
+                Ok(())
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    fn note_outcome(&mut self, outcome: &EventOutcome) {
+        if self.running.digest.is_some() {
+            let flags = u32::from(outcome.terminate) + 2 * u32::from(outcome.nominals_changed);
+            self.running.note(&[f64::from(flags), outcome.next_time.unwrap_or(f64::NAN)]);
+        }
+    }
+
+    fn commit(&mut self, t: f64, x: &[f64]) {
+        self.last_time = t;
+        self.last_states.copy_from_slice(x);
+    }
+
+    /// Goes from event mode to continuous time, unless the model has ended the simulation.
+    fn leave_event_mode(&mut self, outcome: &EventOutcome) -> CallResult<()> {
+        if outcome.terminate {
+            return Ok(());
+        }
+        self.running.current.change(|phase| match phase {
+            Phase::Event(instance) => instance.enter_continuous_time().map(Phase::Continuous),
+            other => Ok(other),
+        })
+    }
+
+    fn enter_event_mode(&mut self) -> CallResult<()> {
+        self.running.current.change(|phase| match phase {
+            Phase::Continuous(instance) => instance.enter_event_mode().map(Phase::Event),
+            other => Ok(other),
+        })
+    }
+
+    /// Lets the jumps of inputs happen that are due at `t`, in event mode.
+    fn jump(&mut self, t: f64) -> CallResult<()> {
+        let Self { running: Running { plan, inputs, current, .. }, sent, .. } = self;
+        inputs.pass(&plan.inputs, t);
+        if !inputs.continuous_at(&plan.inputs, t) {
+            return Err(CallError::Discard);
+        }
+        let set = current.in_event_mode().and_then(|core| {
+            inputs.set_held(core, &plan.inputs)?;
+            send(&plan.inputs, inputs, sent, core)
+        });
+        set.map_err(|error| current.fail(error))
+    }
+
+    fn iterate_events(&mut self, t: f64) -> CallResult<EventOutcome> {
+        let Running { plan, current, clocks, buffers, .. } = &mut self.running;
+        let recorded = &plan.outputs().clocks;
+        let settled = current
+            .in_event_mode()
+            .and_then(|core| clocks.settle(&plan.clocks, core, t, (recorded, buffers)));
+        match settled {
+            Ok((outcome, announced)) => {
+                self.announced = announced;
+                self.note_outcome(&outcome);
+                Ok(outcome)
+            }
+            Err(error) => Err(current.fail(error)),
+        }
+    }
+
+    fn read_states(&mut self, x: &mut [f64]) -> CallResult<()> {
+        if x.is_empty() {
+            return Ok(());
+        }
+        self.call(|raw| raw.get_continuous_states(x))?;
+        all_finite(x)
+    }
+}
+
+/// Whether the FMU has these very inputs already.
+fn has(sent: &[f64], inputs: &[f64]) -> bool {
+    sent.len() == inputs.len() && sent.iter().zip(inputs).all(|(a, b)| same_bits(*a, *b))
+}
+
+/// Sets the continuous inputs, unless the FMU has them already.
+fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut Core) -> Result<(), FmiError> {
+    if has(sent, &inputs.continuous) {
+        return Ok(());
+    }
+    sent.clear();
+    core.set_reals(&plan.continuous.references, &inputs.continuous)?;
+    sent.extend_from_slice(&inputs.continuous);
+    Ok(())
+}
+
+fn all_finite(values: &[f64]) -> CallResult<()> {
+    if values.iter().all(|value| value.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
+}
+
+/// The FMU's error inside what the driver passes on.
+pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError {
+    match error.downcast::<FmiError>() {
+        Ok(error) => *error,
+        Err(other) => FmiError::BadSetting { problem: other.to_string() },
+    }
+}
+
+impl HybridSystem for System {
+    fn n_states(&self) -> usize {
+        self.running.plan.n_states
+    }
+
+    fn n_event_indicators(&self) -> usize {
+        self.running.plan.n_indicators
+    }
+
+    fn n_outputs(&self) -> usize {
+        self.running.plan.outputs().len()
+    }
+
+    fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
+        if nominals.is_empty() {
+            return Ok(());
+        }
+        match self.call(|raw| raw.get_nominals(nominals)) {
+            Ok(()) => {}
+            Err(CallError::Discard) => nominals.copy_from_slice(&self.running.plan.nominals),
+            Err(error) => return Err(error),
+        }
+        self.running.plan.correct_nominals(nominals);
+        Ok(())
+    }
+
+    fn is_unbounded(&self, state: usize) -> bool {
+        self.running.plan.unbounded[state]
+    }
+
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        let outcome = self.iterate_events(t0)?;
+        self.read_states(x)?;
+        self.leave_event_mode(&outcome)?;
+        self.running.note(x);
+        self.commit(t0, x);
+        // The model stands at its start time with its own states and the inputs set in initialization mode; only in
+        // continuous-time mode can they be set anew.
+        self.set_time = outcome.terminate.then_some(t0);
+        self.set_states = outcome.terminate.then_some(());
+        self.states.copy_from_slice(x);
+        Ok(EventOutcome { states_changed: true, ..outcome })
+    }
+
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        let time = t.max(self.floor);
+        let is_new_time = !self.set_time.is_some_and(|set| same_bits(set, time));
+        if is_new_time && self.running.plan.inputs.continuous.references.is_empty() {
+            self.set_time = None;
+            self.set_states = None;
+            self.is_evaluated = false;
+            self.call(|raw| raw.right_hand_side(time, x, dx))?;
+            self.set_time = Some(time);
+            self.states.copy_from_slice(x);
+            self.set_states = Some(());
+        } else {
+            self.set_point(t, x)?;
+            self.call(|raw| raw.get_derivatives(dx))?;
+        }
+        self.is_evaluated = true;
+        all_finite(dx)?;
+        self.running.note(dx);
+        Ok(())
+    }
+
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        self.running.plan.jacobian.pattern.as_ref()
+    }
+
+    fn directional_derivative(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        seed: &[f64],
+        derivative: &mut [f64],
+    ) -> CallResult<bool> {
+        if self.running.plan.jacobian.directional.is_none() {
+            return Ok(false);
+        }
+        self.set_point(t, x)?;
+        let Running { plan, current, .. } = &mut self.running;
+        let Some(sides) = &plan.jacobian.directional else { return Ok(false) };
+        let is_there = current.call(|raw| {
+            match raw.directional_derivative(&sides.derivatives, &sides.states, seed, derivative) {
+                // Promised, but not in the library.
+                Err(Fault::Missing(_)) => Ok(false),
+                outcome => outcome.map(|()| true),
+            }
+        })?;
+        // What it has computed on the way may belong to other points.
+        self.is_evaluated = false;
+        if !is_there {
+            return Ok(false);
+        }
+        all_finite(derivative)?;
+        self.running.note(derivative);
+        Ok(true)
+    }
+
+    fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        if z.is_empty() {
+            return Ok(());
+        }
+        self.set_point(t, x)?;
+        self.call(|raw| raw.get_event_indicators(z))?;
+        all_finite(z)?;
+        self.running.note(z);
+        Ok(())
+    }
+
+    /// Values that are not finite are passed on: an output that is NaN is for the reader to judge.
+    fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
+        if self.running.plan.outputs().needs_fmu() {
+            self.set_point(t, x)?;
+            self.read_outputs()?;
+        }
+        let Running { plan, buffers, .. } = &mut self.running;
+        buffers.row(plan.outputs(), t, plan.same, x, y);
+        self.running.note(y);
+        Ok(())
+    }
+
+    fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
+        look_now_and_then();
+        self.commit(t, x);
+        self.running.note(x);
+        if self.running.plan.completed_step_not_needed {
+            return Ok(StepAction::default());
+        }
+        self.set_point(t, x)?;
+        let (event, terminate) = self.call(RawInstance::completed_integrator_step)?;
+        Ok(StepAction { event, terminate })
+    }
+
+    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        let (t, plan) = (visit.time, &self.running.plan);
+        // Of two instants within rounding the model must see the later one, or its time event would not be due.
+        let seen = match self.announced {
+            Some(next) if visit.cause.time && next > t && next - t <= plan.same => next.min(plan.end.max(t)),
+            _ => t,
+        };
+        self.set_point(seen, x)?;
+        self.floor = seen;
+        self.enter_event_mode()?;
+        if visit.cause.input {
+            self.jump(t)?;
+        }
+        let outcome = self.iterate_events(seen)?;
+        if outcome.states_changed {
+            self.read_states(x)?;
+        }
+        self.leave_event_mode(&outcome)?;
+        self.running.note(x);
+        self.commit(t, x);
+        self.set_time = outcome.terminate.then_some(seen);
+        self.set_states = outcome.terminate.then_some(());
+        self.states.copy_from_slice(x);
+        Ok(outcome)
+    }
+
+    fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
+        self.running.plan.inputs.next_stop(t)
+    }
+
+    fn seconds_elsewhere(&self) -> f64 {
+        self.running.seconds_elsewhere()
+    }
+}

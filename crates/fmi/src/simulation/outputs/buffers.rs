@@ -1,0 +1,390 @@
+//! What a simulation records: outputs sorted into one call per type, and the buffers they are read into.
+
+use super::texts::{self, ValueTable};
+use crate::description::{Causality, ModelDescription, Structure, Variability, Variable, VariableKind};
+use crate::instance::integer_codec;
+use crate::sys::{Fault, RawInstance};
+use std::collections::HashMap;
+use std::ops::Range;
+
+/// Where an output comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum OutputSource {
+    Time,
+    /// A state or an alias of one: copied, without a call.
+    State(usize),
+    /// Place among the values of type `Real`.
+    Real(usize),
+    /// Place among the lanes of all other numbers.
+    Packed(usize, VariableKind),
+    /// The upper or lower half of such a lane.
+    Half(usize, VariableKind, bool),
+    /// Place among the texts.
+    Text(usize),
+    /// Place among the binary values.
+    Bytes(usize),
+    /// Whether a clock ticked at this instant: place among the clocks recorded.
+    Tick(usize),
+}
+
+/// A variable that a simulation records, and where it stands in the result. An array has a column for each element, the
+/// last index varying fastest.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Recorded {
+    /// Name under which it was asked for.
+    pub name: String,
+    /// Type.
+    pub kind: VariableKind,
+    /// Extents of an array; empty for a single value or an element.
+    pub extents: Vec<usize>,
+    /// Its columns among the numbers; none for texts and binary variables.
+    pub columns: Range<usize>,
+    /// Its columns among the values: texts, binary variables and 64-bit integers, which not all numbers can hold.
+    pub values: Range<usize>,
+}
+
+/// A column of results.
+#[derive(Debug, Clone, Copy)]
+struct Column {
+    source: OutputSource,
+    negated: bool,
+    /// Whether it may be interpolated.
+    is_continuous: bool,
+}
+
+/// Variables of one kind, for one call: references, and the lanes that their values take.
+#[derive(Debug)]
+struct Group {
+    kind: VariableKind,
+    references: Vec<u32>,
+    n_values: usize,
+}
+
+/// The outputs by type, each type for one call.
+#[derive(Debug, Default)]
+pub(crate) struct OutputPlan {
+    columns: Vec<Column>,
+    reals: Vec<u32>,
+    n_reals: usize,
+    groups: Vec<Group>,
+    /// Of the array variables already there: first place of their values.
+    arrays: HashMap<(VariableKind, u32), usize>,
+    texts: (Vec<u32>, usize),
+    binaries: (Vec<u32>, usize),
+    /// Value references of the clocks recorded.
+    pub(crate) clocks: Vec<u32>,
+    /// Columns without names, which stand behind the others: see `texts.rs`.
+    unnamed: Vec<Column>,
+    /// Name and kind of what the columns without names make.
+    pub(crate) values: Vec<(String, VariableKind)>,
+    pub(crate) recorded: Vec<Recorded>,
+    /// Columns of single continuous outputs of type Real that are read as they are, and their references: those that may
+    /// have derivatives.
+    pub(crate) smooth: (Vec<usize>, Vec<u32>),
+}
+
+/// What outputs are resolved against.
+pub(crate) struct OutputContext<'a> {
+    pub(crate) model: &'a ModelDescription,
+    pub(crate) structure: &'a Structure,
+    /// First place in the state vector of the state variables, by value reference.
+    pub(crate) states: &'a HashMap<u32, usize>,
+}
+
+impl OutputPlan {
+    /// Number of columns, with and without names.
+    pub(crate) fn len(&self) -> usize {
+        self.columns.len()
+    }
+
+    /// Whether a sample needs a call at all.
+    pub(crate) fn needs_fmu(&self) -> bool {
+        let nothing = self.reals.is_empty() && self.groups.is_empty();
+        !(nothing && self.texts.0.is_empty() && self.binaries.0.is_empty())
+    }
+
+    /// Whether a column is time itself.
+    pub(crate) fn is_time(&self, column: usize) -> bool {
+        self.columns[column].source == OutputSource::Time
+    }
+
+    /// Whether a column tells the ticks of a clock, which are only at events.
+    pub(crate) fn is_tick(&self, column: usize) -> bool {
+        matches!(self.columns[column].source, OutputSource::Tick(_))
+    }
+
+    /// Whether a column may be interpolated.
+    pub(crate) fn is_continuous(&self, column: usize) -> bool {
+        self.columns[column].is_continuous
+    }
+
+    /// Adds a variable: one column, or one for each element of an array (only `element`, if given). Returns the names
+    /// of the columns of numbers.
+    pub(crate) fn add(
+        &mut self,
+        context: &OutputContext<'_>,
+        variable: &Variable,
+        name: &str,
+        element: Option<usize>,
+    ) -> Vec<String> {
+        let (kind, negated) = (variable.kind, variable.negated);
+        let extents = match element {
+            Some(_) => Vec::new(),
+            None => context.structure.extents(context.model, variable),
+        };
+        let (first_column, first_value) = (self.columns.len(), self.values.len());
+        let is_continuous = kind.is_float() && variable.variability == Variability::Continuous;
+        let n = context.structure.elements(context.model, variable);
+        let wanted = element.map_or(0..n, |element| element..element + 1);
+        let is_array = element.is_none() && !variable.dimensions.is_empty();
+        let column_name = |element| match is_array {
+            true => format!("{name}{}", subscript(element, &extents)),
+            false => name.to_owned(),
+        };
+        let state = context.states.get(&variable.value_reference).filter(|_| kind == VariableKind::Real);
+        let first = match (variable.causality, state) {
+            (Causality::Independent, _) => 0,
+            (_, Some(first)) => *first,
+            _ => self.place(variable, n),
+        };
+        let mut names = Vec::new();
+        for element in wanted {
+            let place = first + element;
+            let column = |source| Column { source, negated, is_continuous };
+            let source = match kind {
+                _ if variable.causality == Causality::Independent => OutputSource::Time,
+                _ if state.is_some() => OutputSource::State(place),
+                VariableKind::Real => OutputSource::Real(place),
+                VariableKind::String => OutputSource::Text(place),
+                VariableKind::Binary => OutputSource::Bytes(place),
+                VariableKind::Clock => OutputSource::Tick(place),
+                kind => OutputSource::Packed(place, kind),
+            };
+            if kind.is_number() {
+                if is_continuous && !negated && variable.causality == Causality::Output && n == 1 && !is_array
+                {
+                    self.smooth.0.push(self.columns.len());
+                    self.smooth.1.push(variable.value_reference);
+                }
+                names.push(column_name(element));
+                self.columns.push(column(source));
+            }
+            match texts::width(kind) {
+                0 => continue,
+                1 => self.unnamed.push(column(source)),
+                _ => self
+                    .unnamed
+                    .extend([true, false].map(|upper| column(OutputSource::Half(place, kind, upper)))),
+            }
+            self.values.push((column_name(element), kind));
+        }
+        self.recorded.push(Recorded {
+            name: name.to_owned(),
+            kind,
+            extents,
+            columns: first_column..self.columns.len(),
+            values: first_value..self.values.len(),
+        });
+        names
+    }
+
+    /// First place of the values of a variable; lanes are counted group by group, see [`finish`](Self::finish).
+    fn place(&mut self, variable: &Variable, n: usize) -> usize {
+        let (kind, reference) = (variable.kind, variable.value_reference);
+        if let Some(first) = self.arrays.get(&(kind, reference)) {
+            return *first;
+        }
+        let (references, count) = if kind == VariableKind::Real {
+            (&mut self.reals, &mut self.n_reals)
+        } else if kind == VariableKind::String {
+            (&mut self.texts.0, &mut self.texts.1)
+        } else if kind == VariableKind::Binary {
+            (&mut self.binaries.0, &mut self.binaries.1)
+        } else if kind == VariableKind::Clock {
+            self.clocks.push(reference);
+            return self.clocks.len() - 1;
+        } else {
+            let group = match self.groups.iter().position(|group| group.kind == kind) {
+                Some(group) => group,
+                None => {
+                    self.groups.push(Group { kind, references: Vec::new(), n_values: 0 });
+                    self.groups.len() - 1
+                }
+            };
+            let group = &mut self.groups[group];
+            (&mut group.references, &mut group.n_values)
+        };
+        references.push(reference);
+        let first = *count;
+        *count += n;
+        if n != 1 {
+            self.arrays.insert((kind, reference), first);
+        }
+        first
+    }
+
+    /// Puts the lanes of all kinds into one row, and the columns without names behind the others, when everything has
+    /// been added.
+    pub(crate) fn finish(&mut self) {
+        self.columns.append(&mut self.unnamed);
+        let mut start = 0;
+        for group in &self.groups {
+            for column in &mut self.columns {
+                if let OutputSource::Packed(place, kind) | OutputSource::Half(place, kind, _) =
+                    &mut column.source
+                    && *kind == group.kind
+                {
+                    *place += start;
+                }
+            }
+            start += group.n_values;
+        }
+    }
+}
+
+/// `[2]`, `[1,3]`: counted from 1, the last index varying fastest.
+fn subscript(element: usize, extents: &[usize]) -> String {
+    let mut indices = Vec::with_capacity(extents.len());
+    let mut rest = element;
+    for extent in extents.iter().rev() {
+        indices.push((rest % extent.max(&1) + 1).to_string());
+        rest /= extent.max(&1);
+    }
+    indices.reverse();
+    format!("[{}]", indices.join(","))
+}
+
+/// Splits `name[1,3]` into the name and the place of the element; `None` if that is not what it is.
+pub(crate) fn element_of(name: &str, extents: impl Fn(&str) -> Option<Vec<usize>>) -> Option<(&str, usize)> {
+    let inner = name.strip_suffix(']')?;
+    let at = inner.rfind('[')?;
+    let (array, indices) = (&name[..at], &inner[at + 1..]);
+    let extents = extents(array)?;
+    let indices: Vec<usize> = indices.split(',').map(|i| i.trim().parse().ok()).collect::<Option<_>>()?;
+    if indices.len() != extents.len() || extents.is_empty() {
+        return None;
+    }
+    let mut place = 0;
+    for (index, extent) in indices.into_iter().zip(extents) {
+        if index == 0 || index > extent {
+            return None;
+        }
+        place = place * extent + index - 1;
+    }
+    Some((array, place))
+}
+
+/// Buffers for the values of one sample.
+#[derive(Debug)]
+pub(crate) struct OutputBuffers {
+    reals: Vec<f64>,
+    lanes: Vec<i64>,
+    texts: Vec<f64>,
+    binaries: Vec<f64>,
+    /// Numbers read before, to be compared.
+    kept: (Vec<f64>, Vec<i64>),
+    /// When the clocks recorded ticked last.
+    pub(crate) ticked: Vec<f64>,
+    /// The texts and binary values of the run.
+    pub(crate) table: ValueTable,
+}
+
+impl OutputBuffers {
+    pub(crate) fn new(plan: &OutputPlan) -> Self {
+        let n_lanes = plan.groups.iter().map(|group| group.n_values).sum();
+        Self {
+            reals: vec![0.0; plan.n_reals],
+            lanes: vec![0; n_lanes],
+            texts: vec![0.0; plan.texts.1],
+            binaries: vec![0.0; plan.binaries.1],
+            kept: (vec![0.0; plan.n_reals], vec![0; n_lanes]),
+            ticked: vec![f64::NAN; plan.clocks.len()],
+            table: ValueTable::default(),
+        }
+    }
+
+    /// Forgets the run before.
+    pub(crate) fn begin(&mut self) {
+        self.table.clear();
+        self.ticked.fill(f64::NAN);
+    }
+
+    /// Reads what comes from calls, one call per type.
+    pub(crate) fn read(&mut self, plan: &OutputPlan, raw: &mut RawInstance) -> Result<(), Fault> {
+        if !self.reals.is_empty() {
+            raw.get_real(&plan.reals, &mut self.reals)?;
+        }
+        let mut rest = &mut self.lanes[..];
+        for group in &plan.groups {
+            let (lanes, others) = rest.split_at_mut(group.n_values);
+            raw.get_packed(group.kind, &group.references, lanes)?;
+            rest = others;
+        }
+        if !self.texts.is_empty() {
+            let mut places = self.texts.iter_mut();
+            let table = &mut self.table;
+            raw.get_string(&plan.texts.0, places.len(), |text| {
+                places.next().into_iter().for_each(|place| *place = table.text(text));
+            })?;
+        }
+        if !self.binaries.is_empty() {
+            let mut places = self.binaries.iter_mut();
+            let table = &mut self.table;
+            raw.get_binary(&plan.binaries.0, places.len(), |bytes| {
+                places.next().into_iter().for_each(|place| *place = table.bytes(bytes));
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Keeps the numbers as they were read.
+    pub(crate) fn keep(&mut self) {
+        self.kept.0.copy_from_slice(&self.reals);
+        self.kept.1.copy_from_slice(&self.lanes);
+    }
+
+    /// Whether the numbers read last are those kept, bit for bit.
+    pub(crate) fn are_as_kept(&self) -> bool {
+        let reals = self.reals.iter().zip(&self.kept.0);
+        reals.into_iter().all(|(now, then)| now.to_bits() == then.to_bits()) && self.lanes == self.kept.1
+    }
+
+    /// Puts the row together; times closer than `same` are one.
+    pub(crate) fn row(&self, plan: &OutputPlan, t: f64, same: f64, x: &[f64], y: &mut [f64]) {
+        for (column, value) in plan.columns.iter().zip(y.iter_mut()) {
+            *value = match column.source {
+                OutputSource::Time => t,
+                OutputSource::State(i) => x[i],
+                OutputSource::Real(i) => self.reals[i],
+                OutputSource::Packed(i, kind) => integer_codec::number(kind, self.lanes[i]),
+                OutputSource::Half(i, _, upper) => texts::half(self.lanes[i], upper),
+                OutputSource::Text(i) => self.texts[i],
+                OutputSource::Bytes(i) => self.binaries[i],
+                OutputSource::Tick(i) => f64::from(u8::from((t - self.ticked[i]).abs() <= same)),
+            };
+            if column.negated {
+                *value = match column.source {
+                    OutputSource::Packed(_, VariableKind::Boolean) => 1.0 - *value,
+                    _ => -*value,
+                };
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn elements_have_names_and_names_find_elements() {
+        assert_eq!(subscript(0, &[3]), "[1]");
+        assert_eq!(subscript(4, &[2, 3]), "[2,2]");
+        let extents = |name: &str| (name == "m").then(|| vec![2, 3]);
+        assert_eq!(element_of("m[2,2]", extents), Some(("m", 4)));
+        for bad in ["m[0,1]", "m[3,1]", "m[1]", "m[1,2,3]", "m", "m[a,b]", "n[1,1]", "m[1,1", "[1,1]"] {
+            assert_eq!(element_of(bad, extents), None, "{bad}");
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! The communication points of a co-simulation.
+//!
+//! Regular points are `start + k * step`, never sums, and the step is passed as the same constant each time: a
+//! difference of times, wrong in its last digit, makes some FMUs slow and changes the results of others. Where the FMU
+//! takes steps of any length, requested times and the instants of inputs are communication points too; where it does
+//! not, samples between two points are interpolated, and the last step may reach beyond the final time.
+
+use crate::description::{Capabilities, DefaultExperiment};
+use crate::error::FmiError;
+use crate::simulation::options::{Grid, SimulateOptions};
+use ode::Number;
+
+/// More steps than this are taken for a mistake.
+const MAX_STEPS: f64 = 1e9;
+
+/// The communication points of a simulation.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Communication {
+    /// Distance of the regular points; `None`: only requested times and inputs make points.
+    pub(crate) step: Option<f64>,
+    /// Whether there may be other points.
+    pub(crate) variable: bool,
+    /// The stop time may be told: no step leads beyond it.
+    pub(crate) ends_exactly: bool,
+    /// The FMU extrapolates inputs from their derivatives, and is told them.
+    pub(crate) input_derivatives: bool,
+    /// The FMU tells the derivatives of outputs at the end of a step.
+    pub(crate) output_derivatives: bool,
+}
+
+impl Communication {
+    pub(crate) fn new(
+        options: &SimulateOptions,
+        experiment: &DefaultExperiment,
+        capabilities: &Capabilities,
+        grid: &Grid,
+    ) -> Result<Self, FmiError> {
+        let span = grid.end - grid.start;
+        let makes_sense = |step: &f64| step.is_finite() && *step > grid.same && span / *step <= MAX_STEPS;
+        if let Some(step) = options.step_size.filter(|step| !makes_sense(step)) {
+            let problem = format!(
+                "step_size = {} from {} to {}: it must be positive, finite, and not make more than {MAX_STEPS:e} steps",
+                Number(step),
+                Number(grid.start),
+                Number(grid.end)
+            );
+            return Err(FmiError::BadSetting { problem });
+        }
+        let variable = capabilities.can_handle_variable_communication_step_size;
+        let suggested = experiment.step_size.filter(makes_sense);
+        let step = options.step_size.or(suggested).or(grid.interval.filter(makes_sense));
+        // 500 steps where nobody says anything, as many as there are rows by default.
+        let step = if variable { step } else { step.or(Some(span / 500.0).filter(makes_sense)) };
+        // Where nobody asks for a step, one that the model can make.
+        let step = match (capabilities.fixed_internal_step_size, options.step_size) {
+            (Some(internal), None) => step.map(|step| (step / internal).round().max(1.0) * internal),
+            _ => step,
+        };
+        if let (Some(internal), Some(step)) = (capabilities.fixed_internal_step_size, step) {
+            let multiple = (step / internal).round();
+            if multiple < 1.0 || (step - multiple * internal).abs() > 1e-9 * step {
+                let (lower, upper) =
+                    ((step / internal).floor() * internal, (step / internal).ceil() * internal);
+                let (below, above) = (Number(lower), Number(upper));
+                let next = if lower > 0.0 { format!("{below} and {above}") } else { above.to_string() };
+                let (step, internal) = (Number(step), Number(internal));
+                let problem = format!(
+                    "a communication step of {step} is no multiple of the model's own step {internal}; next to it: {next}"
+                );
+                return Err(FmiError::BadSetting { problem });
+            }
+        }
+        Ok(Self {
+            step,
+            variable,
+            ends_exactly: variable,
+            input_derivatives: capabilities.can_interpolate_inputs
+                && options.input_derivatives != Some(false),
+            output_derivatives: capabilities.max_output_derivative_order > 0,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid() -> Grid {
+        SimulateOptions::new().final_time(10.0).ncp(100).grid(&DefaultExperiment::default()).unwrap()
+    }
+
+    fn capabilities(variable: bool) -> Capabilities {
+        Capabilities { can_handle_variable_communication_step_size: variable, ..Capabilities::default() }
+    }
+
+    fn communication(
+        step: Option<f64>,
+        suggested: Option<f64>,
+        variable: bool,
+    ) -> Result<Communication, FmiError> {
+        let options = SimulateOptions { step_size: step, ..SimulateOptions::default() };
+        let experiment = DefaultExperiment { step_size: suggested, ..DefaultExperiment::default() };
+        Communication::new(&options, &experiment, &capabilities(variable), &grid())
+    }
+
+    #[test]
+    fn the_step_is_that_of_the_options_the_experiment_the_rows() {
+        let step = |step, suggested| communication(step, suggested, false).unwrap().step;
+        assert_eq!(step(Some(0.3), Some(0.2)), Some(0.3));
+        assert_eq!(step(None, Some(0.2)), Some(0.2));
+        assert_eq!(step(None, Some(-1.0)), Some(0.1));
+        assert_eq!(step(None, None), Some(0.1));
+    }
+
+    #[test]
+    fn without_regular_rows_only_fixed_steps_need_a_length() {
+        let times = SimulateOptions::new().times([0.0, 1.0, 4.0]);
+        let grid = times.grid(&DefaultExperiment::default()).unwrap();
+        let step = |variable| {
+            Communication::new(&times, &DefaultExperiment::default(), &capabilities(variable), &grid)
+                .unwrap()
+                .step
+        };
+        assert_eq!((step(true), step(false)), (None, Some(4.0 / 500.0)));
+    }
+
+    #[test]
+    fn steps_that_lead_nowhere_are_refused() {
+        for step in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-12] {
+            let problem = communication(Some(step), None, true).unwrap_err().to_string();
+            assert!(problem.contains("step_size"), "{problem}");
+        }
+    }
+}

@@ -1,0 +1,291 @@
+//! A simulation resolved against its model, once: names have become value references, everything has been checked.
+
+mod communication;
+mod jacobian;
+mod read_back;
+mod values;
+
+pub(crate) use communication::Communication;
+pub(crate) use read_back::ReadBackBuffers;
+pub(crate) use values::{RunValues, Setting};
+
+use crate::description::{ModelDescription, QuirkKind, Structure};
+use crate::error::FmiError;
+use crate::fmu::Fmu;
+use crate::simulation::clocks::ClockPlan;
+use crate::simulation::digest::Digest;
+use crate::simulation::inputs::{InputPlan, Inputs};
+use crate::simulation::options::SimulateOptions;
+use crate::simulation::outputs::{OutputContext, OutputPlan, Recorded, Selection, states};
+use crate::simulation::parameters::Starts;
+use crate::simulation::sharing::Sharing;
+use crate::sys::InterfaceKind;
+use jacobian::JacobianPlan;
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A simulation of one model with everything resolved and checked. It does not change and can be shared by workers;
+/// each makes a [`Simulator`](crate::Simulator) of it.
+#[derive(Debug)]
+pub struct SimulationPlan {
+    pub(crate) fmu: Fmu,
+    pub(crate) options: ode::Options,
+    pub(crate) start: f64,
+    pub(crate) end: f64,
+    pub(crate) same: f64,
+    pub(crate) times: Vec<f64>,
+    pub(crate) values: RunValues,
+    pub(crate) inputs: InputPlan,
+    pub(crate) clocks: ClockPlan,
+    outputs: Selection,
+    /// Everything that a run sets, sorted.
+    pub(crate) settings: Arc<[Setting]>,
+    pub(crate) n_states: usize,
+    pub(crate) n_indicators: usize,
+    /// Nominals of the states as the description says them.
+    pub(crate) nominals: Vec<f64>,
+    /// Which states the description calls unbounded.
+    pub(crate) unbounded: Vec<bool>,
+    pub(crate) completed_step_not_needed: bool,
+    pub(crate) kind: InterfaceKind,
+    pub(crate) sharing: Sharing,
+    /// How the Jacobian can be had; empty for co-simulation.
+    pub(crate) jacobian: JacobianPlan,
+    /// The steps of co-simulation.
+    pub(crate) communication: Option<Communication>,
+    /// Tells plans apart whose runs differ in more than values.
+    pub(crate) signature: u64,
+    warned_of_nominals: AtomicBool,
+}
+
+impl SimulationPlan {
+    /// Resolves and checks a simulation of `fmu`. No code of the FMU is run.
+    ///
+    /// # Errors
+    /// The FMU cannot be simulated by this version; a name is unknown (with the nearest names); a value has the wrong
+    /// type or is not finite; a variable cannot be set; times or other options make no sense.
+    pub fn new(fmu: &Fmu, options: &SimulateOptions) -> Result<Self, FmiError> {
+        let kind = fmu.choose(options.kind)?;
+        let interface = fmu.check_interface(kind)?;
+        let description = fmu.description();
+        let grid = options.grid(&description.default_experiment)?;
+        let communication = match kind {
+            InterfaceKind::ModelExchange => None,
+            InterfaceKind::CoSimulation => Some(Communication::new(
+                options,
+                &description.default_experiment,
+                &interface.capabilities,
+                &grid,
+            )?),
+        };
+        let method = options.method_options(&description.default_experiment);
+        method.check()?;
+        let (given, structure) = values::resolve(description, &options.start_values)?;
+        let starts = Starts { description, structure: &structure, given: &given };
+        let no_inputs = Inputs::default();
+        let inputs = InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
+        let has_events = kind == InterfaceKind::ModelExchange || interface.capabilities.uses_event_mode();
+        let clocks = if has_events {
+            ClockPlan::new(description, &inputs.clocks, &options.clock_intervals, grid.same)?
+        } else {
+            ClockPlan::without_event_mode(description, &inputs.clocks, &options.clock_intervals)?
+        };
+        let mut signature = Digest::default();
+        let interval = grid.times.get(1).map_or(0.0, |second| second - grid.times[0]);
+        let step = options.step_size.unwrap_or(0.0);
+        signature.note(&[grid.start, grid.end, grid.times.len() as f64, interval, step]);
+        let values = RunValues::new(&starts, &options.parameters, &inputs.driven)?;
+        let states = states(description, &structure);
+        let n_states = structure.states(description);
+        let described = || {
+            let variable = |i: usize| states.get(i).copied().flatten();
+            (0..n_states).map(move |i| variable(i).map(|state| &description.variables[state]))
+        };
+        let mut plan = Self {
+            fmu: fmu.clone(),
+            options: method,
+            start: grid.start,
+            end: grid.end,
+            same: grid.same,
+            times: grid.times,
+            settings: values.settings(&inputs),
+            values,
+            clocks,
+            inputs,
+            outputs: Selection::default(),
+            n_states,
+            n_indicators: structure.indicators(description),
+            nominals: described().map(|state| state.and_then(|state| state.nominal).unwrap_or(1.0)).collect(),
+            unbounded: described().map(|state| state.is_some_and(|state| state.unbounded)).collect(),
+            jacobian: match kind {
+                InterfaceKind::ModelExchange => {
+                    JacobianPlan::new(description, &structure, &interface.capabilities)
+                }
+                InterfaceKind::CoSimulation => JacobianPlan::default(),
+            },
+            completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
+            kind,
+            sharing: options.sharing,
+            communication,
+            signature: signature.value(),
+            warned_of_nominals: AtomicBool::new(false),
+        };
+        plan.take_outputs(description, options.outputs.as_deref(), &states)?;
+        if !has_events && !plan.outputs.plan.clocks.is_empty() {
+            let problem = "clocks are recorded, which tick in event mode, and this co-simulation has none";
+            return Err(FmiError::BadSetting { problem: problem.to_owned() });
+        }
+        Ok(plan)
+    }
+
+    fn take_outputs(
+        &mut self,
+        description: &ModelDescription,
+        names: Option<&[String]>,
+        states: &[Option<usize>],
+    ) -> Result<(), FmiError> {
+        // A model that integrates itself does not show its states otherwise than as variables.
+        let mut places: HashMap<u32, usize> = HashMap::new();
+        if self.kind == InterfaceKind::ModelExchange {
+            for (i, state) in states.iter().enumerate() {
+                // The first place of an array is that of its first element.
+                if let Some(state) = state {
+                    places.entry(description.variables[*state].value_reference).or_insert(i);
+                }
+            }
+        }
+        let context =
+            OutputContext { model: description, structure: &self.values.structure, states: &places };
+        self.outputs = match names {
+            Some(names) => Selection::of_names(&context, names)?,
+            None => {
+                let states: Vec<usize> = states.iter().copied().flatten().collect();
+                Selection::default_of(&context, &states)
+            }
+        };
+        Ok(())
+    }
+
+    /// What the model calls a value that was not finite: the state that it is, or is the derivative of.
+    pub(crate) fn name_of(&self, value: &ode::NotFinite) -> Option<String> {
+        let description = self.fmu.description();
+        match value.what {
+            ode::Evaluated::State | ode::Evaluated::Derivative => {
+                let state = states(description, self.structure()).get(value.index).copied()??;
+                Some(description.variables[state].name.clone())
+            }
+            _ => None,
+        }
+    }
+
+    /// Sizes of arrays.
+    pub(crate) fn structure(&self) -> &Structure {
+        &self.values.structure
+    }
+
+    /// The model.
+    pub fn fmu(&self) -> &Fmu {
+        &self.fmu
+    }
+
+    /// The times of the rows.
+    pub fn times(&self) -> &[f64] {
+        &self.times
+    }
+
+    /// Start time.
+    pub fn start_time(&self) -> f64 {
+        self.start
+    }
+
+    /// Final time.
+    pub fn final_time(&self) -> f64 {
+        self.end
+    }
+
+    /// Relative tolerance of the method.
+    pub fn relative_tolerance(&self) -> f64 {
+        self.options.relative_tolerance
+    }
+
+    /// Number of continuous states.
+    pub fn n_states(&self) -> usize {
+        self.n_states
+    }
+
+    /// How the model is run.
+    pub fn kind(&self) -> InterfaceKind {
+        self.kind
+    }
+
+    /// Names of the outputs that are numbers, in the order of [`Sample::outputs`](ode::Sample). Behind them a sample has
+    /// numbers that stand for texts and the like; a [`Trajectory`](crate::Trajectory) has their values.
+    pub fn output_names(&self) -> &[String] {
+        &self.outputs.names
+    }
+
+    /// Positions in the description of the variables of the outputs that are numbers; all elements of an array have the
+    /// same.
+    pub fn output_variables(&self) -> &[usize] {
+        &self.outputs.variables
+    }
+
+    /// Where the outputs come from.
+    pub(crate) fn outputs(&self) -> &OutputPlan {
+        &self.outputs.plan
+    }
+
+    /// The variables recorded, in the order in which they were asked for.
+    pub fn recorded(&self) -> &[Recorded] {
+        &self.outputs.plan.recorded
+    }
+
+    /// Refuses outputs that are not single numbers, so that there is one column for each name.
+    ///
+    /// # Errors
+    /// [`FmiError::NotAnOutput`] names the first one.
+    pub fn require_single_numbers(&self) -> Result<(), FmiError> {
+        let reason = |recorded: &Recorded| match () {
+            () if !recorded.kind.is_number() => Some("it is text or binary, and numbers are needed"),
+            () if !recorded.extents.is_empty() => {
+                Some("it is an array, and single numbers are needed: its elements")
+            }
+            () => None,
+        };
+        match self.recorded().iter().find_map(|recorded| Some((recorded, reason(recorded)?))) {
+            Some((recorded, reason)) => Err(FmiError::NotAnOutput { name: recorded.name.clone(), reason }),
+            None => Ok(()),
+        }
+    }
+
+    /// Names of the parameters, in the order in which a run takes their values.
+    pub fn parameter_names(&self) -> &[String] {
+        &self.values.parameter_names
+    }
+
+    /// The values the parameters have where none are given, in the same order.
+    pub fn parameter_starts(&self) -> &[f64] {
+        &self.values.parameter_starts
+    }
+
+    /// Nominals that are zero, NaN or infinite become 1, negative ones lose their sign; the first one is listed among the
+    /// quirks of the FMU.
+    pub(crate) fn correct_nominals(&self, nominals: &mut [f64]) {
+        for (i, nominal) in nominals.iter_mut().enumerate() {
+            let corrected = if nominal.is_finite() && *nominal != 0.0 { nominal.abs() } else { 1.0 };
+            if corrected.to_bits() == nominal.to_bits() {
+                continue;
+            }
+            if !self.warned_of_nominals.swap(true, Ordering::Relaxed) {
+                let description = self.fmu.description();
+                let state = states(description, self.structure()).get(i).copied().flatten();
+                let name =
+                    state.map_or_else(|| format!("state {i}"), |k| description.variables[k].name.clone());
+                let message = format!("the nominal value of {name} is {nominal}; {corrected} is used");
+                self.fmu.note_quirk(QuirkKind::Range, message);
+            }
+            *nominal = corrected;
+        }
+    }
+}

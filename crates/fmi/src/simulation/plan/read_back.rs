@@ -1,0 +1,144 @@
+//! Whether an instance that was used before has the values it was given: some models that bring a saved state back, bring
+//! back the parameters that were in it, at once or later.
+
+use crate::description::{Causality, Initial, Variable, VariableKind};
+use crate::error::FmiError;
+use crate::instance::Core;
+use crate::instance::assignments::Assignments;
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Where the value given to a variable is found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Given {
+    /// Among the start values of its type.
+    Start(usize),
+    /// Among the parameters of the run.
+    Parameter(usize),
+}
+
+/// The variables whose values must be those given, also after the initialization: parameters, and what starts exactly at
+/// its start value. Single variables only.
+#[derive(Debug, Default)]
+pub(crate) struct ReadBack {
+    reals: Columns<Given>,
+    packed: Vec<(VariableKind, Columns<usize>)>,
+    /// The model gives some of them other values by itself, also in a new instance: nothing follows from that.
+    overridden: AtomicBool,
+}
+
+/// References, and where the values given are found.
+#[derive(Debug)]
+struct Columns<T> {
+    references: Vec<u32>,
+    places: Vec<T>,
+}
+
+impl<T> Default for Columns<T> {
+    fn default() -> Self {
+        Self { references: Vec::new(), places: Vec::new() }
+    }
+}
+
+impl<T: Copy> Columns<T> {
+    fn push(&mut self, reference: u32, place: T) {
+        self.references.push(reference);
+        self.places.push(place);
+    }
+
+    /// Of several values given to one variable the last counts.
+    fn finish(&mut self) {
+        let mut last: HashMap<u32, T> = HashMap::with_capacity(self.places.len());
+        last.extend(self.references.iter().copied().zip(self.places.iter().copied()));
+        self.references.sort_unstable();
+        self.references.dedup();
+        self.places = self.references.iter().map(|reference| last[reference]).collect();
+    }
+}
+
+/// Buffers for what is read.
+#[derive(Debug, Default)]
+pub(crate) struct ReadBackBuffers {
+    reals: Vec<f64>,
+    lanes: Vec<i64>,
+}
+
+impl ReadBack {
+    /// Notes the start value of a variable, which has just been added to those of the plan.
+    pub(crate) fn add_start(&mut self, variable: &Variable, values: &Assignments) {
+        let keeps = variable.causality == Causality::Parameter
+            || (variable.initial == Some(Initial::Exact) && variable.causality != Causality::Input);
+        if !keeps || !variable.dimensions.is_empty() {
+            return;
+        }
+        let (kind, reference) = (variable.kind, variable.value_reference);
+        if kind == VariableKind::Real {
+            return self.reals.push(reference, Given::Start(values.reals.1.len() - 1));
+        }
+        let Some((_, _, lanes)) = values.packed.iter().find(|(known, ..)| *known == kind) else { return };
+        let place = lanes.len() - 1;
+        match self.packed.iter_mut().find(|(known, _)| *known == kind) {
+            Some((_, columns)) => columns.push(reference, place),
+            None => {
+                self.packed.push((kind, Columns { references: vec![reference], places: vec![place] }));
+            }
+        }
+    }
+
+    /// Notes a parameter of the runs, by its place among them. They are set after the start values.
+    pub(crate) fn add_parameter(&mut self, variable: &Variable, place: usize) {
+        if variable.causality == Causality::Parameter || variable.initial == Some(Initial::Exact) {
+            self.reals.push(variable.value_reference, Given::Parameter(place));
+        }
+    }
+
+    /// All are noted.
+    pub(crate) fn finish(&mut self) {
+        self.reals.finish();
+        self.packed.iter_mut().for_each(|(_, columns)| columns.finish());
+    }
+
+    /// Whether an initialized instance has the values given; `parameter` gives those of the parameters as the FMU was given
+    /// them. An error is one of the FMU's.
+    pub(crate) fn agrees(
+        &self,
+        core: &mut Core,
+        start_values: &Assignments,
+        parameter: impl Fn(usize) -> f64,
+        buffers: &mut ReadBackBuffers,
+    ) -> Result<bool, FmiError> {
+        if self.overridden.load(Ordering::Relaxed) {
+            return Ok(true);
+        }
+        let mut agrees = true;
+        let Columns { references, places } = &self.reals;
+        if !references.is_empty() {
+            buffers.reals.clear();
+            buffers.reals.resize(references.len(), 0.0);
+            core.call(|raw| raw.get_real(references, &mut buffers.reals))?;
+            agrees &= places.iter().zip(&buffers.reals).all(|(given, found)| {
+                let given = match *given {
+                    Given::Start(place) => start_values.reals.1[place],
+                    Given::Parameter(place) => parameter(place),
+                };
+                // Not by bits: a model may lose the sign of a zero.
+                given == *found
+            });
+        }
+        for (kind, Columns { references, places }) in &self.packed {
+            let Some((_, _, given)) = start_values.packed.iter().find(|(known, ..)| known == kind) else {
+                continue;
+            };
+            buffers.lanes.clear();
+            buffers.lanes.resize(references.len(), 0);
+            core.call(|raw| raw.get_packed(*kind, references, &mut buffers.lanes))?;
+            agrees &= places.iter().zip(&buffers.lanes).all(|(place, found)| given[*place] == *found);
+        }
+        Ok(agrees)
+    }
+
+    /// A new instance does not have the values given either.
+    pub(crate) fn set_overridden(&self) {
+        self.overridden.store(true, Ordering::Relaxed);
+    }
+}

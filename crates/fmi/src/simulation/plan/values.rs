@@ -1,0 +1,309 @@
+//! What runs set in their instances: structure, start values and parameters.
+
+use super::read_back::{ReadBack, ReadBackBuffers};
+use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
+use crate::error::FmiError;
+use crate::instance::Core;
+use crate::instance::assignments::{self, Assignments, check_settable_at_start};
+use crate::simulation::inputs::InputPlan;
+use crate::simulation::parameters::{Place, Slots, StartValues, Starts, Unset};
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::sync::Arc;
+
+/// A variable that a run sets: whether before the initialization (or in it, and later), its type, its reference.
+pub(crate) type Setting = (bool, VariableKind, u32);
+
+/// A value that each run is given.
+#[derive(Debug, Clone, Copy)]
+struct RunParameter {
+    place: Place,
+    /// Where it goes among the values set.
+    slot: usize,
+    /// -1 for negated aliases.
+    sign: f64,
+    is_input: bool,
+}
+
+/// The values of a run, resolved and checked.
+#[derive(Debug, Default)]
+pub(crate) struct RunValues {
+    pub(crate) start: StartValues,
+    /// Structural parameters, and the sizes that follow from them.
+    structural: Assignments,
+    pub(super) structure: Structure,
+    parameters: Vec<RunParameter>,
+    /// The variables that the parameters are, or are elements of.
+    parameter_slots: Slots<f64>,
+    /// The same of the parameters that are inputs.
+    input_slots: Slots<f64>,
+    pub(super) parameter_names: Vec<String>,
+    /// What the parameters are where nobody gives a value.
+    pub(super) parameter_starts: Vec<f64>,
+    /// What a reused instance is asked for again.
+    pub(crate) read_back: ReadBack,
+}
+
+impl RunValues {
+    /// The values given, and parameters of these names; what is driven is no parameter.
+    ///
+    /// # Errors
+    /// A parameter is unknown, given twice, driven or cannot be set; a value does not fit its variable.
+    pub(super) fn new(
+        starts: &Starts<'_>,
+        parameters: &[String],
+        driven: &[Place],
+    ) -> Result<Self, FmiError> {
+        let description = starts.description;
+        let mut values = Self { structure: starts.structure.clone(), ..Self::default() };
+        values.take_parameters(starts, parameters, driven)?;
+        for (index, value) in starts.given {
+            let variable = &description.variables[*index];
+            let list = match variable.causality {
+                Causality::StructuralParameter => &mut values.structural,
+                Causality::Input => &mut values.start.inputs,
+                _ => &mut values.start.early,
+            };
+            let is_array = !variable.dimensions.is_empty();
+            list.push(variable, value, is_array.then(|| values.structure.elements(description, variable)))?;
+            if !matches!(variable.causality, Causality::StructuralParameter | Causality::Input) {
+                values.read_back.add_start(variable, &values.start.early);
+            }
+        }
+        for (i, name) in values.parameter_names.iter().enumerate() {
+            if let Some(variable) = description.variable(name) {
+                values.read_back.add_parameter(variable, i);
+            }
+        }
+        values.read_back.finish();
+        Ok(values)
+    }
+
+    fn take_parameters(
+        &mut self,
+        starts: &Starts<'_>,
+        names: &[String],
+        driven: &[Place],
+    ) -> Result<(), FmiError> {
+        for name in names {
+            let place = Place::of_name(starts.description, starts.structure, name)?;
+            let variable = &starts.description.variables[place.variable];
+            check_settable_at_start(variable)?;
+            if variable.kind != VariableKind::Real {
+                return Err(assignments::not_settable(
+                    variable,
+                    "only variables of type Real can be parameters of a run",
+                ));
+            }
+            if !variable.dimensions.is_empty() && place.element.is_none() {
+                return Err(assignments::not_settable(
+                    variable,
+                    "it is an array; its elements can be parameters of a run, one by one: name[1]",
+                ));
+            }
+            let is_same = |known: &Place| known.overlaps(place, starts.description);
+            if let Some(first) = self.parameters.iter().position(|known| is_same(&known.place)) {
+                let problem = match &names[first] {
+                    first if first == name => format!("parameter {name} is given twice"),
+                    first => {
+                        format!("parameter {name} is the same variable as {first}, which is given too")
+                    }
+                };
+                return Err(FmiError::BadSetting { problem });
+            }
+            if driven.iter().any(is_same) {
+                return Err(assignments::not_settable(variable, "it is driven by the inputs"));
+            }
+            let is_input = variable.causality == Causality::Input;
+            let slots = if is_input { &mut self.input_slots } else { &mut self.parameter_slots };
+            let slot = slots.place(variable.value_reference, place.element, || starts.reals(place))?;
+            let start = match (place.element, starts.of(place.variable)) {
+                (Some(_), _) => slots.start[slot],
+                (None, Some(Value::Real(x))) if x.is_finite() => *x,
+                (None, Some(Value::Integer(i))) => *i as f64,
+                _ => 0.0,
+            };
+            let sign = if variable.negated { -1.0 } else { 1.0 };
+            self.parameters.push(RunParameter { place, slot, sign, is_input });
+            self.parameter_starts.push(start);
+            self.parameter_names.push(name.clone());
+        }
+        Ok(())
+    }
+
+    /// Everything that a run sets, also its inputs, sorted.
+    pub(super) fn settings(&self, inputs: &InputPlan) -> Arc<[Setting]> {
+        let mut settings: Vec<Setting> = Vec::new();
+        for values in [&self.structural, &self.start.early, &self.start.inputs] {
+            settings.extend(values.references().map(|(kind, reference)| (true, kind, reference)));
+        }
+        for slots in [&self.parameter_slots, &self.input_slots] {
+            settings.extend(slots.references.iter().map(|r| (true, VariableKind::Real, *r)));
+        }
+        settings.extend(inputs.references().map(|(kind, reference)| (false, kind, reference)));
+        settings.sort_unstable();
+        settings.dedup();
+        settings.into()
+    }
+
+    /// Start values and parameters a little off, within their bounds: for trial runs whose traces must not be found
+    /// again in the next run. Integers and the like stay as they are: they may choose another model altogether.
+    pub(crate) fn others(
+        &self,
+        description: &ModelDescription,
+        parameters: &[f64],
+    ) -> (StartValues, Vec<f64>) {
+        let mut others = self.start.clone();
+        self.nudge_all(description, &mut others.early);
+        self.nudge_all(description, &mut others.inputs);
+        let variable = |parameter: &RunParameter| &description.variables[parameter.place.variable];
+        let parameters = self.parameters.iter().zip(parameters);
+        let parameters = parameters.map(|(parameter, value)| nudge(variable(parameter), *value)).collect();
+        (others, parameters)
+    }
+
+    fn nudge_all(&self, description: &ModelDescription, values: &mut Assignments) {
+        if values.reals.0.is_empty() {
+            return;
+        }
+        let variables: HashMap<u32, &Variable> = description
+            .variables
+            .iter()
+            .filter(|v| v.kind == VariableKind::Real && check_settable_at_start(v).is_ok())
+            .map(|v| (v.value_reference, v))
+            .collect();
+        let mut rest = &mut values.reals.1[..];
+        for reference in &values.reals.0 {
+            let Some(variable) = variables.get(reference) else { break };
+            let (values, others) = rest.split_at_mut(self.structure.elements(description, variable));
+            values.iter_mut().for_each(|value| *value = nudge(variable, *value));
+            rest = others;
+        }
+    }
+
+    /// Gives a fresh instance what is set besides the settings of the plan, its structure, start values (those of the plan
+    /// or others for the same variables) and parameters; `buffer` is used on the way.
+    pub(crate) fn set_up(
+        &self,
+        core: &mut Core,
+        unset: &Unset,
+        start_values: &StartValues,
+        parameters: &[f64],
+        buffer: &mut Vec<f64>,
+    ) -> Result<(), FmiError> {
+        if !unset.structural.is_empty() {
+            core.configure(&unset.structural, &Structure::default())?;
+        }
+        if !self.structure.is_default() {
+            core.configure(&self.structural, &self.structure)?;
+        }
+        core.apply(&unset.early)?;
+        core.apply(&start_values.early)?;
+        self.set_parameters(core, &self.parameter_slots, false, parameters, buffer)
+    }
+
+    /// Gives the inputs that do not vary their values, in initialization mode; `buffer` is used on the way.
+    pub(crate) fn set_up_inputs(
+        &self,
+        core: &mut Core,
+        start_values: &StartValues,
+        parameters: &[f64],
+        buffer: &mut Vec<f64>,
+    ) -> Result<(), FmiError> {
+        core.apply(&start_values.inputs)?;
+        self.set_parameters(core, &self.input_slots, true, parameters, buffer)
+    }
+
+    /// Sets the parameters of a run that are inputs, or the others.
+    fn set_parameters(
+        &self,
+        core: &mut Core,
+        slots: &Slots<f64>,
+        inputs: bool,
+        values: &[f64],
+        buffer: &mut Vec<f64>,
+    ) -> Result<(), FmiError> {
+        buffer.clear();
+        buffer.extend_from_slice(&slots.start);
+        for (parameter, value) in self.parameters.iter().zip(values) {
+            if parameter.is_input == inputs {
+                buffer[parameter.slot] = value * parameter.sign;
+            }
+        }
+        core.set_reals(&slots.references, buffer)
+    }
+
+    /// Whether an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one of the FMU's.
+    pub(crate) fn has_values(
+        &self,
+        core: &mut Core,
+        parameters: &[f64],
+        buffers: &mut ReadBackBuffers,
+    ) -> Result<bool, FmiError> {
+        self.read_back.agrees(core, &self.start.early, |i| parameters[i] * self.parameters[i].sign, buffers)
+    }
+
+    /// Checks the values of the parameters for one run.
+    pub(crate) fn check_parameters(&self, values: &[f64]) -> Result<(), FmiError> {
+        let expected = self.parameters.len();
+        if values.len() != expected {
+            return Err(FmiError::Length { call: "values of the parameters", expected, found: values.len() });
+        }
+        match values.iter().position(|value| !value.is_finite()) {
+            Some(i) => Err(FmiError::NotFinite { name: self.parameter_names[i].clone(), value: values[i] }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Positions and values of what is given by name, each position once (the last value counts), and the structure that they make.
+pub(super) fn resolve(
+    description: &ModelDescription,
+    values: &[(String, Value)],
+) -> Result<(Vec<(usize, Value)>, Structure), FmiError> {
+    let mut resolved: Vec<(usize, Value)> = Vec::with_capacity(values.len());
+    let mut places: HashMap<usize, usize> = HashMap::with_capacity(values.len());
+    let mut structure = Structure::default();
+    // Sizes first: they tell the elements of arrays apart.
+    for (name, value) in values {
+        if let Some(index) = description.variable_index(name) {
+            let variable = &description.variables[index];
+            if variable.causality == Causality::StructuralParameter && variable.dimensions.is_empty() {
+                structure.set(index, &assignments::convert(variable, value, None)?);
+            }
+        }
+    }
+    structure.check(description).map_err(|(_, problem)| FmiError::BadSetting { problem })?;
+    for (name, value) in values {
+        let Place { variable: index, element } = Place::of_name(description, &structure, name)?;
+        let variable = &description.variables[index];
+        check_settable_at_start(variable)?;
+        let value =
+            match element {
+                Some(element) => Starts { description, structure: &structure, given: &resolved }
+                    .with_element(index, element, value.clone())?,
+                // Whole arrays are looked at when all is known.
+                None if !variable.dimensions.is_empty() => value.clone(),
+                None => assignments::convert(variable, value, None)?,
+            };
+        match places.entry(index) {
+            Entry::Occupied(place) => resolved[*place.get()].1 = value,
+            Entry::Vacant(place) => {
+                place.insert(resolved.len());
+                resolved.push((index, value));
+            }
+        }
+    }
+    Ok((resolved, structure))
+}
+
+/// A value a little off, within the variable's bounds.
+fn nudge(variable: &Variable, value: f64) -> f64 {
+    let size = if value != 0.0 {
+        value.abs()
+    } else {
+        variable.nominal.filter(|n| n.is_normal()).unwrap_or(1.0).abs()
+    };
+    let fits = |x: &f64| variable.min.is_none_or(|min| *x >= min) && variable.max.is_none_or(|max| *x <= max);
+    [value + 0.02 * size, value - 0.02 * size].into_iter().find(fits).unwrap_or(value)
+}

@@ -1,0 +1,221 @@
+//! What a run of a model has whichever way the model is run: an instance, in the phase it is in, and what is written beside
+//! it.
+
+use crate::error::FmiError;
+use crate::instance::{CoSimulation, ContinuousTime, Core, EventMode, Instance, StepMode};
+use crate::simulation::clocks::{ClockState, Tick};
+use crate::simulation::digest::Digest;
+use crate::simulation::inputs::InputState;
+use crate::simulation::outputs::OutputBuffers;
+use crate::simulation::parameters::Unset;
+use crate::simulation::plan::SimulationPlan;
+use crate::sys::{Fault, RawInstance};
+use ode::{CallError, CallResult};
+use std::sync::Arc;
+
+/// The instance of a run, as it is at the moment.
+#[derive(Debug, Default)]
+pub(crate) enum Phase {
+    /// Nothing: none was made yet, or it broke.
+    #[default]
+    Gone,
+    /// An instance with a past, to be reset before its next use.
+    Spare(RawInstance),
+    /// Model exchange: initialized, or ended by the model.
+    Event(Instance<EventMode>),
+    /// Model exchange, between two events.
+    Continuous(Instance<ContinuousTime>),
+    /// Co-simulation, between two steps.
+    Stepping(Instance<StepMode, CoSimulation>),
+}
+
+/// The instance of a run, and whether it is still good for use.
+#[derive(Debug, Default)]
+pub(crate) struct Current {
+    pub(crate) phase: Phase,
+    /// An FMU call failed: the instance is not used again.
+    pub(crate) broken: bool,
+    /// The call that returned `Discard` last.
+    pub(crate) discarded: Option<&'static str>,
+}
+
+impl Current {
+    /// The running instance.
+    ///
+    /// # Errors
+    /// There is none.
+    #[inline]
+    pub(crate) fn core(&mut self) -> Result<&mut Core, FmiError> {
+        match &mut self.phase {
+            Phase::Event(instance) => Ok(instance.core()),
+            Phase::Continuous(instance) => Ok(instance.core()),
+            Phase::Stepping(instance) => Ok(instance.core()),
+            Phase::Gone | Phase::Spare(_) => Err(no_instance()),
+        }
+    }
+
+    /// The running instance, to be asked for its values.
+    ///
+    /// # Errors
+    /// There is none, or it broke.
+    pub(crate) fn trusted(&mut self) -> Result<&mut Core, FmiError> {
+        if self.broken {
+            return Err(no_instance());
+        }
+        self.core()
+    }
+
+    /// The instance, if it is in event mode (model exchange).
+    ///
+    /// # Errors
+    /// It is not.
+    pub(crate) fn in_event_mode(&mut self) -> Result<&mut Core, FmiError> {
+        match &mut self.phase {
+            Phase::Event(instance) => Ok(instance.core()),
+            _ => Err(no_instance()),
+        }
+    }
+
+    /// Makes a raw call; `Discard` costs nothing, everything worse ends the use of the instance.
+    #[inline]
+    pub(crate) fn call<T>(
+        &mut self,
+        body: impl FnOnce(&mut RawInstance) -> Result<T, Fault>,
+    ) -> CallResult<T> {
+        let core = self.core().map_err(CallError::failed)?;
+        match body(&mut core.raw) {
+            Ok(value) => Ok(value),
+            Err(Fault::Discard(call)) => {
+                self.discarded = Some(call);
+                Err(CallError::Discard)
+            }
+            Err(fault) => {
+                let error = core.error(fault);
+                Err(self.fail(error))
+            }
+        }
+    }
+
+    /// Takes the instance to another phase; where that fails it is gone.
+    pub(crate) fn change(&mut self, to: impl FnOnce(Phase) -> Result<Phase, FmiError>) -> CallResult<()> {
+        match to(std::mem::replace(&mut self.phase, Phase::Gone)) {
+            Ok(phase) => {
+                self.phase = phase;
+                Ok(())
+            }
+            Err(error) => Err(self.fail(error)),
+        }
+    }
+
+    /// The call that has refused the last point, with its time and what the FMU logged about it.
+    pub(crate) fn refusal(&mut self) -> Option<String> {
+        let call = self.discarded?;
+        self.core().ok().map(|core| core.error(Fault::Discard(call)).to_string())
+    }
+
+    /// Notes that the instance is not to be used again.
+    pub(crate) fn fail(&mut self, error: FmiError) -> CallError {
+        self.broken = true;
+        CallError::failed(error)
+    }
+}
+
+/// What a run has, and keeps for the next one.
+#[derive(Debug)]
+pub(crate) struct Running {
+    pub(crate) plan: Arc<SimulationPlan>,
+    pub(crate) current: Current,
+    pub(crate) inputs: InputState,
+    /// The outputs as they were read last.
+    pub(crate) buffers: OutputBuffers,
+    pub(crate) clocks: ClockState,
+    /// Running digest of everything that the FMU answered; only while reset is checked.
+    pub(crate) digest: Option<Digest>,
+    /// What is set besides the settings of the plan.
+    pub(crate) unset: Unset,
+    /// Values of parameters on their way.
+    pub(super) signed: Vec<f64>,
+}
+
+impl Running {
+    pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
+        Self {
+            current: Current::default(),
+            inputs: InputState::new(&plan.inputs),
+            buffers: OutputBuffers::new(plan.outputs()),
+            clocks: ClockState::default(),
+            digest: None,
+            unset: Unset::default(),
+            signed: Vec::new(),
+            plan,
+        }
+    }
+
+    /// Takes an instance that will have to be reset.
+    pub(crate) fn adopt(&mut self, raw: RawInstance) {
+        self.current = Current { phase: Phase::Spare(raw), ..Current::default() };
+    }
+
+    /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
+    pub(crate) fn retire(&mut self) -> Option<RawInstance> {
+        let raw = match std::mem::replace(&mut self.current.phase, Phase::Gone) {
+            Phase::Gone => return None,
+            Phase::Spare(raw) => return Some(raw),
+            _ if self.current.broken => return None,
+            // Some FMUs free what a run has allocated only when they are told that it is over.
+            Phase::Event(instance) => instance.terminate().map(Instance::into_raw),
+            Phase::Continuous(instance) => instance.terminate().map(Instance::into_raw),
+            Phase::Stepping(instance) => instance.terminate().map(Instance::into_raw),
+        };
+        raw.ok().map(|(raw, _)| raw)
+    }
+
+    /// Reads the outputs where the model stands.
+    pub(crate) fn read_outputs(&mut self) -> CallResult<()> {
+        let Self { plan, current, buffers, .. } = self;
+        current.call(|raw| buffers.read(plan.outputs(), raw))
+    }
+
+    /// Hands what the FMU has logged in a run to the program's logger.
+    pub(crate) fn pass_log_on(&self) {
+        match &self.current.phase {
+            Phase::Event(instance) => instance.pass_log_on(),
+            Phase::Continuous(instance) => instance.pass_log_on(),
+            Phase::Stepping(instance) => instance.pass_log_on(),
+            Phase::Gone | Phase::Spare(_) => {}
+        }
+    }
+
+    /// Seconds since the start in input functions of the user.
+    pub(crate) fn seconds_elsewhere(&self) -> f64 {
+        self.inputs.seconds_in_functions()
+    }
+
+    /// The ticks of all clocks in the last run.
+    pub(crate) fn take_ticks(&mut self) -> Vec<Tick> {
+        std::mem::take(&mut self.clocks.ticks)
+    }
+
+    /// Starts collecting a digest of what the FMU answers.
+    pub(crate) fn begin_digest(&mut self, digest: Digest) {
+        self.digest = Some(digest);
+    }
+
+    /// Takes an answer in, if a digest is collected.
+    #[inline]
+    pub(crate) fn note(&mut self, values: &[f64]) {
+        if let Some(digest) = &mut self.digest {
+            digest.note(values);
+        }
+    }
+
+    /// Ends collecting.
+    pub(crate) fn end_digest(&mut self) -> Option<Digest> {
+        self.digest.take()
+    }
+}
+
+#[cold]
+pub(crate) fn no_instance() -> FmiError {
+    FmiError::BadSetting { problem: "there is no running instance".to_owned() }
+}

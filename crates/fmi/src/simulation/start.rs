@@ -1,0 +1,52 @@
+//! How a run of an FMU begins, whichever way it goes on: values, initialization mode, inputs at the start time, clocks.
+
+use crate::error::FmiError;
+use crate::instance::{Core, Initialization, Instance, Instantiated};
+use crate::simulation::parameters::StartValues;
+use crate::simulation::plan::SimulationPlan;
+use crate::simulation::running::{Current, Running};
+use crate::sys::{InterfaceKind, RawInstance};
+
+impl Running {
+    /// Brings a fresh instance into initialization mode at the start time, with all that can be set there: the values of the
+    /// plan or others for the same variables. `stop`: the FMU is told that no step leads beyond it.
+    ///
+    /// # Errors
+    /// The FMU refuses; an input function is not finite at the start time. There is no instance then.
+    pub(super) fn begin<K>(
+        &mut self,
+        raw: RawInstance,
+        start_values: &StartValues,
+        parameters: &[f64],
+        stop: Option<f64>,
+    ) -> Result<Instance<Initialization, K>, FmiError> {
+        self.current = Current::default();
+        self.buffers.begin();
+        let Self { plan, inputs, clocks, unset, signed, .. } = self;
+        let mut instance: Instance<Instantiated, K> = Instance::from_raw(raw, plan.fmu().clone());
+        plan.values.set_up(instance.core(), unset, start_values, parameters, signed)?;
+        let mut instance =
+            instance.enter_initialization(plan.start, stop, Some(plan.options.relative_tolerance))?;
+        instance.core().apply(&unset.inputs)?;
+        plan.values.set_up_inputs(instance.core(), start_values, parameters, signed)?;
+        inputs.begin(&plan.inputs, plan.start);
+        if !inputs.continuous_at(&plan.inputs, plan.start) {
+            return Err(inputs.bad_function_value(plan.start));
+        }
+        inputs.set_held(instance.core(), &plan.inputs)?;
+        instance.core().set_reals(&plan.inputs.continuous.references, &inputs.continuous)?;
+        check_clocks(plan, instance.core())?;
+        clocks.begin(&plan.clocks, instance.core(), plan.start)?;
+        Ok(instance)
+    }
+}
+
+/// Clocks tick in event mode: refuses a run with clocks on an instance that would not be made with one.
+fn check_clocks(plan: &SimulationPlan, core: &mut Core) -> Result<(), FmiError> {
+    if plan.kind == InterfaceKind::ModelExchange || core.raw.has_event_mode() || plan.clocks.is_empty() {
+        return Ok(());
+    }
+    let problem = "the model has clocks, which tick in event mode; its description promises that mode, and the model \
+                   refuses to be instantiated with it";
+    Err(FmiError::BadSetting { problem: problem.to_owned() })
+}

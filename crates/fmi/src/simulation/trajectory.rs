@@ -1,0 +1,171 @@
+//! A recorded simulation: columns of numbers and of other values, events, what it cost.
+
+use crate::description::Value;
+use crate::error::FmiError;
+use crate::platform::memory;
+use crate::simulation::clocks::Tick;
+use crate::simulation::outputs::{Recorded, ValueTable, width};
+use crate::simulation::plan::SimulationPlan;
+use ode::{EventRecord, Observer, Report, Sample, Side, Stats, Termination};
+use std::ops::ControlFlow;
+
+/// A recorded simulation. All columns have as many rows as `time`.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Trajectory {
+    /// Times of the rows.
+    pub time: Vec<f64>,
+    /// Names of the columns.
+    pub names: Vec<String>,
+    /// The columns. Integers and Booleans are numbers here (64-bit integers the nearest ones: see [`values`](Self::values)).
+    pub columns: Vec<Vec<f64>>,
+    /// The columns of what is more than a number: texts, binary variables, and once more, exactly, 64-bit integers.
+    pub values: Vec<ValueColumn>,
+    /// The variables in the order in which they were asked for, and which columns are theirs.
+    pub recorded: Vec<Recorded>,
+    /// Of each row: value before or after the events at its time.
+    pub sides: Vec<Side>,
+    /// The events.
+    pub events: Vec<EventRecord>,
+    /// The ticks of clocks, in the order of their times.
+    pub ticks: Vec<Tick>,
+    /// What it cost; of the seconds see [`Simulator::run`](crate::Simulator::run).
+    pub stats: Stats,
+    /// How it ended.
+    pub termination: Termination,
+    /// Time at which it ended.
+    pub end_time: f64,
+}
+
+/// A column of values that are not all numbers.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ValueColumn {
+    /// Name of the variable or of the element of an array.
+    pub name: String,
+    /// One value for each row, all of one type.
+    pub values: Vec<Value>,
+}
+
+impl Trajectory {
+    /// The column of this name; `time` is one.
+    ///
+    /// # Errors
+    /// [`FmiError::NotInResult`] lists the names there are.
+    pub fn get(&self, name: &str) -> Result<&[f64], FmiError> {
+        if let Some(i) = self.names.iter().position(|n| n == name) {
+            return Ok(&self.columns[i]);
+        }
+        if name == "time" {
+            return Ok(&self.time);
+        }
+        Err(not_in_result(name, std::iter::once("time").chain(self.names.iter().map(String::as_str))))
+    }
+
+    /// The values in the rows of a text, a binary variable or a 64-bit integer.
+    ///
+    /// # Errors
+    /// [`FmiError::NotInResult`] lists the names there are.
+    pub fn values_of(&self, name: &str) -> Result<&[Value], FmiError> {
+        match self.values.iter().find(|column| column.name == name) {
+            Some(column) => Ok(&column.values),
+            None => Err(not_in_result(name, self.values.iter().map(|column| column.name.as_str()))),
+        }
+    }
+
+    /// The last value of the column of this name; `None` if there are no rows.
+    ///
+    /// # Errors
+    /// [`FmiError::NotInResult`] lists the names there are.
+    pub fn final_value(&self, name: &str) -> Result<Option<f64>, FmiError> {
+        Ok(self.get(name)?.last().copied())
+    }
+}
+
+fn not_in_result<'a>(name: &str, present: impl Iterator<Item = &'a str>) -> FmiError {
+    let mut present: Vec<&str> = present.take(22).collect();
+    if present.len() > 21 {
+        present[21] = "...";
+    }
+    FmiError::NotInResult { name: name.to_owned(), present: present.join(", ") }
+}
+
+/// Writes samples into columns.
+pub(crate) struct Recorder<'a> {
+    time: Vec<f64>,
+    columns: Vec<Vec<f64>>,
+    sides: Vec<Side>,
+    events: Vec<EventRecord>,
+    /// Asked before every step.
+    poll: &'a mut dyn FnMut() -> ControlFlow<()>,
+}
+
+impl<'a> Recorder<'a> {
+    /// # Errors
+    /// [`FmiError::Memory`]: there are too many rows and columns.
+    pub(crate) fn new(
+        plan: &SimulationPlan,
+        poll: &'a mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Self, FmiError> {
+        let (rows, columns) = (plan.times().len(), plan.outputs().len() + 1);
+        let cells = (rows as u64).saturating_mul(columns as u64);
+        memory::check(|| format!("a result of {rows} rows and {columns} columns"), cells.saturating_mul(8))?;
+        Ok(Self {
+            time: Vec::with_capacity(rows),
+            columns: (0..plan.outputs().len()).map(|_| Vec::with_capacity(rows)).collect(),
+            sides: Vec::with_capacity(rows),
+            events: Vec::new(),
+            poll,
+        })
+    }
+
+    /// Puts the trajectory together; the table has the values that numbers in columns without names stand for.
+    pub(crate) fn finish(
+        mut self,
+        plan: &SimulationPlan,
+        table: &ValueTable,
+        ticks: Vec<Tick>,
+        report: Report,
+    ) -> Trajectory {
+        let unnamed = self.columns.split_off(plan.output_names().len());
+        let mut rest = &unnamed[..];
+        let mut values = Vec::with_capacity(plan.outputs().values.len());
+        for (name, kind) in &plan.outputs().values {
+            let (columns, others) = rest.split_at(width(*kind));
+            values.push(ValueColumn { name: name.clone(), values: table.decode(*kind, columns) });
+            rest = others;
+        }
+        Trajectory {
+            time: self.time,
+            names: plan.output_names().to_vec(),
+            columns: self.columns,
+            values,
+            recorded: plan.recorded().to_vec(),
+            sides: self.sides,
+            events: self.events,
+            ticks,
+            stats: report.stats,
+            termination: report.termination,
+            end_time: report.time,
+        }
+    }
+}
+
+impl Observer for Recorder<'_> {
+    fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
+        self.time.push(sample.time);
+        self.sides.push(sample.side);
+        for (column, value) in self.columns.iter_mut().zip(sample.outputs) {
+            column.push(*value);
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn event(&mut self, event: &EventRecord) {
+        self.events.push(*event);
+    }
+
+    fn poll(&mut self) -> ControlFlow<()> {
+        (self.poll)()
+    }
+}

@@ -1,0 +1,22 @@
+//! Buffers for values on the way between an FMU and the outside.
+
+use std::ffi::c_char;
+
+/// What is written on the way between the FMU and the outside. The pointers mean something during a call only.
+#[derive(Default)]
+pub(super) struct ValueBuffers {
+    pub(super) lanes: Vec<i64>,
+    pub(super) texts: Vec<*const c_char>,
+    pub(super) sizes: Vec<usize>,
+    pub(super) binaries: Vec<*const u8>,
+}
+
+impl ValueBuffers {
+    /// The buffers for binary values, empty.
+    pub(super) fn take_binaries(&mut self) -> (Vec<usize>, Vec<*const u8>) {
+        let (mut sizes, mut pointers) = (std::mem::take(&mut self.sizes), std::mem::take(&mut self.binaries));
+        sizes.clear();
+        pointers.clear();
+        (sizes, pointers)
+    }
+}

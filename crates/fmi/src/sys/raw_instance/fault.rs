@@ -1,0 +1,59 @@
+//! What a call answers that did not deliver.
+
+use crate::error::{CallFailure, FmiError, LogLine, Status};
+use std::path::PathBuf;
+
+/// Sizes of the model's vectors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Sizes {
+    pub(crate) states: usize,
+    pub(crate) indicators: usize,
+}
+
+/// Why a call did not deliver. Making a `Discard` allocates nothing.
+#[derive(Debug)]
+pub(crate) enum Fault {
+    /// Not possible at this point.
+    Discard(&'static str),
+    /// Anything worse.
+    Failed(Box<Failed>),
+    /// The library has no such function.
+    Missing(&'static str),
+    /// After a `Fatal` of another instance; the FMU was not called.
+    Unusable(PathBuf),
+    /// A slice of the wrong length; the FMU was not called.
+    Length { call: &'static str, expected: usize, found: usize },
+    /// A value of a size that none can have.
+    TooLarge { call: &'static str, size: usize },
+}
+
+/// A call that returned an error.
+#[derive(Debug)]
+pub(crate) struct Failed {
+    pub(crate) call: &'static str,
+    pub(crate) status: Status,
+    pub(crate) time: Option<f64>,
+    pub(crate) log: Vec<LogLine>,
+    pub(crate) dropped: u64,
+}
+
+pub(super) type Outcome = Result<(), Fault>;
+
+impl From<Failed> for CallFailure {
+    fn from(failed: Failed) -> Self {
+        Self {
+            call: failed.call,
+            status: failed.status,
+            variables: Vec::new(),
+            time: failed.time,
+            log: failed.log,
+            dropped_log_lines: failed.dropped,
+        }
+    }
+}
+
+impl From<Failed> for FmiError {
+    fn from(failed: Failed) -> Self {
+        FmiError::Call(Box::new(failed.into()))
+    }
+}

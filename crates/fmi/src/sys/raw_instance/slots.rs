@@ -1,0 +1,82 @@
+//! The table of the states that an instance has saved: the FMU's pointers, of which the outside holds tokens only.
+
+use super::fault::{Fault, Outcome};
+use crate::sys::binding::Binding;
+use crate::sys::types::{Component, StatePointer};
+use std::sync::{Arc, Weak};
+
+/// Place of a saved state in the table of its instance; alive while its token is.
+#[derive(Debug)]
+pub(crate) struct SavedSlot {
+    owner: Arc<()>,
+    slot: Arc<usize>,
+}
+
+/// The states an instance has saved.
+#[derive(Default)]
+pub(super) struct SavedStates {
+    pub(super) slots: Vec<Slot>,
+    /// The state it had when it was new, where somebody wants to go back to it.
+    pub(super) origin: Option<SavedSlot>,
+    identity: Arc<()>,
+}
+
+pub(super) struct Slot {
+    pub(super) pointer: StatePointer,
+    pub(super) token: Weak<usize>,
+}
+
+impl SavedStates {
+    /// Frees them all.
+    ///
+    /// # Safety
+    /// The component is alive, and they were made by it.
+    pub(super) unsafe fn free(&mut self, binding: &dyn Binding, component: Component) {
+        for slot in &mut self.slots {
+            if !slot.pointer.is_null() {
+                // SAFETY: the caller's promises; each is freed once. The status is of no use.
+                let _ = unsafe { binding.free_state(component, &mut slot.pointer) };
+            }
+        }
+        self.slots.clear();
+    }
+
+    /// Whether somebody holds a state of a point passed, to which this run may be taken back. The state that the instance
+    /// had when it was new begins another run.
+    pub(super) fn may_be_restored(&self) -> bool {
+        let held = self.slots.iter().filter(|slot| slot.token.strong_count() > 0).count();
+        held > usize::from(self.origin.is_some())
+    }
+
+    /// A place whose token is gone, or a new one; and the memory that it has.
+    pub(super) fn vacant_slot(&mut self) -> (usize, StatePointer) {
+        let vacant = self.slots.iter().position(|slot| slot.token.strong_count() == 0);
+        let index = vacant.unwrap_or_else(|| {
+            self.slots.push(Slot { pointer: std::ptr::null_mut(), token: Weak::new() });
+            self.slots.len() - 1
+        });
+        (index, self.slots[index].pointer)
+    }
+
+    /// Notes what a call left in a place, and gives out a token if it went well.
+    pub(super) fn fill_slot(
+        &mut self,
+        index: usize,
+        pointer: StatePointer,
+        outcome: Outcome,
+    ) -> Result<SavedSlot, Fault> {
+        self.slots[index].pointer = pointer;
+        outcome?;
+        let slot = Arc::new(index);
+        self.slots[index].token = Arc::downgrade(&slot);
+        Ok(SavedSlot { owner: Arc::clone(&self.identity), slot })
+    }
+
+    /// The pointer behind a token; `None` if the token is of another instance.
+    pub(super) fn pointer(&self, saved: &SavedSlot) -> Option<StatePointer> {
+        if !Arc::ptr_eq(&saved.owner, &self.identity) {
+            return None;
+        }
+        self.slots.get(*saved.slot).map(|slot| slot.pointer)
+    }
+}

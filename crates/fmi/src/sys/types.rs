@@ -1,0 +1,132 @@
+//! What goes to an FMU and comes back, in types that do not depend on the version of FMI.
+
+use crate::description::Interval;
+use crate::error::Status;
+use crate::log::LogFilter;
+use std::ffi::{CStr, CString, c_void};
+use std::fmt;
+use std::path::Path;
+
+/// Pointer to a component of an FMU.
+pub(super) type Component = *mut c_void;
+/// Pointer to a saved state of a component.
+pub(super) type StatePointer = *mut c_void;
+
+/// The numbers of `fmiStatus`, which all versions share (1.0 for model exchange and 3.0 have no `Pending`).
+pub(super) fn status(code: std::ffi::c_int) -> Status {
+    match code {
+        0 => Status::Ok,
+        1 => Status::Warning,
+        2 => Status::Discard,
+        3 => Status::Error,
+        4 => Status::Fatal,
+        5 => Status::Pending,
+        other => Status::Unknown(other),
+    }
+}
+
+/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 1.0 and 2.0 ask.
+pub(super) fn file_uri(path: &Path) -> CString {
+    let mut uri = String::from("file://");
+    let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
+    if !text.starts_with('/') {
+        uri.push('/');
+    }
+    for byte in text.bytes() {
+        if byte.is_ascii_alphanumeric() || b"/-._~:".contains(&byte) {
+            uri.push(char::from(byte));
+        } else {
+            uri.push_str(&format!("%{byte:02X}"));
+        }
+    }
+    CString::new(uri).unwrap_or_default()
+}
+
+/// What an event iteration told.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct EventInfo {
+    /// Another iteration is wanted.
+    pub(crate) new_discrete_states_needed: bool,
+    /// The model wishes to end the simulation.
+    pub(crate) terminate: bool,
+    /// The nominals of the states have changed.
+    pub(crate) nominals_changed: bool,
+    /// The continuous states have changed.
+    pub(crate) values_changed: bool,
+    /// The next time event.
+    pub(crate) next_event_time: Option<f64>,
+}
+
+/// What a model says about the interval before the next tick of a clock.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct IntervalAnswer {
+    pub(crate) qualifier: Qualifier,
+    pub(crate) interval: Interval,
+}
+
+/// How an interval is meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Qualifier {
+    NotYetKnown,
+    /// As told before.
+    Unchanged,
+    Changed,
+}
+
+/// The two ways of running a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum InterfaceKind {
+    /// The importer integrates the model.
+    ModelExchange,
+    /// The model brings its own solver and is asked to step from one communication point to the next.
+    CoSimulation,
+}
+
+impl fmt::Display for InterfaceKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            InterfaceKind::ModelExchange => "model exchange",
+            InterfaceKind::CoSimulation => "co-simulation",
+        })
+    }
+}
+
+/// What a communication step told.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct StepInfo {
+    /// How far the model got, where that is not the end of the step (or not known to be).
+    pub(crate) reached: Option<f64>,
+    /// The model returned before the end of the step and goes on from where it got (FMI 3.0).
+    pub(crate) early: bool,
+    /// The model wishes to end the simulation.
+    pub(crate) terminate: bool,
+    /// The model knows how far it got but has no word for the end of a simulation: it may have meant that.
+    pub(crate) may_have_ended: bool,
+    /// The model wants to enter event mode.
+    pub(crate) event: bool,
+    /// The step is still being computed.
+    pub(crate) pending: bool,
+}
+
+/// What an instance is made with.
+#[derive(Debug)]
+pub(crate) struct Request<'a> {
+    pub(crate) name: &'a CStr,
+    pub(crate) guid: &'a CStr,
+    pub(crate) resources: &'a Path,
+    pub(crate) kind: InterfaceKind,
+    /// Co-simulation: events are handled between steps, and a step may end early at one.
+    pub(crate) event_mode: bool,
+    pub(crate) early_return: bool,
+    pub(crate) visible: bool,
+    pub(crate) logging: bool,
+    pub(crate) log_filter: LogFilter,
+}
+
+/// What an experiment is set up with.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Experiment {
+    pub(crate) tolerance: Option<f64>,
+    pub(crate) start: f64,
+    pub(crate) stop: Option<f64>,
+}

@@ -1,0 +1,203 @@
+//! The types of variables, and their values.
+
+use std::fmt;
+
+/// Type of a variable.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
+pub enum VariableKind {
+    /// Double precision number (`Float64` of FMI 3.0).
+    Real,
+    /// Single precision number.
+    Float32,
+    /// 32-bit integer (`Int32` of FMI 3.0).
+    Integer,
+    /// Signed 8-bit integer.
+    Int8,
+    /// Unsigned 8-bit integer.
+    UInt8,
+    /// Signed 16-bit integer.
+    Int16,
+    /// Unsigned 16-bit integer.
+    UInt16,
+    /// Unsigned 32-bit integer.
+    UInt32,
+    /// Signed 64-bit integer.
+    Int64,
+    /// Unsigned 64-bit integer.
+    UInt64,
+    /// True or false.
+    Boolean,
+    /// Text.
+    String,
+    /// Bytes.
+    Binary,
+    /// One of the items of a type definition, passed as an integer.
+    Enumeration,
+    /// A clock: true while it ticks.
+    Clock,
+}
+
+impl VariableKind {
+    /// The word of FMI 2.0 for it, and of FMI 3.0 where FMI 2.0 has none.
+    pub fn name(self) -> &'static str {
+        match self {
+            VariableKind::Real => "Real",
+            VariableKind::Float32 => "Float32",
+            VariableKind::Integer => "Integer",
+            VariableKind::Int8 => "Int8",
+            VariableKind::UInt8 => "UInt8",
+            VariableKind::Int16 => "Int16",
+            VariableKind::UInt16 => "UInt16",
+            VariableKind::UInt32 => "UInt32",
+            VariableKind::Int64 => "Int64",
+            VariableKind::UInt64 => "UInt64",
+            VariableKind::Boolean => "Boolean",
+            VariableKind::String => "String",
+            VariableKind::Binary => "Binary",
+            VariableKind::Enumeration => "Enumeration",
+            VariableKind::Clock => "Clock",
+        }
+    }
+
+    /// A floating-point number.
+    pub fn is_float(self) -> bool {
+        matches!(self, VariableKind::Real | VariableKind::Float32)
+    }
+
+    /// An integer, of an enumeration too.
+    pub fn is_integer(self) -> bool {
+        self.range().is_some()
+    }
+
+    /// Smallest and largest value of an integer type.
+    pub(crate) fn range(self) -> Option<(i128, i128)> {
+        Some(match self {
+            VariableKind::Int8 => (i8::MIN.into(), i8::MAX.into()),
+            VariableKind::UInt8 => (0, u8::MAX.into()),
+            VariableKind::Int16 => (i16::MIN.into(), i16::MAX.into()),
+            VariableKind::UInt16 => (0, u16::MAX.into()),
+            VariableKind::Integer => (i32::MIN.into(), i32::MAX.into()),
+            VariableKind::UInt32 => (0, u32::MAX.into()),
+            VariableKind::Int64 | VariableKind::Enumeration => (i64::MIN.into(), i64::MAX.into()),
+            VariableKind::UInt64 => (0, u64::MAX.into()),
+            _ => return None,
+        })
+    }
+
+    /// Whether values are numbers, so that results can hold them.
+    pub fn is_number(self) -> bool {
+        !matches!(self, VariableKind::String | VariableKind::Binary)
+    }
+}
+
+impl fmt::Display for VariableKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A value of a variable. Enumerations are integers, clocks Booleans.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Value {
+    /// A number.
+    Real(f64),
+    /// An integer of any width, or the value of an enumeration.
+    Integer(i128),
+    /// True or false.
+    Boolean(bool),
+    /// Text.
+    String(String),
+    /// Bytes.
+    Binary(Vec<u8>),
+    /// The elements of an array, all of one type, the last index varying fastest.
+    Array(Vec<Value>),
+}
+
+impl Value {
+    /// The (nearest) number: also of integers, and 0 or 1 for Booleans; `None` for texts, bytes and arrays.
+    pub fn as_number(&self) -> Option<f64> {
+        match self {
+            Value::Real(x) => Some(*x),
+            Value::Integer(i) => Some(*i as f64),
+            Value::Boolean(b) => Some(f64::from(u8::from(*b))),
+            Value::String(_) | Value::Binary(_) | Value::Array(_) => None,
+        }
+    }
+
+    /// The word for its type.
+    pub fn kind_name(&self) -> &'static str {
+        match self {
+            Value::Real(_) => "Real",
+            Value::Integer(_) => "Integer",
+            Value::Boolean(_) => "Boolean",
+            Value::String(_) => "String",
+            Value::Binary(_) => "Binary",
+            Value::Array(_) => "array",
+        }
+    }
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Value::Real(x) => write!(f, "{x:?}"),
+            Value::Integer(i) => write!(f, "{i}"),
+            Value::Boolean(b) => write!(f, "{b}"),
+            Value::String(s) => write!(f, "{s:?}"),
+            Value::Binary(bytes) => write!(f, "{} bytes", bytes.len()),
+            Value::Array(values) => {
+                f.write_str("[")?;
+                for (i, value) in values.iter().take(10).enumerate() {
+                    if i > 0 {
+                        f.write_str(", ")?;
+                    }
+                    value.fmt(f)?;
+                }
+                f.write_str(if values.len() > 10 { ", ...]" } else { "]" })
+            }
+        }
+    }
+}
+
+impl From<f64> for Value {
+    fn from(value: f64) -> Self {
+        Value::Real(value)
+    }
+}
+
+macro_rules! from_integers {
+    ($($integer:ty),+) => {
+        $(impl From<$integer> for Value {
+            fn from(value: $integer) -> Self {
+                Value::Integer(value.into())
+            }
+        })+
+    };
+}
+from_integers!(i8, u8, i16, u16, i32, u32, i64, u64, i128);
+
+impl<T: Into<Value>> From<Vec<T>> for Value {
+    fn from(values: Vec<T>) -> Self {
+        Value::Array(values.into_iter().map(Into::into).collect())
+    }
+}
+
+impl From<bool> for Value {
+    fn from(value: bool) -> Self {
+        Value::Boolean(value)
+    }
+}
+
+impl From<&str> for Value {
+    fn from(value: &str) -> Self {
+        Value::String(value.to_owned())
+    }
+}
+
+impl From<String> for Value {
+    fn from(value: String) -> Self {
+        Value::String(value)
+    }
+}
