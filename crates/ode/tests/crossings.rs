@@ -59,8 +59,7 @@ fn the_shape_of_an_event_function_at_zero_does_not_matter() {
                     let mut system = Shaped { shape, resets, n_events: 0 };
                     let step_size = (method == Method::Rk4).then_some(0.02);
                     let options = Options { method, relative_tolerance, step_size, ..Options::default() };
-                    let run =
-                        ode::Driver::new(options).unwrap().run(&mut system, 0.0, 20.0, &[], &mut Ignore);
+                    let run = Driver::new(options).unwrap().run(&mut system, 0.0, 20.0, &[], &mut Ignore);
                     let what = format!("{method:?} {relative_tolerance} {name} {resets}");
                     assert!(run.is_ok(), "{what}: {}", run.unwrap_err());
                     assert_eq!(system.n_events, 6, "{what}");
@@ -68,6 +67,17 @@ fn the_shape_of_an_event_function_at_zero_does_not_matter() {
             }
         }
     }
+}
+
+#[test]
+fn a_span_that_rounding_makes_one_instant_is_refused() {
+    for (start, end) in [(1e15, 1e15 + 1.0), (1e14, 1e14 + 1.0), (1.7e12, 1.7e12 + 0.015)] {
+        let mut system = Shaped { shape: |v| v, resets: false, n_events: 0 };
+        let run = Driver::new(Options::default()).unwrap().run(&mut system, start, end, &[], &mut Ignore);
+        assert!(matches!(run.unwrap_err().kind, ErrorKind::StepBelowRounding { .. }), "{start}");
+    }
+    let mut system = Shaped { shape: |v| v, resets: false, n_events: 0 };
+    Driver::new(Options::default()).unwrap().run(&mut system, 3.0, 3.0, &[], &mut Ignore).unwrap();
 }
 
 /// `y0' = 0`, `y1' = -1e4 (y1 - y0) / length`, and an event at a time that changes `y0`.
@@ -111,13 +121,8 @@ fn steps_after_an_event_that_are_shorter_than_its_location_show_nothing_of_a_ret
             for k in 1..12 {
                 let mut system = Step { at: start + length * f64::from(k) / 13.0, length, n_events: 0 };
                 let options = Options { method, relative_tolerance: 1e-6, ..Options::default() };
-                let run = ode::Driver::new(options).unwrap().run(
-                    &mut system,
-                    start,
-                    start + length,
-                    &[],
-                    &mut Ignore,
-                );
+                let run =
+                    Driver::new(options).unwrap().run(&mut system, start, start + length, &[], &mut Ignore);
                 assert!(run.is_ok(), "{method:?} {start} {length} {k}: {}", run.unwrap_err());
                 assert_eq!(system.n_events, 1, "{method:?} {start} {length} {k}");
             }
