@@ -165,7 +165,18 @@ impl Experiment {
                     "output '{variable}' is compared with column '{column}' twice; a weight makes it count more"
                 )));
             }
-            let Some(declared) = description.variable(variable) else { continue };
+            let Some(declared) = description.variable(variable) else {
+                match variable.as_str() {
+                    "time" => return Err(no_result(variable, column, "the time")),
+                    // What else has no name of its own is an element of an array.
+                    name if name.contains(['*', '?']) => {
+                        return Err(CalibrationError::Setup(format!(
+                            "output '{name}': a measured column is compared with one variable; patterns name several"
+                        )));
+                    }
+                    _ => continue,
+                }
+            };
             let own = Some((declared.kind, declared.value_reference));
             let is_fitted = parameters.iter().any(|p| reference(p) == own);
             let what = match declared.causality {
@@ -176,9 +187,7 @@ impl Experiment {
                 _ if declared.variability == Variability::Constant => "a constant",
                 _ => continue,
             };
-            return Err(CalibrationError::Setup(format!(
-                "output '{variable}' is compared with column '{column}', but it is {what}, not a result of the simulation"
-            )));
+            return Err(no_result(variable, column, what));
         }
         Ok(())
     }
@@ -245,4 +254,10 @@ pub struct SimulationSettings {
     pub timeout: Option<Duration>,
     /// How simulations that run in parallel share the library of the FMU. The costs do not depend on it.
     pub sharing: fmi::Sharing,
+}
+
+fn no_result(variable: &str, column: &str, what: &str) -> CalibrationError {
+    CalibrationError::Setup(format!(
+        "output '{variable}' is compared with column '{column}', but it is {what}, not a result of the simulation"
+    ))
 }

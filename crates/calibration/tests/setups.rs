@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod support;
+
 use calibration::{
     BoundSide, Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter, SetupWarning,
 };
@@ -95,4 +97,24 @@ fn a_parameter_without_effect_is_named_whatever_the_budget() {
         .unwrap();
     // Generations show nothing of single parameters: one simulation for each comes after the search.
     assert_eq!((fit.report.n_evaluations, fit.n_checks, &fit.without_effect[..]), (60, 2, &[1][..]));
+}
+
+/// Also of a model that has no variable of the name `time`.
+#[test]
+#[cfg(target_os = "linux")]
+fn what_is_no_single_result_is_refused_as_an_output() {
+    let folder = support::faulty(&[]);
+    let description = folder.path().join("modelDescription.xml");
+    let text = std::fs::read_to_string(&description).unwrap();
+    std::fs::write(&description, text.replace("name=\"time\"", "name=\"clock\"")).unwrap();
+    let fmu = fmi::Fmu::open(folder.path()).unwrap();
+    for (output, expected) in [("time", "it is the time, not a result"), ("y*", "patterns name several")] {
+        let data = Data::from_columns(vec![0.0, 0.5], [("y".to_owned(), vec![1.0, 0.5])]).unwrap();
+        let built = Calibration::builder(fmu.clone())
+            .experiment(Experiment::new(data).output(output, "y"))
+            .parameter(Parameter::new("k", 1.0).bounds(0.1, 5.0))
+            .build();
+        let message = built.unwrap_err().to_string();
+        assert!(message.contains(expected), "expected '{expected}' in: {message}");
+    }
 }

@@ -52,6 +52,8 @@ pub(crate) struct Domains {
     bounces: Vec<bool>,
     /// Slopes at the start of the step of the indicators that may come back in it; NaN: of no interest.
     slopes: Vec<f64>,
+    /// Those that their event has left next to zero, and that the flow leads on from there in the step.
+    onward: Vec<bool>,
     /// Indicators that chatter: their crossings count at the ends of steps. For so many more steps, if they do not cross; 0: they do not
     /// slide.
     sliding: Vec<u32>,
@@ -122,7 +124,7 @@ impl Domains {
         self.since_event.resize(n, SinceEvent::Settled);
         self.sliding.clear();
         self.sliding.resize(n, 0);
-        for v in [&mut self.bounces, &mut self.resets, &mut self.from_above] {
+        for v in [&mut self.bounces, &mut self.resets, &mut self.from_above, &mut self.onward] {
             v.clear();
             v.resize(n, false);
         }

@@ -145,7 +145,7 @@ impl Packed {
     }
 
     fn complete(&self, unpacked: &mut Unpacked, part: Part, cancel: &Cancel) -> Result<PathBuf, FmiError> {
-        let is_cleaned = unpacked.look_after(&self.entries)?;
+        let n_removed = unpacked.look_after(&self.entries)?;
         let folder = match &mut unpacked.folder {
             Some(folder) => folder,
             none => none.insert(PrivateFolder::create()?),
@@ -161,11 +161,14 @@ impl Packed {
         if missing.is_empty() {
             return Ok(root);
         }
-        if is_cleaned {
-            let (path, n) = (self.path.display(), missing.len());
-            log::warn!("{path}: {n} files were removed from {}; they are unpacked again", root.display());
+        if n_removed > 0 {
+            let path = self.path.display();
+            log::warn!(
+                "{path}: {n_removed} files were removed from {}; they are unpacked again",
+                root.display()
+            );
         }
-        let again = |error: FmiError| match is_cleaned {
+        let again = |error: FmiError| match n_removed > 0 {
             true => FmiError::BadArchive {
                 path: self.path.clone(),
                 reason: format!(
@@ -203,23 +206,23 @@ impl Packed {
 
 impl Unpacked {
     /// Looks whether files were removed, as programs that clean folders for temporary files do, and marks those as not
-    /// unpacked; makes the private folder again where it is gone. Whether anything is missing.
-    fn look_after(&mut self, entries: &[Listed]) -> Result<bool, FmiError> {
-        let Some(folder) = &mut self.folder else { return Ok(false) };
+    /// unpacked; makes the private folder again where it is gone. How many are missing.
+    fn look_after(&mut self, entries: &[Listed]) -> Result<usize, FmiError> {
+        let Some(folder) = &mut self.folder else { return Ok(0) };
         if self.folders.iter().all(|(folder, known)| known.is_some() && *known == identity(folder)) {
-            return Ok(false);
+            return Ok(0);
         }
         folder.restore()?;
         self.folders.retain(|folder, _| folder.is_dir());
-        let mut is_cleaned = false;
+        let mut n_removed = 0;
         for (entry, done) in entries.iter().zip(&mut self.done) {
             if *done && !folder.path().join(&entry.name).exists() {
                 *done = false;
-                is_cleaned = true;
+                n_removed += 1;
             }
         }
         self.note_folders();
-        Ok(is_cleaned)
+        Ok(n_removed)
     }
 
     fn note_folders(&mut self) {

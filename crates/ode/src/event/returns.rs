@@ -10,8 +10,8 @@ pub(crate) const SLOPE_STEP: f64 = 1.0 / 256.0;
 /// may be what their bounces have come to.
 pub(super) const SMALL: f64 = 0.1;
 
-/// After an event that has changed states an indicator just goes on if its slope makes more than this share of its way in the
-/// step; else the event may have stopped it, and what is left of its slope be rounding.
+/// After an event that has changed states an indicator just goes on if the flow at the start makes more than this share of its
+/// way in the step; else the event may have stopped it, and what is left of its slope be rounding.
 const GOES_ON: f64 = 1.0 / 16.0;
 
 /// What is known of an indicator since its last event. Its `depth` is a value in the domain that it crossed into, with
@@ -111,10 +111,13 @@ impl Domains {
             self.bounces[i] = (self.bounces[i] || came_back) && z.abs() <= SMALL * self.largest[i];
             if self.crossings[i] == 0 {
                 self.since_event[i] = match depth {
+                    // The flow leads on, but not yet farther than the location of the event explains.
+                    Some(depth) if !came_back && self.onward[i] => SinceEvent::New { depth },
                     Some(depth) if !came_back => SinceEvent::TurnedBack { depth },
                     _ => SinceEvent::Settled,
                 };
             }
+            self.onward[i] = false;
         }
     }
 
@@ -176,6 +179,7 @@ impl Domains {
         mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<()> {
         let step = SLOPE_STEP * h;
+        self.onward.fill(false);
         evaluate(step, &mut self.mid)?;
         for i in 0..self.len() {
             let (z0, z1, z2) = (self.base[i], self.mid[i], self.end[i]);
@@ -196,10 +200,18 @@ impl Domains {
             let z0 = self.base[i];
             self.slopes[i] = self.slope_along((i, z0), (step, reach), &mut evaluate)?;
             let points_back = (z0 > 0.0) == (self.slopes[i] < 0.0);
+            let is_new = matches!(self.since_event[i], SinceEvent::New { .. });
             if self.slopes[i] == 0.0 && self.since_event[i] == SinceEvent::Settled {
                 self.slopes[i] = f64::NAN;
+            } else if self.slopes[i] == 0.0 && is_new && self.flows_on(i, h, &mut evaluate)? {
+                self.onward[i] = true;
+                if !self.resets[i] || self.is_lost(i) {
+                    self.slopes[i] = self.goes_on(i);
+                }
             } else if self.slopes[i] != 0.0 && !points_back {
-                let explains = self.slopes[i] * h / (self.end[i] - z0) > GOES_ON && self.is_lost(i);
+                let explains = self.slopes[i] * h / (self.end[i] - z0) > GOES_ON;
+                self.onward[i] = explains && is_new;
+                let explains = explains && self.is_lost(i);
                 if !self.resets[i] || self.since_event[i] == SinceEvent::Settled || explains {
                     self.slopes[i] = self.goes_on(i);
                 }
@@ -209,6 +221,27 @@ impl Domains {
             }
         }
         Ok(())
+    }
+
+    /// Whether the flow at the start leads indicator `i` on into its domain all the way through the step of size `h`, and explains
+    /// where the step ends: it needs no slope at zero for that (`v^3` has none, `sqrt(v)` no finite one).
+    fn flows_on(
+        &mut self,
+        i: usize,
+        h: f64,
+        evaluate: &mut impl FnMut(f64, &mut [f64]) -> CallResult<()>,
+    ) -> CallResult<bool> {
+        let (z0, way) = (self.base[i], self.end[i] - self.base[i]);
+        let mut far = 0.0;
+        for s in [0.25 * h, 0.5 * h, h] {
+            evaluate(s, &mut self.mid)?;
+            let further = (self.mid[i] - z0) / way;
+            if !(further > 0.0 && further >= far) {
+                return Ok(false);
+            }
+            far = further;
+        }
+        Ok(far > GOES_ON)
     }
 
     /// The size of a step in which the slope of indicator `i`, which leads on into its domain but far more slowly than the step of size

@@ -1,0 +1,131 @@
+//! Plain crossings are events and nothing else, whatever the shape of the event function at zero.
+
+#![allow(clippy::unwrap_used)]
+
+use ode::*;
+
+/// `y = cos t`, and an event function with the sign of `v = y - 0.3`; events change nothing, or a third state.
+struct Shaped {
+    shape: fn(f64) -> f64,
+    resets: bool,
+    n_events: usize,
+}
+
+impl HybridSystem for Shaped {
+    fn n_states(&self) -> usize {
+        3
+    }
+    fn n_event_indicators(&self) -> usize {
+        1
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.copy_from_slice(&[1.0, 0.0, 0.0]);
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx.copy_from_slice(&[x[1], -x[0], 0.0]);
+        Ok(())
+    }
+    fn event_indicators(&mut self, _: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        z[0] = (self.shape)(x[0] - 0.3);
+        Ok(())
+    }
+    fn handle_event(&mut self, _: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        self.n_events += 1;
+        x[2] += f64::from(u8::from(self.resets));
+        Ok(EventOutcome { states_changed: self.resets, ..EventOutcome::default() })
+    }
+}
+
+const SHAPES: [(&str, fn(f64) -> f64); 10] = [
+    ("v", |v| v),
+    ("v^3", |v| v * v * v),
+    ("v^3 + 1e-3 v", |v| v * v * v + 1e-3 * v),
+    ("v |v|", |v| v * v.abs()),
+    ("signed root", |v| v.signum() * v.abs().sqrt()),
+    ("cube root", f64::cbrt),
+    ("atan(1e6 v)", |v| (1e6 * v).atan()),
+    ("tanh(1e4 v)", |v| (1e4 * v).tanh()),
+    ("sinh(20 v)", |v| (20.0 * v).sinh()),
+    ("kinked", |v| if v.abs() < 1e-3 { v } else { 10.0 * v }),
+];
+
+#[test]
+fn the_shape_of_an_event_function_at_zero_does_not_matter() {
+    for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf, Method::Rk4] {
+        for relative_tolerance in [1e-3, 1e-6, 1e-9] {
+            for (name, shape) in SHAPES {
+                for resets in [false, true] {
+                    let mut system = Shaped { shape, resets, n_events: 0 };
+                    let step_size = (method == Method::Rk4).then_some(0.02);
+                    let options = Options { method, relative_tolerance, step_size, ..Options::default() };
+                    let run = Driver::new(options).unwrap().run(&mut system, 0.0, 20.0, &[], &mut Ignore);
+                    let what = format!("{method:?} {relative_tolerance} {name} {resets}");
+                    assert!(run.is_ok(), "{what}: {}", run.unwrap_err());
+                    assert_eq!(system.n_events, 6, "{what}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_span_that_rounding_makes_one_instant_is_refused() {
+    for (start, end) in [(1e15, 1e15 + 1.0), (1e14, 1e14 + 1.0), (1.7e12, 1.7e12 + 0.015)] {
+        let mut system = Shaped { shape: |v| v, resets: false, n_events: 0 };
+        let run = Driver::new(Options::default()).unwrap().run(&mut system, start, end, &[], &mut Ignore);
+        assert!(matches!(run.unwrap_err().kind, ErrorKind::StepBelowRounding { .. }), "{start}");
+    }
+    let mut system = Shaped { shape: |v| v, resets: false, n_events: 0 };
+    Driver::new(Options::default()).unwrap().run(&mut system, 3.0, 3.0, &[], &mut Ignore).unwrap();
+}
+
+/// `y0' = 0`, `y1' = -1e4 (y1 - y0) / length`, and an event at a time that changes `y0`.
+struct Step {
+    at: f64,
+    length: f64,
+    n_events: usize,
+}
+
+impl HybridSystem for Step {
+    fn n_states(&self) -> usize {
+        2
+    }
+    fn n_event_indicators(&self) -> usize {
+        1
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.fill(1.0);
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx.copy_from_slice(&[0.0, -1e4 * (x[1] - x[0]) / self.length]);
+        Ok(())
+    }
+    fn event_indicators(&mut self, t: f64, _: &[f64], z: &mut [f64]) -> CallResult<()> {
+        z[0] = self.at - t;
+        Ok(())
+    }
+    fn handle_event(&mut self, _: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        self.n_events += 1;
+        x[0] += 3.7;
+        Ok(EventOutcome { states_changed: true, ..EventOutcome::default() })
+    }
+}
+
+#[test]
+fn steps_after_an_event_that_are_shorter_than_its_location_show_nothing_of_a_return() {
+    for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
+        for (start, length) in [(0.0, 1.0), (-7.3, 0.01), (100.0, 0.01), (1e4, 0.01), (1e4, 1.0), (1e6, 1.0)]
+        {
+            for k in 1..12 {
+                let mut system = Step { at: start + length * f64::from(k) / 13.0, length, n_events: 0 };
+                let options = Options { method, relative_tolerance: 1e-6, ..Options::default() };
+                let run =
+                    Driver::new(options).unwrap().run(&mut system, start, start + length, &[], &mut Ignore);
+                assert!(run.is_ok(), "{method:?} {start} {length} {k}: {}", run.unwrap_err());
+                assert_eq!(system.n_events, 1, "{method:?} {start} {length} {k}");
+            }
+        }
+    }
+}
