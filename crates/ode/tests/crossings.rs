@@ -37,7 +37,9 @@ impl HybridSystem for Shaped {
     }
 }
 
-const SHAPES: [(&str, fn(f64) -> f64); 10] = [
+type Shape = (&'static str, fn(f64) -> f64);
+
+const SHAPES: [Shape; 10] = [
     ("v", |v| v),
     ("v^3", |v| v * v * v),
     ("v^3 + 1e-3 v", |v| v * v * v + 1e-3 * v),
