@@ -76,6 +76,8 @@ impl Desk {
             let source = if let Some(known) = self.cache.get(x, batch.query(k)) {
                 self.answers[k].clone_from(known);
                 Source::Cached
+            } else if self.cache.is_above(x) {
+                self.again(batch, k)
             } else if let Some(twin) = self.twin(batch, k) {
                 Source::Copy(twin)
             } else if left == 0 {
@@ -97,6 +99,21 @@ impl Desk {
             self.sources.push(source);
         }
         self.n_needed = self.work.len();
+    }
+
+    /// What becomes of a point that is known to lie above a lower cutoff. Without cutoffs it would be known altogether, so
+    /// that it must not count.
+    fn again(&mut self, batch: &Batch, k: usize) -> Source {
+        if let Some(twin) = self.twin(batch, k) {
+            return Source::Copy(twin);
+        }
+        if let Some(answer) = self.evaluated_before(batch, k) {
+            self.cache.insert(batch.point(k), &answer, batch.want());
+            self.answers[k] = answer;
+            return Source::Cached;
+        }
+        self.work.push_with_id(batch.point(k), batch.cutoff(k), batch.id(k));
+        Source::Again
     }
 
     /// Evaluations that the budget leaves.
@@ -136,7 +153,7 @@ impl Desk {
         };
         let j = *place.get();
         let same = batch.point(j).iter().zip(batch.point(k)).all(|(a, b)| a.to_bits() == b.to_bits());
-        let answers = matches!(self.sources[j], Source::Run | Source::Replayed);
+        let answers = matches!(self.sources[j], Source::Run | Source::Again | Source::Replayed);
         if same && answers && batch.cutoff(j) >= batch.cutoff(k) {
             return Some(j);
         }
@@ -147,7 +164,8 @@ impl Desk {
 
     /// Adds up to `wanted` points to `work` that the path may need next. No more than the budget lets it come to.
     pub(crate) fn look_ahead<M: Method + ?Sized>(&mut self, method: &mut M, wanted: usize, limits: &Limits) {
-        let wanted = wanted.min(self.left(limits).saturating_sub(self.n_needed));
+        let n_counted = self.sources.iter().filter(|source| **source == Source::Run).count();
+        let wanted = wanted.min(self.left(limits).saturating_sub(n_counted));
         if wanted == 0 || self.n_needed == 0 {
             return;
         }
@@ -168,7 +186,7 @@ impl Desk {
     pub(crate) fn abort<'a>(&'a self, answers: &'a [Answer]) -> Option<(usize, &'a str)> {
         let mut new = answers.iter();
         self.sources.iter().enumerate().find_map(|(k, source)| {
-            let answer = if *source == Source::Run { new.next() } else { self.answers.get(k) };
+            let answer = if source.is_work() { new.next() } else { self.answers.get(k) };
             match answer.map(|answer| &answer.outcome) {
                 Some(Outcome::Abort(message)) => Some((k, message.as_str())),
                 _ => None,
@@ -182,7 +200,7 @@ impl Desk {
         let mut new = answers.iter();
         for (k, source) in self.sources.iter().enumerate() {
             let answer = match source {
-                Source::Run => new.next(),
+                Source::Run | Source::Again => new.next(),
                 Source::Replayed => self.answers.get(k),
                 Source::Cached | Source::Copy(_) | Source::Forbidden => continue,
             };
@@ -200,7 +218,7 @@ impl Desk {
         let last = self.abort(&answers[..self.n_needed]).map_or(usize::MAX, |(k, _)| k);
         for k in 0..batch.len() {
             match self.sources[k] {
-                Source::Run => {
+                Source::Run | Source::Again => {
                     if k <= last {
                         std::mem::swap(&mut self.answers[k], &mut answers[at]);
                         if batch.want() == Want::Residuals {
@@ -215,7 +233,7 @@ impl Desk {
                 Source::Copy(twin) => self.answers[k] = self.answers[twin].clone(),
                 Source::Replayed | Source::Cached | Source::Forbidden => {}
             }
-            if matches!(self.sources[k], Source::Run | Source::Replayed) {
+            if matches!(self.sources[k], Source::Run | Source::Again | Source::Replayed) {
                 self.cache.insert(batch.point(k), &self.answers[k], batch.want());
             }
         }
