@@ -3,7 +3,7 @@
 use crate::answer::{Answer, Outcome, Want};
 use crate::checkpoint::Writer;
 use crate::description::Begun;
-use crate::drive::{end, reached};
+use crate::drive::{end, limited, reached};
 use crate::error::Error;
 use crate::gateway::desk::Desk;
 use crate::gateway::desk::reset;
@@ -213,7 +213,7 @@ impl Optimizer {
             // Evaluations that are at hand from before were paid for already.
             if (spent || late) && self.desk.replay.is_empty() {
                 let why = if spent { Termination::MaxEvaluations } else { Termination::MaxTime };
-                self.ended = Some(Some(why));
+                self.ended = Some(Some(limited(&self.method, &self.desk, why)));
                 break;
             }
             self.desk.open(&self.batch, &self.limits);
