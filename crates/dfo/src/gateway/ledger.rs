@@ -23,7 +23,7 @@ pub(crate) enum Source {
     Cached,
     /// The same point stands at this place of the batch.
     Copy(usize),
-    /// The budget forbids it.
+    /// The budget forbids it, or the run ends before it.
     Forbidden,
 }
 
