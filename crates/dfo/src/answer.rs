@@ -166,18 +166,26 @@ impl Answer {
     /// Makes a value without the residuals that were wanted a failure. `m`: their number, where it is known already; else
     /// this answer gives it.
     pub(crate) fn check_residuals(&mut self, m: &mut Option<usize>) {
+        if let Some(failure) = self.residuals_failure(m) {
+            self.outcome = failure;
+        }
+    }
+
+    /// The failure that it is.
+    pub(crate) fn residuals_failure(&self, m: &mut Option<usize>) -> Option<Outcome> {
         if !matches!(self.outcome, Outcome::Value(_)) {
-            return;
+            return None;
         }
         let got = self.residuals.len();
         let expected = *m.get_or_insert(got);
         if got == 0 {
             *m = None;
-            self.outcome = Outcome::failed("the objective gave a cost without residuals");
+            Some(Outcome::failed("the objective gave a cost without residuals"))
         } else if got != expected {
-            self.outcome = Outcome::failed(format!("{got} residuals, but {expected} at the points before"));
-        } else if let Some((k, r)) = self.residuals.iter().enumerate().find(|(_, r)| !r.is_finite()) {
-            self.outcome = Outcome::not_finite(format!("residual {k} is {r}"));
+            Some(Outcome::failed(format!("{got} residuals, but {expected} at the points before")))
+        } else {
+            let bad = self.residuals.iter().enumerate().find(|(_, r)| !r.is_finite());
+            bad.map(|(k, r)| Outcome::not_finite(format!("residual {k} is {r}")))
         }
     }
 }

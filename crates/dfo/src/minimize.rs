@@ -191,7 +191,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Ends the run after the first batch of the path with a point whose cost is at or below this.
+    /// Ends the run with the first evaluation of the path whose cost is at or below this, see [`Limits::target`].
     pub fn target(mut self, cost: f64) -> Self {
         self.description.options.limits.target = Some(cost);
         self

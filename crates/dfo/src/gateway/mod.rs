@@ -6,7 +6,7 @@ pub(crate) mod desk;
 pub(crate) mod ledger;
 mod pace;
 
-use crate::answer::{Answer, Outcome};
+use crate::answer::Answer;
 use crate::evaluator::{
     BatchFunction, Batches, CallingThread, Evaluator, GivesUp, Parcel, Polled, Shared, Threads, Wait,
     WorkerPool,
@@ -105,14 +105,15 @@ impl<'a> Outside<'a> {
     }
 }
 
-/// Evaluates these points of a batch, of which the first `needed` are what the path needs: an exception in one of them
-/// lets nothing more begin.
+/// Evaluates these points of the desk's work: one that the path needs and that ends the run lets nothing more begin.
 fn gather(
     evaluator: &mut dyn Evaluator,
-    (work, points, needed): (&Batch, Range<usize>, usize),
+    desk: &Desk,
+    points: Range<usize>,
     outside: &mut Outside<'_>,
     answers: &mut [Answer],
 ) -> Option<Halt> {
+    let work = &desk.work;
     for k in points {
         evaluator.submit(work.point(k), work.query(k));
     }
@@ -122,7 +123,7 @@ fn gather(
             Polled::Answered(id) => {
                 let Some(k) = work.place_of(id) else { continue };
                 std::mem::swap(&mut answers[k], &mut answer);
-                if k < needed && matches!(answers[k].outcome, Outcome::Abort(_)) {
+                if desk.is_last(k, &answers[k]) {
                     evaluator.withdraw();
                 }
             }
@@ -224,29 +225,28 @@ impl<'a> Gateway<'a> {
     /// Evaluates the desk's work.
     fn execute(&mut self) -> Option<Halt> {
         let Self { crew, desk, outside, pace, answers, .. } = self;
-        let (work, needed) = (&desk.work, desk.n_needed());
-        let mut rest = 0..work.len();
+        let mut rest = 0..desk.work.len();
         match crew {
-            Crew::Alone(alone) => gather(alone, (work, rest, needed), outside, answers),
-            Crew::Batches(batches) => gather(batches, (work, rest, needed), outside, answers),
+            Crew::Alone(alone) => gather(alone, desk, rest, outside, answers),
+            Crew::Batches(batches) => gather(batches, desk, rest, outside, answers),
             Crew::Pool { pool, objective, here, alone, spare } => {
                 if *here == Here::AtFirst && pace.is_new() && !rest.is_empty() {
                     // How long an evaluation takes shows whether threads are worth starting.
-                    let halt = gather(alone, (work, 0..1, needed), outside, answers);
-                    if halt.is_some() || matches!(answers[0].outcome, Outcome::Abort(_)) {
+                    let halt = gather(alone, desk, 0..1, outside, answers);
+                    if halt.is_some() || desk.is_last(0, &answers[0]) {
                         return halt;
                     }
-                    rest = 1..work.len();
+                    rest = 1..desk.work.len();
                 }
                 let known = (rest.start > 0).then(|| answers[0].seconds);
                 let away = !rest.is_empty() && pace.hands_over(rest.len(), *here, known);
                 let Some(threads) = away.then(|| pool.threads()).flatten() else {
-                    return gather(alone, (work, rest, needed), outside, answers);
+                    return gather(alone, desk, rest, outside, answers);
                 };
                 let shared = Shared::new(*objective, outside.ends);
                 threads.in_place_scope(|scope| {
                     let mut threads = Threads::new(scope, &shared, spare);
-                    gather(&mut threads, (work, rest, needed), outside, answers)
+                    gather(&mut threads, desk, rest, outside, answers)
                 })
             }
         }
@@ -254,22 +254,24 @@ impl<'a> Gateway<'a> {
 
     /// Why the run must end after what the path needs was evaluated.
     fn verdict(&self, halt: Option<Halt>) -> Option<Termination> {
-        let needed = &self.answers[..self.desk.n_needed()];
-        if let Some((_, message)) = self.desk.abort(needed) {
-            return Some(Termination::Aborted(message.to_owned()));
+        let stopped = self.desk.stopped(&self.answers);
+        if matches!(stopped, Some(Termination::Aborted(_))) {
+            return stopped;
         }
         match halt {
             Some(Halt::Interrupted) => return Some(Termination::Interrupted),
             Some(Halt::OutOfTime) => return Some(Termination::MaxTime),
             None => {}
         }
-        if needed.iter().any(|answer| !answer.outcome.is_known()) {
+        let last = self.desk.last(&self.answers);
+        let n_needed = last.map_or(self.desk.n_needed(), |(place, _)| self.desk.n_before(place));
+        if self.answers[..n_needed].iter().any(|answer| !answer.outcome.is_known()) {
             // An evaluation gave up although nothing above noticed: the deadline passed inside of it, or the
             // objective was told to stop by somebody else.
             let is_late = self.outside.ends.is_late();
             return Some(if is_late { Termination::MaxTime } else { Termination::Interrupted });
         }
-        self.desk.is_truncated().then_some(Termination::MaxEvaluations)
+        stopped
     }
 
     /// What of the batch just evaluated is known for good.

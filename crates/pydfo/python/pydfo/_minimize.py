@@ -83,7 +83,8 @@ def minimize(
     max_time : float, optional
         Limit of wall-clock time in s: no call starts after it.
     target : float, optional
-        End the run as soon as the cost is at or below this.
+        End the run with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
+        at once with it and comes after it counts as speculative.
     options : dict, optional
         For every method: ``x_tol`` (1e-6), ``f_tol`` (1e-6), ``stop`` ("all" or "any" of both tests), ``tolerances``
         ("relative": x_tol in units of the parameters' sizes, f_tol as a fraction of the best cost; or "absolute"),
