@@ -139,6 +139,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
     }
 
     /// Lower and upper bounds; infinite where there is none, equal where a parameter is fixed. Default none.
+    /// Huge ones that stand for "none" count as none where a search starts from a point, see [`Bounds`].
     ///
     /// # Errors
     /// As [`Bounds::new`].

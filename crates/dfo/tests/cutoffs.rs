@@ -29,7 +29,11 @@ fn counts(r: &Report) -> (Vec<u64>, [usize; 5], Termination, Vec<Vec<u64>>) {
 fn a_point_asked_again_with_a_larger_cutoff_does_not_count() {
     let set_up = |m: Minimize<'static, NelderMead>, method: &AnyMethod, budget: usize, seed: u64| {
         let m = m.bounds(&[-9.0; 3], &[9.0; 3]).unwrap().kinds(&[Kind::Integer; 3]).method(method.clone());
-        m.seed(seed).max_evaluations(budget).run().unwrap()
+        m.seed(seed)
+            .max_evaluations(budget)
+            .cache(if seed.is_multiple_of(2) { 10_000 } else { 50 })
+            .run()
+            .unwrap()
     };
     for method in [DifferentialEvolution::default(), DifferentialEvolution::classic()] {
         let method: AnyMethod = method.population(12).into();

@@ -287,7 +287,13 @@ impl Desk {
                 Source::Copy(twin) => self.answers[k] = self.answers[twin].clone(),
                 Source::Replayed | Source::Cached | Source::Forbidden => {}
             }
-            if matches!(self.sources[k], Source::Run | Source::Again | Source::Replayed) {
+            let remembers = match self.sources[k] {
+                Source::Run | Source::Replayed => true,
+                // Had it been known altogether, it would not come back once the batch has driven it out.
+                Source::Again => self.cache.contains(batch.point(k)),
+                Source::Cached | Source::Copy(_) | Source::Forbidden => false,
+            };
+            if remembers {
                 self.cache.insert(batch.point(k), &self.answers[k], batch.want());
             }
         }
