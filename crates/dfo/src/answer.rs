@@ -221,16 +221,16 @@ impl Answers {
         known.then(|| &self.residuals[k * self.m..(k + 1) * self.m])
     }
 
-    /// Adds a point. All residual vectors have one length.
+    /// Adds a point. All residual vectors have the length of the first one: of a longer one the rest is left out, a shorter one
+    /// is filled up with zeros.
     pub fn push(&mut self, outcome: Outcome, residuals: &[f64]) {
-        debug_assert!(residuals.is_empty() || self.m == 0 || residuals.len() == self.m, "one length");
         if self.m == 0 && !residuals.is_empty() {
             self.m = residuals.len();
             self.residuals.clear();
             self.residuals.resize(self.outcomes.len() * self.m, 0.0);
         }
         self.outcomes.push(outcome);
-        self.residuals.extend_from_slice(residuals);
+        self.residuals.extend_from_slice(&residuals[..residuals.len().min(self.m)]);
         self.residuals.resize(self.outcomes.len() * self.m, 0.0);
     }
 
@@ -313,6 +313,12 @@ mod tests {
         assert_eq!(
             (answers.residuals(1), answers.residuals(3)),
             (Some(&[1.0, 2.0][..]), Some(&[3.0, 4.0][..]))
+        );
+        answers.push(Outcome::Value(1.0), &[5.0, 6.0, 7.0]);
+        answers.push(Outcome::Value(2.0), &[8.0, 9.0]);
+        assert_eq!(
+            (answers.residuals(4), answers.residuals(5)),
+            (Some(&[5.0, 6.0][..]), Some(&[8.0, 9.0][..]))
         );
         answers.clear();
         answers.push(Outcome::Value(1.0), &[]);

@@ -275,9 +275,6 @@ impl Desk {
                 Source::Run | Source::Again => {
                     if k <= last {
                         std::mem::swap(&mut self.answers[k], &mut answers[at]);
-                        if batch.want() == Want::Residuals {
-                            self.answers[k].check_residuals(&mut self.ledger.n_residuals);
-                        }
                     } else {
                         self.keep_ahead(at, &answers[at]);
                     }
@@ -286,6 +283,10 @@ impl Desk {
                 _ if k > last => self.answers[k].clear(),
                 Source::Copy(twin) => self.answers[k] = self.answers[twin].clone(),
                 Source::Replayed | Source::Cached | Source::Forbidden => {}
+            }
+            // Also what is known from elsewhere: a file or a user may have given it.
+            if batch.want() == Want::Residuals {
+                self.answers[k].check_residuals(&mut self.ledger.n_residuals);
             }
             let remembers = match self.sources[k] {
                 Source::Run | Source::Replayed => true,

@@ -8,8 +8,7 @@ mod pace;
 
 use crate::answer::Answer;
 use crate::evaluator::{
-    BatchFunction, Batches, CallingThread, Evaluator, GivesUp, Parcel, Polled, Shared, Threads, Wait,
-    WorkerPool,
+    BatchFunction, Batches, CallingThread, Evaluator, GivesUp, Job, Polled, Shared, Threads, Wait, WorkerPool,
 };
 use crate::method::{Batch, Method};
 use crate::objective::{Ends, Objective};
@@ -27,25 +26,25 @@ pub(crate) use pace::Here;
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Who computes.
-pub(crate) enum Crew<'a> {
-    Alone(CallingThread<'a>),
+pub(crate) enum Executor<'a> {
+    Serial(CallingThread<'a>),
     Pool {
         pool: &'a WorkerPool,
         objective: &'a dyn Objective,
         here: Here,
-        alone: CallingThread<'a>,
-        spare: Vec<Parcel>,
+        serial: CallingThread<'a>,
+        spare: Vec<Job>,
     },
     Batches(Batches<'a>),
 }
 
-impl<'a> Crew<'a> {
-    pub(crate) fn alone(objective: &'a dyn Objective) -> Self {
-        Self::Alone(CallingThread::new(objective))
+impl<'a> Executor<'a> {
+    pub(crate) fn serial(objective: &'a dyn Objective) -> Self {
+        Self::Serial(CallingThread::new(objective))
     }
 
     pub(crate) fn pool(pool: &'a WorkerPool, objective: &'a dyn Objective, here: Here) -> Self {
-        Self::Pool { pool, objective, here, alone: CallingThread::new(objective), spare: Vec::new() }
+        Self::Pool { pool, objective, here, serial: CallingThread::new(objective), spare: Vec::new() }
     }
 
     pub(crate) fn batches(function: &'a mut BatchFunction<'a>) -> Self {
@@ -54,7 +53,7 @@ impl<'a> Crew<'a> {
 
     fn handing_over(&self) -> HandingOver {
         match self {
-            Self::Alone(_) => HandingOver::Never,
+            Self::Serial(_) => HandingOver::Never,
             Self::Pool { .. } => HandingOver::Threads,
             Self::Batches(_) => HandingOver::Batches,
         }
@@ -140,7 +139,7 @@ fn gather(
 }
 
 pub(crate) struct Gateway<'a> {
-    crew: Crew<'a>,
+    executor: Executor<'a>,
     outside: Outside<'a>,
     limits: Limits,
     pace: Pace,
@@ -154,7 +153,7 @@ pub(crate) struct Gateway<'a> {
 
 impl<'a> Gateway<'a> {
     pub(crate) fn new(
-        crew: Crew<'a>,
+        executor: Executor<'a>,
         mut desk: Desk,
         limits: Limits,
         before: f64,
@@ -166,14 +165,14 @@ impl<'a> Gateway<'a> {
             .max_time
             .map(|t| t.saturating_sub(Duration::try_from_secs_f64(before).unwrap_or(Duration::MAX)));
         let deadline = left.and_then(|t| start.checked_add(t));
-        desk.gives_up = match &crew {
-            Crew::Alone(alone) | Crew::Pool { alone, .. } => alone.gives_up(),
-            Crew::Batches(_) => GivesUp::Unknown,
+        desk.gives_up = match &executor {
+            Executor::Serial(serial) | Executor::Pool { serial, .. } => serial.gives_up(),
+            Executor::Batches(_) => GivesUp::Unknown,
         };
         let (cancel, poll) = outside;
         Self {
-            pace: Pace::new(workers, crew.handing_over()),
-            crew,
+            pace: Pace::new(workers, executor.handing_over()),
+            executor,
             outside: Outside { ends: Ends::new(cancel, deadline), poll, last_poll: None },
             limits,
             start,
@@ -224,15 +223,15 @@ impl<'a> Gateway<'a> {
 
     /// Evaluates the desk's work.
     fn execute(&mut self) -> Option<Halt> {
-        let Self { crew, desk, outside, pace, answers, .. } = self;
+        let Self { executor, desk, outside, pace, answers, .. } = self;
         let mut rest = 0..desk.work.len();
-        match crew {
-            Crew::Alone(alone) => gather(alone, desk, rest, outside, answers),
-            Crew::Batches(batches) => gather(batches, desk, rest, outside, answers),
-            Crew::Pool { pool, objective, here, alone, spare } => {
+        match executor {
+            Executor::Serial(serial) => gather(serial, desk, rest, outside, answers),
+            Executor::Batches(batches) => gather(batches, desk, rest, outside, answers),
+            Executor::Pool { pool, objective, here, serial, spare } => {
                 if *here == Here::AtFirst && pace.is_new() && !rest.is_empty() {
                     // How long an evaluation takes shows whether threads are worth starting.
-                    let halt = gather(alone, desk, 0..1, outside, answers);
+                    let halt = gather(serial, desk, 0..1, outside, answers);
                     if halt.is_some() || desk.is_last(0, &answers[0]) {
                         return halt;
                     }
@@ -241,7 +240,7 @@ impl<'a> Gateway<'a> {
                 let known = (rest.start > 0).then(|| answers[0].seconds);
                 let away = !rest.is_empty() && pace.hands_over(rest.len(), *here, known);
                 let Some(threads) = away.then(|| pool.threads()).flatten() else {
-                    return gather(alone, desk, rest, outside, answers);
+                    return gather(serial, desk, rest, outside, answers);
                 };
                 let shared = Shared::new(*objective, outside.ends);
                 threads.in_place_scope(|scope| {
