@@ -49,11 +49,12 @@ fn in_own_environment(test: &str, variables: &[(&str, &str)], body: fn()) {
     if std::env::var_os(INSIDE).is_some() {
         return body();
     }
-    let cache = tempfile::tempdir().unwrap();
+    let (cache, temporary) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let output = Command::new(std::env::current_exe().unwrap())
         .args(["--exact", test, "--nocapture"])
         .env(INSIDE, "1")
         .env("FMUFIT_CACHE", cache.path())
+        .env("TMPDIR", temporary.path())
         .env_remove("CC")
         .envs(variables.iter().copied())
         .output()
@@ -100,8 +101,11 @@ fn builds_once_per_content() {
     assert!(paths.iter().all(|path| *path == paths[0]));
     assert_eq!(kept().len(), 3);
     fs::write(cache().join("mine.txt"), "not of the cache").unwrap();
+    let unfinished = cache().join("libraries/.unfinished-by-another-process");
+    fs::create_dir(&unfinished).unwrap();
     clear_caches().unwrap();
-    assert!(!library.exists() && cache().join("mine.txt").exists());
+    assert!(!library.exists() && cache().join("mine.txt").exists() && unfinished.exists());
+    assert_eq!(build(root.path()).unwrap(), paths[0]);
 }
 
 /// A bundled model as an FMU of sources only.

@@ -95,11 +95,8 @@ struct Kept {
 fn evict(libraries: &Path, spared: &Path, most_entries: usize, most_bytes: u64) {
     let mut entries = Vec::new();
     for path in fs::read_dir(libraries).into_iter().flatten().flatten().map(|entry| entry.path()) {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        if name.starts_with(UNFINISHED) {
-            let age =
-                path.metadata().and_then(|found| found.modified()).ok().and_then(|time| time.elapsed().ok());
-            if age.is_some_and(|age| age > ABANDONED) {
+        if is_unfinished(&path) {
+            if is_abandoned(&path) {
                 remove(&path);
             }
         } else if let Some(kept) = Kept::inspect(&path) {
@@ -117,6 +114,15 @@ fn evict(libraries: &Path, spared: &Path, most_entries: usize, most_bytes: u64) 
         left -= 1;
         bytes -= kept.bytes;
     }
+}
+
+fn is_unfinished(path: &Path) -> bool {
+    path.file_name().unwrap_or_default().to_string_lossy().starts_with(UNFINISHED)
+}
+
+fn is_abandoned(path: &Path) -> bool {
+    let modified = path.metadata().and_then(|found| found.modified());
+    modified.ok().and_then(|time| time.elapsed().ok()).is_some_and(|age| age > ABANDONED)
 }
 
 impl Kept {
@@ -140,16 +146,27 @@ fn remove(path: &Path) {
     }
 }
 
-/// Removes everything this library keeps between runs: built libraries and packed example models.
+/// Removes everything this library keeps between runs: built libraries and packed example models. What another thread or
+/// process is making at this moment is left to it.
+///
+/// # Errors
+/// Something cannot be removed.
 pub fn clear_caches() -> Result<(), FmiError> {
     for folder in platform::cache_folder().into_iter().chain([platform::fallback_cache_folder()]) {
         for name in SUBFOLDERS {
-            let path = folder.join(name);
-            match fs::remove_dir_all(&path) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                    return Err(FmiError::io("remove", path)(error));
+            for entry in fs::read_dir(folder.join(name)).into_iter().flatten().flatten() {
+                let path = entry.path();
+                if is_unfinished(&path) && !is_abandoned(&path) {
+                    continue;
                 }
-                _ => {}
+                let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+                let removed = if is_folder { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+                match removed {
+                    Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                        return Err(FmiError::io("remove", path)(error));
+                    }
+                    _ => {}
+                }
             }
         }
     }
