@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "dfo": """
-        number words choices rng answer encoding
+        number option_texts choices rng answer encoding
         termination objective trace
         error
         memory evaluator tolerances space

@@ -144,7 +144,7 @@ impl From<Outcome> for Answer {
 }
 
 impl Answer {
-    /// Back to nothing; the room for residuals stays.
+    /// Clears everything; keeps the memory for residuals.
     pub fn clear(&mut self) {
         self.outcome = Outcome::Skipped;
         self.residuals.clear();
@@ -234,7 +234,7 @@ impl Answers {
         self.residuals.resize(self.outcomes.len() * self.m, 0.0);
     }
 
-    /// Removes all points; the room stays.
+    /// Removes all points; keeps their memory.
     pub fn clear(&mut self) {
         self.outcomes.clear();
         self.residuals.clear();

@@ -10,11 +10,11 @@
 
 use crate::encoding::{decode, encode};
 use crate::error::Error;
+use crate::gateway::batch_ledger::{BatchLedger, Replay};
 use crate::gateway::cache::Cache;
-use crate::gateway::desk::{Desk, Replay};
 use crate::gateway::ledger::Ledger;
 use crate::method::{Method, Setup};
-use crate::words;
+use crate::option_texts;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -122,7 +122,7 @@ struct Written {
 
 /// The same, lent: for writing.
 #[derive(Serialize)]
-struct Lent<'a> {
+struct SnapshotRef<'a> {
     version: &'a str,
     fingerprint: &'a [(String, String)],
     #[serde(with = "serde_bytes")]
@@ -137,7 +137,7 @@ struct Lent<'a> {
     seed: Option<u64>,
 }
 
-/// What identifies a run, in words.
+/// What identifies a run, as text.
 pub(crate) fn fingerprint(
     (method, options, budget): (&str, Vec<(String, String)>, bool),
     setup: &Setup,
@@ -146,16 +146,16 @@ pub(crate) fn fingerprint(
 ) -> Vec<(String, String)> {
     let Setup { space, tolerances, prior, .. } = setup;
     let named = |name: &str, value: String| (name.to_owned(), value);
-    let start = if setup.start_given { words::numbers(space.x0()) } else { "not given".to_owned() };
+    let start = if setup.start_given { option_texts::numbers(space.x0()) } else { "not given".to_owned() };
     let mut all = vec![named("method", method.to_owned())];
     all.extend(options.into_iter().map(|(name, value)| (format!("option {name}"), value)));
     all.push(named("start", start));
     all.extend(space.describe());
-    all.extend(words::fields(tolerances));
+    all.extend(option_texts::fields(tolerances));
     all.push(named("cache", cache.to_string()));
-    all.push(named("trace limit", words::limit(trace_limit)));
+    all.push(named("trace limit", option_texts::limit(trace_limit)));
     if budget {
-        all.push(named("max_evaluations", words::limit(setup.max_evaluations)));
+        all.push(named("max_evaluations", option_texts::limit(setup.max_evaluations)));
     }
     if !prior.is_empty() {
         let bytes = encode(prior).unwrap_or_default();
@@ -337,7 +337,7 @@ fn sweep(path: &Path) {
         let rest = name.to_str().and_then(|name| name.strip_prefix(&prefix));
         let process = rest.and_then(|rest| rest.split_once('-')?.0.parse::<u32>().ok());
         if process.is_some_and(|process| !is_alive(process, &entry)) {
-            // Somebody else may have been faster.
+            // Another process may have been faster.
             let _ = std::fs::remove_file(entry.path());
         }
     }
@@ -372,20 +372,20 @@ impl Writer {
     pub(crate) fn write<M: Method + ?Sized>(
         &mut self,
         method: &M,
-        desk: &Desk,
+        batch_ledger: &BatchLedger,
         replay: &[Replay],
         (observed, first_recent): (Option<usize>, usize),
         seconds: f64,
     ) -> Result<(), Error> {
         let path = &self.options.path;
         let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
-        let snapshot = Lent {
+        let snapshot = SnapshotRef {
             version: VERSION,
             fingerprint: &self.fingerprint,
             method: &state,
-            ledger: &desk.ledger,
-            cache: &desk.cache,
-            stale: desk.stale,
+            ledger: &batch_ledger.ledger,
+            cache: &batch_ledger.cache,
+            stale: batch_ledger.stale,
             replay,
             observed,
             first_recent,

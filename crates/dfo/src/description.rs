@@ -1,11 +1,11 @@
-//! A run before it begins: what was said about it, and how that becomes a method, a desk and a checkpoint.
+//! The description of a run, and how it becomes a method, a batch ledger and a checkpoint.
 
 use crate::answer::{Answer, Outcome};
 use crate::checkpoint::{self, Writer};
 use crate::choices::{Kind, Transform};
 use crate::error::Error;
+use crate::gateway::batch_ledger::BatchLedger;
 use crate::gateway::cache::Cache;
-use crate::gateway::desk::Desk;
 use crate::gateway::ledger::Ledger;
 use crate::method::{Method, MethodOptions, Setup};
 use crate::methods::NelderMead;
@@ -27,9 +27,9 @@ pub(crate) struct Description<M = NelderMead> {
 
 /// A run that can be driven.
 #[derive(Debug)]
-pub(crate) struct Begun<T> {
+pub(crate) struct StartedRun<T> {
     pub(crate) method: T,
-    pub(crate) desk: Desk,
+    pub(crate) batch_ledger: BatchLedger,
     pub(crate) limits: Limits,
     pub(crate) workers: usize,
     pub(crate) writer: Option<Writer>,
@@ -49,7 +49,7 @@ impl<M> Description<M> {
 
 impl<M: MethodOptions> Description<M> {
     /// Checks everything, and starts or continues.
-    pub(crate) fn begin(self) -> Result<Begun<M::Method>, Error> {
+    pub(crate) fn begin(self) -> Result<StartedRun<M::Method>, Error> {
         let Self { options, x0, bounds, transforms, sizes, kinds } = self;
         let (method, mut limits) = (&options.method, options.limits);
         let start_given = x0.is_some();
@@ -94,9 +94,12 @@ impl<M: MethodOptions> Description<M> {
         for Known { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
             cache.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
         }
-        let mut begun = Begun {
+        let mut started = StartedRun {
             method: method.begin(&setup)?,
-            desk: Desk::new(Ledger::new(n, options.trace_limit, options.trace_residuals), cache),
+            batch_ledger: BatchLedger::new(
+                Ledger::new(n, options.trace_limit, options.trace_residuals),
+                cache,
+            ),
             limits,
             workers: options.workers.unwrap_or(1),
             writer: None,
@@ -104,25 +107,25 @@ impl<M: MethodOptions> Description<M> {
             first_recent: 0,
             before: 0.0,
         };
-        begun.desk.ledger.trace.set_problem(options.problem.clone());
-        let Some(place) = options.checkpoint else { return Ok(begun) };
-        let words = (begun.method.name(), method.describe(), method.plans_with_budget());
+        started.batch_ledger.ledger.trace.set_problem(options.problem.clone());
+        let Some(place) = options.checkpoint else { return Ok(started) };
+        let words = (started.method.name(), method.describe(), method.plans_with_budget());
         let fingerprint = checkpoint::fingerprint(
             words,
             &setup,
-            (capacity, options.trace_limit, begun.desk.cache.n_pinned()),
+            (capacity, options.trace_limit, started.batch_ledger.cache.n_pinned()),
             (options.problem.as_deref(), &place.tags),
         );
         if let Some(stored) = checkpoint::read(&place, &fingerprint, setup.seed, n)? {
-            begun.method = method.restore(&setup, &stored.method)?;
-            begun.desk = Desk::new(stored.ledger, stored.cache);
-            begun.desk.ledger.ahead.forget_aborts();
-            (begun.desk.replay, begun.desk.stale) = (stored.replay, stored.stale);
-            (begun.observed, begun.first_recent) = (stored.observed, stored.first_recent);
-            begun.before = stored.seconds;
+            started.method = method.restore(&setup, &stored.method)?;
+            started.batch_ledger = BatchLedger::new(stored.ledger, stored.cache);
+            started.batch_ledger.ledger.speculative.forget_aborts();
+            (started.batch_ledger.replay, started.batch_ledger.stale) = (stored.replay, stored.stale);
+            (started.observed, started.first_recent) = (stored.observed, stored.first_recent);
+            started.before = stored.seconds;
         }
-        begun.writer = Some(Writer::new(place, fingerprint)?);
-        Ok(begun)
+        started.writer = Some(Writer::new(place, fingerprint)?);
+        Ok(started)
     }
 }
 

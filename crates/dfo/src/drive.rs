@@ -3,7 +3,7 @@
 use crate::checkpoint::Writer;
 use crate::error::Error;
 use crate::gateway::Gateway;
-use crate::gateway::desk::{Desk, Replay};
+use crate::gateway::batch_ledger::{BatchLedger, Replay};
 use crate::gateway::ledger::Ledger;
 use crate::method::{Batch, Details, Method, Status};
 use crate::observe::Progress;
@@ -34,7 +34,7 @@ impl<M: Method> Drive<'_, M> {
         let termination = self.until_over(observer)?;
         let seconds = self.gateway.elapsed();
         let Self { method, gateway, limits, workers, .. } = &mut self;
-        report::conclude(method, &mut gateway.desk.ledger, limits, *workers, termination, seconds)
+        report::conclude(method, &mut gateway.batch_ledger.ledger, limits, *workers, termination, seconds)
     }
 
     /// `None`: the method had nothing to start from.
@@ -42,7 +42,7 @@ impl<M: Method> Drive<'_, M> {
         let mut batch = Batch::new();
         // A run that was resumed may be over already.
         if self.observed.is_some()
-            && let Some(termination) = reached(&self.method, &self.gateway.desk, &self.limits)
+            && let Some(termination) = reached(&self.method, &self.gateway.batch_ledger, &self.limits)
         {
             return Ok(Some(termination));
         }
@@ -51,7 +51,7 @@ impl<M: Method> Drive<'_, M> {
             // What needs no evaluation needs no budget.
             if let Some(termination) = self.gateway.exhausted().filter(|_| !batch.is_empty()) {
                 self.save(&[]);
-                let termination = limited(&self.method, &self.gateway.desk, termination);
+                let termination = limited(&self.method, &self.gateway.batch_ledger, termination);
                 return Ok(Some(self.unless_unsaved(termination)));
             }
             let stopped =
@@ -63,11 +63,11 @@ impl<M: Method> Drive<'_, M> {
             }
             if !batch.is_empty() {
                 self.gateway.close(&batch);
-                self.method.tell(self.gateway.desk.told())?;
+                self.method.tell(self.gateway.batch_ledger.told())?;
             }
             let broken = self.observe(observer.as_deref_mut());
-            self.gateway.desk.ledger.trim(false);
-            let end = end(&self.method, &self.gateway.desk, &self.limits, stopped.as_ref(), broken);
+            self.gateway.batch_ledger.ledger.trim(false);
+            let end = end(&self.method, &self.gateway.batch_ledger, &self.limits, stopped.as_ref(), broken);
             if stopped.is_none() && (end.is_some() || self.writer.as_ref().is_some_and(Writer::is_due)) {
                 self.save(&[]);
             }
@@ -84,7 +84,7 @@ impl<M: Method> Drive<'_, M> {
     /// Tells the observer of a new iteration; whether it said stop.
     fn observe(&mut self, observer: Option<&mut Observer<'_>>) -> bool {
         let Self { method, gateway, .. } = self;
-        let (ledger, details) = (&gateway.desk.ledger, method.details());
+        let (ledger, details) = (&gateway.batch_ledger.ledger, method.details());
         let n_iterations = details.n_iterations;
         let (Some(operation), Some((x, fun))) = (details.operation, &ledger.best) else { return false };
         if self.observed.is_some_and(|n| n >= n_iterations) {
@@ -96,7 +96,7 @@ impl<M: Method> Drive<'_, M> {
         let progress = Progress {
             n_iterations,
             n_evaluations: ledger.n_evaluations,
-            n_speculative: ledger.ahead.n_speculative(),
+            n_speculative: ledger.speculative.n_speculative(),
             n_failed: ledger.n_failed,
             x,
             fun: *fun,
@@ -116,7 +116,7 @@ impl<M: Method> Drive<'_, M> {
         let seconds = self.gateway.elapsed();
         let Some(writer) = &mut self.writer else { return };
         let observed = (self.observed, self.first_recent);
-        if let Err(e) = writer.write(&self.method, &self.gateway.desk, replay, observed, seconds) {
+        if let Err(e) = writer.write(&self.method, &self.gateway.batch_ledger, replay, observed, seconds) {
             self.unsaved.get_or_insert(e.to_string());
         }
     }
@@ -132,27 +132,35 @@ impl<M: Method> Drive<'_, M> {
 }
 
 /// Limits that hold between two batches, besides those of the gateway.
-pub(crate) fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limits) -> Option<Termination> {
-    if desk.target_reached(limits) {
+pub(crate) fn reached<M: Method + ?Sized>(
+    method: &M,
+    batch_ledger: &BatchLedger,
+    limits: &Limits,
+) -> Option<Termination> {
+    if batch_ledger.target_reached(limits) {
         return Some(Termination::Target);
     }
     let details = method.details();
     let iterations = limits.max_iterations.is_some_and(|m| details.n_iterations >= m);
     let over = iterations && details.operation.is_some() && method.status() == Status::Running;
-    over.then(|| limited(method, desk, Termination::MaxIterations))
+    over.then(|| limited(method, batch_ledger, Termination::MaxIterations))
 }
 
 /// What it means that a limit ends a run: nothing where the tests have passed for the best point already.
-pub(crate) fn limited<M: Method + ?Sized>(method: &M, desk: &Desk, limit: Termination) -> Termination {
+pub(crate) fn limited<M: Method + ?Sized>(
+    method: &M,
+    batch_ledger: &BatchLedger,
+    limit: Termination,
+) -> Termination {
     let Details { settled, tests, .. } = method.details();
-    let best = desk.ledger.best.as_ref().map(|(_, best)| *best);
+    let best = batch_ledger.ledger.best.as_ref().map(|(_, best)| *best);
     let tested = matches!((tests, best), (Some(tests), Some(best)) if best >= tests.f_best);
-    if settled && tested { meaning(Termination::Converged, desk) } else { limit }
+    if settled && tested { meaning(Termination::Converged, batch_ledger) } else { limit }
 }
 
 /// What it means that a method came to its own end.
-fn meaning(termination: Termination, desk: &Desk) -> Termination {
-    let Ledger { trace, best, .. } = &desk.ledger;
+fn meaning(termination: Termination, batch_ledger: &BatchLedger) -> Termination {
+    let Ledger { trace, best, .. } = &batch_ledger.ledger;
     let first = trace.iter().find_map(|entry| entry.outcome.value());
     match (best, first) {
         (Some((_, best)), Some(first)) if *best < UNBOUNDED && *best < -2.0 * first.abs() => {
@@ -166,7 +174,7 @@ fn meaning(termination: Termination, desk: &Desk) -> Termination {
 /// Whether a run is over after a batch, and why; `Some(None)`: the method had nothing to start from.
 pub(crate) fn end<M: Method + ?Sized>(
     method: &M,
-    desk: &Desk,
+    batch_ledger: &BatchLedger,
     limits: &Limits,
     stopped: Option<&Termination>,
     broken: bool,
@@ -175,22 +183,22 @@ pub(crate) fn end<M: Method + ?Sized>(
     if let Some(hard @ (Termination::Aborted(_) | Termination::Interrupted)) = stopped {
         return Some(Some(hard.clone()));
     }
-    if desk.target_reached(limits) {
+    if batch_ledger.target_reached(limits) {
         return Some(Some(Termination::Target));
     }
     match method.status() {
-        Status::Ended(termination) => return Some(Some(meaning(termination, desk))),
+        Status::Ended(termination) => return Some(Some(meaning(termination, batch_ledger))),
         Status::NoStart => return Some(None),
         Status::Running if broken => return Some(Some(Termination::StoppedByObserver)),
         Status::Running => {}
     }
     if let Some(stopped) = stopped {
-        return Some(Some(limited(method, desk, stopped.clone())));
+        return Some(Some(limited(method, batch_ledger, stopped.clone())));
     }
-    if desk.is_stale() {
+    if batch_ledger.is_stale() {
         // Among whole numbers nothing is left to try then, and the tests measure what there is.
         let passed = method.details().tests.is_some_and(|tests| tests.passed);
         return Some(Some(if passed { Termination::Converged } else { Termination::Stalled }));
     }
-    reached(method, desk, limits).map(Some)
+    reached(method, batch_ledger, limits).map(Some)
 }

@@ -6,7 +6,7 @@ use serde::de::DeserializeOwned;
 /// A value as bytes.
 ///
 /// # Errors
-/// In words. What this crate stores has none.
+/// As text. What this crate stores has none.
 pub(crate) fn encode<T: Serialize>(value: &T) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     ciborium::into_writer(value, &mut bytes).map_err(|e| e.to_string())?;
@@ -16,7 +16,7 @@ pub(crate) fn encode<T: Serialize>(value: &T) -> Result<Vec<u8>, String> {
 /// A value from bytes.
 ///
 /// # Errors
-/// What does not fit, in words.
+/// What does not fit, as text.
 pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     ciborium::from_reader(bytes).map_err(|e| match e {
         ciborium::de::Error::Semantic(_, what) => what,

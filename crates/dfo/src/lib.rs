@@ -17,7 +17,7 @@
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
 //! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
-//! [`AnyMethod`] has them by name; [`Optimizer`] lets somebody else drive, point by point.
+//! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
 //!
 //! What holds for every method:
 //!
@@ -54,6 +54,7 @@ mod number;
 mod objective;
 mod observe;
 mod optimizer;
+mod option_texts;
 mod report;
 mod rng;
 mod run_options;
@@ -62,7 +63,6 @@ mod space;
 mod termination;
 mod tolerances;
 mod trace;
-mod words;
 
 pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use checkpoint::{Checkpoint, Resume};

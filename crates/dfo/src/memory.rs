@@ -1,8 +1,8 @@
-//! Whether there is room for what a method is going to keep: asked before anything large is allocated.
+//! Whether the memory that a method needs can be had: asked before anything large is allocated.
 
 use crate::error::Error;
 
-/// Asks the system for room for `factors` multiplied numbers of 8 bytes, and gives it back.
+/// Asks the system for memory for the product of `factors` numbers of 8 bytes, and frees it.
 ///
 /// # Errors
 /// There is none.

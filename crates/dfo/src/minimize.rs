@@ -1,14 +1,14 @@
-//! The front door: `minimize(f).start(&x0)...run()`.
+//! The entry point: `minimize(f).start(&x0)...run()`.
 
 use crate::answer::Outcome;
 use crate::checkpoint::Checkpoint;
 use crate::choices::{Kind, Transform};
 use crate::choices::{Measure, Stop};
-use crate::description::{Begun, Description};
+use crate::description::{Description, StartedRun};
 use crate::drive::{Drive, Observer};
 use crate::error::Error;
 use crate::evaluator::{BatchFunction, BatchView, WorkerPool};
-use crate::gateway::{Executor, Gateway, Here};
+use crate::gateway::{Executor, Gateway, OnCallingThread};
 use crate::method::MethodOptions;
 use crate::methods::NelderMead;
 use crate::objective::Objective;
@@ -47,7 +47,7 @@ pub fn minimize<'a>(objective: impl Objective + 'a) -> Minimize<'a, NelderMead> 
 }
 
 /// Minimises by a function that evaluates whole batches on the calling thread and returns one outcome per point, in
-/// order: for vectorised functions and for somebody else's executor.
+/// order: for vectorised functions and for an executor of the caller's.
 ///
 /// [`Minimize::workers`] then only says how many points such a batch should have. A function that was interrupted
 /// returns [`Outcome::Skipped`] for what it left out, which ends the run. After a panic it is given the points of the
@@ -112,7 +112,7 @@ impl<'a> Driven<'a> {
     }
 }
 
-/// Of a [`Minimize`]: somebody else evaluates, see [`by_hand`].
+/// Of a [`Minimize`]: the caller evaluates, see [`by_hand`].
 #[derive(Debug, Clone, Copy)]
 pub struct ByHand;
 
@@ -369,12 +369,13 @@ impl<M: MethodOptions> Minimize<'_, M> {
         if let Some(pool) = &pool {
             self.description.options.workers = Some(pool.workers());
         }
-        let Begun { method, desk, limits, workers, writer, observed, first_recent, before, .. } =
-            self.description.begin()?;
+        let StartedRun {
+            method, batch_ledger, limits, workers, writer, observed, first_recent, before, ..
+        } = self.description.begin()?;
         let here = match (&pool, &poll) {
-            (Some(_), _) => Here::Never,
-            (None, Some(_)) => Here::WhenShort,
-            (None, None) => Here::AtFirst,
+            (Some(_), _) => OnCallingThread::Never,
+            (None, Some(_)) => OnCallingThread::WhenShort,
+            (None, None) => OnCallingThread::AtFirst,
         };
         let pool = match (pool, &source) {
             (Some(pool), _) => Some(pool),
@@ -388,7 +389,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
         };
         let (cancel, mut observer, mut poll) = (cancel.unwrap_or_default(), observer, poll);
         let poll = poll.as_mut().map(|p| p.as_mut() as &mut dyn FnMut() -> bool);
-        let gateway = Gateway::new(executor, desk, limits, before, (&cancel, poll), workers);
+        let gateway = Gateway::new(executor, batch_ledger, limits, before, (&cancel, poll), workers);
         let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
         drive.run(observer.as_deref_mut())
     }

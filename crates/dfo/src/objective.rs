@@ -9,7 +9,7 @@ static NEVER: AtomicBool = AtomicBool::new(false);
 
 /// What may end an evaluation that is under way. Each flag is raised and lowered by its owner alone.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Ends<'a> {
+pub(crate) struct CancelSignals<'a> {
     /// The user's.
     cancel: &'a AtomicBool,
     /// The run's, for the evaluations of one batch.
@@ -17,17 +17,17 @@ pub(crate) struct Ends<'a> {
     pub(crate) deadline: Option<Instant>,
 }
 
-impl<'a> Ends<'a> {
+impl<'a> CancelSignals<'a> {
     pub(crate) fn new(cancel: &'a AtomicBool, deadline: Option<Instant>) -> Self {
         Self { cancel, over: &NEVER, deadline }
     }
 
     /// The same for a batch of which the run may end all evaluations by this flag.
-    pub(crate) fn with_flag_of_batch<'b>(self, over: &'b AtomicBool) -> Ends<'b>
+    pub(crate) fn with_flag_of_batch<'b>(self, over: &'b AtomicBool) -> CancelSignals<'b>
     where
         'a: 'b,
     {
-        Ends { over, ..self }
+        CancelSignals { over, ..self }
     }
 
     /// Whether the user's flag is up.
@@ -54,13 +54,13 @@ pub struct Query<'a> {
     pub id: u64,
     /// Running number of the batch that the point belongs to.
     pub batch: u64,
-    ends: Ends<'a>,
+    signals: CancelSignals<'a>,
 }
 
 impl Query<'static> {
-    /// A query for the cost that nobody cancels: for calling an objective by hand.
+    /// A query for the cost without any limit: for calling an objective by hand.
     pub fn new(id: u64, batch: u64, cutoff: f64) -> Self {
-        Self { want: Want::Cost, cutoff, id, batch, ends: Ends::new(&NEVER, None) }
+        Self { want: Want::Cost, cutoff, id, batch, signals: CancelSignals::new(&NEVER, None) }
     }
 
     /// The same for something else.
@@ -73,18 +73,18 @@ impl Query<'static> {
 impl Query<'_> {
     /// The same query, given up when the flag is set or the deadline is over.
     pub fn cancellable(self, cancel: &AtomicBool, deadline: Option<Instant>) -> Query<'_> {
-        self.ended_by(Ends::new(cancel, deadline))
+        self.ended_by(CancelSignals::new(cancel, deadline))
     }
 
     /// The same query as one of a run.
-    pub(crate) fn ended_by(self, ends: Ends<'_>) -> Query<'_> {
-        Query { want: self.want, cutoff: self.cutoff, id: self.id, batch: self.batch, ends }
+    pub(crate) fn ended_by(self, signals: CancelSignals<'_>) -> Query<'_> {
+        Query { want: self.want, cutoff: self.cutoff, id: self.id, batch: self.batch, signals }
     }
 
     /// Whether the run is being ended (interrupt or time limit): a long evaluation should look now and then, give
     /// up and answer [`Outcome::cancelled`].
     pub fn cancelled(&self) -> bool {
-        self.ends.is_cancelled() || self.ends.over.load(Ordering::Relaxed) || self.ends.is_late()
+        self.signals.is_cancelled() || self.signals.over.load(Ordering::Relaxed) || self.signals.is_late()
     }
 }
 

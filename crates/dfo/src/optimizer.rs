@@ -2,11 +2,11 @@
 
 use crate::answer::{Answer, Outcome, Want};
 use crate::checkpoint::Writer;
-use crate::description::Begun;
+use crate::description::StartedRun;
 use crate::drive::{end, limited, reached};
 use crate::error::Error;
-use crate::gateway::desk::Desk;
-use crate::gateway::desk::reset;
+use crate::gateway::batch_ledger::BatchLedger;
+use crate::gateway::batch_ledger::reset;
 use crate::method::{Batch, Lookahead, Method};
 use crate::methods::BoxedMethod;
 use crate::objective::Query;
@@ -40,7 +40,7 @@ impl Point {
     }
 }
 
-/// A run that somebody else drives: the same trace as [`minimize`](crate::minimize) makes, whatever the order of the
+/// A run whose evaluations the caller makes: the same trace as [`minimize`](crate::minimize) makes, whatever the order of the
 /// answers.
 ///
 /// Methods work in rounds, so [`ask`](Self::ask) has nothing to give while the last answers of a round are missing.
@@ -49,7 +49,7 @@ impl Point {
 #[derive(Debug)]
 pub struct Optimizer {
     method: BoxedMethod,
-    desk: Desk,
+    batch_ledger: BatchLedger,
     limits: Limits,
     batch: Batch,
     /// The points not handed out yet, by their places.
@@ -72,14 +72,14 @@ pub struct Optimizer {
 
 impl Optimizer {
     /// A limit of time counts from here and is looked at when a batch is complete or asked for.
-    pub(crate) fn start<T: Method + Send + 'static>(begun: Begun<T>) -> Result<Self, Error> {
-        let Begun { method, desk, limits, workers, writer, observed, before, .. } = begun;
+    pub(crate) fn start<T: Method + Send + 'static>(started: StartedRun<T>) -> Result<Self, Error> {
+        let StartedRun { method, batch_ledger, limits, workers, writer, observed, before, .. } = started;
         let method = BoxedMethod::new(method);
         // A run that was resumed may be over already.
-        let ended = observed.and_then(|_| reached(&method, &desk, &limits)).map(Some);
+        let ended = observed.and_then(|_| reached(&method, &batch_ledger, &limits)).map(Some);
         let mut optimizer = Self {
             method,
-            desk,
+            batch_ledger,
             limits,
             batch: Batch::new(),
             due: BTreeSet::new(),
@@ -107,14 +107,20 @@ impl Optimizer {
     /// The file cannot be written.
     pub fn save(&mut self) -> Result<(), Error> {
         let replay = match self.ended {
-            None => self.desk.known(&self.batch, &self.answers),
-            Some(_) => self.desk.replay.clone(),
+            None => self.batch_ledger.known(&self.batch, &self.answers),
+            Some(_) => self.batch_ledger.replay.clone(),
         };
         let seconds = self.elapsed();
         let Some(writer) = &mut self.writer else { return Ok(()) };
         let details = self.method.details();
         let observed = details.operation.map(|_| details.n_iterations);
-        writer.write(&self.method, &self.desk, &replay, (observed, self.desk.ledger.trace.end()), seconds)
+        writer.write(
+            &self.method,
+            &self.batch_ledger,
+            &replay,
+            (observed, self.batch_ledger.ledger.trace.end()),
+            seconds,
+        )
     }
 
     /// Points to evaluate, at most so many; none while the answers to all points of a round are awaited, and none after
@@ -124,7 +130,7 @@ impl Optimizer {
         if self.ended.is_some() {
             return points;
         }
-        let work = &self.desk.work;
+        let work = &self.batch_ledger.work;
         while points.len() < at_most
             && let Some(k) = self.due.pop_first()
         {
@@ -144,7 +150,7 @@ impl Optimizer {
     /// all the same).
     pub fn tell(&mut self, id: u64, answer: impl Into<Answer>) -> Result<(), Error> {
         let mut answer = answer.into();
-        let work = &self.desk.work;
+        let work = &self.batch_ledger.work;
         let place = work.place_of(id).filter(|_| self.ended.is_none());
         let Some((k, handed)) = place.and_then(|k| self.handed[k].take().map(|handed| (k, handed))) else {
             return Err(Error::UnknownPoint { id });
@@ -155,7 +161,7 @@ impl Optimizer {
         };
         let abort = match &answer.outcome {
             // What was evaluated ahead of need ends nothing before it is needed.
-            Outcome::Abort(message) if k < self.desk.n_needed() => {
+            Outcome::Abort(message) if k < self.batch_ledger.n_needed() => {
                 Some(Termination::Aborted(message.clone()))
             }
             Outcome::Abort(_) => None,
@@ -170,13 +176,13 @@ impl Optimizer {
         self.n_open -= 1;
         answer.seconds = handed.elapsed().as_secs_f64();
         self.answers[k] = answer;
-        if let Some((place, _)) = self.desk.last(&self.answers) {
+        if let Some((place, _)) = self.batch_ledger.last(&self.answers) {
             // Nothing after it is needed; what was handed out already is waited for.
-            let from = self.desk.n_before(place + 1);
+            let from = self.batch_ledger.n_before(place + 1);
             self.n_open -= self.due.split_off(&from).len();
         }
         if abort.is_some() || self.n_open == 0 {
-            let completed = self.complete(self.desk.stopped(&self.answers).or(abort));
+            let completed = self.complete(self.batch_ledger.stopped(&self.answers).or(abort));
             return completed.and(self.advance());
         }
         Ok(())
@@ -186,10 +192,10 @@ impl Optimizer {
     fn complete(&mut self, stopped: Option<Termination>) -> Result<(), Error> {
         // The state before this batch, and what is known of the batch. A file that cannot be written costs no answer.
         let saved = if stopped.is_some() { self.save() } else { Ok(()) };
-        self.desk.close(&self.batch, &mut self.answers);
-        self.method.tell(self.desk.told())?;
-        self.desk.ledger.trim(false);
-        self.ended = end(&self.method, &self.desk, &self.limits, stopped.as_ref(), false);
+        self.batch_ledger.close(&self.batch, &mut self.answers);
+        self.method.tell(self.batch_ledger.told())?;
+        self.batch_ledger.ledger.trim(false);
+        self.ended = end(&self.method, &self.batch_ledger, &self.limits, stopped.as_ref(), false);
         self.written = stopped.is_some();
         saved
     }
@@ -205,26 +211,27 @@ impl Optimizer {
         while self.ended.is_none() {
             self.method.ask(&mut self.batch);
             if self.batch.is_empty() {
-                self.ended = end(&self.method, &self.desk, &self.limits, None, false);
+                self.ended = end(&self.method, &self.batch_ledger, &self.limits, None, false);
                 continue;
             }
-            let spent = self.limits.max_evaluations.is_some_and(|m| self.desk.ledger.n_evaluations >= m);
+            let spent =
+                self.limits.max_evaluations.is_some_and(|m| self.batch_ledger.ledger.n_evaluations >= m);
             let late = self.limits.max_time.is_some_and(|t| self.elapsed() >= t.as_secs_f64());
-            // Evaluations that are at hand from before were paid for already.
-            if (spent || late) && self.desk.replay.is_empty() {
+            // Evaluations made before the run was resumed are known already.
+            if (spent || late) && self.batch_ledger.replay.is_empty() {
                 let why = if spent { Termination::MaxEvaluations } else { Termination::MaxTime };
-                self.ended = Some(Some(limited(&self.method, &self.desk, why)));
+                self.ended = Some(Some(limited(&self.method, &self.batch_ledger, why)));
                 break;
             }
-            self.desk.open(&self.batch, &self.limits);
+            self.batch_ledger.open(&self.batch, &self.limits);
             let width = match self.method.details().lookahead {
                 Lookahead::None => 1,
                 Lookahead::Points(points) => points,
                 Lookahead::Workers | Lookahead::Measured => self.workers,
             };
-            let needed = self.desk.n_needed();
-            self.desk.look_ahead(&mut self.method, width.saturating_sub(needed), &self.limits);
-            let len = self.desk.work.len();
+            let needed = self.batch_ledger.n_needed();
+            self.batch_ledger.speculate(&mut self.method, width.saturating_sub(needed), &self.limits);
+            let len = self.batch_ledger.work.len();
             self.due.clear();
             self.due.extend(0..len);
             self.n_open = len;
@@ -234,7 +241,7 @@ impl Optimizer {
             if len > 0 {
                 break;
             }
-            let stopped = self.desk.stopped(&self.answers);
+            let stopped = self.batch_ledger.stopped(&self.answers);
             self.complete(stopped)?;
         }
         self.save_now_and_then()
@@ -265,7 +272,7 @@ impl Optimizer {
 
     /// The best point so far and its cost, of complete rounds.
     pub fn best(&self) -> Option<(&[f64], f64)> {
-        self.desk.ledger.best.as_ref().map(|(x, f)| (&x[..], *f))
+        self.batch_ledger.ledger.best.as_ref().map(|(x, f)| (&x[..], *f))
     }
 
     /// Why the run is over; `None` while it is not. A run whose starting points all failed counts as
@@ -281,7 +288,7 @@ impl Optimizer {
 
     /// All evaluations of complete rounds.
     pub fn trace(&self) -> &Trace {
-        &self.desk.ledger.trace
+        &self.batch_ledger.ledger.trace
     }
 
     /// The result so far; [`Termination::Interrupted`] while the run is not over.
@@ -290,7 +297,7 @@ impl Optimizer {
     /// There is no point with a finite cost.
     pub fn report(&self) -> Result<Report, Error> {
         let termination = self.ended.clone().unwrap_or(Some(Termination::Interrupted));
-        let mut ledger = self.desk.ledger.clone();
+        let mut ledger = self.batch_ledger.ledger.clone();
         report::conclude(&self.method, &mut ledger, &self.limits, self.workers, termination, self.elapsed())
     }
 }

@@ -107,7 +107,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         n_batches: ledger.n_batches,
         n_failed: ledger.n_failed,
         n_cached: ledger.n_cached,
-        n_speculative: ledger.ahead.n_speculative(),
+        n_speculative: ledger.speculative.n_speculative(),
         termination,
         tests: details.tests,
         failures: ledger.failures(),

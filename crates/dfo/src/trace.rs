@@ -12,7 +12,7 @@ pub struct Trace {
     #[serde(with = "columns")]
     records: Vec<Record>,
     /// Evaluations that the path never came to.
-    speculative: Vec<Early>,
+    speculative: Vec<SpeculativeEntry>,
     /// Identity of the problem that the costs belong to, if the user has vouched for one.
     problem: Option<String>,
     /// Evaluations that came before the first one kept.
@@ -82,7 +82,7 @@ mod columns {
 
 /// An evaluation made ahead of need.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Early {
+pub(crate) struct SpeculativeEntry {
     pub(crate) id: u64,
     pub(crate) batch: u64,
     pub(crate) x: Vec<f64>,
@@ -130,7 +130,7 @@ impl Trace {
         self.records.push(record);
     }
 
-    pub(crate) fn push_speculative(&mut self, early: Early) {
+    pub(crate) fn push_speculative(&mut self, early: SpeculativeEntry) {
         if !matches!(early.answer.outcome, Outcome::Skipped) {
             self.speculative.push(early);
         }
@@ -140,7 +140,7 @@ impl Trace {
         self.problem = problem;
     }
 
-    /// Identity of the problem that the costs belong to; `None` if nobody has given one, see
+    /// Identity of the problem that the costs belong to; `None` if none was given, see
     /// [`Minimize::problem`](crate::Minimize::problem).
     pub fn problem(&self) -> Option<&str> {
         self.problem.as_deref()

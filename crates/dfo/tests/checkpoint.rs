@@ -328,6 +328,46 @@ fn a_file_of_an_earlier_format_is_refused_and_left_alone() {
     assert_eq!(run(Resume::Require).unwrap().n_evaluations, 20);
 }
 
+/// Files of the present format stay readable: one of each method, written after 60 evaluations,
+/// is continued to the end of the uninterrupted run. `DFO_WRITE_CHECKPOINTS=1` writes them anew, with a new format only.
+#[test]
+fn files_of_the_present_format_are_continued() {
+    let folder = Folder::new("present");
+    for name in AnyMethod::NAMES {
+        let golden =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/format_6_{name}.checkpoint"));
+        let method: AnyMethod = name.parse().unwrap();
+        let calls = AtomicUsize::new(0);
+        let limited = |limit: usize| {
+            let calls = &calls;
+            with_query(move |x: &[f64], _: &Query<'_>| match calls.fetch_add(1, Ordering::Relaxed) {
+                k if k >= limit => Outcome::Abort("stopped".to_owned()),
+                _ => Outcome::Value(rosenbrock(x)),
+            })
+        };
+        let whole = set_up(minimize(limited(usize::MAX)), &method).max_evaluations(120).run().unwrap();
+        if std::env::var_os("DFO_WRITE_CHECKPOINTS").is_some() {
+            let _ = std::fs::remove_file(&golden);
+            calls.store(0, Ordering::Relaxed);
+            set_up(minimize(limited(60)), &method)
+                .max_evaluations(120)
+                .checkpoint(at(&golden))
+                .run()
+                .unwrap();
+        }
+        let path = folder.0.join(name);
+        std::fs::copy(&golden, &path).unwrap();
+        calls.store(0, Ordering::Relaxed);
+        let continued = set_up(minimize(limited(usize::MAX)), &method)
+            .max_evaluations(120)
+            .checkpoint(at(&path).resume(Resume::Require))
+            .run()
+            .unwrap();
+        same(&continued, &whole, name);
+        assert!(calls.into_inner() <= 60, "{name}");
+    }
+}
+
 #[test]
 fn what_a_file_belongs_to_can_be_read() {
     let folder = Folder::new("identity");

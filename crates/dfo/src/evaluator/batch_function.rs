@@ -2,7 +2,7 @@
 
 use super::calls::{Evaluator, Polled, Wait, panicked};
 use crate::answer::{Answer, Failure, Outcome};
-use crate::objective::{Ends, Query};
+use crate::objective::{CancelSignals, Query};
 use std::cell::{Cell, RefCell};
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -14,7 +14,7 @@ pub struct BatchView<'a> {
     n: usize,
     points: &'a [f64],
     queries: &'a [Query<'static>],
-    ends: Ends<'a>,
+    signals: CancelSignals<'a>,
     details: &'a [Details],
 }
 
@@ -54,7 +54,7 @@ impl<'a> BatchView<'a> {
 
     /// What is wanted of point `k`, its cutoff, ids and cancel flag.
     pub fn query(&self, k: usize) -> Query<'a> {
-        self.queries[k].ended_by(self.ends)
+        self.queries[k].ended_by(self.signals)
     }
 
     /// Says how many seconds point `k` took, for the trace; else it is an equal share of the time of the call.
@@ -95,11 +95,12 @@ impl<'a> Batches<'a> {
     }
 
     /// One call. `Err`: it panicked.
-    fn call(&mut self, places: Range<usize>, ends: Ends<'_>) -> Result<(), Failure> {
+    fn call(&mut self, places: Range<usize>, signals: CancelSignals<'_>) -> Result<(), Failure> {
         let (len, n) = (places.len(), self.points.len() / self.queries.len().max(1));
         let details: Vec<Details> = std::iter::repeat_with(Details::default).take(len).collect();
         let points = &self.points[places.start * n..places.end * n];
-        let view = BatchView { n, points, queries: &self.queries[places.clone()], ends, details: &details };
+        let view =
+            BatchView { n, points, queries: &self.queries[places.clone()], signals, details: &details };
         let start = Instant::now();
         let outcomes = catch_unwind(AssertUnwindSafe(|| (self.function)(&view)))
             .map_err(|payload| panicked(payload.as_ref()))?;
@@ -141,7 +142,7 @@ impl Evaluator for Batches<'_> {
         }
         if self.answers.is_empty() {
             self.answers.resize_with(len, Answer::default);
-            match self.call(0..len, wait.ends) {
+            match self.call(0..len, wait.signals) {
                 Ok(()) => {}
                 Err(why) if len == 1 => self.answers[0].outcome = Outcome::Failed(why),
                 // One point that panics is no reason for the others to fail.
@@ -150,7 +151,7 @@ impl Evaluator for Batches<'_> {
         }
         let k = self.next;
         if self.alone == Some(k) {
-            if let Err(why) = self.call(k..k + 1, wait.ends) {
+            if let Err(why) = self.call(k..k + 1, wait.signals) {
                 self.answers[k].outcome = Outcome::Failed(why);
             }
             self.alone = Some(k + 1);
@@ -161,7 +162,7 @@ impl Evaluator for Batches<'_> {
     }
 
     fn withdraw(&mut self) {
-        // What the function has answered already is not thrown away.
+        // What the function has answered already is kept.
         let end = if self.alone.is_some() { self.next } else { self.answers.len() };
         if self.next < end {
             self.queries.truncate(end);

@@ -24,15 +24,15 @@ impl<'a> CallingThread<'a> {
 
 impl Evaluator for CallingThread<'_> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
-        let mut room = self.spare.pop().unwrap_or_default();
-        room.clear();
-        room.extend_from_slice(x);
-        self.waiting.push_back((room, query));
+        let mut buffer = self.spare.pop().unwrap_or_default();
+        buffer.clear();
+        buffer.extend_from_slice(x);
+        self.waiting.push_back((buffer, query));
     }
 
     fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
         let Some((x, query)) = self.waiting.pop_front() else { return Polled::Idle };
-        call(self.objective, &x, &query.ended_by(wait.ends), answer);
+        call(self.objective, &x, &query.ended_by(wait.signals), answer);
         self.spare.push(x);
         Polled::Answered(query.id)
     }

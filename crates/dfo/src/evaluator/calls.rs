@@ -1,7 +1,7 @@
 //! How points are handed to an evaluator and taken back, and the one place where an objective is called.
 
 use crate::answer::{Answer, Failure, FailureKind, Outcome};
-use crate::objective::{Ends, Objective, Query};
+use crate::objective::{CancelSignals, Objective, Query};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;
@@ -38,7 +38,7 @@ pub(crate) struct Wait<'a> {
     /// Not longer than this.
     pub(crate) until: Instant,
     /// What ends evaluations that poll itself makes.
-    pub(crate) ends: Ends<'a>,
+    pub(crate) signals: CancelSignals<'a>,
 }
 
 /// What polling gave.

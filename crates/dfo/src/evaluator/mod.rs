@@ -1,4 +1,4 @@
-//! Who computes: the calling thread, a pool of our own threads, or a function of the user's that takes whole batches.
+//! Evaluators: the calling thread, a pool of threads of our own, and a function of the user's that takes whole batches.
 
 mod batch_function;
 mod calling_thread;

@@ -3,7 +3,7 @@
 use super::calls::{Evaluator, Polled, Wait, call};
 use crate::answer::Answer;
 use crate::error::Error;
-use crate::objective::{Ends, Objective, Query};
+use crate::objective::{CancelSignals, Objective, Query};
 use rayon::{Scope, ThreadPool, ThreadPoolBuilder};
 use std::fmt;
 use std::sync::OnceLock;
@@ -68,7 +68,7 @@ impl fmt::Debug for WorkerPool {
 /// What the threads see of a batch.
 pub(crate) struct Shared<'a> {
     objective: &'a dyn Objective,
-    ends: Ends<'a>,
+    signals: CancelSignals<'a>,
     /// Nothing more begins.
     stop: AtomicBool,
     /// What is running gives up.
@@ -76,8 +76,8 @@ pub(crate) struct Shared<'a> {
 }
 
 impl<'a> Shared<'a> {
-    pub(crate) fn new(objective: &'a dyn Objective, ends: Ends<'a>) -> Self {
-        Self { objective, ends, stop: AtomicBool::new(false), over: AtomicBool::new(false) }
+    pub(crate) fn new(objective: &'a dyn Objective, signals: CancelSignals<'a>) -> Self {
+        Self { objective, signals, stop: AtomicBool::new(false), over: AtomicBool::new(false) }
     }
 }
 
@@ -108,11 +108,11 @@ impl<'p, 's> Threads<'p, 's> {
 
 impl Evaluator for Threads<'_, '_> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
-        let Job { x: mut room, answer, .. } =
+        let Job { x: mut buffer, answer, .. } =
             self.spare.pop().unwrap_or_else(|| Job { x: Vec::new(), query, answer: Answer::default() });
-        room.clear();
-        room.extend_from_slice(x);
-        let mut job = Job { x: room, query, answer };
+        buffer.clear();
+        buffer.extend_from_slice(x);
+        let mut job = Job { x: buffer, query, answer };
         let (shared, sender) = (self.shared, self.sender.clone());
         self.n_open += 1;
         // Spawned from outside, jobs begin in the order of their coming: when one has begun, all before it have too, so an
@@ -125,11 +125,11 @@ impl Evaluator for Threads<'_, '_> {
                 call(
                     shared.objective,
                     x,
-                    &query.ended_by(shared.ends.with_flag_of_batch(&shared.over)),
+                    &query.ended_by(shared.signals.with_flag_of_batch(&shared.over)),
                     answer,
                 );
             }
-            // Nobody listens any more only while the calling thread unwinds.
+            // The receiver is gone only while the calling thread unwinds.
             let _ = sender.send(job);
         });
     }

@@ -1,10 +1,10 @@
 //! What a run has seen: every count, the failures, the best point so far, the trace.
 
-use super::ahead::Ahead;
+use super::speculative::SpeculativeStore;
 use crate::answer::{Answer, Failure, Outcome};
 use crate::error::NothingFound;
 use crate::method::Batch;
-use crate::trace::{Early, Record, Trace};
+use crate::trace::{Record, SpeculativeEntry, Trace};
 use serde::{Deserialize, Serialize};
 
 /// Reasons counted one by one; what comes beyond is counted together.
@@ -28,7 +28,7 @@ pub(crate) enum Source {
 }
 
 impl Source {
-    /// Whether the point stands in the desk's work.
+    /// Whether the point is evaluated in this batch.
     pub(crate) fn is_work(self) -> bool {
         matches!(self, Self::Run | Self::Again)
     }
@@ -41,7 +41,7 @@ pub(crate) struct Ledger {
     /// Whether the trace keeps residuals.
     keeps_residuals: bool,
     /// What was evaluated ahead of need.
-    pub(crate) ahead: Ahead,
+    pub(crate) speculative: SpeculativeStore,
     pub(crate) best: Option<(Vec<f64>, f64)>,
     pub(crate) n_evaluations: usize,
     pub(crate) n_failed: usize,
@@ -61,7 +61,7 @@ impl Ledger {
             trace: Trace::new(n),
             trace_limit,
             keeps_residuals,
-            ahead: Ahead::default(),
+            speculative: SpeculativeStore::default(),
             best: None,
             n_evaluations: 0,
             n_failed: 0,
@@ -128,8 +128,8 @@ impl Ledger {
     }
 
     /// Keeps an evaluation that was made ahead of need.
-    pub(crate) fn keep_ahead(&mut self, early: Early) {
-        if let Some(useless) = self.ahead.keep(early) {
+    pub(crate) fn keep_speculative(&mut self, early: SpeculativeEntry) {
+        if let Some(useless) = self.speculative.keep(early) {
             self.trace.push_speculative(useless);
         }
     }
@@ -145,7 +145,7 @@ impl Ledger {
 
     /// The run is over: nothing that was evaluated ahead will be needed.
     pub(crate) fn finish(&mut self) {
-        for early in self.ahead.drain() {
+        for early in self.speculative.drain() {
             self.trace.push_speculative(early);
         }
         self.trim(true);
@@ -174,7 +174,7 @@ impl Ledger {
     /// Whether its parts fit together: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.trace.is_sound(n)
-            && self.ahead.is_sound(n)
+            && self.speculative.is_sound(n)
             && self.best.as_ref().is_none_or(|(x, _)| x.len() == n)
     }
 }

@@ -1,37 +1,37 @@
 //! The only gateway to the objective: what is known already, exact budgets, execution, entry into the ledger.
 
-pub(crate) mod ahead;
+pub(crate) mod batch_ledger;
 pub(crate) mod cache;
-pub(crate) mod desk;
 pub(crate) mod ledger;
-mod pace;
+pub(crate) mod speculative;
+mod width_control;
 
 use crate::answer::Answer;
 use crate::evaluator::{
     BatchFunction, Batches, CallingThread, Evaluator, GivesUp, Job, Polled, Shared, Threads, Wait, WorkerPool,
 };
 use crate::method::{Batch, Method};
-use crate::objective::{Ends, Objective};
+use crate::objective::{CancelSignals, Objective};
 use crate::termination::Termination;
 use crate::tolerances::Limits;
-use desk::{Desk, Replay, reset};
-use pace::{HandingOver, Pace};
+use batch_ledger::{BatchLedger, Replay, reset};
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
+use width_control::{Dispatch, WidthControl};
 
-pub(crate) use pace::Here;
+pub(crate) use width_control::OnCallingThread;
 
 /// The calling thread looks for interrupts at least this often while workers compute.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Who computes.
+/// What evaluates.
 pub(crate) enum Executor<'a> {
     Serial(CallingThread<'a>),
     Pool {
         pool: &'a WorkerPool,
         objective: &'a dyn Objective,
-        here: Here,
+        here: OnCallingThread,
         serial: CallingThread<'a>,
         spare: Vec<Job>,
     },
@@ -43,7 +43,7 @@ impl<'a> Executor<'a> {
         Self::Serial(CallingThread::new(objective))
     }
 
-    pub(crate) fn pool(pool: &'a WorkerPool, objective: &'a dyn Objective, here: Here) -> Self {
+    pub(crate) fn pool(pool: &'a WorkerPool, objective: &'a dyn Objective, here: OnCallingThread) -> Self {
         Self::Pool { pool, objective, here, serial: CallingThread::new(objective), spare: Vec::new() }
     }
 
@@ -51,36 +51,36 @@ impl<'a> Executor<'a> {
         Self::Batches(Batches::new(function))
     }
 
-    fn handing_over(&self) -> HandingOver {
+    fn dispatch(&self) -> Dispatch {
         match self {
-            Self::Serial(_) => HandingOver::Never,
-            Self::Pool { .. } => HandingOver::Threads,
-            Self::Batches(_) => HandingOver::Batches,
+            Self::Serial(_) => Dispatch::Never,
+            Self::Pool { .. } => Dispatch::Threads,
+            Self::Batches(_) => Dispatch::Batches,
         }
     }
 }
 
 /// What the outside may want while a batch is computed.
-struct Outside<'a> {
-    ends: Ends<'a>,
+struct RunControl<'a> {
+    signals: CancelSignals<'a>,
     poll: Option<&'a mut dyn FnMut() -> bool>,
     last_poll: Option<Instant>,
 }
 
 /// Why no more evaluations may start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Halt {
+enum StopCause {
     Interrupted,
     OutOfTime,
 }
 
-impl<'a> Outside<'a> {
+impl<'a> RunControl<'a> {
     /// Whether to go on; asks the user's poll function unless it was asked a moment ago.
-    fn check(&mut self) -> Option<Halt> {
-        if self.ends.is_cancelled() {
-            return Some(Halt::Interrupted);
+    fn check(&mut self) -> Option<StopCause> {
+        if self.signals.is_cancelled() {
+            return Some(StopCause::Interrupted);
         }
-        if self.ends.deadline.is_none() && self.poll.is_none() {
+        if self.signals.deadline.is_none() && self.poll.is_none() {
             return None;
         }
         let now = Instant::now();
@@ -89,49 +89,49 @@ impl<'a> Outside<'a> {
         {
             self.last_poll = Some(now);
             if poll() {
-                return Some(Halt::Interrupted);
+                return Some(StopCause::Interrupted);
             }
         }
-        self.ends.deadline.filter(|d| now >= *d).map(|_| Halt::OutOfTime)
+        self.signals.deadline.filter(|d| now >= *d).map(|_| StopCause::OutOfTime)
     }
 
     /// How long the calling thread may wait for an answer before it must look up. `halted`: whether it knows of the
     /// deadline already.
     fn wait(&self, halted: bool) -> Wait<'a> {
         let soon = Instant::now() + POLL_INTERVAL;
-        let until = self.ends.deadline.filter(|_| !halted).map_or(soon, |deadline| deadline.min(soon));
-        Wait { until, ends: self.ends }
+        let until = self.signals.deadline.filter(|_| !halted).map_or(soon, |deadline| deadline.min(soon));
+        Wait { until, signals: self.signals }
     }
 }
 
-/// Evaluates these points of the desk's work: one that the path needs and that ends the run lets nothing more begin.
+/// Evaluates these points of the batch ledger's work. After a point of the path that ends the run nothing more begins.
 fn gather(
     evaluator: &mut dyn Evaluator,
-    desk: &Desk,
+    batch_ledger: &BatchLedger,
     points: Range<usize>,
-    outside: &mut Outside<'_>,
+    control: &mut RunControl<'_>,
     answers: &mut [Answer],
-) -> Option<Halt> {
-    let work = &desk.work;
+) -> Option<StopCause> {
+    let work = &batch_ledger.work;
     for k in points {
         evaluator.submit(work.point(k), work.query(k));
     }
-    let (mut halt, mut answer) = (None, Answer::default());
+    let (mut cause, mut answer) = (None, Answer::default());
     loop {
-        match evaluator.poll(&outside.wait(halt.is_some()), &mut answer) {
+        match evaluator.poll(&control.wait(cause.is_some()), &mut answer) {
             Polled::Answered(id) => {
                 let Some(k) = work.place_of(id) else { continue };
                 std::mem::swap(&mut answers[k], &mut answer);
-                if desk.is_last(k, &answers[k]) {
+                if batch_ledger.is_last(k, &answers[k]) {
                     evaluator.withdraw();
                 }
             }
             Polled::Waiting => {}
-            Polled::Idle => return halt,
+            Polled::Idle => return cause,
         }
-        if halt.is_none() {
-            halt = outside.check();
-            if halt.is_some() {
+        if cause.is_none() {
+            cause = control.check();
+            if cause.is_some() {
                 evaluator.cancel();
             }
         }
@@ -140,24 +140,24 @@ fn gather(
 
 pub(crate) struct Gateway<'a> {
     executor: Executor<'a>,
-    outside: Outside<'a>,
+    control: RunControl<'a>,
     limits: Limits,
-    pace: Pace,
+    width_control: WidthControl,
     start: Instant,
     /// Seconds of the run before it was resumed.
     before: f64,
-    /// The answers to the points of the desk's work.
+    /// The answers to the points of the batch ledger's work.
     answers: Vec<Answer>,
-    pub(crate) desk: Desk,
+    pub(crate) batch_ledger: BatchLedger,
 }
 
 impl<'a> Gateway<'a> {
     pub(crate) fn new(
         executor: Executor<'a>,
-        mut desk: Desk,
+        mut batch_ledger: BatchLedger,
         limits: Limits,
         before: f64,
-        outside: (&'a AtomicBool, Option<&'a mut dyn FnMut() -> bool>),
+        control: (&'a AtomicBool, Option<&'a mut dyn FnMut() -> bool>),
         workers: usize,
     ) -> Self {
         let start = Instant::now();
@@ -165,20 +165,20 @@ impl<'a> Gateway<'a> {
             .max_time
             .map(|t| t.saturating_sub(Duration::try_from_secs_f64(before).unwrap_or(Duration::MAX)));
         let deadline = left.and_then(|t| start.checked_add(t));
-        desk.gives_up = match &executor {
+        batch_ledger.gives_up = match &executor {
             Executor::Serial(serial) | Executor::Pool { serial, .. } => serial.gives_up(),
             Executor::Batches(_) => GivesUp::Unknown,
         };
-        let (cancel, poll) = outside;
+        let (cancel, poll) = control;
         Self {
-            pace: Pace::new(workers, executor.handing_over()),
+            width_control: WidthControl::new(workers, executor.dispatch()),
             executor,
-            outside: Outside { ends: Ends::new(cancel, deadline), poll, last_poll: None },
+            control: RunControl { signals: CancelSignals::new(cancel, deadline), poll, last_poll: None },
             limits,
             start,
             before,
             answers: Vec::new(),
-            desk,
+            batch_ledger,
         }
     }
 
@@ -188,14 +188,14 @@ impl<'a> Gateway<'a> {
 
     /// The limit that forbids to start another evaluation, if one does.
     pub(crate) fn exhausted(&self) -> Option<Termination> {
-        if !self.desk.replay.is_empty() {
-            // Evaluations are at hand that were paid for already.
+        if !self.batch_ledger.replay.is_empty() {
+            // Evaluations made before the run was resumed are known already.
             return None;
         }
-        if self.limits.max_evaluations.is_some_and(|m| self.desk.ledger.n_evaluations >= m) {
+        if self.limits.max_evaluations.is_some_and(|m| self.batch_ledger.ledger.n_evaluations >= m) {
             return Some(Termination::MaxEvaluations);
         }
-        self.outside.ends.is_late().then_some(Termination::MaxTime)
+        self.control.signals.is_late().then_some(Termination::MaxTime)
     }
 
     /// Evaluates what the budget allows of a batch that `method` asked for, in request order, and what it may need next
@@ -206,68 +206,74 @@ impl<'a> Gateway<'a> {
         batch: &Batch,
         method: &mut M,
     ) -> Option<Termination> {
-        self.desk.open(batch, &self.limits);
-        let begun = Instant::now();
-        let needed = self.desk.n_needed();
-        let width = self.pace.width(method.details().lookahead, self.desk.ledger.n_evaluations);
+        self.batch_ledger.open(batch, &self.limits);
+        let started = Instant::now();
+        let needed = self.batch_ledger.n_needed();
+        let width =
+            self.width_control.width(method.details().lookahead, self.batch_ledger.ledger.n_evaluations);
         if needed > 0 && width > needed {
-            self.desk.look_ahead(method, width - needed, &self.limits);
+            self.batch_ledger.speculate(method, width - needed, &self.limits);
         }
-        reset(&mut self.answers, self.desk.work.len());
-        let halt = self.outside.check().or_else(|| self.execute());
+        reset(&mut self.answers, self.batch_ledger.work.len());
+        let cause = self.control.check().or_else(|| self.execute());
         if needed > 0 {
-            self.pace.measured(needed, begun.elapsed().as_secs_f64(), self.answers.iter().map(|a| a.seconds));
+            self.width_control.measured(
+                needed,
+                started.elapsed().as_secs_f64(),
+                self.answers.iter().map(|a| a.seconds),
+            );
         }
-        self.verdict(halt)
+        self.verdict(cause)
     }
 
-    /// Evaluates the desk's work.
-    fn execute(&mut self) -> Option<Halt> {
-        let Self { executor, desk, outside, pace, answers, .. } = self;
-        let mut rest = 0..desk.work.len();
+    /// Evaluates the batch ledger's work.
+    fn execute(&mut self) -> Option<StopCause> {
+        let Self { executor, batch_ledger, control, width_control, answers, .. } = self;
+        let mut rest = 0..batch_ledger.work.len();
         match executor {
-            Executor::Serial(serial) => gather(serial, desk, rest, outside, answers),
-            Executor::Batches(batches) => gather(batches, desk, rest, outside, answers),
+            Executor::Serial(serial) => gather(serial, batch_ledger, rest, control, answers),
+            Executor::Batches(batches) => gather(batches, batch_ledger, rest, control, answers),
             Executor::Pool { pool, objective, here, serial, spare } => {
-                if *here == Here::AtFirst && pace.is_new() && !rest.is_empty() {
+                if *here == OnCallingThread::AtFirst && width_control.is_new() && !rest.is_empty() {
                     // How long an evaluation takes shows whether threads are worth starting.
-                    let halt = gather(serial, desk, 0..1, outside, answers);
-                    if halt.is_some() || desk.is_last(0, &answers[0]) {
-                        return halt;
+                    let cause = gather(serial, batch_ledger, 0..1, control, answers);
+                    if cause.is_some() || batch_ledger.is_last(0, &answers[0]) {
+                        return cause;
                     }
-                    rest = 1..desk.work.len();
+                    rest = 1..batch_ledger.work.len();
                 }
                 let known = (rest.start > 0).then(|| answers[0].seconds);
-                let away = !rest.is_empty() && pace.hands_over(rest.len(), *here, known);
+                let away = !rest.is_empty() && width_control.hands_over(rest.len(), *here, known);
                 let Some(threads) = away.then(|| pool.threads()).flatten() else {
-                    return gather(serial, desk, rest, outside, answers);
+                    return gather(serial, batch_ledger, rest, control, answers);
                 };
-                let shared = Shared::new(*objective, outside.ends);
+                let shared = Shared::new(*objective, control.signals);
                 threads.in_place_scope(|scope| {
                     let mut threads = Threads::new(scope, &shared, spare);
-                    gather(&mut threads, desk, rest, outside, answers)
+                    gather(&mut threads, batch_ledger, rest, control, answers)
                 })
             }
         }
     }
 
     /// Why the run must end after what the path needs was evaluated.
-    fn verdict(&self, halt: Option<Halt>) -> Option<Termination> {
-        let stopped = self.desk.stopped(&self.answers);
+    fn verdict(&self, cause: Option<StopCause>) -> Option<Termination> {
+        let stopped = self.batch_ledger.stopped(&self.answers);
         if matches!(stopped, Some(Termination::Aborted(_))) {
             return stopped;
         }
-        match halt {
-            Some(Halt::Interrupted) => return Some(Termination::Interrupted),
-            Some(Halt::OutOfTime) => return Some(Termination::MaxTime),
+        match cause {
+            Some(StopCause::Interrupted) => return Some(Termination::Interrupted),
+            Some(StopCause::OutOfTime) => return Some(Termination::MaxTime),
             None => {}
         }
-        let last = self.desk.last(&self.answers);
-        let n_needed = last.map_or(self.desk.n_needed(), |(place, _)| self.desk.n_before(place));
+        let last = self.batch_ledger.last(&self.answers);
+        let n_needed =
+            last.map_or(self.batch_ledger.n_needed(), |(place, _)| self.batch_ledger.n_before(place));
         if self.answers[..n_needed].iter().any(|answer| !answer.outcome.is_known()) {
             // An evaluation gave up although nothing above noticed: the deadline passed inside of it, or the
-            // objective was told to stop by somebody else.
-            let is_late = self.outside.ends.is_late();
+            // objective was told to stop elsewhere.
+            let is_late = self.control.signals.is_late();
             return Some(if is_late { Termination::MaxTime } else { Termination::Interrupted });
         }
         stopped
@@ -275,11 +281,11 @@ impl<'a> Gateway<'a> {
 
     /// What of the batch just evaluated is known for good.
     pub(crate) fn known(&self, batch: &Batch) -> Vec<Replay> {
-        self.desk.known(batch, &self.answers)
+        self.batch_ledger.known(batch, &self.answers)
     }
 
     /// Enters the batch just evaluated into the ledger.
     pub(crate) fn close(&mut self, batch: &Batch) {
-        self.desk.close(batch, &mut self.answers);
+        self.batch_ledger.close(batch, &mut self.answers);
     }
 }

@@ -15,11 +15,11 @@ use crate::method::{
     BarrierStage, Batch, Details, Method, MethodOptions, Operation, Setup, Status, restored, saved,
 };
 use crate::methods::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
+use crate::option_texts;
 use crate::space::Bounds;
 use crate::space::Space;
 use crate::termination::Termination;
 use crate::tolerances::Tolerances;
-use crate::words;
 use serde::{Deserialize, Serialize};
 
 /// How near to a bound the search may come, in units of the width of the box (else of the size of the parameter).
@@ -148,7 +148,7 @@ impl MethodOptions for Barrier {
     }
 
     fn describe(&self) -> Vec<(String, String)> {
-        words::fields(self)
+        option_texts::fields(self)
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<BarrierState, Error> {
@@ -172,7 +172,7 @@ fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
             }
         };
         // A start that is nearer to the bound than the margin may be kept half that near.
-        let (low, high) = space.ends(k);
+        let (low, high) = space.limits_of(k);
         if low.is_finite() {
             lower[i] = (lower[i] + step(lower[i])).min(0.5 * lower[i] + 0.5 * start[i]);
         }
@@ -238,7 +238,7 @@ impl BarrierState {
         space.to_working(x, &mut self.working);
         let mut sum = 0.0;
         for (k, u) in self.working.iter().enumerate() {
-            let (lower, upper) = space.ends(k);
+            let (lower, upper) = space.limits_of(k);
             let size = space.size(k);
             if lower.is_finite() {
                 sum += (size / (u - lower)).min(MAX_TERM);

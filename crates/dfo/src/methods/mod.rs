@@ -56,7 +56,7 @@ impl AnyMethod {
     /// All names.
     pub const NAMES: [&'static str; 5] = ["nelder-mead", "barrier", "de", "de-classic", "ga"];
 
-    /// The method for those who choose none: Nelder-Mead; differential evolution with integer parameters, the genetic
+    /// The method where none is chosen: Nelder-Mead; differential evolution with integer parameters, the genetic
     /// algorithm with categorical ones.
     pub fn auto(kinds: &[Kind]) -> Self {
         if kinds.contains(&Kind::Categorical) {

@@ -10,10 +10,10 @@ impl Space {
     pub(crate) fn with_sine(&self) -> Self {
         let mut space = self.clone();
         for k in 0..self.n_free() {
-            let (lower, upper) = self.ends(k);
+            let (lower, upper) = self.limits_of(k);
             space.sizes[k] = match self.width(k) {
                 Some(width) if width > 0.0 => 2.0 * self.sizes[k] / width,
-                // No room on a logarithmic scale, or one bound.
+                // A range without width on a logarithmic scale, or one bound.
                 Some(_) => 1.0,
                 None if lower.is_finite() || upper.is_finite() => 1.0,
                 None => self.sizes[k],
@@ -33,7 +33,7 @@ impl Space {
 
     /// The coordinate that an angle stands for.
     pub(super) fn fold_sine(&self, k: usize, v: f64) -> f64 {
-        let (lower, upper) = self.ends(k);
+        let (lower, upper) = self.limits_of(k);
         let u = match (lower.is_finite(), upper.is_finite()) {
             (true, true) if self.boxed[k] => lower + 0.5 * (upper - lower) * (1.0 + v.sin()),
             // The width is no number.
@@ -48,7 +48,7 @@ impl Space {
 
     /// The angle of a coordinate.
     pub(super) fn unfold(&self, k: usize, u: f64) -> f64 {
-        let (lower, upper) = self.ends(k);
+        let (lower, upper) = self.limits_of(k);
         // The root of (d + 1)^2 - 1, which has no square that could overflow.
         let arc = |distance: f64| {
             let d = (distance / self.units[k]).clamp(0.0, f64::MAX);
@@ -73,7 +73,7 @@ impl Space {
         if !self.sine {
             return [None; 2];
         }
-        let (low, high) = self.ends(k);
+        let (low, high) = self.limits_of(k);
         let (lower, upper) = (self.bounds.lower()[self.free[k]], self.bounds.upper()[self.free[k]]);
         match (low.is_finite(), high.is_finite()) {
             (true, true) => {

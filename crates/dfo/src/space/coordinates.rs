@@ -3,7 +3,7 @@
 use super::bounds::{Bounds, clamp, fold};
 use crate::choices::{BoundsHandling, Kind, Measure, Transform};
 use crate::error::Error;
-use crate::words;
+use crate::option_texts;
 use serde::{Deserialize, Serialize};
 
 /// A checked start point with its box, scales and sizes.
@@ -248,18 +248,18 @@ impl Space {
         }
     }
 
-    /// Bounds, scales, kinds and sizes in words, for a fingerprint.
+    /// Bounds, scales, kinds and sizes as text, for a fingerprint.
     pub(crate) fn describe(&self) -> Vec<(String, String)> {
         let Self { bounds, free, transforms, kinds, sizes, size_given, .. } = self;
         let given = free.iter().zip(size_given).filter(|(_, given)| **given).map(|(index, _)| index);
         [
-            ("lower bounds", words::numbers(bounds.lower())),
-            ("upper bounds", words::numbers(bounds.upper())),
-            ("free parameters", words::word(free)),
-            ("scales", words::word(transforms)),
-            ("kinds", words::word(kinds)),
-            ("sizes", words::numbers(sizes)),
-            ("sizes given for parameters", words::word(&given.collect::<Vec<_>>())),
+            ("lower bounds", option_texts::numbers(bounds.lower())),
+            ("upper bounds", option_texts::numbers(bounds.upper())),
+            ("free parameters", option_texts::word(free)),
+            ("scales", option_texts::word(transforms)),
+            ("kinds", option_texts::word(kinds)),
+            ("sizes", option_texts::numbers(sizes)),
+            ("sizes given for parameters", option_texts::word(&given.collect::<Vec<_>>())),
         ]
         .map(|(name, value)| (name.to_owned(), value))
         .into()
@@ -337,7 +337,7 @@ impl Space {
             self.units[k] = size;
         }
         // With one bound an angle keeps its size, and the hyperbola follows its unit.
-        if !self.sine || self.ends(k) == (f64::NEG_INFINITY, f64::INFINITY) {
+        if !self.sine || self.limits_of(k) == (f64::NEG_INFINITY, f64::INFINITY) {
             self.sizes[k] = size;
         }
     }
@@ -388,7 +388,7 @@ impl Space {
     }
 
     /// The user's bounds in the linear or logarithmic scale of a coordinate; infinite where there is none that counts.
-    pub(crate) fn ends(&self, k: usize) -> (f64, f64) {
+    pub(crate) fn limits_of(&self, k: usize) -> (f64, f64) {
         let i = self.free[k];
         let (lower, upper) = (self.bounds.lower()[i], self.bounds.upper()[i]);
         let open = match self.transforms[k] {

@@ -1,4 +1,4 @@
-//! The search space: which parameters are free, on which scale they live, and what size a step of one has.
+//! The search space: which parameters are free, on which scale they are, and what size a step of one has.
 //!
 //! Outside, points are always in the user's units and order. Methods see *working coordinates*: one per free
 //! parameter, `x` itself on a linear scale (bit for bit, so that tolerances in x stay tolerances in x) and `ln x` on

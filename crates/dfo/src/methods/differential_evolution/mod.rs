@@ -26,10 +26,10 @@ use crate::error::Error;
 use crate::method::{MethodOptions, Setup};
 use crate::methods::shared::generations::Generations;
 use crate::methods::shared::population::MAX_MEMBERS;
+use crate::option_texts;
 use crate::rng::draw_seed;
-use crate::words;
 use options::planned;
-use state::Differences;
+use state::DifferentialRules;
 
 impl MethodOptions for DifferentialEvolution {
     type Method = DifferentialEvolutionState;
@@ -58,7 +58,7 @@ impl MethodOptions for DifferentialEvolution {
             return Err(Error::Option { name: "population", value: members as f64, range });
         }
         let members = if n == 0 { 1 } else { members };
-        Differences::begin(self, setup.clone(), members, setup.seed.unwrap_or_else(draw_seed))
+        DifferentialRules::begin(self, setup.clone(), members, setup.seed.unwrap_or_else(draw_seed))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<DifferentialEvolutionState, Error> {
@@ -70,7 +70,7 @@ impl MethodOptions for DifferentialEvolution {
     }
 
     fn describe(&self) -> Vec<(String, String)> {
-        words::fields(self)
+        option_texts::fields(self)
     }
 
     fn plans_with_budget(&self) -> bool {

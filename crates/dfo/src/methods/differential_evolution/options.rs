@@ -262,7 +262,7 @@ impl DifferentialEvolution {
     }
 }
 
-/// Evaluations that L-SHADE plans with where nobody limits them, for `n` free parameters. Its authors have 10 000 n
+/// Evaluations that L-SHADE plans with where they are not limited, for `n` free parameters. Its authors have 10 000 n
 /// (Tanabe and Fukunaga, CEC 2014), on functions that cost nothing; with a fifth of that it finds the minima of the
 /// shifted Rastrigin, Rosenbrock and ellipsoid functions with 5 and 10 parameters.
 pub(super) fn planned(n: usize) -> usize {

@@ -7,18 +7,18 @@ use crate::choices::Kind;
 use crate::error::Error;
 use crate::method::Setup;
 use crate::methods::shared::cost::Cost;
-use crate::methods::shared::generations::{Breeder, Generations, Pool};
+use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::rng::{Purpose, Stream};
 use crate::space::Space;
 use crate::termination::Termination;
 use serde::{Deserialize, Serialize};
 
 /// A running differential evolution; made by [`DifferentialEvolution`].
-pub type DifferentialEvolutionState = Generations<Differences>;
+pub type DifferentialEvolutionState = Generations<DifferentialRules>;
 
 /// What differential evolution keeps besides its population.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Differences {
+pub struct DifferentialRules {
     options: DifferentialEvolution,
     /// `F` and `CR` of each trial.
     factors: Vec<(f64, f64)>,
@@ -28,7 +28,7 @@ pub struct Differences {
     n_evaluated: usize,
 }
 
-impl Differences {
+impl DifferentialRules {
     pub(super) fn begin(
         options: &DifferentialEvolution,
         setup: Setup,
@@ -43,26 +43,27 @@ impl Differences {
                 Some(Adaptation::new(adaptive, members, budget, n))
             }
         };
-        let breeder = Self {
+        let rules = Self {
             options: options.clone(),
             factors: vec![(0.0, 0.0); members],
             adaptation,
             trial: vec![0.0; n],
             n_evaluated: 0,
         };
-        let (pool, _) = Pool::new(setup, seed, (members, members), options.sampling, options.include_start)?;
-        Ok(Generations::new(breeder, pool))
+        let (pool, _) =
+            Populations::new(setup, seed, (members, members), options.sampling, options.include_start)?;
+        Ok(Generations::new(rules, pool))
     }
 }
 
-impl Breeder for Differences {
+impl GenerationRules for DifferentialRules {
     fn name(&self) -> &'static str {
         self.options.name()
     }
 
     /// Each trial is made from draws of its own.
-    fn breed(&mut self, generation: u64, pool: &mut Pool) {
-        let Pool { setup, seed, population, candidates } = pool;
+    fn make_candidates(&mut self, generation: u64, pool: &mut Populations) {
+        let Populations { setup, seed, population, candidates } = pool;
         let mut common = Stream::new(*seed, Purpose::Generation, generation, 0);
         if let Some(adaptation) = &mut self.adaptation {
             let members = adaptation.population_after(self.n_evaluated).min(population.len());
@@ -101,12 +102,12 @@ impl Breeder for Differences {
     }
 
     /// The cost of the target: what is above it is not selected.
-    fn cutoff(&self, pool: &Pool, candidate: usize) -> f64 {
+    fn cutoff(&self, pool: &Populations, candidate: usize) -> f64 {
         pool.cost_as_cutoff(candidate)
     }
 
-    fn select(&mut self, pool: &mut Pool) {
-        let Pool { population, candidates, .. } = pool;
+    fn select(&mut self, pool: &mut Populations) {
+        let Populations { population, candidates, .. } = pool;
         for i in 0..population.len() {
             let (old, new) = (population.cost(i), candidates.cost(i));
             let Cost::Value(f) = new else { continue };
@@ -126,11 +127,11 @@ impl Breeder for Differences {
         self.n_evaluated += population.len();
     }
 
-    fn started(&mut self, pool: &Pool) {
+    fn started(&mut self, pool: &Populations) {
         self.n_evaluated = pool.population.len();
     }
 
-    fn ended(&mut self, pool: &Pool, _: f64) -> Option<Termination> {
+    fn ended(&mut self, pool: &Populations, _: f64) -> Option<Termination> {
         pool.population.is_collapsed(&pool.setup.space).then_some(Termination::Collapsed)
     }
 
@@ -139,7 +140,7 @@ impl Breeder for Differences {
         space.n_free() > 0 && (0..space.n_free()).all(|k| space.kind(k) != Kind::Continuous)
     }
 
-    fn is_sound(&self, pool: &Pool) -> bool {
+    fn is_sound(&self, pool: &Populations) -> bool {
         let (n, members) = (pool.setup.space.n_free(), pool.population.len());
         let adaptive = matches!(self.options.scheme, Scheme::Adaptive(_));
         let least = match self.options.scheme {

@@ -20,10 +20,10 @@ pub use state::GeneticState;
 use crate::error::Error;
 use crate::method::{MethodOptions, Setup};
 use crate::methods::shared::generations::Generations;
+use crate::option_texts;
 use crate::rng::draw_seed;
-use crate::words;
 use coding::Coding;
-use state::Strings;
+use state::GeneticRules;
 
 impl MethodOptions for Genetic {
     type Method = GeneticState;
@@ -37,7 +37,7 @@ impl MethodOptions for Genetic {
         self.check(members)?;
         let coding = Coding::new(space, &self.resolution, self.gray)?;
         let members = if n == 0 { 1 } else { members };
-        Strings::begin(self, setup.clone(), coding, members, setup.seed.unwrap_or_else(draw_seed))
+        GeneticRules::begin(self, setup.clone(), coding, members, setup.seed.unwrap_or_else(draw_seed))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<GeneticState, Error> {
@@ -49,7 +49,7 @@ impl MethodOptions for Genetic {
     }
 
     fn describe(&self) -> Vec<(String, String)> {
-        words::fields(self)
+        option_texts::fields(self)
     }
 
     fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {

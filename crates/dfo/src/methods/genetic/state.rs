@@ -6,7 +6,7 @@ use super::options::{Genetic, Selection};
 use crate::choices::Kind;
 use crate::error::Error;
 use crate::method::Setup;
-use crate::methods::shared::generations::{Breeder, Generations, Pool};
+use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::population::Population;
 use crate::rng::{Purpose, Stream};
 use crate::termination::Termination;
@@ -19,11 +19,11 @@ fn n_seen(members: usize, n: usize) -> usize {
 }
 
 /// A running genetic algorithm; made by [`Genetic`].
-pub type GeneticState = Generations<Strings>;
+pub type GeneticState = Generations<GeneticRules>;
 
 /// What the genetic algorithm keeps besides its population. The elite is not among the candidates.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Strings {
+pub struct GeneticRules {
     options: Genetic,
     coding: Coding,
     mutation_rate: f64,
@@ -41,7 +41,7 @@ pub struct Strings {
     idle_since: f64,
 }
 
-impl Strings {
+impl GeneticRules {
     pub(super) fn begin(
         options: &Genetic,
         setup: Setup,
@@ -52,9 +52,10 @@ impl Strings {
         let (n, length) = (setup.space.n_free(), coding.length());
         let n_children = if n == 0 { 0 } else { members - options.elite };
         let sizes = (members, n_children);
-        let (mut pool, n_exact) = Pool::new(setup, seed, sizes, options.sampling, options.include_start)?;
+        let (mut pool, n_exact) =
+            Populations::new(setup, seed, sizes, options.sampling, options.include_start)?;
         let (mut bits, mut decoded) = (vec![false; members * length], vec![0.0; n]);
-        let Pool { setup, population, .. } = &mut pool;
+        let Populations { setup, population, .. } = &mut pool;
         for slot in 0..members {
             let own = &mut bits[slot * length..(slot + 1) * length];
             coding.encode(&setup.space, population.u(slot), population.x(slot), own);
@@ -65,7 +66,7 @@ impl Strings {
             }
         }
         let best_seen = Population::new(&setup.space, n_seen(members, n));
-        let breeder = Self {
+        let rules = Self {
             best_seen,
             mutation_rate: options.mutation_rate.unwrap_or((1.0 / length.max(1) as f64).min(0.1)),
             options: options.clone(),
@@ -78,18 +79,18 @@ impl Strings {
             idle: 0,
             idle_since: f64::INFINITY,
         };
-        Ok(Generations::new(breeder, pool))
+        Ok(Generations::new(rules, pool))
     }
 }
 
-impl Breeder for Strings {
+impl GenerationRules for GeneticRules {
     fn name(&self) -> &'static str {
         "ga"
     }
 
     /// Each pair is made from draws of its own.
-    fn breed(&mut self, generation: u64, pool: &mut Pool) {
-        let Pool { setup, seed, population, candidates } = pool;
+    fn make_candidates(&mut self, generation: u64, pool: &mut Populations) {
+        let Populations { setup, seed, population, candidates } = pool;
         let length = self.coding.length();
         fitness_sums(population, &mut self.sums);
         for (pair, strings) in self.child_bits.chunks_mut((2 * length).max(1)).enumerate() {
@@ -118,13 +119,13 @@ impl Breeder for Strings {
     }
 
     /// Selection by fitness needs every cost.
-    fn cutoff(&self, _: &Pool, _: usize) -> f64 {
+    fn cutoff(&self, _: &Populations, _: usize) -> f64 {
         f64::INFINITY
     }
 
     /// Children take the places of all but the elite.
-    fn select(&mut self, pool: &mut Pool) {
-        let Pool { population, candidates, .. } = pool;
+    fn select(&mut self, pool: &mut Populations) {
+        let Populations { population, candidates, .. } = pool;
         for child in 0..candidates.len() {
             self.best_seen.take_better(candidates, child);
         }
@@ -141,7 +142,7 @@ impl Breeder for Strings {
         }
     }
 
-    fn started(&mut self, pool: &Pool) {
+    fn started(&mut self, pool: &Populations) {
         let population = &pool.population;
         for member in 0..population.len() {
             self.best_seen.take_better(population, member);
@@ -149,7 +150,7 @@ impl Breeder for Strings {
         self.idle_since = population.cost(population.best()).value().unwrap_or(f64::INFINITY);
     }
 
-    fn ended(&mut self, pool: &Pool, best: f64) -> Option<Termination> {
+    fn ended(&mut self, pool: &Populations, best: f64) -> Option<Termination> {
         self.idle = if best < self.idle_since { 0 } else { self.idle + 1 };
         self.idle_since = best;
         if self.options.stall.is_some_and(|limit| self.idle >= limit) {
@@ -172,7 +173,7 @@ impl Breeder for Strings {
         continuous.then(|| self.best_seen.judge(Extent::BestSeen, space, &setup.tolerances, f_0))
     }
 
-    fn is_sound(&self, pool: &Pool) -> bool {
+    fn is_sound(&self, pool: &Populations) -> bool {
         let (space, length) = (&pool.setup.space, self.coding.length());
         let (members, children) = (pool.population.len(), pool.candidates.len());
         Coding::new(space, &self.options.resolution, self.options.gray).as_ref() == Ok(&self.coding)

@@ -6,7 +6,7 @@
 //! Moré and Wild with four parameters or more it needs 14, 53 and 150 rounds (median) to tau = 1e-1, 1e-3 and 1e-5,
 //! the serial plan 44, 158 and 363, and it solves as many (98 %); without the fall-back it solves 83 %.
 
-use super::options::Numbers;
+use super::options::CoefficientValues;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
 use crate::choices::BoundsHandling;
@@ -86,7 +86,7 @@ impl LeeWiswall {
         batch: &mut Batch,
         mut role: impl FnMut(usize),
         simplex: &SimplexData,
-        (space, handling, numbers): (&Space, BoundsHandling, &Numbers),
+        (space, handling, numbers): (&Space, BoundsHandling, &CoefficientValues),
     ) {
         let best = simplex.best();
         if !self.placed {

@@ -34,13 +34,13 @@
 //! None while the worst vertex has failed, and none for starting and shrinking vertices. Steps that look for sizes: twice
 //! the cost they start from, or the lowest found along the parameter.
 
-mod foresight;
 mod initial;
 mod lee_wiswall;
 mod options;
 mod restart;
 mod simplex;
 mod sizes;
+mod speculation;
 mod state;
 mod trial;
 
@@ -50,7 +50,7 @@ pub use state::NelderMeadState;
 use crate::error::Error;
 use crate::memory;
 use crate::method::{MethodOptions, Setup, restored};
-use crate::words;
+use crate::option_texts;
 
 impl MethodOptions for NelderMead {
     type Method = NelderMeadState;
@@ -72,7 +72,7 @@ impl MethodOptions for NelderMead {
     }
 
     fn describe(&self) -> Vec<(String, String)> {
-        words::fields(self)
+        option_texts::fields(self)
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<NelderMeadState, Error> {

@@ -85,7 +85,7 @@ pub enum Coefficients {
 
 /// Coefficients as numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(super) struct Numbers {
+pub(super) struct CoefficientValues {
     pub(super) reflection: f64,
     pub(super) expansion: f64,
     pub(super) contraction: f64,
@@ -93,15 +93,15 @@ pub(super) struct Numbers {
 }
 
 impl Coefficients {
-    pub(super) fn resolve(self, n: usize) -> Result<Numbers, Error> {
-        let standard = Numbers { reflection: 1.0, expansion: 2.0, contraction: 0.5, shrink: 0.5 };
+    pub(super) fn resolve(self, n: usize) -> Result<CoefficientValues, Error> {
+        let standard = CoefficientValues { reflection: 1.0, expansion: 2.0, contraction: 0.5, shrink: 0.5 };
         let d = n as f64;
         match self {
             Self::Standard => Ok(standard),
             Self::Auto if n < 5 => Ok(standard),
             // With one parameter the formulas would shrink to a point and expand threefold.
             Self::Adaptive if n < 2 => Ok(standard),
-            Self::Auto | Self::Adaptive => Ok(Numbers {
+            Self::Auto | Self::Adaptive => Ok(CoefficientValues {
                 reflection: 1.0,
                 expansion: 1.0 + 2.0 / d,
                 contraction: 0.75 - 1.0 / (2.0 * d),
@@ -129,7 +129,7 @@ impl Coefficients {
                         return Err(Error::Option { name, value, range });
                     }
                 }
-                Ok(Numbers { reflection, expansion, contraction, shrink })
+                Ok(CoefficientValues { reflection, expansion, contraction, shrink })
             }
         }
     }

@@ -3,13 +3,13 @@
 //! There is one decision procedure. It runs over the trial points as far as they are known; where it meets an unknown
 //! one, that point is what the next batch asks for.
 
-use super::foresight::{Foresight, Problem};
 use super::initial;
 use super::lee_wiswall::{LeeWiswall, Verdict};
-use super::options::{BatchPlan, Numbers};
+use super::options::{BatchPlan, CoefficientValues};
 use super::restart;
 use super::simplex::SimplexData;
 use super::sizes::SizeSearch;
+use super::speculation::{Problem, Speculation};
 use super::trial::{Frame, Seen, Trial, TrialPoint};
 use crate::answer::{Answers, Outcome};
 use crate::choices::BoundsHandling;
@@ -49,7 +49,7 @@ enum Phase {
     /// Several vertices move at once.
     Moving,
     /// An iteration needs this trial point next.
-    Trying(Trial),
+    Evaluating(Trial),
     Done,
 }
 
@@ -83,13 +83,13 @@ enum Phase {
 pub struct NelderMeadState {
     setup: Setup,
     plan: BatchPlan,
-    numbers: Numbers,
+    numbers: CoefficientValues,
     handling: BoundsHandling,
     simplex: SimplexData,
     centroid: Vec<f64>,
     trials: [TrialPoint; 4],
     #[serde(skip)]
-    foresight: Foresight,
+    speculation: Speculation,
     parallel: Option<LeeWiswall>,
     restarts: usize,
     f_restart: Option<f64>,
@@ -113,7 +113,7 @@ impl NelderMeadState {
     pub(super) fn new(
         setup: Setup,
         plan: BatchPlan,
-        numbers: Numbers,
+        numbers: CoefficientValues,
         handling: BoundsHandling,
         simplex: SimplexData,
         (restarts, sizing): (usize, bool),
@@ -128,7 +128,7 @@ impl NelderMeadState {
             simplex,
             centroid: vec![0.0; n],
             trials: [trial(), trial(), trial(), trial()],
-            foresight: Foresight::default(),
+            speculation: Speculation::default(),
             parallel: (plan == BatchPlan::LeeWiswall).then(|| LeeWiswall::new(n, n_user)),
             restarts,
             f_restart: None,
@@ -255,7 +255,7 @@ impl NelderMeadState {
             point.seen = Seen::Unknown;
         }
         self.simplex.centroid(&mut self.centroid);
-        self.phase = Phase::Trying(Trial::Reflection);
+        self.phase = Phase::Evaluating(Trial::Reflection);
         if let Some(parallel) = self.parallel.as_mut().filter(|p| p.is_parallel()) {
             parallel.begin();
             self.phase = Phase::Moving;
@@ -353,7 +353,7 @@ impl NelderMeadState {
             | Phase::Sizing
             | Phase::Checking
             | Phase::Moving
-            | Phase::Trying(_)
+            | Phase::Evaluating(_)
             | Phase::Done => {}
         }
         if self.simplex.cost(self.simplex.best()).value().is_none() {
@@ -413,7 +413,7 @@ impl Method for NelderMeadState {
                     parallel.ask(batch, |k| roles.push(Role::Move(k)), &self.simplex, problem);
                 }
             }
-            Phase::Trying(trial) => {
+            Phase::Evaluating(trial) => {
                 self.place(trial);
                 self.request_trial(trial, batch);
             }
@@ -474,8 +474,8 @@ impl Method for NelderMeadState {
                     }
                 }
             }
-            Phase::Trying(_) => match self.decide() {
-                Err(needed) => self.phase = Phase::Trying(needed),
+            Phase::Evaluating(_) => match self.decide() {
+                Err(needed) => self.phase = Phase::Evaluating(needed),
                 Ok(Operation::Shrink) => self.phase = Phase::Shrinking,
                 Ok(operation) => self.end_iteration(operation),
             },
@@ -484,13 +484,13 @@ impl Method for NelderMeadState {
     }
 
     fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
-        let Phase::Trying(trial) = self.phase else { return };
+        let Phase::Evaluating(trial) = self.phase else { return };
         let (cutoff, best) = (self.worst_cost(), self.simplex.cost(self.simplex.best()).value());
         // A reflection that asks for an expansion beats the best vertex.
         let best = best.filter(|_| cutoff.is_finite()).unwrap_or(f64::INFINITY);
-        let Self { foresight, simplex, setup, trials, numbers, handling, .. } = self;
+        let Self { speculation, simplex, setup, trials, numbers, handling, .. } = self;
         let problem = Problem { space: &setup.space, handling: *handling, numbers, simplex };
-        foresight.look(&problem, (trial, trials), (wanted, known), |x, expansion| {
+        speculation.look(&problem, (trial, trials), (wanted, known), |x, expansion| {
             batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
         });
     }
@@ -547,7 +547,9 @@ impl Method for NelderMeadState {
         }
         let reflection = &self.trials[Trial::Reflection as usize];
         match (self.phase, reflection.seen) {
-            (Phase::Trying(_), Seen::Cost(r)) if best.is_none_or(|(_, b)| r < b) => Some((&reflection.x, r)),
+            (Phase::Evaluating(_), Seen::Cost(r)) if best.is_none_or(|(_, b)| r < b) => {
+                Some((&reflection.x, r))
+            }
             _ => best,
         }
     }

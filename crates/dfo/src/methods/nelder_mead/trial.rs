@@ -1,6 +1,6 @@
 //! The four trial points of an iteration: where they lie, and what is known about them.
 
-use super::options::Numbers;
+use super::options::CoefficientValues;
 use crate::choices::BoundsHandling;
 use crate::method::Operation;
 use crate::space::Space;
@@ -17,7 +17,7 @@ pub(super) enum Trial {
 
 impl Trial {
     /// How far from the centroid, in units of the way from the worst vertex to it.
-    pub(super) fn factor(self, numbers: &Numbers) -> f64 {
+    pub(super) fn factor(self, numbers: &CoefficientValues) -> f64 {
         match self {
             Self::Reflection => numbers.reflection,
             Self::Expansion => numbers.reflection * numbers.expansion,

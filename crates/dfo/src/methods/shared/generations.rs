@@ -16,24 +16,24 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// What one such method does its own way.
-pub trait Breeder: Serialize + DeserializeOwned {
+pub trait GenerationRules: Serialize + DeserializeOwned {
     /// Name of the method.
     fn name(&self) -> &'static str;
 
     /// Makes the candidates of a generation (counted from 1).
-    fn breed(&mut self, generation: u64, pool: &mut Pool);
+    fn make_candidates(&mut self, generation: u64, pool: &mut Populations);
 
     /// The cost above which a candidate makes no difference; infinite if there is none.
-    fn cutoff(&self, pool: &Pool, candidate: usize) -> f64;
+    fn cutoff(&self, pool: &Populations, candidate: usize) -> f64;
 
     /// Takes candidates, all of them tried, into the population.
-    fn select(&mut self, pool: &mut Pool);
+    fn select(&mut self, pool: &mut Populations);
 
     /// The first population is known.
-    fn started(&mut self, pool: &Pool);
+    fn started(&mut self, pool: &Populations);
 
     /// Why the run is over after a generation whose tests did not pass, if it is. `best`: the smallest cost so far.
-    fn ended(&mut self, pool: &Pool, best: f64) -> Option<Termination>;
+    fn ended(&mut self, pool: &Populations, best: f64) -> Option<Termination>;
 
     /// How much of the population the tolerance tests measure.
     fn extent(&self) -> Extent {
@@ -53,12 +53,12 @@ pub trait Breeder: Serialize + DeserializeOwned {
     }
 
     /// Whether this fits to a problem and to its pool: what comes from a file may not.
-    fn is_sound(&self, pool: &Pool) -> bool;
+    fn is_sound(&self, pool: &Populations) -> bool;
 }
 
-/// The problem, and those who live.
+/// The problem, the population, and the candidates for the next one.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Pool {
+pub struct Populations {
     pub(crate) setup: Setup,
     pub(crate) seed: u64,
     pub(crate) population: Population,
@@ -70,9 +70,9 @@ enum Phase {
     /// The first population is being evaluated.
     Starting,
     /// Candidates of this generation are to be made.
-    Breeding,
+    Proposing,
     /// They are being evaluated.
-    Trying,
+    Evaluating,
     NoStart,
     Ended(Termination),
 }
@@ -80,8 +80,8 @@ enum Phase {
 /// A running method with generations.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Generations<B> {
-    breeder: B,
-    pool: Pool,
+    rules: B,
+    pool: Populations,
     phase: Phase,
     rounds: Rounds,
     n_iterations: usize,
@@ -89,10 +89,10 @@ pub struct Generations<B> {
     f_0: f64,
 }
 
-impl<B: Breeder> Generations<B> {
-    pub(crate) fn new(breeder: B, pool: Pool) -> Self {
+impl<B: GenerationRules> Generations<B> {
+    pub(crate) fn new(rules: B, pool: Populations) -> Self {
         let rounds = Rounds::with_capacity(pool.population.len());
-        Self { breeder, pool, phase: Phase::Starting, rounds, n_iterations: 0, tests: None, f_0: 0.0 }
+        Self { rules, pool, phase: Phase::Starting, rounds, n_iterations: 0, tests: None, f_0: 0.0 }
     }
 
     /// Continues from a state that was saved for this problem.
@@ -103,12 +103,12 @@ impl<B: Breeder> Generations<B> {
                 && s.pool.population.is_sound(space)
                 && s.pool.candidates.is_sound(space)
                 && s.rounds.is_sound(space.n())
-                && s.breeder.is_sound(&s.pool)
+                && s.rules.is_sound(&s.pool)
         })
     }
 
     fn start_known(&mut self) {
-        let Pool { population, setup, .. } = &mut self.pool;
+        let Populations { population, setup, .. } = &mut self.pool;
         population.rank();
         self.f_0 = population.typical_cost();
         self.phase = if population.n_finite() == 0 {
@@ -116,50 +116,50 @@ impl<B: Breeder> Generations<B> {
         } else if setup.space.n_free() == 0 {
             Phase::Ended(Termination::AllFixed)
         } else {
-            Phase::Breeding
+            Phase::Proposing
         };
-        self.breeder.started(&self.pool);
+        self.rules.started(&self.pool);
     }
 
     fn end_generation(&mut self) {
-        self.breeder.select(&mut self.pool);
-        let Pool { population, setup, .. } = &mut self.pool;
+        self.rules.select(&mut self.pool);
+        let Populations { population, setup, .. } = &mut self.pool;
         population.rank();
         self.n_iterations += 1;
-        let tests = self.breeder.judge_best_seen(setup, self.f_0).unwrap_or_else(|| {
-            population.judge(self.breeder.extent(), &setup.space, &setup.tolerances, self.f_0)
+        let tests = self.rules.judge_best_seen(setup, self.f_0).unwrap_or_else(|| {
+            population.judge(self.rules.extent(), &setup.space, &setup.tolerances, self.f_0)
         });
         self.tests = Some(tests);
         let best = self.rounds.best().map_or(f64::INFINITY, |(_, f)| f);
-        let ended = self.breeder.ended(&self.pool, best);
+        let ended = self.rules.ended(&self.pool, best);
         self.phase = match ended {
-            _ if tests.passed && !self.breeder.tries_neighbours(&self.pool.setup.space) => {
+            _ if tests.passed && !self.rules.tries_neighbours(&self.pool.setup.space) => {
                 Phase::Ended(Termination::Converged)
             }
             // No neighbour can be tried any more.
             Some(Termination::Collapsed) if tests.passed => Phase::Ended(Termination::Converged),
             Some(termination) => Phase::Ended(termination),
-            None => Phase::Breeding,
+            None => Phase::Proposing,
         };
     }
 }
 
-impl<B: Breeder> Method for Generations<B> {
+impl<B: GenerationRules> Method for Generations<B> {
     fn name(&self) -> &'static str {
-        self.breeder.name()
+        self.rules.name()
     }
 
     fn ask(&mut self, batch: &mut Batch) {
-        if self.phase == Phase::Breeding {
-            self.breeder.breed(self.n_iterations as u64 + 1, &mut self.pool);
-            self.phase = Phase::Trying;
+        if self.phase == Phase::Proposing {
+            self.rules.make_candidates(self.n_iterations as u64 + 1, &mut self.pool);
+            self.phase = Phase::Evaluating;
         }
-        let Self { breeder, pool, phase, rounds, .. } = self;
+        let Self { rules, pool, phase, rounds, .. } = self;
         let n = pool.setup.space.n();
         match phase {
             Phase::Starting => rounds.ask(batch, n, &pool.population, |_| f64::INFINITY),
-            Phase::Trying => rounds.ask(batch, n, &pool.candidates, |k| breeder.cutoff(pool, k)),
-            Phase::Breeding | Phase::NoStart | Phase::Ended(_) => rounds.ask_nothing(batch, n),
+            Phase::Evaluating => rounds.ask(batch, n, &pool.candidates, |k| rules.cutoff(pool, k)),
+            Phase::Proposing | Phase::NoStart | Phase::Ended(_) => rounds.ask_nothing(batch, n),
         }
     }
 
@@ -178,7 +178,7 @@ impl<B: Breeder> Method for Generations<B> {
         match &self.phase {
             Phase::NoStart => Status::NoStart,
             Phase::Ended(termination) => Status::Ended(termination.clone()),
-            Phase::Starting | Phase::Breeding | Phase::Trying => Status::Running,
+            Phase::Starting | Phase::Proposing | Phase::Evaluating => Status::Running,
         }
     }
 
@@ -209,7 +209,7 @@ impl<B: Breeder> Method for Generations<B> {
     }
 }
 
-impl Pool {
+impl Populations {
     /// The first population, sampled; what is known and the start point stand first. Returns how many those are.
     pub(crate) fn new(
         setup: Setup,

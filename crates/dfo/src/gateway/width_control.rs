@@ -1,5 +1,5 @@
-//! How many points to evaluate at once, from what evaluations take: it decides who computes what and when, never what the
-//! path of a method is.
+//! How many points to evaluate at once, from the times that evaluations take: it decides which thread computes what and
+//! when, never the path of a method.
 
 use crate::method::Lookahead;
 use std::cell::Cell;
@@ -7,10 +7,10 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Handing work to other threads pays where it saves more than twice the time that it took lately. Before that is measured,
-/// it counts as so many seconds: a thread that sleeps is awake after 0.05 to 0.5 ms.
-const HANDING_OVER: f64 = 100e-6;
+/// it counts as so many seconds: a waiting thread is running after 0.05 to 0.5 ms.
+const DISPATCH_SECONDS: f64 = 100e-6;
 /// It never counts as less.
-const LEAST_HANDING_OVER: f64 = 20e-6;
+const LEAST_DISPATCH_SECONDS: f64 = 20e-6;
 /// Rounds in which a width is tried, and those after which it is tried again. One point at a time advances by one
 /// evaluation in each round, so that a single one shows how fast it is; of more points it varies how many are of use.
 const TRIAL_ROUNDS: usize = 4;
@@ -22,14 +22,14 @@ const HOPELESS: f64 = 3.0;
 /// So many points at once at most: what the path may need farther ahead, it seldom does.
 const WIDEST: usize = 64;
 /// Evaluations whose median says how long one takes, and rounds whose median says how long handing over takes.
-const LATELY: usize = 9;
+const N_RECENT: usize = 9;
 /// How much a new measurement counts beside all before.
 const WEIGHT: f64 = 0.25;
 
 /// What handing evaluations over means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum HandingOver {
-    /// There is nobody to hand them to.
+pub(crate) enum Dispatch {
+    /// The calling thread evaluates.
     Never,
     /// Threads that have to be woken.
     Threads,
@@ -39,7 +39,7 @@ pub(crate) enum HandingOver {
 
 /// When the calling thread evaluates rather than a pool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Here {
+pub(crate) enum OnCallingThread {
     Never,
     /// When evaluations are known to be short.
     WhenShort,
@@ -60,22 +60,22 @@ struct Width {
 
 /// The last measurements, the oldest replaced first; their median is not moved by one that was disturbed.
 #[derive(Debug)]
-struct Lately(VecDeque<f64>);
+struct Recent(VecDeque<f64>);
 
-impl Lately {
+impl Recent {
     fn new() -> Self {
-        Self(VecDeque::with_capacity(LATELY))
+        Self(VecDeque::with_capacity(N_RECENT))
     }
 
     fn push(&mut self, seconds: f64) {
-        if self.0.len() == LATELY {
+        if self.0.len() == N_RECENT {
             self.0.pop_front();
         }
         self.0.push_back(seconds);
     }
 
     fn median(&self) -> Option<f64> {
-        let mut sorted = [f64::INFINITY; LATELY];
+        let mut sorted = [f64::INFINITY; N_RECENT];
         sorted.iter_mut().zip(&self.0).for_each(|(place, seconds)| *place = *seconds);
         sorted.sort_by(f64::total_cmp);
         let len = self.0.len();
@@ -85,13 +85,13 @@ impl Lately {
 
 /// Measures evaluations and chooses widths.
 #[derive(Debug)]
-pub(crate) struct Pace {
-    handing_over: HandingOver,
+pub(crate) struct WidthControl {
+    dispatch: Dispatch,
     workers: usize,
     /// Seconds of the last evaluations.
-    lately: Lately,
+    recent: Recent,
     /// Seconds by which the last rounds took longer than the longest of their evaluations, where other threads made them.
-    handed: Lately,
+    handed: Recent,
     /// Whether the present round is handed over.
     handed_over: Cell<bool>,
     /// The longest of the last evaluations.
@@ -106,8 +106,8 @@ pub(crate) struct Pace {
     measuring: bool,
 }
 
-impl Pace {
-    pub(crate) fn new(workers: usize, handing_over: HandingOver) -> Self {
+impl WidthControl {
+    pub(crate) fn new(workers: usize, dispatch: Dispatch) -> Self {
         let widest = workers.min(WIDEST);
         let mut points = vec![1];
         while points.last().is_some_and(|p| 2 * p < widest) {
@@ -118,10 +118,10 @@ impl Pace {
         }
         let width = |points| Width { points, seconds: None, due_in: 0, wait: FIRST_WAIT };
         Self {
-            handing_over,
+            dispatch,
             workers,
-            lately: Lately::new(),
-            handed: Lately::new(),
+            recent: Recent::new(),
+            handed: Recent::new(),
             handed_over: Cell::new(false),
             longest: 0.0,
             widths: points.into_iter().map(width).collect(),
@@ -142,8 +142,8 @@ impl Pace {
             Lookahead::Points(points) => points,
             Lookahead::Workers => self.workers,
             Lookahead::Measured => {
-                let short = self.lately.median().is_none_or(|seconds| seconds < self.worthwhile());
-                if self.widths.len() == 1 || (self.handing_over == HandingOver::Threads && short) {
+                let short = self.recent.median().is_none_or(|seconds| seconds < self.worthwhile());
+                if self.widths.len() == 1 || (self.dispatch == Dispatch::Threads && short) {
                     return 1;
                 }
                 self.measuring = true;
@@ -158,7 +158,7 @@ impl Pace {
 
     /// Seconds that handing over must save.
     fn worthwhile(&self) -> f64 {
-        2.0 * self.handed.median().unwrap_or(HANDING_OVER)
+        2.0 * self.handed.median().unwrap_or(DISPATCH_SECONDS)
     }
 
     /// Closes the measurement of a width and chooses the next.
@@ -166,9 +166,9 @@ impl Pace {
         let gained = n_evaluations.saturating_sub(self.n_before);
         if self.n_rounds > 0 && gained > 0 {
             let mut measured = self.seconds / gained as f64;
-            if self.handing_over == HandingOver::Threads && self.current == 0 {
+            if self.dispatch == Dispatch::Threads && self.current == 0 {
                 // Beside others an evaluation is not faster than alone: one that took longer was disturbed.
-                measured = self.lately.median().map_or(measured, |evaluation| measured.min(evaluation));
+                measured = self.recent.median().map_or(measured, |evaluation| measured.min(evaluation));
             }
             let known = &mut self.widths[self.current].seconds;
             *known = Some(known.map_or(measured, |k| k + WEIGHT * (measured - k)));
@@ -230,9 +230,9 @@ impl Pace {
         let longest = seconds.clone().fold(0.0, f64::max);
         // Of more points than workers some waited, and the first one of all was not handed over.
         if self.handed_over.take() && !self.is_new() && seconds.len() <= self.workers {
-            self.handed.push((in_all - longest).max(LEAST_HANDING_OVER));
+            self.handed.push((in_all - longest).max(LEAST_DISPATCH_SECONDS));
         }
-        seconds.for_each(|seconds| self.lately.push(seconds));
+        seconds.for_each(|seconds| self.recent.push(seconds));
         self.longest = longest.max(self.longest * (1.0 - WEIGHT));
         // Vertices that are needed all at once say nothing about looking ahead.
         if self.measuring && needed == 1 {
@@ -245,22 +245,28 @@ impl Pace {
 
     /// Whether to hand points to other threads rather than to evaluate them on the calling one. `just_measured`: seconds of
     /// an evaluation, where it was the first.
-    pub(crate) fn hands_over(&self, points: usize, here: Here, just_measured: Option<f64>) -> bool {
-        let Some(evaluation) = just_measured.or_else(|| self.lately.median()).filter(|_| here != Here::Never)
+    pub(crate) fn hands_over(
+        &self,
+        points: usize,
+        here: OnCallingThread,
+        just_measured: Option<f64>,
+    ) -> bool {
+        let Some(evaluation) =
+            just_measured.or_else(|| self.recent.median()).filter(|_| here != OnCallingThread::Never)
         else {
             return true;
         };
         let at_once = points.div_ceil(self.workers.max(1));
         let saved = (points - at_once) as f64 * evaluation;
-        let handed_over =
-            saved > self.worthwhile() || (here == Here::WhenShort && self.longest > SHORT.as_secs_f64());
+        let handed_over = saved > self.worthwhile()
+            || (here == OnCallingThread::WhenShort && self.longest > SHORT.as_secs_f64());
         self.handed_over.set(handed_over);
         handed_over
     }
 
     /// Whether nothing is known of what an evaluation takes.
     pub(crate) fn is_new(&self) -> bool {
-        self.lately.0.is_empty()
+        self.recent.0.is_empty()
     }
 }
 
@@ -279,15 +285,15 @@ mod tests {
         evaluation: f64,
         model: impl Fn(usize) -> (f64, usize),
     ) -> usize {
-        let mut pace = Pace::new(workers, HandingOver::Threads);
+        let mut width_control = WidthControl::new(workers, Dispatch::Threads);
         let (mut n_evaluations, mut n_narrow) = (4, 0);
-        pace.measured(4, 4.0 * evaluation, [evaluation; 4].into_iter());
+        width_control.measured(4, 4.0 * evaluation, [evaluation; 4].into_iter());
         for _ in 0..rounds {
-            let width = pace.width(Lookahead::Measured, n_evaluations);
+            let width = width_control.width(Lookahead::Measured, n_evaluations);
             n_narrow += usize::from(width < workers);
             let (seconds, gained) = model(width);
-            pace.hands_over(width, Here::AtFirst, None);
-            pace.measured(1, seconds, vec![evaluation; width].into_iter());
+            width_control.hands_over(width, OnCallingThread::AtFirst, None);
+            width_control.measured(1, seconds, vec![evaluation; width].into_iter());
             n_evaluations += gained;
         }
         n_narrow
@@ -305,17 +311,17 @@ mod tests {
 
     #[test]
     fn short_evaluations_stay_where_they_are() {
-        let pace = |handing_over: f64, evaluation: f64| {
-            let mut pace = Pace::new(4, HandingOver::Threads);
-            pace.measured(1, evaluation, [evaluation].into_iter());
-            for _ in 0..LATELY {
-                pace.hands_over(1000, Here::AtFirst, None);
-                pace.measured(2, evaluation + handing_over, [evaluation; 2].into_iter());
+        let width_control = |dispatch: f64, evaluation: f64| {
+            let mut width_control = WidthControl::new(4, Dispatch::Threads);
+            width_control.measured(1, evaluation, [evaluation].into_iter());
+            for _ in 0..N_RECENT {
+                width_control.hands_over(1000, OnCallingThread::AtFirst, None);
+                width_control.measured(2, evaluation + dispatch, [evaluation; 2].into_iter());
             }
-            pace.width(Lookahead::Measured, 3) > 1
+            width_control.width(Lookahead::Measured, 3) > 1
         };
         // What handing over takes in this run decides, not what it takes as a rule.
-        assert!(pace(30e-6, 100e-6) && pace(300e-6, 1e-3));
-        assert!(!pace(100e-6, 150e-6) && !pace(2e-3, 1e-3) && !pace(0.0, 1e-6));
+        assert!(width_control(30e-6, 100e-6) && width_control(300e-6, 1e-3));
+        assert!(!width_control(100e-6, 150e-6) && !width_control(2e-3, 1e-3) && !width_control(0.0, 1e-6));
     }
 }

@@ -7,7 +7,7 @@ use crate::evaluator::GivesUp;
 use crate::method::{Batch, Method};
 use crate::termination::Termination;
 use crate::tolerances::Limits;
-use crate::trace::Early;
+use crate::trace::SpeculativeEntry;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
@@ -25,7 +25,7 @@ pub(crate) struct Replay {
 
 /// Sorts a batch into what must be evaluated and what is known, and puts the answers together again.
 #[derive(Debug)]
-pub(crate) struct Desk {
+pub(crate) struct BatchLedger {
     pub(crate) ledger: Ledger,
     pub(crate) cache: Cache,
     pub(crate) replay: Vec<Replay>,
@@ -56,7 +56,7 @@ pub(crate) enum Last<'a> {
     Target,
 }
 
-impl Desk {
+impl BatchLedger {
     pub(crate) fn new(ledger: Ledger, cache: Cache) -> Self {
         Self {
             ledger,
@@ -150,7 +150,7 @@ impl Desk {
         if let Ok(place) = self.replay.binary_search_by_key(&id, |replay| replay.id) {
             return Some(self.replay[place].answer.clone());
         }
-        match self.ledger.ahead.take(batch.point(k), batch.query(k), self.gives_up)? {
+        match self.ledger.speculative.take(batch.point(k), batch.query(k), self.gives_up)? {
             Ok(known) => Some(known),
             Err(useless) => {
                 self.ledger.trace.push_speculative(useless);
@@ -185,16 +185,16 @@ impl Desk {
     }
 
     /// Adds up to `wanted` points to `work` that the path may need next. No more than the budget lets it come to.
-    pub(crate) fn look_ahead<M: Method + ?Sized>(&mut self, method: &mut M, wanted: usize, limits: &Limits) {
+    pub(crate) fn speculate<M: Method + ?Sized>(&mut self, method: &mut M, wanted: usize, limits: &Limits) {
         let n_counted = self.sources.iter().filter(|source| **source == Source::Run).count();
         let wanted = wanted.min(self.left(limits).saturating_sub(n_counted));
         if wanted == 0 || self.n_needed == 0 {
             return;
         }
         let Self { ledger, cache, guesses, work, .. } = self;
-        guesses.start(work.n(), work.index(), ledger.ahead.next_id());
+        guesses.start(work.n(), work.index(), ledger.speculative.next_id());
         guesses.set_want(work.want());
-        let known = |x: &[f64]| ledger.ahead.contains(x) || cache.contains(x);
+        let known = |x: &[f64]| ledger.speculative.contains(x) || cache.contains(x);
         method.speculate(wanted, &known, guesses);
         work.append(guesses);
     }
@@ -276,7 +276,7 @@ impl Desk {
                     if k <= last {
                         std::mem::swap(&mut self.answers[k], &mut answers[at]);
                     } else {
-                        self.keep_ahead(at, &answers[at]);
+                        self.keep_speculative(at, &answers[at]);
                     }
                     at += 1;
                 }
@@ -299,7 +299,7 @@ impl Desk {
             }
         }
         for (k, answer) in answers.iter().enumerate().skip(self.n_needed) {
-            self.keep_ahead(k, answer);
+            self.keep_speculative(k, answer);
         }
         self.replay.clear();
         let new =
@@ -315,7 +315,7 @@ impl Desk {
     }
 
     /// Keeps the answer to point `k` of `work` for a path that may come to it.
-    fn keep_ahead(&mut self, k: usize, answer: &Answer) {
+    fn keep_speculative(&mut self, k: usize, answer: &Answer) {
         if answer.outcome == Outcome::Skipped {
             return;
         }
@@ -325,7 +325,7 @@ impl Desk {
         }
         let (id, batch) = (self.work.id(k), self.work.index());
         let (x, cutoff) = (self.work.point(k).to_vec(), self.work.cutoff(k));
-        self.ledger.keep_ahead(Early { id, batch, x, cutoff, answer });
+        self.ledger.keep_speculative(SpeculativeEntry { id, batch, x, cutoff, answer });
     }
 
     /// Answers to the last batch; what was not evaluated is [`Outcome::Skipped`].

@@ -6,7 +6,7 @@
 use crate::answer::{Answer, Outcome, Want};
 use crate::evaluator::GivesUp;
 use crate::objective::Query;
-use crate::trace::Early;
+use crate::trace::SpeculativeEntry;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -17,7 +17,7 @@ const MOST_KEPT: usize = 256;
 pub(crate) const FIRST_ID: u64 = 1 << 63;
 
 /// What the objective would have said had it been asked this, as far as that is known.
-fn answer_to(early: &Early, query: &Query<'_>, gives_up: GivesUp) -> Option<Answer> {
+fn answer_to(early: &SpeculativeEntry, query: &Query<'_>, gives_up: GivesUp) -> Option<Answer> {
     let cutoff = query.cutoff;
     let above = || Some(Answer { outcome: Outcome::Above(cutoff), ..early.answer.only(Want::Cost) });
     match &early.answer.outcome {
@@ -40,14 +40,14 @@ fn answer_to(early: &Early, query: &Query<'_>, gives_up: GivesUp) -> Option<Answ
 }
 
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-pub(crate) struct Ahead {
-    kept: VecDeque<Early>,
+pub(crate) struct SpeculativeStore {
+    kept: VecDeque<SpeculativeEntry>,
     /// Evaluations made ahead so far, and those of them that the path came to.
     n_made: u64,
     n_reached: u64,
 }
 
-impl Ahead {
+impl SpeculativeStore {
     fn find(&self, x: &[f64]) -> Option<usize> {
         let same = |y: &[f64]| x.iter().zip(y).all(|(x, y)| x.to_bits() == y.to_bits());
         self.kept.iter().position(|early| same(&early.x))
@@ -64,7 +64,7 @@ impl Ahead {
 
     /// Keeps an evaluation. Returns one that is of no use: the oldest where there is no room, or this one if it says
     /// nothing lasting about its point.
-    pub(crate) fn keep(&mut self, early: Early) -> Option<Early> {
+    pub(crate) fn keep(&mut self, early: SpeculativeEntry) -> Option<SpeculativeEntry> {
         self.n_made += 1;
         if matches!(early.answer.outcome, Outcome::Failed(_)) && !early.answer.outcome.is_lasting() {
             return Some(early);
@@ -79,7 +79,7 @@ impl Ahead {
         x: &[f64],
         query: Query<'_>,
         gives_up: GivesUp,
-    ) -> Option<Result<Answer, Early>> {
+    ) -> Option<Result<Answer, SpeculativeEntry>> {
         let early = self.find(x).and_then(|place| self.kept.remove(place))?;
         Some(match answer_to(&early, &query, gives_up) {
             Some(answer) => {
@@ -96,7 +96,7 @@ impl Ahead {
     }
 
     /// Takes out all that are kept.
-    pub(crate) fn drain(&mut self) -> impl Iterator<Item = Early> {
+    pub(crate) fn drain(&mut self) -> impl Iterator<Item = SpeculativeEntry> {
         std::mem::take(&mut self.kept).into_iter()
     }
 

@@ -4,7 +4,7 @@
 //! can be computed: an accepted reflection replaces the worst vertex, and the next worst is the second worst of today.
 //! The guesses are followed best first, over as many iterations as points are wanted.
 
-use super::options::Numbers;
+use super::options::CoefficientValues;
 use super::simplex::SimplexData;
 use super::trial::{Frame, Trial, TrialPoint};
 use crate::choices::BoundsHandling;
@@ -24,7 +24,7 @@ const BETTER_THAN_WORST: f64 = 0.8;
 pub(super) struct Problem<'a> {
     pub(super) space: &'a Space,
     pub(super) handling: BoundsHandling,
-    pub(super) numbers: &'a Numbers,
+    pub(super) numbers: &'a CoefficientValues,
     pub(super) simplex: &'a SimplexData,
 }
 
@@ -51,7 +51,7 @@ struct Guess {
 
 /// Buffers that are used over and over: looking ahead allocates nothing once they are large enough.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Foresight {
+pub(super) struct Speculation {
     nodes: Vec<Node>,
     /// The slots of each node by rank, one node after the other.
     orders: Vec<usize>,
@@ -61,7 +61,7 @@ pub(super) struct Foresight {
     centroid: Vec<f64>,
 }
 
-impl Foresight {
+impl Speculation {
     /// Finds up to `wanted` points that are not `known`, after `trial`, which the path needs now; `found` is given each,
     /// and whether it is the expansion of this iteration.
     pub(super) fn look(

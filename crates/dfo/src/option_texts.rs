@@ -1,4 +1,4 @@
-//! Options in words: what identifies a run, for those who read why a checkpoint was refused.
+//! Options as text: what identifies a run, and what the error about a checkpoint that does not fit names.
 
 use serde::Serialize;
 use serde_json::Value;
