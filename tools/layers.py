@@ -51,8 +51,8 @@ USE = re.compile(r"^\s*(?:pub(?:\([^)]*\))? )?use ([^;]+);", re.S | re.M)
 
 
 def code(path: Path) -> str:
-    """The source without comments and without the test module at its end."""
-    text = TESTS.split(path.read_text(encoding="utf-8"), maxsplit=1)[0]
+    """The source without comments, without the scopes of `pub(in ...)`, and without the test module at its end."""
+    text = TESTS.split(path.read_text(encoding="utf-8"), maxsplit=1)[0].replace("pub(in crate::", "pub(")
     return re.sub(r"(^|\s)//.*$", "", text, flags=re.M)
 
 

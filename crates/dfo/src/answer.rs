@@ -262,6 +262,37 @@ impl From<&[Outcome]> for Answers {
     }
 }
 
+/// The best point seen so far, and its cost. Of equal costs the first stays.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Best(Option<(Vec<f64>, f64)>);
+
+impl Best {
+    /// Takes over a point whose cost is lower.
+    pub(crate) fn offer(&mut self, x: &[f64], cost: f64) {
+        match &mut self.0 {
+            Some((best, f)) if cost < *f => {
+                best.copy_from_slice(x);
+                *f = cost;
+            }
+            Some(_) => {}
+            None => self.0 = Some((x.to_vec(), cost)),
+        }
+    }
+
+    pub(crate) fn get(&self) -> Option<(&[f64], f64)> {
+        self.0.as_ref().map(|(x, f)| (&x[..], *f))
+    }
+
+    pub(crate) fn cost(&self) -> Option<f64> {
+        self.0.as_ref().map(|(_, f)| *f)
+    }
+
+    /// Whether the point has this length: what comes from a file may not.
+    pub(crate) fn is_sound(&self, n: usize) -> bool {
+        self.0.as_ref().is_none_or(|(x, _)| x.len() == n)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -86,7 +86,7 @@ impl<M: Method> Drive<'_, M> {
         let Self { method, gateway, .. } = self;
         let (ledger, details) = (&gateway.batch_ledger.ledger, method.details());
         let n_iterations = details.n_iterations;
-        let (Some(operation), Some((x, fun))) = (details.operation, &ledger.best) else { return false };
+        let (Some(operation), Some((x, fun))) = (details.operation, ledger.best.get()) else { return false };
         if self.observed.is_some_and(|n| n >= n_iterations) {
             return false;
         }
@@ -99,7 +99,7 @@ impl<M: Method> Drive<'_, M> {
             n_speculative: ledger.speculative.n_speculative(),
             n_failed: ledger.n_failed,
             x,
-            fun: *fun,
+            fun,
             operation,
             simplex: details.simplex,
             population: details.population,
@@ -153,7 +153,7 @@ pub(crate) fn limited<M: Method + ?Sized>(
     limit: Termination,
 ) -> Termination {
     let Details { settled, tests, .. } = method.details();
-    let best = batch_ledger.ledger.best.as_ref().map(|(_, best)| *best);
+    let best = batch_ledger.ledger.best.cost();
     let tested = matches!((tests, best), (Some(tests), Some(best)) if best >= tests.f_best);
     if settled && tested { meaning(Termination::Converged, batch_ledger) } else { limit }
 }
@@ -162,10 +162,8 @@ pub(crate) fn limited<M: Method + ?Sized>(
 fn meaning(termination: Termination, batch_ledger: &BatchLedger) -> Termination {
     let Ledger { trace, best, .. } = &batch_ledger.ledger;
     let first = trace.iter().find_map(|entry| entry.outcome.value());
-    match (best, first) {
-        (Some((_, best)), Some(first)) if *best < UNBOUNDED && *best < -2.0 * first.abs() => {
-            Termination::Unbounded
-        }
+    match (best.cost(), first) {
+        (Some(best), Some(first)) if best < UNBOUNDED && best < -2.0 * first.abs() => Termination::Unbounded,
         _ if termination == Termination::Converged && trace.constant().is_some() => Termination::ConstantCost,
         _ => termination,
     }

@@ -272,7 +272,7 @@ impl Optimizer {
 
     /// The best point so far and its cost, of complete rounds.
     pub fn best(&self) -> Option<(&[f64], f64)> {
-        self.batch_ledger.ledger.best.as_ref().map(|(x, f)| (&x[..], *f))
+        self.batch_ledger.ledger.best.get()
     }
 
     /// Why the run is over; `None` while it is not. A run whose starting points all failed counts as

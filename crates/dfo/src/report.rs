@@ -94,7 +94,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
     let Some(termination) = termination else {
         return Err(Error::AllStartsFailed(ledger.nothing_found()));
     };
-    let Some((x, fun)) = ledger.best.clone() else {
+    let Some((x, fun)) = ledger.best.get().map(|(x, f)| (x.to_vec(), f)) else {
         return Err(Error::EndedWithoutPoint { termination, found: ledger.nothing_found() });
     };
     let details = method.details();

@@ -338,7 +338,7 @@ impl BatchLedger {
     }
 
     pub(crate) fn target_reached(&self, limits: &Limits) -> bool {
-        matches!((limits.target, &self.ledger.best), (Some(target), Some((_, best))) if *best <= target)
+        matches!((limits.target, self.ledger.best.cost()), (Some(target), Some(best)) if best <= target)
     }
 }
 

@@ -1,7 +1,7 @@
 //! What a run has seen: every count, the failures, the best point so far, the trace.
 
 use super::speculative::SpeculativeStore;
-use crate::answer::{Answer, Failure, Outcome};
+use crate::answer::{Answer, Best, Failure, Outcome};
 use crate::error::NothingFound;
 use crate::method::Batch;
 use crate::trace::{Record, SpeculativeEntry, Trace};
@@ -42,7 +42,7 @@ pub(crate) struct Ledger {
     keeps_residuals: bool,
     /// What was evaluated ahead of need.
     pub(crate) speculative: SpeculativeStore,
-    pub(crate) best: Option<(Vec<f64>, f64)>,
+    pub(crate) best: Best,
     pub(crate) n_evaluations: usize,
     pub(crate) n_failed: usize,
     pub(crate) n_cached: usize,
@@ -62,7 +62,7 @@ impl Ledger {
             trace_limit,
             keeps_residuals,
             speculative: SpeculativeStore::default(),
-            best: None,
+            best: Best::default(),
             n_evaluations: 0,
             n_failed: 0,
             n_cached: 0,
@@ -89,14 +89,7 @@ impl Ledger {
             }
             // What lies above its cutoff might as well have been given up, and must not make a difference.
             let Some(value) = outcome.value().filter(|v| *v <= batch.cutoff(k)) else { continue };
-            match &mut self.best {
-                Some((x, best)) if value < *best => {
-                    x.copy_from_slice(batch.point(k));
-                    *best = value;
-                }
-                Some(_) => {}
-                None => self.best = Some((batch.point(k).to_vec(), value)),
-            }
+            self.best.offer(batch.point(k), value);
         }
     }
 
@@ -173,8 +166,6 @@ impl Ledger {
 
     /// Whether its parts fit together: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
-        self.trace.is_sound(n)
-            && self.speculative.is_sound(n)
-            && self.best.as_ref().is_none_or(|(x, _)| x.len() == n)
+        self.trace.is_sound(n) && self.speculative.is_sound(n) && self.best.is_sound(n)
     }
 }

@@ -8,7 +8,7 @@
 //! Nelder-Mead pass at the user's tolerances, the stage has moved the point by at most `x_tol`, and `mu B` is at most
 //! `f_tol` of the cost (of the first cost, if that is larger).
 
-use crate::answer::{Answers, Outcome};
+use crate::answer::{Answers, Best, Outcome};
 use crate::choices::Measure;
 use crate::error::Error;
 use crate::method::{
@@ -131,7 +131,7 @@ impl MethodOptions for Barrier {
             cutoffs: Vec::new(),
             translated: Answers::default(),
             working: vec![0.0; space.n_free()],
-            best: None,
+            best: Best::default(),
             schedule: Vec::new(),
             stage_start: space.x0().to_vec(),
             n_stage: 0,
@@ -209,7 +209,7 @@ pub struct BarrierState {
     #[serde(skip)]
     translated: Answers,
     working: Vec<f64>,
-    best: Option<(Vec<f64>, f64)>,
+    best: Best,
     schedule: Vec<BarrierStage>,
     stage_start: Vec<f64>,
     n_stage: usize,
@@ -228,7 +228,7 @@ impl BarrierState {
         self.setup.space == space.without_far_bounds()
             && self.working.len() == space.n_free()
             && self.stage_start.len() == space.n()
-            && self.best.as_ref().is_none_or(|(x, _)| x.len() == space.n())
+            && self.best.is_sound(space.n())
             && self.inner.is_sound(&self.options.inner().prepared(&inner))
     }
 
@@ -254,7 +254,7 @@ impl BarrierState {
     fn translate_cutoffs(&mut self, batch: &mut Batch, first: usize) {
         let mu = self.mu.unwrap_or(0.0);
         // A cost below the best so far is wanted, even where its barrier makes it of no use to the search.
-        let best = self.best.as_ref().map_or(f64::NEG_INFINITY, |(_, best)| *best);
+        let best = self.best.cost().unwrap_or(f64::NEG_INFINITY);
         for k in first..batch.len() {
             let cutoff = batch.cutoff(k);
             if cutoff < f64::INFINITY {
@@ -390,14 +390,7 @@ impl Method for BarrierState {
             if self.cutoffs.get(k).is_some_and(|c| v > *c) {
                 continue;
             }
-            match &mut self.best {
-                Some((x, best)) if v < *best => {
-                    x.copy_from_slice(self.asked.point(k));
-                    *best = v;
-                }
-                Some(_) => {}
-                None => self.best = Some((self.asked.point(k).to_vec(), v)),
-            }
+            self.best.offer(self.asked.point(k), v);
         }
         // Nothing is asked any more until the next ask.
         self.asked.start(self.setup.space.n(), 0, 0);
@@ -438,7 +431,7 @@ impl Method for BarrierState {
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
-        self.best.as_ref().map(|(x, f)| (&x[..], *f))
+        self.best.get()
     }
 
     fn save(&self) -> Option<Vec<u8>> {

@@ -1,7 +1,7 @@
 //! What L-SHADE learns: memories of the factors that succeeded, the archive of replaced targets, the shrinking plan.
 
 use super::options::Adaptive;
-use crate::methods::shared::population::Population;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::rng::Stream;
 use serde::{Deserialize, Serialize};
 
@@ -69,7 +69,7 @@ impl Adaptation {
     pub(super) fn donor(
         &self,
         stream: &mut Stream,
-        population: &Population,
+        population: &RankedPoints,
         target: usize,
         weight: f64,
         out: &mut [f64],

@@ -1,7 +1,7 @@
 //! Mutation, crossover and repair, one function each, from given indices and draws.
 
 use super::options::{Crossover, Repair, Strategy};
-use crate::methods::shared::population::Population;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::rng::Stream;
 use crate::space::Space;
 use crate::space::fold;
@@ -22,7 +22,7 @@ pub(super) fn different(stream: &mut Stream, n: usize, target: usize, out: &mut 
 /// The donor vector of a target.
 pub(super) fn donor(
     strategy: Strategy,
-    population: &Population,
+    population: &RankedPoints,
     (target, best): (usize, usize),
     r: &[usize],
     weight: f64,
@@ -104,8 +104,8 @@ mod tests {
     }
 
     /// Members (0, 0), (1, 2), (2, 4), ... , (5, 10).
-    fn population() -> Population {
-        let mut p = Population::new(&space(), 6);
+    fn population() -> RankedPoints {
+        let mut p = RankedPoints::new(&space(), 6);
         (0..6).for_each(|i| p.place(i, &[i as f64, 2.0 * i as f64], &space()));
         p
     }

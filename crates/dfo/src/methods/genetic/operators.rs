@@ -1,7 +1,7 @@
 //! Selection, crossover and mutation, one function each.
 
 use crate::methods::shared::cost::Cost;
-use crate::methods::shared::population::Population;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::rng::Stream;
 
 /// The share of the fitness of the best that members without any fitness of their own keep.
@@ -12,7 +12,7 @@ const FLOOR: f64 = 1e-3;
 /// converges: of a sphere in ten parameters on [-5, 5] 0.26 is left after 10 000 evaluations (median of 10 seeds), with
 /// quantiles of 80, 70, 60 and 50 % 5e-3, 5e-4, 3e-5 and 3e-6. The lower the quantile, the sooner diversity is lost:
 /// Rosenbrock's function in two parameters is left at 7e-4, 2e-5, 1e-4, 9e-3 and 9e-3.
-pub(super) fn fitness_sums(population: &Population, out: &mut Vec<f64>) {
+pub(super) fn fitness_sums(population: &RankedPoints, out: &mut Vec<f64>) {
     let cost = |rank: usize| population.cost(population.order()[rank]).value().unwrap_or(0.0);
     let (low, high) = match population.n_finite() {
         0 => (0.0, 0.0),
@@ -41,7 +41,7 @@ pub(super) fn spin(stream: &mut Stream, sums: &[f64]) -> usize {
 }
 
 /// The best of `size` members drawn at random; by rank, so ties go to the older slot.
-pub(super) fn tournament(stream: &mut Stream, population: &Population, size: usize) -> usize {
+pub(super) fn tournament(stream: &mut Stream, population: &RankedPoints, size: usize) -> usize {
     let rank = (0..size).map(|_| stream.below(population.len())).min().unwrap_or(0);
     population.order()[rank]
 }
@@ -80,9 +80,9 @@ mod tests {
     use crate::space::Bounds;
     use crate::space::Space;
 
-    fn population(costs: &[Cost]) -> Population {
+    fn population(costs: &[Cost]) -> RankedPoints {
         let space = Space::new(&[0.5], Bounds::new(&[0.0], &[1.0]).unwrap(), &[], &[]).unwrap();
-        let mut p = Population::new(&space, costs.len());
+        let mut p = RankedPoints::new(&space, costs.len());
         costs.iter().enumerate().for_each(|(slot, cost)| p.set_cost(slot, *cost));
         p.rank();
         p

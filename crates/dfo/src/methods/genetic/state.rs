@@ -7,7 +7,7 @@ use crate::choices::Kind;
 use crate::error::Error;
 use crate::method::Setup;
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
-use crate::methods::shared::population::Population;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::rng::{Purpose, Stream};
 use crate::termination::Termination;
 use crate::tolerances::{Extent, Tests};
@@ -35,7 +35,7 @@ pub struct GeneticRules {
     sums: Vec<f64>,
     decoded: Vec<f64>,
     /// The best points of all generations, each once; as many as [`n_seen`] says.
-    best_seen: Population,
+    best_seen: RankedPoints,
     /// Generations since the best point changed, and its cost then.
     idle: usize,
     idle_since: f64,
@@ -65,7 +65,7 @@ impl GeneticRules {
                 population.place(slot, &decoded, &setup.space);
             }
         }
-        let best_seen = Population::new(&setup.space, n_seen(members, n));
+        let best_seen = RankedPoints::new(&setup.space, n_seen(members, n));
         let rules = Self {
             best_seen,
             mutation_rate: options.mutation_rate.unwrap_or((1.0 / length.max(1) as f64).min(0.1)),

@@ -1,11 +1,11 @@
 //! The starting simplex: never flat, never outside of the box, wherever in the box the start point lies.
 
 use super::options::InitialSimplex;
-use super::simplex::SimplexData;
 use super::sizes::{Found, SizeSearch};
 use crate::choices::Transform;
 use crate::error::Error;
 use crate::methods::shared::cost::Cost;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::space::Space;
 
 /// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of the 126 runs in
@@ -16,7 +16,7 @@ const FREE_FRACTION: f64 = 0.3;
 /// Smallest pivot, relative to the largest entry of its edge, that still counts as a direction of its own.
 const FLAT: f64 = 1e-10;
 
-pub(super) fn simplex(space: &Space, initial: &InitialSimplex) -> Result<SimplexData, Error> {
+pub(super) fn simplex(space: &Space, initial: &InitialSimplex) -> Result<RankedPoints, Error> {
     match initial {
         InitialSimplex::Auto if is_open(space) => Ok(regular(space)),
         InitialSimplex::Auto => Ok(from_steps(space, &default_steps(space))),
@@ -50,12 +50,12 @@ fn is_open(space: &Space) -> bool {
 /// Sizes from |x0| make the path independent of the units of the parameters. Of the fits that tune
 /// (`benches/simplex.rs`) 69 or 70 of 72 are solved for any fraction from 0.1 to 0.5; 0.3 takes the fewest evaluations (194,
 /// median; the others 195 to 211).
-fn regular(space: &Space) -> SimplexData {
+fn regular(space: &Space) -> RankedPoints {
     let n = space.n_free();
     let root = (n as f64 + 1.0).sqrt();
     let unit = FREE_FRACTION / (n as f64 * 2f64.sqrt());
     let (own, other) = (unit * (root + n as f64 - 1.0), unit * (root - 1.0));
-    let mut simplex = SimplexData::new(n, space.n());
+    let mut simplex = RankedPoints::new(space, n + 1);
     let mut start = vec![0.0; n];
     space.to_working(space.x0(), &mut start);
     simplex.set(0, &start, space.x0());
@@ -93,7 +93,7 @@ fn default_steps(space: &Space) -> Vec<f64> {
 
 /// The point that a search for sizes started from, the steps that it found, and usual ones along the other axes. The space
 /// takes the sizes.
-pub(super) fn around(space: &mut Space, search: &SizeSearch) -> SimplexData {
+pub(super) fn around(space: &mut Space, search: &SizeSearch) -> RankedPoints {
     let found = search.found(space);
     found.iter().for_each(|found| space.set_unit(found.k, found.size));
     let (base, cost) = search.base();
@@ -115,9 +115,9 @@ pub(super) fn around(space: &mut Space, search: &SizeSearch) -> SimplexData {
 }
 
 /// The start point and one step along each axis, away from a bound that is too near.
-fn from_steps(space: &Space, steps: &[f64]) -> SimplexData {
+fn from_steps(space: &Space, steps: &[f64]) -> RankedPoints {
     let n = space.n_free();
-    let mut simplex = SimplexData::new(n, space.n());
+    let mut simplex = RankedPoints::new(space, n + 1);
     let mut start = vec![0.0; n];
     space.to_working(space.x0(), &mut start);
     let mut u = start.clone();
@@ -149,12 +149,12 @@ pub(super) fn stepped(u: f64, step: f64, (lower, upper): (f64, f64)) -> f64 {
     beside.into_iter().find(good).unwrap_or(u)
 }
 
-fn from_vertices(space: &Space, vertices: &[Vec<f64>]) -> Result<SimplexData, Error> {
+fn from_vertices(space: &Space, vertices: &[Vec<f64>]) -> Result<RankedPoints, Error> {
     let n = space.n_free();
     if vertices.len() != n + 1 {
         return Err(Error::SimplexSize { expected: n + 1, got: vertices.len() });
     }
-    let mut simplex = SimplexData::new(n, space.n());
+    let mut simplex = RankedPoints::new(space, n + 1);
     let mut u = vec![0.0; n];
     for (vertex, x) in vertices.iter().enumerate() {
         if x.len() != space.n() {
@@ -188,7 +188,7 @@ fn from_vertices(space: &Space, vertices: &[Vec<f64>]) -> Result<SimplexData, Er
 
 /// Number of dimensions spanned by the edges from vertex 0, each measured in the sizes of the parameters: Gaussian
 /// elimination with complete pivoting.
-fn rank(space: &Space, simplex: &SimplexData) -> usize {
+fn rank(space: &Space, simplex: &RankedPoints) -> usize {
     let n = space.n_free();
     let mut edges: Vec<Vec<f64>> = (1..=n)
         .map(|v| (0..n).map(|k| (simplex.u(v)[k] - simplex.u(0)[k]) / space.size(k)).collect())

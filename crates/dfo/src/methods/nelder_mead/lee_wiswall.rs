@@ -7,11 +7,11 @@
 //! the serial plan 44, 158 and 363, and it solves as many (98 %); without the fall-back it solves 83 %.
 
 use super::options::CoefficientValues;
-use super::simplex::SimplexData;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
 use crate::choices::BoundsHandling;
 use crate::method::Batch;
 use crate::methods::shared::cost::Cost;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::space::Space;
 use serde::{Deserialize, Serialize};
 
@@ -85,7 +85,7 @@ impl LeeWiswall {
         &mut self,
         batch: &mut Batch,
         mut role: impl FnMut(usize),
-        simplex: &SimplexData,
+        simplex: &RankedPoints,
         (space, handling, numbers): (&Space, BoundsHandling, &CoefficientValues),
     ) {
         let best = simplex.best();
@@ -162,7 +162,7 @@ impl LeeWiswall {
     }
 
     /// Draws the conclusions from a round.
-    pub(super) fn conclude(&mut self, simplex: &mut SimplexData) -> Verdict {
+    pub(super) fn conclude(&mut self, simplex: &mut RankedPoints) -> Verdict {
         let best = simplex.cost(simplex.best());
         let moves = &mut self.moves[..self.degree];
         if !self.second_round {
@@ -216,7 +216,7 @@ impl LeeWiswall {
     }
 
     /// Fewer vertices, if the best has not improved for long.
-    fn fall_back(&mut self, simplex: &SimplexData) {
+    fn fall_back(&mut self, simplex: &RankedPoints) {
         let best = simplex.cost(simplex.best()).value().unwrap_or(f64::INFINITY);
         self.idle = if best < self.best { 0 } else { self.idle + 1 };
         self.best = best;

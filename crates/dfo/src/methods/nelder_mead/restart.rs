@@ -1,7 +1,7 @@
 //! When a simplex has become flat, and the one that takes its place.
 
 use super::initial::stepped;
-use super::simplex::SimplexData;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::space::Space;
 
 /// Smallest thickness of a simplex, in units of its largest edge, that still is a body.
@@ -12,7 +12,7 @@ const TOUCHING: f64 = 1e-6;
 const SIDE: f64 = 1e-3;
 
 /// Whether the simplex is flat in the coordinates along which it does not lie on a bound.
-pub(super) fn is_flat(simplex: &SimplexData, space: &Space) -> bool {
+pub(super) fn is_flat(simplex: &RankedPoints, space: &Space) -> bool {
     let n = space.n_free();
     let best = simplex.best();
     let free: Vec<usize> = (0..n)
@@ -71,7 +71,7 @@ fn eliminate(rows: &mut [Vec<f64>], step: usize, columns: usize) -> Option<f64> 
 
 /// Builds a simplex around the best vertex, with one edge along each coordinate, pointing down the costs of the old
 /// one. `extent` is the size of the old simplex in units of the sizes.
-pub(super) fn orient(simplex: &mut SimplexData, space: &Space, extent: f64) {
+pub(super) fn orient(simplex: &mut RankedPoints, space: &Space, extent: f64) {
     let n = space.n_free();
     let best = simplex.best();
     let (centre, f_best) = (simplex.u(best).to_vec(), simplex.cost(best).value().unwrap_or(0.0));

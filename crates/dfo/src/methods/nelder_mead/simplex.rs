@@ -1,95 +1,22 @@
-//! The simplex itself: vertices, ranks, centroid, size. Knows nothing of batches.
+//! Ranked points as a simplex: centroid, replacement, shrink, size. Knows nothing of batches.
 
 use crate::choices::Measure;
-use crate::method::SimplexView;
 use crate::methods::shared::cost::Cost;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::space::Space;
-use serde::{Deserialize, Serialize};
 
-/// Vertices in slots, and the slots by rank.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct SimplexData {
-    n: usize,
-    n_user: usize,
-    u: Vec<f64>,
-    x: Vec<f64>,
-    costs: Vec<Cost>,
-    /// The same for people: kept beside so that a view can lend it.
-    values: Vec<Option<f64>>,
-    /// Slots, best first.
-    order: Vec<usize>,
-}
-
-impl SimplexData {
-    pub(super) fn new(n: usize, n_user: usize) -> Self {
-        Self {
-            n,
-            n_user,
-            u: vec![0.0; (n + 1) * n],
-            x: vec![0.0; (n + 1) * n_user],
-            costs: vec![Cost::Pending; n + 1],
-            values: vec![None; n + 1],
-            order: (0..=n).collect(),
-        }
-    }
-
-    /// Working coordinates of a slot.
-    pub(super) fn u(&self, slot: usize) -> &[f64] {
-        &self.u[slot * self.n..(slot + 1) * self.n]
-    }
-
-    /// The vertex of a slot in the user's units.
-    pub(super) fn x(&self, slot: usize) -> &[f64] {
-        &self.x[slot * self.n_user..(slot + 1) * self.n_user]
-    }
-
-    pub(super) fn set(&mut self, slot: usize, u: &[f64], x: &[f64]) {
-        self.u[slot * self.n..(slot + 1) * self.n].copy_from_slice(u);
-        self.x[slot * self.n_user..(slot + 1) * self.n_user].copy_from_slice(x);
-        self.set_cost(slot, Cost::Pending);
-    }
-
+impl RankedPoints {
     /// The same vertices in the working coordinates of another space.
     pub(super) fn rewrite(&mut self, space: &Space) {
-        for slot in 0..=self.n {
-            space.to_working(
-                &self.x[slot * self.n_user..][..self.n_user],
-                &mut self.u[slot * self.n..][..self.n],
-            );
+        for slot in 0..self.len() {
+            let Self { n, n_user, u, x, .. } = self;
+            space.to_working(&x[slot * *n_user..][..*n_user], &mut u[slot * *n..][..*n]);
         }
-    }
-
-    pub(super) fn set_cost(&mut self, slot: usize, cost: Cost) {
-        self.costs[slot] = cost;
-        self.values[slot] = cost.value();
-    }
-
-    /// Slots, best first.
-    pub(super) fn order(&self) -> &[usize] {
-        &self.order
-    }
-
-    pub(super) fn cost(&self, slot: usize) -> Cost {
-        self.costs[slot]
-    }
-
-    /// Slot of rank 0.
-    pub(super) fn best(&self) -> usize {
-        self.order[0]
-    }
-
-    /// Slot of the last rank.
-    pub(super) fn worst(&self) -> usize {
-        self.order[self.n]
     }
 
     /// Slot of the last rank but one (the best, in one dimension).
     pub(super) fn second_worst(&self) -> usize {
         self.order[self.n.saturating_sub(1)]
-    }
-
-    pub(super) fn is_pending(&self) -> bool {
-        self.costs.contains(&Cost::Pending)
     }
 
     /// Ranks all vertices anew; equal costs keep their order (insertion sort: stable, and it allocates nothing).
@@ -190,55 +117,22 @@ impl SimplexData {
         self.order[1..].iter().map(distance).fold(0.0, f64::max)
     }
 
-    /// Worst minus best cost; `None` while a vertex has none.
-    pub(super) fn f_spread(&self) -> Option<f64> {
-        match (self.cost(self.worst()), self.cost(self.best())) {
-            (Cost::Value(worst), Cost::Value(best)) => Some(worst - best),
-            _ => None,
-        }
-    }
-
-    /// Whether all vertices are the best one up to rounding: nothing can come of it any more.
-    pub(super) fn is_collapsed(&self, space: &Space) -> bool {
-        let best = self.u(self.best());
-        self.order[1..].iter().all(|&slot| space.is_same(self.u(slot), best))
-    }
-
-    /// Number of vertices with a cost.
-    pub(super) fn n_finite(&self) -> usize {
-        self.values.iter().flatten().count()
-    }
-
     /// The smallest |cost| that is not zero; 0 where there is none. Of the initial vertices it is that of the start, or of a
     /// better neighbour: a first step that is far too long, with a cost of many magnitudes, does not count.
     pub(super) fn smallest_cost(&self) -> f64 {
         let sizes = self.values.iter().flatten().map(|cost| cost.abs()).filter(|size| *size > 0.0);
         sizes.min_by(f64::total_cmp).unwrap_or(0.0)
     }
-
-    /// Whether all lists have the lengths that belong together: what comes from a file may not.
-    pub(super) fn is_sound(&self, space: &Space) -> bool {
-        let mut slots = self.order.clone();
-        slots.sort_unstable();
-        let len = self.n + 1;
-        (self.n, self.n_user) == (space.n_free(), space.n())
-            && self.u.len() == len * self.n
-            && self.x.len() == len * self.n_user
-            && (self.costs.len(), self.values.len()) == (len, len)
-            && slots.into_iter().eq(0..len)
-    }
-
-    pub(super) fn view(&self) -> SimplexView<'_> {
-        SimplexView { n: self.n_user, x: &self.x, costs: &self.values, order: &self.order }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::space::Bounds;
 
-    fn simplex(costs: [Cost; 3]) -> SimplexData {
-        let mut s = SimplexData::new(2, 2);
+    fn simplex(costs: [Cost; 3]) -> RankedPoints {
+        let space = Space::new(&[0.0, 0.0], Bounds::unbounded(2), &[], &[]).unwrap();
+        let mut s = RankedPoints::new(&space, 3);
         for (slot, (p, cost)) in [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].into_iter().zip(costs).enumerate() {
             s.set(slot, &p, &p);
             s.set_cost(slot, cost);

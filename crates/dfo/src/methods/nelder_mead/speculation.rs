@@ -5,9 +5,9 @@
 //! The guesses are followed best first, over as many iterations as points are wanted.
 
 use super::options::CoefficientValues;
-use super::simplex::SimplexData;
 use super::trial::{Frame, Trial, TrialPoint};
 use crate::choices::BoundsHandling;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::space::Space;
 
 /// How often a reflection is accepted as it is, asks for an expansion, for an inside and for an outside contraction, and
@@ -25,7 +25,7 @@ pub(super) struct Problem<'a> {
     pub(super) space: &'a Space,
     pub(super) handling: BoundsHandling,
     pub(super) numbers: &'a CoefficientValues,
-    pub(super) simplex: &'a SimplexData,
+    pub(super) simplex: &'a RankedPoints,
 }
 
 /// Which points need no evaluation any more.
@@ -141,7 +141,7 @@ impl Speculation {
         None
     }
 
-    fn vertex<'a>(&'a self, simplex: &'a SimplexData, node: usize, slot: usize) -> &'a [f64] {
+    fn vertex<'a>(&'a self, simplex: &'a RankedPoints, node: usize, slot: usize) -> &'a [f64] {
         self.replacement(node, slot).map_or_else(|| simplex.u(slot), |point| &point.u[..])
     }
 
@@ -154,7 +154,7 @@ impl Speculation {
         let mut point = std::mem::replace(&mut self.points[number], TrialPoint::new(0, 0));
         let order = self.order(node, n);
         let (best, worst) = (order[0], order[n]);
-        SimplexData::centroid_of(
+        RankedPoints::centroid_of(
             (0..=n).filter(|slot| *slot != worst).filter_map(|slot| match self.replacement(node, slot) {
                 Some(point) => Some(&point.u[..]),
                 None => simplex.cost(slot).value().is_some().then(|| simplex.u(slot)),

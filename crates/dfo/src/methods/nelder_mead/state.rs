@@ -7,7 +7,6 @@ use super::initial;
 use super::lee_wiswall::{LeeWiswall, Verdict};
 use super::options::{BatchPlan, CoefficientValues};
 use super::restart;
-use super::simplex::SimplexData;
 use super::sizes::SizeSearch;
 use super::speculation::{Problem, Speculation};
 use super::trial::{Frame, Seen, Trial, TrialPoint};
@@ -16,6 +15,7 @@ use crate::choices::BoundsHandling;
 use crate::error::Error;
 use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
 use crate::methods::shared::cost::Cost;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::termination::Termination;
 use crate::tolerances::Tests;
 use serde::{Deserialize, Serialize};
@@ -85,7 +85,7 @@ pub struct NelderMeadState {
     plan: BatchPlan,
     numbers: CoefficientValues,
     handling: BoundsHandling,
-    simplex: SimplexData,
+    simplex: RankedPoints,
     centroid: Vec<f64>,
     trials: [TrialPoint; 4],
     #[serde(skip)]
@@ -115,7 +115,7 @@ impl NelderMeadState {
         plan: BatchPlan,
         numbers: CoefficientValues,
         handling: BoundsHandling,
-        simplex: SimplexData,
+        simplex: RankedPoints,
         (restarts, sizing): (usize, bool),
     ) -> Self {
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
@@ -269,7 +269,7 @@ impl NelderMeadState {
         let tolerances = &self.setup.tolerances;
         let f_best = self.simplex.cost(self.simplex.best()).value().unwrap_or(f64::NAN);
         let x_size = self.simplex.x_size(space, tolerances.measure);
-        let tests = tolerances.judge(x_size, self.simplex.f_spread(), f_best, self.f_0);
+        let tests = tolerances.judge(x_size, self.simplex.f_spread(self.simplex.order()), f_best, self.f_0);
         let before = self.tests.replace(tests).map(|before| before.x_size);
         let collapsed = self.simplex.is_collapsed(space);
         if tests.passed {

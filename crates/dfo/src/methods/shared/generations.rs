@@ -6,7 +6,7 @@ use crate::error::Error;
 use crate::memory;
 use crate::method::{Batch, Details, Method, Operation, Setup, Status, restored, saved};
 use crate::methods::shared::cost::Cost;
-use crate::methods::shared::population::Population;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::rounds::Rounds;
 use crate::sampling::Sampling;
 use crate::space::Space;
@@ -61,8 +61,8 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
 pub struct Populations {
     pub(crate) setup: Setup,
     pub(crate) seed: u64,
-    pub(crate) population: Population,
-    pub(crate) candidates: Population,
+    pub(crate) population: RankedPoints,
+    pub(crate) candidates: RankedPoints,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -223,14 +223,14 @@ impl Populations {
         // Both on two scales, the sampled points, and the points of a batch.
         let rows = 3 * members + 2 * candidates;
         memory::check("a population of so many members and parameters", &[rows, space.n() + n])?;
-        let mut population = Population::new(space, members);
+        let mut population = RankedPoints::new(space, members);
         let mut points = Vec::new();
         sampling.fill(space, seed, members, &mut points)?;
         for slot in 0..members {
             population.place(slot, &points[slot * n..(slot + 1) * n], space);
         }
         let n_exact = population.seed_with(&setup, include_start || n == 0);
-        let candidates = Population::new(space, candidates);
+        let candidates = RankedPoints::new(space, candidates);
         Ok((Self { setup, seed, population, candidates }, n_exact))
     }
 

@@ -3,4 +3,5 @@
 pub(crate) mod cost;
 pub(crate) mod generations;
 pub(crate) mod population;
+pub(crate) mod ranked_points;
 pub(crate) mod rounds;

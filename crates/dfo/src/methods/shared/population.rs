@@ -1,74 +1,28 @@
-//! The members of an evolutionary method: points, costs, ranks, spread. Knows nothing of how they came about.
+//! Ranked points as the population of an evolutionary method: how members are placed, ranked, judged and replaced.
 
 use crate::choices::Kind;
 use crate::choices::Measure;
-use crate::method::{Setup, SimplexView};
+use crate::method::Setup;
 use crate::methods::shared::cost::Cost;
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::space::Space;
 use crate::tolerances::{Extent, Tests, Tolerances, typical};
-use serde::{Deserialize, Serialize};
 
 /// More members than this are a mistake, not a wish.
 pub(crate) const MAX_MEMBERS: usize = 1_000_000;
 
-/// Members in slots, and the slots by rank.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Population {
-    n: usize,
-    n_user: usize,
-    u: Vec<f64>,
-    x: Vec<f64>,
-    costs: Vec<Cost>,
-    /// The same for people: kept beside so that a view can lend it.
-    values: Vec<Option<f64>>,
-    /// Slots, best first, as of the last [`rank`](Self::rank).
-    order: Vec<usize>,
-}
-
-impl Population {
-    /// So many members, none of them placed.
-    pub(crate) fn new(space: &Space, len: usize) -> Self {
-        let (n, n_user) = (space.n_free(), space.n());
-        Self {
-            n,
-            n_user,
-            u: vec![0.0; len * n],
-            x: vec![0.0; len * n_user],
-            costs: vec![Cost::Pending; len],
-            values: vec![None; len],
-            order: (0..len).collect(),
-        }
-    }
-
-    pub(crate) fn len(&self) -> usize {
-        self.costs.len()
-    }
-
-    /// Working coordinates of a member.
-    pub(crate) fn u(&self, slot: usize) -> &[f64] {
-        &self.u[slot * self.n..(slot + 1) * self.n]
-    }
-
-    /// Member in the user's units.
-    pub(crate) fn x(&self, slot: usize) -> &[f64] {
-        &self.x[slot * self.n_user..(slot + 1) * self.n_user]
-    }
-
-    pub(crate) fn cost(&self, slot: usize) -> Cost {
-        self.costs[slot]
-    }
-
+impl RankedPoints {
     /// Places a member; its cost is unknown then.
     pub(crate) fn place(&mut self, slot: usize, u: &[f64], space: &Space) {
-        self.u[slot * self.n..(slot + 1) * self.n].copy_from_slice(u);
-        space.to_user(u, &mut self.x[slot * self.n_user..(slot + 1) * self.n_user]);
+        self.u_mut(slot).copy_from_slice(u);
+        space.to_user(u, self.x_mut(slot));
         self.set_cost(slot, Cost::Pending);
     }
 
     /// Places a member exactly at a point of the user's, whatever the working coordinates make of it.
     pub(crate) fn place_exactly(&mut self, slot: usize, x: &[f64], space: &Space) {
-        space.to_working(x, &mut self.u[slot * self.n..(slot + 1) * self.n]);
-        self.x[slot * self.n_user..(slot + 1) * self.n_user].copy_from_slice(x);
+        space.to_working(x, self.u_mut(slot));
+        self.x_mut(slot).copy_from_slice(x);
         self.set_cost(slot, Cost::Pending);
     }
 
@@ -92,18 +46,8 @@ impl Population {
 
     /// Takes over a member, cost and all.
     pub(crate) fn copy_from(&mut self, slot: usize, other: &Self, from: usize) {
-        self.u[slot * self.n..(slot + 1) * self.n].copy_from_slice(other.u(from));
-        self.x[slot * self.n_user..(slot + 1) * self.n_user].copy_from_slice(other.x(from));
+        self.set(slot, other.u(from), other.x(from));
         self.set_cost(slot, other.cost(from));
-    }
-
-    pub(crate) fn set_cost(&mut self, slot: usize, cost: Cost) {
-        self.costs[slot] = cost;
-        self.values[slot] = cost.value();
-    }
-
-    pub(crate) fn is_pending(&self) -> bool {
-        self.costs.contains(&Cost::Pending)
     }
 
     /// Ranks all members anew; members of the same cost rank by slot.
@@ -118,20 +62,6 @@ impl Population {
                 a.cmp(&b)
             }
         });
-    }
-
-    /// Slots, best first.
-    pub(crate) fn order(&self) -> &[usize] {
-        &self.order
-    }
-
-    pub(crate) fn best(&self) -> usize {
-        self.order[0]
-    }
-
-    /// Number of members with a finite cost.
-    pub(crate) fn n_finite(&self) -> usize {
-        self.values.iter().flatten().count()
     }
 
     /// Keeps the `len` best members, in the order of their slots. Needs up-to-date ranks, and leaves them.
@@ -169,7 +99,7 @@ impl Population {
 
     /// Takes a member of another population in place of the worst, if it is better and at a point of its own.
     pub(crate) fn take_better(&mut self, from: &Self, member: usize) {
-        let worst = self.order[self.len() - 1];
+        let worst = self.worst();
         let is_new = || (0..self.len()).all(|slot| self.x(slot) != from.x(member));
         if from.costs[member].better_than(self.costs[worst]) && is_new() {
             self.copy_from(worst, from, member);
@@ -199,39 +129,13 @@ impl Population {
                 });
             }
         }
-        let spread = match (self.costs[best], counted.last().map(|worst| self.costs[*worst])) {
-            (Cost::Value(best), Some(Cost::Value(worst))) => Some(worst - best),
-            _ => None,
-        };
         let f_best = self.costs[best].value().unwrap_or(f64::NAN);
-        Tests { extent, ..tolerances.judge(size, spread, f_best, f_0) }
-    }
-
-    /// Whether all members are the best one up to rounding.
-    pub(crate) fn is_collapsed(&self, space: &Space) -> bool {
-        let best = self.u(self.best());
-        (0..self.len()).all(|slot| space.is_same(self.u(slot), best))
+        Tests { extent, ..tolerances.judge(size, self.f_spread(counted), f_best, f_0) }
     }
 
     /// How large costs are.
     pub(crate) fn typical_cost(&self) -> f64 {
         typical(&self.values)
-    }
-
-    pub(crate) fn view(&self) -> SimplexView<'_> {
-        SimplexView { n: self.n_user, x: &self.x, costs: &self.values, order: &self.order }
-    }
-
-    /// Whether all lists have the lengths that belong together: what comes from a file may not.
-    pub(crate) fn is_sound(&self, space: &Space) -> bool {
-        let len = self.costs.len();
-        let mut slots = self.order.clone();
-        slots.sort_unstable();
-        (self.n, self.n_user) == (space.n_free(), space.n())
-            && self.u.len() == len * self.n
-            && self.x.len() == len * self.n_user
-            && self.values.len() == len
-            && slots.into_iter().eq(0..len)
     }
 }
 
@@ -240,9 +144,9 @@ mod tests {
     use super::*;
     use crate::space::Bounds;
 
-    fn population(costs: &[Cost]) -> (Space, Population) {
+    fn population(costs: &[Cost]) -> (Space, RankedPoints) {
         let space = Space::new(&[0.5], Bounds::new(&[0.0], &[10.0]).unwrap(), &[], &[]).unwrap();
-        let mut p = Population::new(&space, costs.len());
+        let mut p = RankedPoints::new(&space, costs.len());
         for (slot, cost) in costs.iter().enumerate() {
             p.place(slot, &[slot as f64], &space);
             p.set_cost(slot, *cost);

@@ -1,10 +1,10 @@
 //! Asking and telling whole generations: which candidates still wait for an answer, what was best.
 
-use crate::answer::Answers;
+use crate::answer::{Answers, Best};
 use crate::error::Error;
 use crate::method::Batch;
 use crate::methods::shared::cost::Cost;
-use crate::methods::shared::population::Population;
+use crate::methods::shared::ranked_points::RankedPoints;
 use serde::{Deserialize, Serialize};
 
 /// The bookkeeping of a method whose batches are the candidates that have no cost yet.
@@ -15,7 +15,7 @@ pub(crate) struct Rounds {
     /// The candidate behind each point of the last batch.
     roles: Vec<usize>,
     waiting: bool,
-    best: Option<(Vec<f64>, f64)>,
+    best: Best,
 }
 
 impl Rounds {
@@ -35,7 +35,7 @@ impl Rounds {
         &mut self,
         batch: &mut Batch,
         n_user: usize,
-        candidates: &Population,
+        candidates: &RankedPoints,
         cutoff: impl Fn(usize) -> f64,
     ) {
         self.ask_nothing(batch, n_user);
@@ -49,7 +49,7 @@ impl Rounds {
     }
 
     /// Takes outcomes; says whether all candidates have a cost now.
-    pub(crate) fn tell(&mut self, answers: &Answers, candidates: &mut Population) -> Result<bool, Error> {
+    pub(crate) fn tell(&mut self, answers: &Answers, candidates: &mut RankedPoints) -> Result<bool, Error> {
         let (asked, outcomes) = (self.roles.len(), answers.outcomes());
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
@@ -65,24 +65,17 @@ impl Rounds {
             // What was given up above the target's cost is no candidate, like what failed.
             candidates.set_cost(slot, outcome.value().map_or(Cost::Failed, Cost::Value));
             let Some(value) = outcome.value() else { continue };
-            match &mut self.best {
-                Some((x, best)) if value < *best => {
-                    x.copy_from_slice(candidates.x(slot));
-                    *best = value;
-                }
-                Some(_) => {}
-                None => self.best = Some((candidates.x(slot).to_vec(), value)),
-            }
+            self.best.offer(candidates.x(slot), value);
         }
         Ok(!candidates.is_pending())
     }
 
     pub(crate) fn best(&self) -> Option<(&[f64], f64)> {
-        self.best.as_ref().map(|(x, f)| (&x[..], *f))
+        self.best.get()
     }
 
     /// Whether this fits to these candidates: what comes from a file may not.
     pub(crate) fn is_sound(&self, n_user: usize) -> bool {
-        self.best.as_ref().is_none_or(|(x, _)| x.len() == n_user)
+        self.best.is_sound(n_user)
     }
 }

@@ -1,0 +1,129 @@
+//! Points in slots, with costs and ranks: the vertices of a simplex, the members of a population. What only one of the two
+//! needs stands with it (`nelder_mead/simplex.rs`, `population.rs`).
+
+use crate::method::SimplexView;
+use crate::methods::shared::cost::Cost;
+use crate::space::Space;
+use serde::{Deserialize, Serialize};
+
+/// Points in slots, and the slots by rank.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct RankedPoints {
+    pub(in crate::methods) n: usize,
+    pub(in crate::methods) n_user: usize,
+    pub(in crate::methods) u: Vec<f64>,
+    pub(in crate::methods) x: Vec<f64>,
+    pub(in crate::methods) costs: Vec<Cost>,
+    /// The costs as a view lends them.
+    pub(in crate::methods) values: Vec<Option<f64>>,
+    /// Slots, best first, as of the last ranking.
+    pub(in crate::methods) order: Vec<usize>,
+}
+
+impl RankedPoints {
+    /// So many points, none of them placed.
+    pub(crate) fn new(space: &Space, len: usize) -> Self {
+        let (n, n_user) = (space.n_free(), space.n());
+        Self {
+            n,
+            n_user,
+            u: vec![0.0; len * n],
+            x: vec![0.0; len * n_user],
+            costs: vec![Cost::Pending; len],
+            values: vec![None; len],
+            order: (0..len).collect(),
+        }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.costs.len()
+    }
+
+    /// Working coordinates of a slot.
+    pub(crate) fn u(&self, slot: usize) -> &[f64] {
+        &self.u[slot * self.n..(slot + 1) * self.n]
+    }
+
+    pub(crate) fn u_mut(&mut self, slot: usize) -> &mut [f64] {
+        &mut self.u[slot * self.n..(slot + 1) * self.n]
+    }
+
+    /// The point of a slot in the user's units.
+    pub(crate) fn x(&self, slot: usize) -> &[f64] {
+        &self.x[slot * self.n_user..(slot + 1) * self.n_user]
+    }
+
+    pub(crate) fn x_mut(&mut self, slot: usize) -> &mut [f64] {
+        &mut self.x[slot * self.n_user..(slot + 1) * self.n_user]
+    }
+
+    pub(crate) fn cost(&self, slot: usize) -> Cost {
+        self.costs[slot]
+    }
+
+    pub(crate) fn set_cost(&mut self, slot: usize, cost: Cost) {
+        self.costs[slot] = cost;
+        self.values[slot] = cost.value();
+    }
+
+    /// Places a point, given on both scales; its cost is unknown then.
+    pub(crate) fn set(&mut self, slot: usize, u: &[f64], x: &[f64]) {
+        self.u_mut(slot).copy_from_slice(u);
+        self.x_mut(slot).copy_from_slice(x);
+        self.set_cost(slot, Cost::Pending);
+    }
+
+    /// Slots, best first.
+    pub(crate) fn order(&self) -> &[usize] {
+        &self.order
+    }
+
+    /// Slot of rank 0.
+    pub(crate) fn best(&self) -> usize {
+        self.order[0]
+    }
+
+    /// Slot of the last rank.
+    pub(crate) fn worst(&self) -> usize {
+        self.order[self.order.len() - 1]
+    }
+
+    pub(crate) fn is_pending(&self) -> bool {
+        self.costs.contains(&Cost::Pending)
+    }
+
+    /// Number of points with a finite cost.
+    pub(crate) fn n_finite(&self) -> usize {
+        self.values.iter().flatten().count()
+    }
+
+    /// Whether all points are the best one up to rounding.
+    pub(crate) fn is_collapsed(&self, space: &Space) -> bool {
+        let best = self.u(self.best());
+        (0..self.len()).all(|slot| space.is_same(self.u(slot), best))
+    }
+
+    /// Largest minus smallest cost of these slots, the best first and the worst last; `None` while one of them has none.
+    pub(crate) fn f_spread(&self, slots: &[usize]) -> Option<f64> {
+        match (self.costs[*slots.first()?], self.costs[*slots.last()?]) {
+            (Cost::Value(best), Cost::Value(worst)) => Some(worst - best),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn view(&self) -> SimplexView<'_> {
+        SimplexView { n: self.n_user, x: &self.x, costs: &self.values, order: &self.order }
+    }
+
+    /// Whether all lists have the lengths that belong together: what comes from a file may not.
+    pub(crate) fn is_sound(&self, space: &Space) -> bool {
+        let len = self.costs.len();
+        let mut slots = self.order.clone();
+        slots.sort_unstable();
+        (self.n, self.n_user) == (space.n_free(), space.n())
+            && self.u.len() == len * self.n
+            && self.x.len() == len * self.n_user
+            && self.values.len() == len
+            && slots.into_iter().eq(0..len)
+    }
+}
