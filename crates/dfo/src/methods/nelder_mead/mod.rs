@@ -35,6 +35,7 @@
 //! the cost they start from, or the lowest found along the parameter.
 
 mod initial;
+mod iteration;
 mod lee_wiswall;
 mod options;
 mod restart;

@@ -1,0 +1,218 @@
+//! One iteration: which trial point is needed next, what the known ones decide, and what follows from a finished one.
+
+use super::initial;
+use super::restart;
+use super::sizes::SizeSearch;
+use super::state::{NelderMeadState, Phase, Role};
+use super::trial::{Frame, Seen, Trial};
+use crate::method::{Batch, Operation};
+use crate::methods::shared::cost::Cost;
+use crate::termination::Termination;
+use crate::tolerances::Tests;
+
+/// A simplex of this size cannot become much smaller but on one point.
+const RESOLVED: f64 = 1e-12;
+
+impl NelderMeadState {
+    /// Where an evaluation may stop without changing a decision.
+    fn cutoff(&self, trial: Trial) -> f64 {
+        let worst = self.worst_cost();
+        match (trial, self.trials[Trial::Reflection as usize].seen) {
+            (Trial::Expansion | Trial::Outside, Seen::Cost(reflected)) if worst.is_finite() => reflected,
+            _ => worst,
+        }
+    }
+
+    /// The cost above which no point is accepted, now or in the iterations to come; infinite while the worst vertex has
+    /// failed.
+    pub(super) fn worst_cost(&self) -> f64 {
+        self.simplex.cost(self.simplex.worst()).value().unwrap_or(f64::INFINITY)
+    }
+
+    pub(super) fn place(&mut self, trial: Trial) {
+        let frame = Frame {
+            space: &self.setup.space,
+            handling: self.handling,
+            factor: trial.factor(&self.numbers),
+            centroid: &self.centroid,
+            worst: self.simplex.u(self.simplex.worst()),
+            fallback: self.simplex.u(self.simplex.best()),
+        };
+        frame.place(&mut self.trials[trial as usize], |u| self.simplex.has_vertex(u));
+    }
+
+    pub(super) fn request_trial(&mut self, trial: Trial, batch: &mut Batch) {
+        let cutoff = self.cutoff(trial);
+        batch.push(&self.trials[trial as usize].x, cutoff);
+        self.roles.push(Role::Trial(trial));
+    }
+
+    /// The cost of a trial point: `Ok(None)` if it is no candidate, `Err` if it is not known yet.
+    fn consult(&self, trial: Trial) -> Result<Option<f64>, Trial> {
+        match self.trials[trial as usize].seen {
+            Seen::Unknown => Err(trial),
+            Seen::Cost(v) => Ok(Some(v)),
+            Seen::Rejected => Ok(None),
+        }
+    }
+
+    /// The decision of an iteration (Lagarias et al. 1998, section 2, steps 2 to 5): the point to accept, or none for
+    /// a shrink. `Err`: this point is needed.
+    fn verdict(&self) -> Result<Option<(Trial, f64)>, Trial> {
+        let [best, second_worst, worst] =
+            [self.simplex.best(), self.simplex.second_worst(), self.simplex.worst()]
+                .map(|s| self.simplex.cost(s));
+        let reflected = self.consult(Trial::Reflection)?;
+        let reflection_beats = |cost| reflected.is_some_and(|r| Cost::Value(r).better_than(cost));
+        if let Some(r) = reflected.filter(|_| reflection_beats(best)) {
+            return Ok(Some(match self.consult(Trial::Expansion)? {
+                Some(e) if e < r => (Trial::Expansion, e),
+                _ => (Trial::Reflection, r),
+            }));
+        }
+        if let Some(r) = reflected.filter(|_| reflection_beats(second_worst)) {
+            return Ok(Some((Trial::Reflection, r)));
+        }
+        if let Some(r) = reflected.filter(|_| reflection_beats(worst)) {
+            let outside = self.consult(Trial::Outside)?.filter(|c| *c <= r);
+            return Ok(outside.map(|c| (Trial::Outside, c)));
+        }
+        let inside = self.consult(Trial::Inside)?.filter(|c| Cost::Value(*c).better_than(worst));
+        Ok(inside.map(|c| (Trial::Inside, c)))
+    }
+
+    /// Carries out what the trial points decide.
+    pub(super) fn decide(&mut self) -> Result<Operation, Trial> {
+        match self.verdict()? {
+            Some((trial, value)) => {
+                let point = &self.trials[trial as usize];
+                self.simplex.replace_worst(&point.u, &point.x, value);
+                Ok(trial.operation())
+            }
+            None => {
+                self.simplex.shrink(self.numbers.shrink, &self.setup.space);
+                Ok(Operation::Shrink)
+            }
+        }
+    }
+
+    fn begin_iteration(&mut self) {
+        for point in &mut self.trials {
+            point.seen = Seen::Unknown;
+        }
+        self.simplex.centroid(&mut self.centroid);
+        self.phase = Phase::Evaluating(Trial::Reflection);
+        if let Some(parallel) = self.parallel.as_mut().filter(|p| p.is_parallel()) {
+            parallel.begin();
+            self.phase = Phase::Moving;
+        }
+    }
+
+    pub(super) fn end_iteration(&mut self, operation: Operation) {
+        self.n_iterations += 1;
+        self.operation = Some(operation);
+        let space = &self.setup.space;
+        let tolerances = &self.setup.tolerances;
+        let f_best = self.simplex.cost(self.simplex.best()).value().unwrap_or(f64::NAN);
+        let x_size = self.simplex.x_size(space, tolerances.measure);
+        let tests = tolerances.judge(x_size, self.simplex.f_spread(self.simplex.order()), f_best, self.f_0);
+        let before = self.tests.replace(tests).map(|before| before.x_size);
+        let collapsed = self.simplex.is_collapsed(space);
+        if tests.passed {
+            // All vertices on one point say nothing, unless they came there through simplices that were about as small.
+            let came_there = before.is_some_and(|size| size <= (10.0 * tolerances.x_tol).max(RESOLVED));
+            if x_size == 0.0 && !came_there {
+                self.end(Termination::Collapsed);
+            } else if self.may_restart(&tests) {
+                let space = &self.setup.space;
+                let x_size = self.simplex.relative_size(space);
+                restart::orient(&mut self.simplex, space, x_size);
+                self.phase = Phase::Restarting;
+            } else if self.sizing {
+                let best = self.simplex.best();
+                let from = (self.simplex.x(best), tests.f_best);
+                self.sizes =
+                    Some(SizeSearch::beside(&self.setup.space, from, tests.f_limit, self.sizes.as_ref()));
+                self.phase = Phase::Checking;
+                self.sizes_told();
+            } else {
+                self.end(Termination::Converged);
+            }
+        } else if collapsed {
+            let alone = self.simplex.n_finite() == 1;
+            self.end(if alone { Termination::OneFiniteVertex } else { Termination::Collapsed });
+        } else {
+            self.begin_iteration();
+        }
+    }
+
+    /// Whether the simplex deserves to be built anew although the tests passed: it is flat, not because of a bound, and
+    /// the last restart, if there was one, brought something.
+    fn may_restart(&mut self, tests: &Tests) -> bool {
+        let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);
+        if self.restarts == 0 || useless || !restart::is_flat(&self.simplex, &self.setup.space) {
+            return false;
+        }
+        self.restarts -= 1;
+        self.f_restart = Some(tests.f_best);
+        true
+    }
+
+    fn end(&mut self, termination: Termination) {
+        self.phase = Phase::Done;
+        self.ended = Some(termination);
+    }
+
+    /// A step in search of sizes, or the start point that they start from, is known.
+    pub(super) fn sizes_told(&mut self) {
+        let space = &mut self.setup.space;
+        match (&self.sizes, self.simplex.cost(0)) {
+            (None, Cost::Pending) => {}
+            (None, Cost::Value(f_0)) => {
+                self.sizes = Some(SizeSearch::from_start(space, self.simplex.x(0), f_0));
+                self.sizes_told();
+            }
+            // Nothing to compare with.
+            (None, Cost::Failed) => self.phase = Phase::Starting,
+            (Some(search), _) if !search.is_over() => {}
+            (Some(search), _) => {
+                if self.phase == Phase::Checking && !search.is_lower() {
+                    return self.end(Termination::Converged);
+                }
+                self.simplex = initial::around(space, search);
+                self.phase = if self.phase == Phase::Checking { Phase::Restarting } else { Phase::Starting };
+                if !self.simplex.is_pending() {
+                    self.vertices_known();
+                }
+            }
+        }
+    }
+
+    /// All vertices asked for are known.
+    pub(super) fn vertices_known(&mut self) {
+        let phase = self.phase;
+        self.simplex.sort();
+        match phase {
+            Phase::Shrinking => return self.end_iteration(Operation::Shrink),
+            Phase::Restarting => return self.end_iteration(Operation::Restart),
+            Phase::Starting
+            | Phase::Sizing
+            | Phase::Checking
+            | Phase::Moving
+            | Phase::Evaluating(_)
+            | Phase::Done => {}
+        }
+        if self.simplex.cost(self.simplex.best()).value().is_none() {
+            self.phase = Phase::Done;
+            return;
+        }
+        // Steps in search of sizes may have come near to the minimum already.
+        let start = self.sizes.as_ref().map(|search| search.base().1.abs()).filter(|f| *f > 0.0);
+        self.f_0 = start.unwrap_or_else(|| self.simplex.smallest_cost());
+        self.operation = Some(Operation::Initial);
+        if self.setup.space.n_free() == 0 {
+            return self.end(Termination::AllFixed);
+        }
+        self.begin_iteration();
+    }
+}
