@@ -140,9 +140,10 @@ pub(crate) fn reached<M: Method + ?Sized>(
     if batch_ledger.target_reached(limits) {
         return Some(Termination::Target);
     }
+    let most = limits.max_iterations?;
     let details = method.details();
-    let iterations = limits.max_iterations.is_some_and(|m| details.n_iterations >= m);
-    let over = iterations && details.operation.is_some() && method.status() == Status::Running;
+    let over =
+        details.n_iterations >= most && details.operation.is_some() && method.status() == Status::Running;
     over.then(|| limited(method, batch_ledger, Termination::MaxIterations))
 }
 

@@ -114,12 +114,12 @@ pub enum Error {
         range: &'static str,
     },
     /// There is no method of this name or number.
-    #[error(
-        "there is no method '{name}': known are nelder-mead (1), barrier (2), de, de-classic (3), ga (4)"
-    )]
+    #[error("there is no method '{name}': known are {known}")]
     UnknownMethod {
         /// What was asked for.
         name: String,
+        /// The names that there are.
+        known: String,
     },
     /// A method needs a finite range for each parameter.
     #[error("{method} searches a box, but x[{index}] lies in [{lower}, {upper}]", lower = Number(*.lower), upper = Number(*.upper))]

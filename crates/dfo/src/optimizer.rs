@@ -182,7 +182,8 @@ impl Optimizer {
             self.n_open -= self.due.split_off(&from).len();
         }
         if abort.is_some() || self.n_open == 0 {
-            let completed = self.complete(self.batch_ledger.stopped(&self.answers).or(abort));
+            let completed =
+                self.complete(self.batch_ledger.stopped(self.batch_ledger.last(&self.answers)).or(abort));
             return completed.and(self.advance());
         }
         Ok(())
@@ -241,7 +242,7 @@ impl Optimizer {
             if len > 0 {
                 break;
             }
-            let stopped = self.batch_ledger.stopped(&self.answers);
+            let stopped = self.batch_ledger.stopped(self.batch_ledger.last(&self.answers));
             self.complete(stopped)?;
         }
         self.save_now_and_then()

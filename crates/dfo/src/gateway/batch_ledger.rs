@@ -239,9 +239,9 @@ impl BatchLedger {
         self.sources[..place].iter().filter(|source| source.is_work()).count()
     }
 
-    /// Why the run ends with this batch, if it is not entered whole. `answers`: to `work`.
-    pub(crate) fn stopped(&self, answers: &[Answer]) -> Option<Termination> {
-        match self.last(answers) {
+    /// Why the run ends with this batch, if it is not entered whole. `last`: of [`last`](Self::last).
+    pub(crate) fn stopped(&self, last: Option<(usize, Last<'_>)>) -> Option<Termination> {
+        match last {
             Some((_, Last::Abort(message))) => Some(Termination::Aborted(message.to_owned())),
             Some((place, Last::Target)) if place + 1 < self.sources.len() => Some(Termination::Target),
             _ => self.truncated.then_some(Termination::MaxEvaluations),

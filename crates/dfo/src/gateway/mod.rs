@@ -258,7 +258,8 @@ impl<'a> Gateway<'a> {
 
     /// Why the run must end after what the path needs was evaluated.
     fn verdict(&self, cause: Option<StopCause>) -> Option<Termination> {
-        let stopped = self.batch_ledger.stopped(&self.answers);
+        let last = self.batch_ledger.last(&self.answers);
+        let stopped = self.batch_ledger.stopped(last);
         if matches!(stopped, Some(Termination::Aborted(_))) {
             return stopped;
         }
@@ -267,7 +268,6 @@ impl<'a> Gateway<'a> {
             Some(StopCause::OutOfTime) => return Some(Termination::MaxTime),
             None => {}
         }
-        let last = self.batch_ledger.last(&self.answers);
         let n_needed =
             last.map_or(self.batch_ledger.n_needed(), |(place, _)| self.batch_ledger.n_before(place));
         if self.answers[..n_needed].iter().any(|answer| !answer.outcome.is_known()) {

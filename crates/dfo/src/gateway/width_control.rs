@@ -142,8 +142,8 @@ impl WidthControl {
             Lookahead::Points(points) => points,
             Lookahead::Workers => self.workers,
             Lookahead::Measured => {
-                let short = self.recent.median().is_none_or(|seconds| seconds < self.worthwhile());
-                if self.widths.len() == 1 || (self.dispatch == Dispatch::Threads && short) {
+                let short = || self.recent.median().is_none_or(|seconds| seconds < self.worthwhile());
+                if self.widths.len() == 1 || (self.dispatch == Dispatch::Threads && short()) {
                     return 1;
                 }
                 self.measuring = true;

@@ -52,9 +52,29 @@ pub enum AnyMethod {
     Genetic(Genetic),
 }
 
+/// A method's name, its number in `fmin`, and its default options.
+type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
+
+/// The methods: a new one is added here.
+const LIST: [Listed; 5] = [
+    ("nelder-mead", Some(1), || NelderMead::default().into()),
+    ("barrier", Some(2), || Barrier::default().into()),
+    ("de", None, || DifferentialEvolution::default().into()),
+    ("de-classic", Some(3), || DifferentialEvolution::classic().into()),
+    ("ga", Some(4), || Genetic::default().into()),
+];
+
 impl AnyMethod {
     /// All names.
-    pub const NAMES: [&'static str; 5] = ["nelder-mead", "barrier", "de", "de-classic", "ga"];
+    pub const NAMES: [&'static str; LIST.len()] = {
+        let mut names = [""; LIST.len()];
+        let mut k = 0;
+        while k < names.len() {
+            names[k] = LIST[k].0;
+            k += 1;
+        }
+        names
+    };
 
     /// The method where none is chosen: Nelder-Mead; differential evolution with integer parameters, the genetic
     /// algorithm with categorical ones.
@@ -84,14 +104,20 @@ impl AnyMethod {
     /// # Errors
     /// Another number.
     pub fn by_number(number: usize) -> Result<Self, Error> {
-        match number {
-            1 => Ok(Self::NelderMead(NelderMead::default())),
-            2 => Ok(Self::Barrier(Barrier::default())),
-            3 => Ok(Self::DifferentialEvolution(DifferentialEvolution::classic())),
-            4 => Ok(Self::Genetic(Genetic::default())),
-            _ => Err(Error::UnknownMethod { name: number.to_string() }),
-        }
+        listed(&number.to_string(), |(_, known)| known == Some(number))
     }
+}
+
+/// The method of the list for which this holds.
+fn listed(asked: &str, is_it: impl Fn((&str, Option<usize>)) -> bool) -> Result<AnyMethod, Error> {
+    if let Some((.., options)) = LIST.iter().find(|(name, number, _)| is_it((name, *number))) {
+        return Ok(options());
+    }
+    let known = LIST.map(|(name, number, _)| match number {
+        Some(number) => format!("{name} ({number})"),
+        None => name.to_owned(),
+    });
+    Err(Error::UnknownMethod { name: asked.to_owned(), known: known.join(", ") })
 }
 
 impl Default for AnyMethod {
@@ -105,40 +131,21 @@ impl FromStr for AnyMethod {
     type Err = Error;
 
     fn from_str(name: &str) -> Result<Self, Error> {
-        match name {
-            "nelder-mead" => Self::by_number(1),
-            "barrier" => Self::by_number(2),
-            "de" => Ok(Self::DifferentialEvolution(DifferentialEvolution::default())),
-            "de-classic" => Self::by_number(3),
-            "ga" => Self::by_number(4),
-            _ => Err(Error::UnknownMethod { name: name.to_owned() }),
-        }
+        listed(name, |(known, _)| known == name)
     }
 }
 
-impl From<NelderMead> for AnyMethod {
-    fn from(options: NelderMead) -> Self {
-        Self::NelderMead(options)
-    }
+macro_rules! from_options {
+    ($($options:ident),*) => {
+        $(impl From<$options> for AnyMethod {
+            fn from(options: $options) -> Self {
+                Self::$options(options)
+            }
+        })*
+    };
 }
 
-impl From<Barrier> for AnyMethod {
-    fn from(options: Barrier) -> Self {
-        Self::Barrier(options)
-    }
-}
-
-impl From<DifferentialEvolution> for AnyMethod {
-    fn from(options: DifferentialEvolution) -> Self {
-        Self::DifferentialEvolution(options)
-    }
-}
-
-impl From<Genetic> for AnyMethod {
-    fn from(options: Genetic) -> Self {
-        Self::Genetic(options)
-    }
-}
+from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic);
 
 /// The same call on whichever method it is.
 macro_rules! each {

@@ -68,11 +68,8 @@ impl Space {
         }
     }
 
-    /// The user's bounds that lie between two values of a coordinate: none unless it is an angle.
+    /// The user's bounds that lie between two values of a coordinate that is an angle.
     pub(super) fn bounds_passed(&self, k: usize, from: f64, to: f64) -> [Option<f64>; 2] {
-        if !self.sine {
-            return [None; 2];
-        }
         let (low, high) = self.limits_of(k);
         let (lower, upper) = (self.bounds.lower()[self.free[k]], self.bounds.upper()[self.free[k]]);
         match (low.is_finite(), high.is_finite()) {

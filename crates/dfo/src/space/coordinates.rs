@@ -407,16 +407,22 @@ impl Space {
         I: Iterator<Item = (f64, f64)> + Clone,
     {
         let logarithmic = measure == Measure::Relative && self.transforms[k] == Transform::Log;
-        let place = |x: f64| if logarithmic { x.ln() } else { x };
-        let here = place(centre.1);
-        let far = |size: f64, x: f64| size.max((place(x) - here).abs());
-        let range =
-            others.clone().fold((centre.0, centre.0), |(low, high), (u, _)| (low.min(u), high.max(u)));
-        let bent = self.bounds_passed(k, range.0, range.1) != [None; 2];
-        let size = others.fold(0.0, |size, (u, x)| {
-            let passed = if bent { self.bounds_passed(k, centre.0, u) } else { [None; 2] };
-            passed.into_iter().flatten().fold(far(size, x), far)
-        });
+        let bent = self.sine && self.limits_of(k) != (f64::NEG_INFINITY, f64::INFINITY) && {
+            let wider = |(low, high): (f64, f64), (u, _): (f64, f64)| (low.min(u), high.max(u));
+            let range = others.clone().fold((centre.0, centre.0), wider);
+            self.bounds_passed(k, range.0, range.1) != [None; 2]
+        };
+        let size = if bent || logarithmic {
+            let place = |x: f64| if logarithmic { x.ln() } else { x };
+            let here = place(centre.1);
+            let far = |size: f64, x: f64| size.max((place(x) - here).abs());
+            others.fold(0.0, |size, (u, x)| {
+                let passed = if bent { self.bounds_passed(k, centre.0, u) } else { [None; 2] };
+                passed.into_iter().flatten().fold(far(size, x), far)
+            })
+        } else {
+            others.fold(0.0, |size: f64, (_, x)| size.max((x - centre.1).abs()))
+        };
         match (measure, self.sine) {
             (Measure::Absolute, _) => size,
             (Measure::Relative, true) => size / self.units[k],

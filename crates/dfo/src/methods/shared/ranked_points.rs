@@ -35,32 +35,39 @@ impl RankedPoints {
         }
     }
 
+    #[inline]
     pub(crate) fn len(&self) -> usize {
         self.costs.len()
     }
 
     /// Working coordinates of a slot.
+    #[inline]
     pub(crate) fn u(&self, slot: usize) -> &[f64] {
         &self.u[slot * self.n..(slot + 1) * self.n]
     }
 
+    #[inline]
     pub(crate) fn u_mut(&mut self, slot: usize) -> &mut [f64] {
         &mut self.u[slot * self.n..(slot + 1) * self.n]
     }
 
     /// The point of a slot in the user's units.
+    #[inline]
     pub(crate) fn x(&self, slot: usize) -> &[f64] {
         &self.x[slot * self.n_user..(slot + 1) * self.n_user]
     }
 
+    #[inline]
     pub(crate) fn x_mut(&mut self, slot: usize) -> &mut [f64] {
         &mut self.x[slot * self.n_user..(slot + 1) * self.n_user]
     }
 
+    #[inline]
     pub(crate) fn cost(&self, slot: usize) -> Cost {
         self.costs[slot]
     }
 
+    #[inline]
     pub(crate) fn set_cost(&mut self, slot: usize, cost: Cost) {
         self.costs[slot] = cost;
         self.values[slot] = cost.value();
@@ -74,16 +81,19 @@ impl RankedPoints {
     }
 
     /// Slots, best first.
+    #[inline]
     pub(crate) fn order(&self) -> &[usize] {
         &self.order
     }
 
     /// Slot of rank 0.
+    #[inline]
     pub(crate) fn best(&self) -> usize {
         self.order[0]
     }
 
     /// Slot of the last rank.
+    #[inline]
     pub(crate) fn worst(&self) -> usize {
         self.order[self.order.len() - 1]
     }
