@@ -111,7 +111,7 @@ where
         if !same {
             self.stats.restarts += 1;
             self.stepper.forget();
-            if self.sliding.step().is_none() || self.stepper.wants_second_derivative() {
+            if self.sliding.step().is_none() || self.stepper.properties().wants_second_derivative {
                 self.estimate_step()?;
                 self.h = self.h.min(before);
             }
@@ -234,7 +234,14 @@ where
         self.stats.right_hand_sides += 1;
         self.h = match self.system.derivatives(self.t + probe, &space.x_mid, &mut space.x_new) {
             Ok(()) => {
-                let h = initial_step(&space.weights, self.stepper.order(), &space.x, dx, &space.x_new, probe);
+                let h = initial_step(
+                    &space.weights,
+                    self.stepper.properties().order,
+                    &space.x,
+                    dx,
+                    &space.x_new,
+                    probe,
+                );
                 if self.sliding.step().is_some() {
                     // Over longer times the right-hand side may switch.
                     self.stepper.begin_with(probe, &space.x_new);
@@ -289,7 +296,7 @@ where
             }
             if time || input {
                 self.sample_left()?;
-                self.take_slope(is_evaluated || any || self.stepper.evaluates_ends())?;
+                self.take_slope(is_evaluated || any || self.stepper.properties().evaluates_ends)?;
                 any = true;
                 self.visit_event(EventCause { time, input, ..EventCause::default() })?;
             } else if stop.is_none() {

@@ -54,7 +54,7 @@ where
     fn look_ahead(&mut self) {
         let (n, mut s) = (self.space.x.len(), self.h_tried);
         let (mut dx, mut jacobian) = (vec![0.0; n], Vec::new());
-        if self.stepper.takes_jacobians() && n <= LARGEST_JACOBIAN {
+        if self.stepper.properties().takes_jacobians && n <= LARGEST_JACOBIAN {
             jacobian.resize(n * n, 0.0);
             // What a model has filled in before it refused is what there is to see.
             let _ = self.system.jacobian(self.t, &self.space.x, &mut jacobian);

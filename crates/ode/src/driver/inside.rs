@@ -114,7 +114,7 @@ where
         }
         let long = || {
             !self.space.x.is_empty()
-                && (self.stepper.takes_long_steps()
+                && (self.stepper.properties().takes_long_steps
                     || (self.fixed_step.is_none() && domains.growth(self.t, end).is_some_and(|g| g > 3.0)))
         };
         self.options.interior_samples.map_or_else(|| usize::from(long()), |k| k as usize)
@@ -180,7 +180,7 @@ where
             let before = domains.changed().then_some(located.before);
             return Ok(Inside::Crossing(Found { at: end, end, h, before }));
         }
-        match self.stepper.step_with_event() {
+        match self.stepper.properties().step_with_event {
             StepWithEvent::RepeatedToIt => return self.polish(located.time, hi, tolerance),
             StepWithEvent::RepeatedToBefore if located.before - self.t > self.same => {
                 return self.step_to_before(located.before, located.time);

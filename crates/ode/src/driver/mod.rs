@@ -1,21 +1,19 @@
 //! The only loop: limit, step, locate, sample inside, commit, event, restart.
 
 use crate::auto::Auto;
-use crate::bdf::Bdf;
 use crate::control::Weights;
-use crate::dop853::Dop853;
 use crate::error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
 use crate::event::Domains;
-use crate::explicit_rk::ExplicitRk;
+use crate::explicit_rk::{DOP853, ExplicitRk};
+use crate::implicit::{Bdf, Radau5};
 use crate::observer::Observer;
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
-use crate::radau5::Radau5;
 use crate::sampling::Sampler;
 use crate::stats::Stats;
 use crate::stepper::Stepper;
 use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSystem, InputStop};
 use crate::tableau::{EULER, RK4, TSIT5};
-use crate::watched::{CallWatch, Watch, Watched, kind_of};
+use watched::{CallWatch, Watch, Watched, kind_of};
 
 mod events;
 mod evidence;
@@ -24,6 +22,7 @@ mod returns;
 mod samples;
 mod sliding;
 mod step;
+mod watched;
 
 use inside::{Found, Inside};
 use sliding::Sliding;
@@ -86,7 +85,7 @@ enum MethodState {
     Auto(Box<Auto>),
     Tsit5(ExplicitRk<7>),
     Radau5(Box<Radau5>),
-    Dop853(Box<Dop853>),
+    Dop853(Box<ExplicitRk<16>>),
     Bdf(Box<Bdf>),
     Rk4(ExplicitRk<5>),
     Euler(ExplicitRk<2>),
@@ -116,7 +115,7 @@ impl Driver {
             Method::Auto => MethodState::Auto(Box::new(Auto::new(options.relative_tolerance))),
             Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
             Method::Radau5 => MethodState::Radau5(Box::default()),
-            Method::Dop853 => MethodState::Dop853(Box::default()),
+            Method::Dop853 => MethodState::Dop853(Box::new(ExplicitRk::new(&DOP853))),
             Method::Bdf => MethodState::Bdf(Box::default()),
             Method::Rk4 => MethodState::Rk4(ExplicitRk::new(&RK4)),
             Method::Euler => MethodState::Euler(ExplicitRk::new(&EULER)),
@@ -232,7 +231,8 @@ where
     ) -> Self {
         let span = end - start;
         let same = 100.0 * U * start.abs().max(end.abs()).max(span);
-        let fixed_step = (!stepper.has_error_estimate()).then(|| options.step_size.unwrap_or(span / 500.0));
+        let fixed_step =
+            (!stepper.properties().has_error_estimate).then(|| options.step_size.unwrap_or(span / 500.0));
         Self {
             options,
             stepper,
@@ -316,7 +316,7 @@ where
             if m.len() != n * n || m.iter().any(|m| !m.is_finite()) {
                 return Err(ErrorKind::MassMatrix { given: m.len(), states: n }.into());
             }
-            if !self.stepper.takes_mass_matrix() {
+            if !self.stepper.properties().takes_mass_matrix {
                 return Err(ErrorKind::MassMatrixNeedsRadau5.into());
             }
         }
@@ -433,7 +433,7 @@ where
         if eventful {
             self.sample_left()?;
             if before.is_none() {
-                self.take_slope(!inside && self.stepper.evaluates_ends())?;
+                self.take_slope(!inside && self.stepper.properties().evaluates_ends)?;
             }
         }
         if let Some(stop) = stop {

@@ -10,11 +10,11 @@
 //! current point. A step predicts by continuing it; the corrector adds `l_j e` to each `z_j`, where `e` solves
 //! `G(e) = e + z_1 / l_1 - gamma f(t, z_0 + e) = 0`, `gamma = h / l_1`.
 
+use super::radau5::Radau5;
 use crate::control::scaled_norm;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
-use crate::radau5::Radau5;
-use crate::stepper::{Attempt, Equations, Stepper, Trial};
+use crate::stepper::{Attempt, Equations, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 mod array;
@@ -348,16 +348,15 @@ impl Bdf {
 }
 
 impl Stepper for Bdf {
-    fn order(&self) -> u32 {
-        1
-    }
-
-    fn has_error_estimate(&self) -> bool {
-        true
-    }
-
-    fn takes_long_steps(&self) -> bool {
-        true
+    fn properties(&self) -> Properties {
+        Properties {
+            order: 1,
+            takes_long_steps: true,
+            wants_second_derivative: true,
+            evaluates_ends: false,
+            takes_jacobians: true,
+            ..Properties::default()
+        }
     }
 
     fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
@@ -410,24 +409,12 @@ impl Stepper for Bdf {
         }
     }
 
-    fn wants_second_derivative(&self) -> bool {
-        true
-    }
-
     fn kink(&mut self, h: f64) -> f64 {
         self.order = self.order.min(KINK_ORDER);
         self.next_order = self.order;
         self.wait = self.order as u32 + 1;
         self.last_scale = 0.0;
         h
-    }
-
-    fn evaluates_ends(&self) -> bool {
-        false
-    }
-
-    fn takes_jacobians(&self) -> bool {
-        true
     }
 
     fn derivative(&self) -> &[f64] {

@@ -10,7 +10,7 @@ use crate::control::scaled_norm;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stats::Stats;
-use crate::stepper::{Attempt, Consistency, Equations, StepWithEvent, Stepper, Trial};
+use crate::stepper::{Attempt, Consistency, Equations, Properties, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use nalgebra::Complex;
 
@@ -203,24 +203,15 @@ impl Radau5 {
 }
 
 impl Stepper for Radau5 {
-    fn order(&self) -> u32 {
-        3
-    }
-
-    fn has_error_estimate(&self) -> bool {
-        true
-    }
-
-    fn takes_mass_matrix(&self) -> bool {
-        true
-    }
-
-    fn step_with_event(&self) -> StepWithEvent {
-        StepWithEvent::RepeatedToIt
-    }
-
-    fn takes_long_steps(&self) -> bool {
-        true
+    fn properties(&self) -> Properties {
+        Properties {
+            order: 3,
+            takes_mass_matrix: true,
+            step_with_event: StepWithEvent::RepeatedToIt,
+            takes_long_steps: true,
+            takes_jacobians: true,
+            ..Properties::default()
+        }
     }
 
     fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
@@ -317,10 +308,6 @@ impl Stepper for Radau5 {
 
     fn repeat(&mut self) {
         self.is_repetition = true;
-    }
-
-    fn takes_jacobians(&self) -> bool {
-        true
     }
 
     fn undetermined<S: HybridSystem + ?Sized>(
