@@ -27,6 +27,16 @@ LAYERS = {
         optimizer
         minimize
     """,
+    "ode": """
+        number sparsity stats stages stopwatch tableau
+        system options error
+        control event lu observer
+        sampling stepper
+        explicit_rk jacobian
+        implicit
+        auto
+        driver
+    """,
 }
 
 Module = tuple[str, ...]

@@ -3,7 +3,8 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::{
-    Calibration, CalibrationError, Data, Experiment, FitOptions, Parameter, SimulationSettings, Verdict,
+    Calibration, CalibrationError, Data, Entry, Experiment, FitOptions, Parameter, SimulationSettings,
+    Verdict,
 };
 use dfo::{Checkpoint, Limits, Resume};
 use fmi::{Fmu, Inputs, SimulateOptions, example_fmu};

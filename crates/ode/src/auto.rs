@@ -367,7 +367,8 @@ impl Stepper for Auto {
                 self.bdf.begin(&*equations.system)?;
                 self.bdf_has_begun = true;
             }
-            self.bdf.take_over(trial.x, &mut self.radau5);
+            self.bdf.take_over(trial.x, self.radau5.derivative());
+            self.bdf.freshness_mut().take_over(self.radau5.freshness_mut());
             self.active = Active::Bdf;
         }
         let calls = |equations: &Equations<'_, S>| {

@@ -1,35 +1,30 @@
 //! The only loop: limit, step, locate, sample inside, commit, event, restart.
 
 use crate::auto::Auto;
-use crate::control::Weights;
 use crate::error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
-use crate::event::Domains;
 use crate::explicit_rk::{DOP853, ExplicitRk};
 use crate::implicit::{Bdf, Radau5};
 use crate::observer::Observer;
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
 use crate::sampling::Sampler;
-use crate::stats::Stats;
 use crate::stepper::Stepper;
-use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSystem, InputStop};
+use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSystem};
 use crate::tableau::{EULER, RK4, TSIT5};
-use watched::{CallWatch, Watch, Watched, kind_of};
 
 mod events;
 mod evidence;
 mod inside;
 mod returns;
+mod run;
 mod samples;
 mod sliding;
 mod step;
+mod trial;
 mod watched;
 
-use inside::{Found, Inside};
-use sliding::Sliding;
-use step::{Shrink, Tried};
-
-/// Unit round-off of double precision.
-const U: f64 = f64::EPSILON / 2.0;
+use run::{Exit, Run, Space, Step, finish, no_retreat};
+use trial::{Found, Inside, Shrink, Tried};
+use watched::{CallWatch, Watch, Watched};
 
 /// An indicator is next to zero where its value says no more of the time of its event than this, in units of times that
 /// are one.
@@ -89,19 +84,6 @@ enum MethodState {
     Bdf(Box<Bdf>),
     Rk4(ExplicitRk<5>),
     Euler(ExplicitRk<2>),
-}
-
-/// Work space that outlives a run.
-#[derive(Debug, Default)]
-struct Space {
-    x: Vec<f64>,
-    x_new: Vec<f64>,
-    x_mid: Vec<f64>,
-    slope: Vec<f64>,
-    nominals: Vec<f64>,
-    weights: Weights,
-    domains: Domains,
-    sampler: Sampler,
 }
 
 impl Driver {
@@ -171,95 +153,12 @@ impl Driver {
     }
 }
 
-/// Why the loop is left.
-enum Exit {
-    Normal(Termination),
-    Error(ErrorKind),
-}
-
-impl From<ErrorKind> for Exit {
-    fn from(kind: ErrorKind) -> Self {
-        Self::Error(kind)
-    }
-}
-
-type Step<T> = Result<T, Exit>;
-
-/// One run: everything that changes between `start` and `end`.
-struct Run<'a, S: ?Sized, M, O: ?Sized> {
-    options: &'a Options,
-    stepper: &'a mut M,
-    space: &'a mut Space,
-    system: &'a mut S,
-    times: &'a [f64],
-    observer: &'a mut O,
-    start: f64,
-    end: f64,
-    /// Times closer than this are one.
-    same: f64,
-    t: f64,
-    /// Step size the controller proposes, before it is cut to hit a target.
-    h: f64,
-    h_tried: f64,
-    fixed_step: Option<f64>,
-    next_time_event: Option<f64>,
-    input_stop: Option<InputStop>,
-    sliding: Sliding,
-    discards: u32,
-    not_finite: Option<NotFinite>,
-    undetermined: Option<usize>,
-    worst_state: Option<usize>,
-    last_event: Option<f64>,
-    stats: Stats,
-    watch: Watch<'a>,
-}
-
-impl<'a, S, M, O> Run<'a, S, M, O>
+impl<S, M, O> Run<'_, S, M, O>
 where
     S: HybridSystem + ?Sized,
     M: Stepper,
     O: Observer + ?Sized,
 {
-    fn new(
-        options: &'a Options,
-        stepper: &'a mut M,
-        space: &'a mut Space,
-        system: &'a mut S,
-        (start, end): (f64, f64),
-        times: &'a [f64],
-        (observer, watch): (&'a mut O, Watch<'a>),
-    ) -> Self {
-        let span = end - start;
-        let same = 100.0 * U * start.abs().max(end.abs()).max(span);
-        let fixed_step =
-            (!stepper.properties().has_error_estimate).then(|| options.step_size.unwrap_or(span / 500.0));
-        Self {
-            options,
-            stepper,
-            space,
-            system,
-            times,
-            observer,
-            start,
-            end,
-            same,
-            t: start,
-            h: 0.0,
-            h_tried: 0.0,
-            fixed_step,
-            next_time_event: None,
-            input_stop: None,
-            sliding: Sliding::new(span, same),
-            discards: 0,
-            not_finite: None,
-            undetermined: None,
-            worst_state: None,
-            last_event: None,
-            stats: Stats::default(),
-            watch,
-        }
-    }
-
     fn run(mut self) -> Result<Report, Box<SimulationError>> {
         let exit = match self.begin() {
             Ok(()) => loop {
@@ -474,28 +373,5 @@ where
 
     fn reached_end(&mut self) -> Step<()> {
         if self.t >= self.end - self.same { finish(Termination::Finished) } else { Ok(()) }
-    }
-}
-
-fn finish(termination: Termination) -> Step<()> {
-    Err(Exit::Normal(termination))
-}
-
-/// Event indicators; a value that is not finite counts as refused.
-fn read_indicators<S: HybridSystem + ?Sized>(
-    system: &mut S,
-    t: f64,
-    x: &[f64],
-    z: &mut [f64],
-) -> Result<(), CallError> {
-    system.event_indicators(t, x, z)?;
-    if z.iter().all(|z| z.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
-}
-
-/// A call that has no smaller step to fall back to: the model's own start, its state after an event, a sample.
-fn no_retreat(error: CallError) -> Exit {
-    match error {
-        CallError::Discard => ErrorKind::DiscardedAtRestart.into(),
-        CallError::Failed(e) => kind_of(e).into(),
     }
 }

@@ -1,6 +1,8 @@
-//! Implicit methods for stiff systems.
+//! Implicit methods for stiff systems: Newton's method and the age of its matrices are the same for all.
 
 mod bdf;
+mod freshness;
+mod newton;
 mod radau5;
 
 pub(crate) use bdf::Bdf;

@@ -1,0 +1,365 @@
+//! Where in a step the first event is: turning points that may hide one, and root location.
+
+use super::domains::{Domains, flipped};
+use crate::system::CallResult;
+
+/// A parabola comes near zero where its turning point is less than this share of the least value that it passes.
+const NEAR: f64 = 0.25;
+
+/// Where the first change of domain in a step was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Located {
+    /// First known point of the new domain (the right end of the final bracket).
+    pub(crate) time: f64,
+    /// Last known point before the change (its left end).
+    pub(crate) before: f64,
+    /// Evaluations of the indicators it took.
+    pub(crate) evaluations: u64,
+}
+
+/// Where after `start` the parabola through three points `(t, z)` in one domain turns, if that is in the other domain or near it.
+fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) -> Option<f64> {
+    let (s1, s2) = ((z1 - z0) / (t1 - t0), (z2 - z1) / (t2 - t1));
+    let curvature = (s2 - s1) / (t2 - t0);
+    let inward = if z1 > 0.0 { curvature } else { -curvature };
+    if flipped(z0, z1) || flipped(z1, z2) || inward.is_nan() || inward <= 0.0 {
+        return None;
+    }
+    let t = 0.5 * (t1 + t2) - 0.5 * s2 / curvature;
+    let value = z1 + (t - t1) * (s2 + curvature * (t - t2));
+    // What was before the step was seen to go on.
+    let least = if t0 < start { z1.abs().min(z2.abs()) } else { z0.abs().min(z1.abs()).min(z2.abs()) };
+    let beyond = if z1 > 0.0 { value < NEAR * least } else { value > -NEAR * least };
+    (t > start.max(t0) && t < t2 && t != t1 && beyond).then_some(t)
+}
+
+impl Domains {
+    /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to its turning point, if
+    /// that lies in the other domain or near it: a crossing and its return may hide there.
+    pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
+        let looked =
+            self.looked_at.iter().zip(self.looked[i.min(self.looked.len())..].iter().step_by(self.len()));
+        let inside = looked.map(|(t, z)| (*t, *z));
+        let before = self.before_time.map(|t| (t, self.before[i]));
+        let mut points =
+            before.into_iter().chain([(start, self.base[i])]).chain(inside).chain([(end, self.end[i])]);
+        let (mut a, mut b) = (points.next()?, points.next()?);
+        points.find_map(|c| {
+            let found = turning_point([a, b, c], start);
+            (a, b) = (b, c);
+            found
+        })
+    }
+
+    /// Reads the indicators at a point inside the step behind those looked at before. `true`: one has an event before it,
+    /// and the indicators there are those at the end then. If one has changed otherwise, changes count from here.
+    pub(crate) fn changed_at(
+        &mut self,
+        t: f64,
+        evaluate: impl FnOnce(f64, &mut [f64]) -> CallResult<()>,
+    ) -> CallResult<bool> {
+        evaluate(t, &mut self.mid)?;
+        if self.any_crosses(self.reference(), &self.mid) {
+            std::mem::swap(&mut self.end, &mut self.mid);
+            return Ok(true);
+        }
+        if self.reference().iter().zip(&self.mid).any(|(from, mid)| flipped(*from, *mid)) {
+            self.from.copy_from_slice(&self.mid);
+            self.counts_since = Some(t);
+        }
+        let place = self.looked_at.partition_point(|other| *other < t);
+        self.looked_at.insert(place, t);
+        let place = place * self.len();
+        self.looked.splice(place..place, self.mid.iter().copied());
+        Ok(false)
+    }
+
+    /// All indicators that change in the bracket only jump between a value and its negative: they tell nothing but the
+    /// domain.
+    fn only_jumps(&self) -> bool {
+        let from = self.reference();
+        let located = |i: &usize| self.is_located(*i, self.lo[*i], self.end[*i]);
+        (0..self.len()).filter(located).all(|i| from[i] == -self.end[i] && from[i] == self.lo[i])
+    }
+
+    /// Finds the first event in `(t_lo, t_hi]`, where `end` holds the indicators at its end, and `base` (or those that
+    /// changes count from) the ones at its start, and at least one has changed so that it is an event. `evaluate(t, z)`
+    /// fills in the indicators at a time between.
+    ///
+    /// T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function,
+    /// Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators; each iteration works
+    /// on the changed indicator whose secant crosses first. Ends when the bracket is at most `tolerance` wide, whatever
+    /// the values are, and returns its right end: there the change has really happened. `end` then holds the indicators
+    /// at that point. Where all that changes are indicators that only jump, a bracket of `for_jumps` is narrow enough.
+    pub(crate) fn locate(
+        &mut self,
+        t_lo: f64,
+        t_hi: f64,
+        (tolerance, for_jumps): (f64, f64),
+        mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
+    ) -> CallResult<Located> {
+        let start = if self.counts_since.is_some() { &self.from } else { &self.base };
+        self.lo.copy_from_slice(start);
+        let (mut lo, mut hi) = (t_lo, t_hi);
+        // The end of an earlier bracket, for the inverse quadratic step, and whether it lay to the right.
+        let mut third: Option<f64> = None;
+        let mut newest_is_hi = true;
+        let mut active = usize::MAX;
+        let mut evaluations = 0;
+        let cap = 2 * (((hi - lo) / tolerance).log2().max(0.0) as u64) + 4;
+        while hi - lo > tolerance && !(hi - lo <= for_jumps && self.only_jumps()) {
+            let chosen = self.first_by_secant(lo, hi);
+            if chosen != active {
+                active = chosen;
+                third = None;
+            }
+            let width = hi - lo;
+            let from_lo = match third {
+                Some(t3) if evaluations < cap => {
+                    self.chandrupatla_fraction(active, lo, hi, t3, newest_is_hi, tolerance / width)
+                }
+                _ => 0.5,
+            };
+            let mut mid = lo + from_lo * width;
+            if mid <= lo || mid >= hi {
+                mid = lo + 0.5 * width;
+                if mid <= lo || mid >= hi {
+                    break; // neighbours in floating point
+                }
+            }
+            evaluate(mid, &mut self.mid)?;
+            evaluations += 1;
+            let crossed = self.any_crosses(&self.lo, &self.mid);
+            // The point that leaves the bracket, or the older one on the same side, becomes the third.
+            if crossed {
+                std::mem::swap(&mut self.discarded, &mut self.end);
+                std::mem::swap(&mut self.end, &mut self.mid);
+                third = Some(hi);
+                hi = mid;
+            } else {
+                if self.lo.iter().zip(&self.mid).any(|(lo, mid)| flipped(*lo, *mid)) {
+                    self.from.copy_from_slice(&self.mid);
+                    self.counts_since = Some(mid);
+                }
+                std::mem::swap(&mut self.discarded, &mut self.lo);
+                std::mem::swap(&mut self.lo, &mut self.mid);
+                third = Some(lo);
+                lo = mid;
+            }
+            newest_is_hi = crossed;
+        }
+        Ok(Located { time: hi, before: lo, evaluations })
+    }
+
+    /// Among the indicators that change inside the bracket, the one whose secant predicts the earliest crossing.
+    fn first_by_secant(&self, lo: f64, hi: f64) -> usize {
+        let mut best = (f64::INFINITY, 0);
+        for i in 0..self.base.len() {
+            let (a, b) = (self.lo[i], self.end[i]);
+            if self.is_located(i, a, b) {
+                let t = lo + (hi - lo) * (a / (a - b)).clamp(0.0, 1.0);
+                let t = if t.is_nan() { lo } else { t };
+                if t < best.0 {
+                    best = (t, i);
+                }
+            }
+        }
+        best.1
+    }
+
+    /// Fraction of the bracket, counted from `lo`, at which to look next.
+    fn chandrupatla_fraction(
+        &self,
+        i: usize,
+        lo: f64,
+        hi: f64,
+        t3: f64,
+        newest_is_hi: bool,
+        least: f64,
+    ) -> f64 {
+        let (f_lo, f_hi, f3) = (self.lo[i], self.end[i], self.discarded[i]);
+        let (x1, f1, x2, f2) = if newest_is_hi { (hi, f_hi, lo, f_lo) } else { (lo, f_lo, hi, f_hi) };
+        let xi = (x1 - x2) / (t3 - x2);
+        let phi = (f1 - f2) / (f3 - f2);
+        let inverse_quadratic = phi * phi < xi && (1.0 - phi) * (1.0 - phi) < 1.0 - xi;
+        let fraction = if inverse_quadratic {
+            f1 / (f2 - f1) * f3 / (f2 - f3) + (t3 - x1) / (x2 - x1) * f1 / (f3 - f1) * f2 / (f3 - f2)
+        } else {
+            0.5
+        };
+        let least = (0.5 * least).min(0.5);
+        let fraction = if fraction.is_finite() { fraction.clamp(least, 1.0 - least) } else { 0.5 };
+        if newest_is_hi { 1.0 - fraction } else { fraction }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::system::Direction;
+
+    fn locate(z: impl Fn(f64) -> Vec<f64>, lo: f64, hi: f64, tolerance: f64) -> (f64, u64, Domains) {
+        let mut d = Domains::default();
+        d.begin(z(lo).len(), |_| Direction::Both);
+        d.base.copy_from_slice(&z(lo));
+        d.end.copy_from_slice(&z(hi));
+        assert!(d.changed());
+        let found = d
+            .locate(lo, hi, (tolerance, tolerance), |t, out| {
+                out.copy_from_slice(&z(t));
+                Ok(())
+            })
+            .unwrap();
+        (found.time, found.evaluations, d)
+    }
+
+    #[test]
+    fn returns_the_right_end_of_a_tight_bracket() {
+        for root in [0.1, 0.437, 0.9999] {
+            let (t, n, d) = locate(|t| vec![(t - root) * 3.0], 0.0, 1.0, 1e-13);
+            assert!(t > root && t - root <= 1e-13, "{t} for {root}");
+            assert!(d.end[0] > 0.0);
+            assert!(n <= 6, "{n} evaluations for a straight line");
+        }
+    }
+
+    #[test]
+    fn smooth_curves_take_few_evaluations() {
+        let (t, n, _) = locate(|t| vec![(8.0 * t).exp() - 20.0], 0.0, 1.0, 1e-13);
+        assert!((t - 20f64.ln() / 8.0).abs() < 1e-13);
+        assert!(n <= 14, "{n}");
+        let (t, n, _) = locate(|t| vec![0.3 - t * t], 0.0, 1.0, 1e-13);
+        assert!((t - 0.3f64.sqrt()).abs() < 2e-13);
+        assert!(n <= 12, "{n}");
+    }
+
+    #[test]
+    fn indicators_that_only_jump_are_bisected() {
+        let (t, n, _) = locate(|t| vec![if t < 0.7 { -1.0 } else { 1.0 }], 0.0, 1.0, 1e-13);
+        assert!((0.7..0.7 + 1e-13).contains(&t));
+        assert!(n <= 60, "{n}");
+        let (t, n, _) = locate(|t| vec![if t < 0.7 { -1.0 } else { 1e-300 }], 0.0, 1.0, 1e-13);
+        assert!((0.7..0.7 + 1e-13).contains(&t));
+        assert!(n <= 140, "{n}");
+    }
+
+    #[test]
+    fn a_wider_bracket_does_for_jumps_alone() {
+        let found = |z: fn(f64) -> f64| {
+            let mut d = Domains::default();
+            d.begin(1, |_| Direction::Both);
+            (d.base[0], d.end[0]) = (z(0.0), z(1.0));
+            let read = |t: f64, out: &mut [f64]| {
+                out[0] = z(t);
+                Ok(())
+            };
+            d.locate(0.0, 1.0, (1e-14, 1e-3), read).unwrap().time
+        };
+        let jump = found(|t| if t < 0.7 { -1.0 } else { 1.0 });
+        assert!((1e-6..1e-3).contains(&(jump - 0.7)), "{jump}");
+        let smooth = found(|t| (t - 0.7) * 3.0);
+        assert!((smooth - 0.7).abs() < 1e-13, "{smooth}");
+    }
+
+    #[test]
+    fn a_parabola_shows_where_a_crossing_may_hide() {
+        let mut d = Domains::default();
+        d.begin(2, |_| Direction::Both);
+        let z = |t: f64| [(t - 2.4) * (t - 2.6), 1.0 + t];
+        d.before.copy_from_slice(&z(1.0));
+        d.before_time = Some(1.0);
+        d.base.copy_from_slice(&z(2.0));
+        d.end.copy_from_slice(&z(3.0));
+        assert!(!d.changed());
+        assert!((d.turning_point(0, 2.0, 3.0).unwrap() - 2.5).abs() < 1e-14);
+        assert_eq!(d.turning_point(1, 2.0, 3.0), None);
+        d.forget();
+        assert_eq!(d.turning_point(0, 2.0, 3.0), None);
+    }
+
+    #[test]
+    fn the_first_of_several_crossings_is_found() {
+        let (t, _, mut d) = locate(|t| vec![0.8 - t, t - 0.3, (t - 0.55).powi(3)], 0.0, 1.0, 1e-12);
+        assert!((t - 0.3).abs() <= 1e-12);
+        assert_eq!(d.mark(1.0, 0.0), Some(1));
+        assert_eq!(d.crossings, vec![0, 1, 0]);
+    }
+
+    #[test]
+    fn changes_count_in_the_directions_asked_for() {
+        // Positive between 0.3 and 0.5, then another one crosses at 0.8.
+        let z = |t: f64| [(t - 0.3) * (0.5 - t), t - 0.8];
+        let at = |look: Option<f64>, directions: [Direction; 2]| {
+            let mut d = Domains::default();
+            d.begin(2, |i| directions[i]);
+            d.base.copy_from_slice(&z(0.0));
+            d.end.copy_from_slice(&z(1.0));
+            let read = |t: f64, out: &mut [f64]| {
+                out.copy_from_slice(&z(t));
+                Ok(())
+            };
+            let before = look.filter(|t| d.changed_at(*t, read).unwrap());
+            let hi = before.or_else(|| d.changed().then_some(1.0));
+            let lo = d.counts_since().unwrap_or(0.0);
+            let found = d.locate(lo, hi?, (1e-12, 1e-12), read).unwrap();
+            assert!(d.changed());
+            d.mark(1.0, 0.0);
+            Some((found.time, d.crossings.clone()))
+        };
+        use Direction::{Both, Down, Up};
+        for (look, directions, time, crossings) in [
+            (None, [Down, Up], 0.8, [0, 1]),
+            (Some(0.4), [Up, Down], 0.3, [1, 0]),
+            (Some(0.4), [Down, Down], 0.5, [-1, 0]),
+            (Some(0.4), [Down, Up], 0.5, [-1, 0]),
+            (Some(0.4), [Both, Both], 0.3, [1, 0]),
+        ] {
+            let (t, seen) = at(look, directions).unwrap();
+            assert!((t - time).abs() < 2e-12, "{look:?} {directions:?}: {t}");
+            assert_eq!(seen, crossings, "{look:?} {directions:?}");
+        }
+        assert_eq!(at(None, [Both, Down]), None);
+        assert_eq!(at(Some(0.1), [Both, Down]), None);
+    }
+
+    #[test]
+    fn a_return_found_on_the_way_is_the_event() {
+        // The search for the crossing at 0.9 looks at its middle, where the other indicator is on its way back.
+        let z = |t: f64| vec![(t - 0.4) * (0.6 - t), t - 0.9];
+        let mut d = Domains::default();
+        d.begin(2, |i| if i == 0 { Direction::Down } else { Direction::Both });
+        d.base.copy_from_slice(&z(0.0));
+        d.end.copy_from_slice(&z(1.0));
+        let read = |t: f64, out: &mut [f64]| {
+            out.copy_from_slice(&z(t));
+            Ok(())
+        };
+        let found = d.locate(0.0, 1.0, (1e-12, 0.0), read).unwrap();
+        d.mark(1.0, 0.0);
+        assert_eq!((d.crossings.clone(), d.counts_since()), (vec![-1, 0], Some(0.5)));
+        assert!((found.time - 0.6).abs() < 2e-12, "{}", found.time);
+    }
+
+    #[test]
+    fn simultaneous_crossings_are_one_event() {
+        let (t, _, mut d) = locate(|t| vec![0.5 - t, t - 0.5, 1.0], 0.0, 1.0, 1e-12);
+        assert!((t - 0.5).abs() <= 1e-12);
+        d.mark(1.0, 0.0);
+        // 0.5 - t leaves the positive domain at 0.5 itself, t - 0.5 enters it just after: both within the bracket.
+        assert_eq!(d.crossings[0], -1);
+    }
+
+    #[test]
+    fn zero_belongs_to_the_lower_domain() {
+        let mut d = Domains::default();
+        d.begin(1, |_| Direction::Both);
+        d.base[0] = 0.0;
+        d.end[0] = -1.0;
+        assert!(!d.changed());
+        d.end[0] = 1e-300;
+        assert!(d.changed());
+        d.base[0] = 1e-300;
+        d.end[0] = 0.0;
+        assert!(d.changed());
+    }
+}
