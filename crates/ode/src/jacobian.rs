@@ -1,128 +1,12 @@
 //! The Jacobian of the right-hand side: from the model, from directional derivatives, or from coloured differences.
 
 use crate::lu;
+use crate::sparsity::{Groups, JacobianPattern};
 use crate::stepper::Equations;
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Shares of the usual increment that are tried, in this order, until the model can be evaluated.
 const LADDER: [f64; 8] = [1.0, -1.0, 0.1, -0.1, 0.01, -0.01, 0.001, -0.001];
-
-/// Which derivatives depend on which states: the places of a Jacobian that may differ from zero.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct JacobianPattern {
-    /// Column `k` has the rows `rows[starts[k]..starts[k + 1]]`, ascending.
-    starts: Vec<usize>,
-    rows: Vec<usize>,
-}
-
-impl JacobianPattern {
-    /// The pattern of `n` states from pairs `(i, k)`: the derivative of state `i` depends on state `k`. Pairs may repeat.
-    /// `None` if an index is not below `n`.
-    ///
-    /// ```
-    /// let tridiagonal = (0..5usize).flat_map(|k| (k.saturating_sub(1)..(k + 2).min(5)).map(move |i| (i, k)));
-    /// let pattern = ode::JacobianPattern::new(5, tridiagonal).ok_or("out of range")?;
-    /// assert_eq!(pattern.n_colours(), 3);
-    /// # Ok::<(), &str>(())
-    /// ```
-    pub fn new(n: usize, entries: impl IntoIterator<Item = (usize, usize)>) -> Option<Self> {
-        let mut columns = vec![Vec::new(); n];
-        for (i, k) in entries {
-            if i >= n {
-                return None;
-            }
-            columns.get_mut(k)?.push(i);
-        }
-        let mut pattern = Self { starts: vec![0], rows: Vec::new() };
-        for mut column in columns {
-            column.sort_unstable();
-            column.dedup();
-            pattern.rows.extend(column);
-            pattern.starts.push(pattern.rows.len());
-        }
-        Some(pattern)
-    }
-
-    /// The same with the places of the diagonal.
-    pub(crate) fn with_diagonal(&self) -> Self {
-        let (mut starts, mut rows) = (vec![0], Vec::new());
-        for k in 0..self.n_states() {
-            let column = self.column(k);
-            let at = column.partition_point(|&i| i < k);
-            rows.extend(&column[..at]);
-            rows.push(k);
-            rows.extend(column[at..].iter().filter(|&&i| i != k));
-            starts.push(rows.len());
-        }
-        Self { starts, rows }
-    }
-
-    /// Where columns begin, and the rows of all of them.
-    pub(crate) fn into_columns(self) -> (Vec<usize>, Vec<usize>) {
-        (self.starts, self.rows)
-    }
-
-    /// Number of states.
-    pub fn n_states(&self) -> usize {
-        self.starts.len().saturating_sub(1)
-    }
-
-    /// Number of places that may differ from zero.
-    pub fn n_entries(&self) -> usize {
-        self.rows.len()
-    }
-
-    /// The rows of column `k`, ascending.
-    pub(crate) fn column(&self, k: usize) -> &[usize] {
-        &self.rows[self.starts[k]..self.starts[k + 1]]
-    }
-
-    /// The largest number of rows of a column: the least number of evaluations that a Jacobian may take.
-    pub(crate) fn widest_column(&self) -> usize {
-        self.starts.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(0)
-    }
-
-    /// How many evaluations a Jacobian of this pattern takes.
-    pub fn n_colours(&self) -> usize {
-        Groups::new(self).starts.len() - 1
-    }
-}
-
-/// Columns that share no row, and can be had from one evaluation. A. R. Curtis, M. J. D. Powell, J. K. Reid, On the
-/// estimation of sparse Jacobian matrices, IMA Journal of Applied Mathematics 13 (1974) 117-119; greedy, the columns
-/// with most rows first.
-#[derive(Debug, Default)]
-struct Groups {
-    /// Group `g` has the columns `columns[starts[g]..starts[g + 1]]`.
-    starts: Vec<usize>,
-    columns: Vec<usize>,
-}
-
-impl Groups {
-    fn new(pattern: &JacobianPattern) -> Self {
-        let n = pattern.n_states();
-        let mut order: Vec<usize> = (0..n).collect();
-        order.sort_by_key(|&k| std::cmp::Reverse(pattern.column(k).len()));
-        let mut groups: Vec<(Vec<bool>, Vec<usize>)> = Vec::new();
-        for k in order {
-            let rows = pattern.column(k);
-            let free = groups.iter().position(|(taken, _)| rows.iter().all(|&i| !taken[i]));
-            let g = free.unwrap_or_else(|| {
-                groups.push((vec![false; n], Vec::new()));
-                groups.len() - 1
-            });
-            let (taken, columns) = &mut groups[g];
-            rows.iter().for_each(|&i| taken[i] = true);
-            columns.push(k);
-        }
-        let mut this = Self { starts: vec![0], columns: Vec::new() };
-        for (_, columns) in groups {
-            this.columns.extend(columns);
-            this.starts.push(this.columns.len());
-        }
-        this
-    }
-}
 
 /// Where the numbers come from; found out at the first evaluation of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -477,16 +361,5 @@ mod tests {
         assert!(result.is_ok() && worst < 1e-6, "{worst:e}");
         // The last state flows downward: one evaluation; the others need two.
         assert_eq!(stats.right_hand_sides, 5);
-    }
-
-    #[test]
-    fn patterns_are_checked_and_coloured() {
-        assert!(JacobianPattern::new(2, [(2, 0)]).is_none());
-        assert!(JacobianPattern::new(2, [(0, 2)]).is_none());
-        let arrow = (0..6).flat_map(|i| [(i, i), (0, i), (i, 0)]);
-        assert_eq!(JacobianPattern::new(6, arrow).unwrap().n_colours(), 6);
-        let diagonal = JacobianPattern::new(6, (0..6).map(|i| (i, i)).chain([(1, 1)])).unwrap();
-        assert_eq!((diagonal.n_colours(), diagonal.n_entries(), diagonal.n_states()), (1, 6, 6));
-        assert_eq!(JacobianPattern::new(0, []).unwrap().n_colours(), 0);
     }
 }

@@ -1,6 +1,6 @@
 //! What the stepper needs to know of a model: a hybrid ODE as a trait.
 
-use crate::jacobian::JacobianPattern;
+use crate::sparsity::JacobianPattern;
 
 /// Why a call into the model did not deliver.
 #[derive(Debug, thiserror::Error)]

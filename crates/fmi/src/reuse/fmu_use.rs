@@ -99,8 +99,7 @@ impl Fmu {
     /// Notes that simulations in newly loaded copies differ.
     pub(crate) fn note_not_reproducible(&self, kind: InterfaceKind) -> Result<(), FmiError> {
         self.store(kind)?.verdicts.set_not_reproducible(kind);
-        let message =
-            "two simulations in newly loaded copies of the library differ: no result can be reproduced (unless what it keeps \
+        let message = "two simulations in newly loaded copies of the library differ: no result can be reproduced (unless what it keeps \
              in the C library or in files is disturbed by other simulations at the same time: then sharing = serial helps)";
         self.note_quirk(QuirkKind::Promise, message);
         Ok(())

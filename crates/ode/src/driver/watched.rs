@@ -2,8 +2,8 @@
 //! calls are timed.
 
 use crate::error::{ErrorKind, TooLargeForDense};
-use crate::jacobian::JacobianPattern;
 use crate::options::Options;
+use crate::sparsity::JacobianPattern;
 use crate::stats::{Seconds, Stats};
 use crate::stopwatch::Stopwatch;
 use crate::system::{
