@@ -21,7 +21,7 @@ fn calibration(data: Data) -> Calibration {
 
 fn fit(calibration: &Calibration, workers: usize, plan: BatchPlan) -> Fit {
     let method = NelderMead::default().batch(plan).into();
-    calibration.fit(RunOptions { workers: Some(workers), method, ..FitOptions::run() }).unwrap()
+    calibration.fit(RunOptions { workers: Some(workers), method, ..FitOptions::default_run() }).unwrap()
 }
 
 #[test]
@@ -108,7 +108,8 @@ fn seeds_that_solve_it(name: &str) -> usize {
     let nearby = fit(&calibration, 2, BatchPlan::Auto);
     let solved = |seed: &u64| {
         let method: AnyMethod = name.parse().unwrap();
-        let found = calibration.fit(RunOptions { method, seed: Some(*seed), ..FitOptions::run() }).unwrap();
+        let found =
+            calibration.fit(RunOptions { method, seed: Some(*seed), ..FitOptions::default_run() }).unwrap();
         found.cost <= 1.01 * nearby.cost
     };
     (0..10).filter(solved).count()
@@ -121,7 +122,7 @@ fn every_method_fits() {
     for name in AnyMethod::NAMES {
         let limits = Limits { max_evaluations: Some(1000), ..Limits::default() };
         let options =
-            RunOptions { method: name.parse().unwrap(), seed: Some(1), limits, ..FitOptions::run() };
+            RunOptions { method: name.parse().unwrap(), seed: Some(1), limits, ..FitOptions::default_run() };
         let found = calibration.fit(options).unwrap();
         assert!(found.cost <= 1.02 * nearby.cost, "{found}");
         assert!((found.x[0] - 0.010).abs() < 3e-4 && (found.x[1] - 0.001).abs() < 3e-5, "{found}");
@@ -154,7 +155,7 @@ fn cutoffs_save_right_hand_sides_and_change_no_decision() {
             // One worker: how many points several workers try ahead depends on the load of the machine,
             // and each of them is a whole simulation in the count.
             let workers = Some(1);
-            let options = RunOptions { method, seed: Some(3), limits, workers, ..FitOptions::run() };
+            let options = RunOptions { method, seed: Some(3), limits, workers, ..FitOptions::default_run() };
             let options = FitOptions { cutoffs, ..FitOptions::from(options) };
             calibration.fit(options).unwrap()
         };
@@ -195,7 +196,7 @@ fn a_checkpoint_knows_model_data_and_settings() {
     let run = |calibration: &Calibration, evaluations| {
         let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
         let checkpoint = Some(Checkpoint::new(&path));
-        calibration.fit(RunOptions { limits, checkpoint, ..FitOptions::run() })
+        calibration.fit(RunOptions { limits, checkpoint, ..FitOptions::default_run() })
     };
     let calibration = calibration(furuta_measurements());
     let whole = fit(&calibration, 2, BatchPlan::Auto);

@@ -31,7 +31,7 @@ fn calibration(data: Data, n: usize) -> Calibration {
 }
 
 fn fit(calibration: &Calibration, workers: usize) -> Fit {
-    calibration.fit(RunOptions { workers: Some(workers), ..FitOptions::run() }).unwrap()
+    calibration.fit(RunOptions { workers: Some(workers), ..FitOptions::default_run() }).unwrap()
 }
 
 #[test]

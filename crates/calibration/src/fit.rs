@@ -49,7 +49,7 @@ impl FitOptions<'_> {
     /// The run of a fit by default: tolerances of 1e-4 each, `x_tol` in units of the parameters' sizes and `f_tol` as a
     /// fraction of the cost, for a cost made of simulations is seldom smooth below that; all else as [`dfo::minimize`] has
     /// it.
-    pub fn run() -> RunOptions<AnyMethod> {
+    pub fn default_run() -> RunOptions<AnyMethod> {
         let tolerances = Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All };
         RunOptions { tolerances, ..RunOptions::default() }
     }
@@ -57,7 +57,14 @@ impl FitOptions<'_> {
 
 impl Default for FitOptions<'_> {
     fn default() -> Self {
-        Self { run: Self::run(), start: None, cutoffs: true, observer: None, poll: None, cancel: None }
+        Self {
+            run: Self::default_run(),
+            start: None,
+            cutoffs: true,
+            observer: None,
+            poll: None,
+            cancel: None,
+        }
     }
 }
 

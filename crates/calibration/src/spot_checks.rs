@@ -4,6 +4,7 @@
 use crate::calibration::{Calibration, NoCost};
 use fmi::{FmiError, Simulator};
 use ode::Stats;
+use std::hash::{DefaultHasher, Hasher};
 use std::time::{Duration, Instant};
 
 /// At most so many costs are computed again, and one for so many evaluations, but one at least.
@@ -12,9 +13,6 @@ const SHARE: usize = 10;
 
 /// No further ones after a second, and after this part of the time that the run took.
 const PART_OF_TIME: u32 = 20;
-
-/// 2^64 divided by the golden ratio, odd: multiplying with it spreads the bits (Knuth, TAOCP volume 3, 6.4).
-const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// A point and its cost.
 type Point = (Vec<f64>, f64);
@@ -37,9 +35,9 @@ impl SpotChecks {
         if self.best.as_ref().is_none_or(|(_, known)| cost < *known) {
             self.best = Some((x.to_vec(), cost));
         }
-        let hash = x
-            .iter()
-            .fold(SPREAD, |hash, value| (hash ^ value.to_bits()).wrapping_mul(SPREAD).rotate_left(29));
+        let mut hasher = DefaultHasher::new();
+        x.iter().for_each(|value| hasher.write_u64(value.to_bits()));
+        let hash = hasher.finish();
         let place = self.chosen.partition_point(|(known, _)| *known < hash);
         if place < MOST - 1 && self.chosen.get(place).is_none_or(|(known, _)| *known != hash) {
             self.chosen.truncate(MOST - 2);

@@ -83,7 +83,7 @@ fn a_parameter_without_effect_is_named_whatever_the_budget() {
     let calibration = tank(30.0, &["u1", "u2"]);
     let options = |evaluations| RunOptions {
         limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
-        ..FitOptions::run()
+        ..FitOptions::default_run()
     };
     let fit = calibration.fit(options(500)).unwrap();
     assert_eq!(fit.without_effect, [1], "{}", fit.report.message);

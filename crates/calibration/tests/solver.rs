@@ -53,7 +53,7 @@ fn calibration(method: Method) -> Calibration {
 
 fn few(n: usize) -> FitOptions<'static> {
     let limits = Limits { max_evaluations: Some(n), ..Limits::default() };
-    RunOptions { limits, ..FitOptions::run() }.into()
+    RunOptions { limits, ..FitOptions::default_run() }.into()
 }
 
 #[test]

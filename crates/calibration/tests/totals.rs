@@ -21,7 +21,7 @@ fn calibration() -> Calibration {
 
 fn options(evaluations: usize, workers: usize, cutoffs: bool) -> FitOptions<'static> {
     let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
-    let run = RunOptions { limits, workers: Some(workers), ..FitOptions::run() };
+    let run = RunOptions { limits, workers: Some(workers), ..FitOptions::default_run() };
     FitOptions { cutoffs, ..run.into() }
 }
 

@@ -166,18 +166,26 @@ impl Answer {
     /// Makes a value without the residuals that were wanted a failure. `m`: their number, where it is known already; else
     /// this answer gives it.
     pub(crate) fn check_residuals(&mut self, m: &mut Option<usize>) {
+        if let Some(failure) = self.residuals_failure(m) {
+            self.outcome = failure;
+        }
+    }
+
+    /// The failure that it is.
+    pub(crate) fn residuals_failure(&self, m: &mut Option<usize>) -> Option<Outcome> {
         if !matches!(self.outcome, Outcome::Value(_)) {
-            return;
+            return None;
         }
         let got = self.residuals.len();
         let expected = *m.get_or_insert(got);
         if got == 0 {
             *m = None;
-            self.outcome = Outcome::failed("the objective gave a cost without residuals");
+            Some(Outcome::failed("the objective gave a cost without residuals"))
         } else if got != expected {
-            self.outcome = Outcome::failed(format!("{got} residuals, but {expected} at the points before"));
-        } else if let Some((k, r)) = self.residuals.iter().enumerate().find(|(_, r)| !r.is_finite()) {
-            self.outcome = Outcome::not_finite(format!("residual {k} is {r}"));
+            Some(Outcome::failed(format!("{got} residuals, but {expected} at the points before")))
+        } else {
+            let bad = self.residuals.iter().enumerate().find(|(_, r)| !r.is_finite());
+            bad.map(|(k, r)| Outcome::not_finite(format!("residual {k} is {r}")))
         }
     }
 }
@@ -213,16 +221,16 @@ impl Answers {
         known.then(|| &self.residuals[k * self.m..(k + 1) * self.m])
     }
 
-    /// Adds a point. All residual vectors have one length.
+    /// Adds a point. All residual vectors have the length of the first one: of a longer one the rest is left out, a shorter one
+    /// is filled up with zeros.
     pub fn push(&mut self, outcome: Outcome, residuals: &[f64]) {
-        debug_assert!(residuals.is_empty() || self.m == 0 || residuals.len() == self.m, "one length");
         if self.m == 0 && !residuals.is_empty() {
             self.m = residuals.len();
             self.residuals.clear();
             self.residuals.resize(self.outcomes.len() * self.m, 0.0);
         }
         self.outcomes.push(outcome);
-        self.residuals.extend_from_slice(residuals);
+        self.residuals.extend_from_slice(&residuals[..residuals.len().min(self.m)]);
         self.residuals.resize(self.outcomes.len() * self.m, 0.0);
     }
 
@@ -305,6 +313,12 @@ mod tests {
         assert_eq!(
             (answers.residuals(1), answers.residuals(3)),
             (Some(&[1.0, 2.0][..]), Some(&[3.0, 4.0][..]))
+        );
+        answers.push(Outcome::Value(1.0), &[5.0, 6.0, 7.0]);
+        answers.push(Outcome::Value(2.0), &[8.0, 9.0]);
+        assert_eq!(
+            (answers.residuals(4), answers.residuals(5)),
+            (Some(&[5.0, 6.0][..]), Some(&[8.0, 9.0][..]))
         );
         answers.clear();
         answers.push(Outcome::Value(1.0), &[]);

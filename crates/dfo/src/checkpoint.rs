@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 const MARK: &[u8; 15] = b"dfo checkpoint\0";
 
 /// The format that this version reads and writes. It changes with everything that a file holds.
-const FORMAT: u8 = 5;
+const FORMAT: u8 = 6;
 
 /// Version of the code, which every file names.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -183,9 +183,19 @@ fn file_failed(path: &Path, e: &std::io::Error) -> Error {
     Error::CheckpointFile { path: path.display().to_string(), kind: e.kind(), message }
 }
 
+/// A device, a pipe or a folder is neither read, which may never end, nor replaced.
+fn require_file(path: &Path) -> Result<(), Error> {
+    match std::fs::metadata(path) {
+        Ok(found) if !found.is_file() => Err(failed(path, "this is no regular file")),
+        // What is not there, or cannot be looked at, shows when it is opened.
+        _ => Ok(()),
+    }
+}
+
 /// The state in the file that a run is to continue from, if it is to; whatever run it is of.
 fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
     let path = &options.path;
+    require_file(path)?;
     if options.resume == Resume::Never {
         return Ok(None);
     }

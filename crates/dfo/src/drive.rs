@@ -5,7 +5,7 @@ use crate::error::Error;
 use crate::gateway::Gateway;
 use crate::gateway::desk::{Desk, Replay};
 use crate::gateway::ledger::Ledger;
-use crate::method::{Batch, Method, Status};
+use crate::method::{Batch, Details, Method, Status};
 use crate::observe::Progress;
 use crate::report::{self, Report};
 use crate::termination::{Termination, UNBOUNDED};
@@ -51,6 +51,7 @@ impl<M: Method> Drive<'_, M> {
             // What needs no evaluation needs no budget.
             if let Some(termination) = self.gateway.exhausted().filter(|_| !batch.is_empty()) {
                 self.save(&[]);
+                let termination = limited(&self.method, &self.gateway.desk, termination);
                 return Ok(Some(self.unless_unsaved(termination)));
             }
             let stopped =
@@ -138,7 +139,15 @@ pub(crate) fn reached<M: Method + ?Sized>(method: &M, desk: &Desk, limits: &Limi
     let details = method.details();
     let iterations = limits.max_iterations.is_some_and(|m| details.n_iterations >= m);
     let over = iterations && details.operation.is_some() && method.status() == Status::Running;
-    over.then_some(Termination::MaxIterations)
+    over.then(|| limited(method, desk, Termination::MaxIterations))
+}
+
+/// What it means that a limit ends a run: nothing where the tests have passed for the best point already.
+pub(crate) fn limited<M: Method + ?Sized>(method: &M, desk: &Desk, limit: Termination) -> Termination {
+    let Details { settled, tests, .. } = method.details();
+    let best = desk.ledger.best.as_ref().map(|(_, best)| *best);
+    let tested = matches!((tests, best), (Some(tests), Some(best)) if best >= tests.f_best);
+    if settled && tested { meaning(Termination::Converged, desk) } else { limit }
 }
 
 /// What it means that a method came to its own end.
@@ -176,7 +185,7 @@ pub(crate) fn end<M: Method + ?Sized>(
         Status::Running => {}
     }
     if let Some(stopped) = stopped {
-        return Some(Some(stopped.clone()));
+        return Some(Some(limited(method, desk, stopped.clone())));
     }
     if desk.is_stale() {
         // Among whole numbers nothing is left to try then, and the tests measure what there is.

@@ -343,6 +343,8 @@ pub struct Details<'a> {
     pub operation: Option<Operation>,
     /// The tolerance tests after the last complete iteration.
     pub tests: Option<Tests>,
+    /// Whether these have passed, and the method goes on all the same for what may lie beside: an end by a limit is a success.
+    pub settled: bool,
     /// The batch plan in use.
     pub plan: &'static str,
     /// How far to evaluate ahead of need.

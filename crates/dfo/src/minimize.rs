@@ -8,7 +8,7 @@ use crate::description::{Begun, Description};
 use crate::drive::{Drive, Observer};
 use crate::error::Error;
 use crate::evaluator::{BatchFunction, BatchView, WorkerPool};
-use crate::gateway::{Crew, Gateway, Here};
+use crate::gateway::{Executor, Gateway, Here};
 use crate::method::MethodOptions;
 use crate::methods::NelderMead;
 use crate::objective::Objective;
@@ -139,6 +139,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
     }
 
     /// Lower and upper bounds; infinite where there is none, equal where a parameter is fixed. Default none.
+    /// Huge ones that stand for "none" count as none where a search starts from a point, see [`Bounds`].
     ///
     /// # Errors
     /// As [`Bounds::new`].
@@ -191,7 +192,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Ends the run after the first batch of the path with a point whose cost is at or below this.
+    /// Ends the run with the first evaluation of the path whose cost is at or below this, see [`Limits::target`].
     pub fn target(mut self, cost: f64) -> Self {
         self.description.options.limits.target = Some(cost);
         self
@@ -380,14 +381,14 @@ impl<M: MethodOptions> Minimize<'_, M> {
             (None, Source::Objective(_)) if workers > 1 => Some(Arc::new(WorkerPool::new(workers)?)),
             (None, _) => None,
         };
-        let crew = match (&mut source, &pool) {
-            (Source::Objective(objective), Some(pool)) => Crew::pool(pool, &**objective, here),
-            (Source::Objective(objective), None) => Crew::alone(&**objective),
-            (Source::Batches(function), _) => Crew::batches(function.as_mut()),
+        let executor = match (&mut source, &pool) {
+            (Source::Objective(objective), Some(pool)) => Executor::pool(pool, &**objective, here),
+            (Source::Objective(objective), None) => Executor::serial(&**objective),
+            (Source::Batches(function), _) => Executor::batches(function.as_mut()),
         };
         let (cancel, mut observer, mut poll) = (cancel.unwrap_or_default(), observer, poll);
         let poll = poll.as_mut().map(|p| p.as_mut() as &mut dyn FnMut() -> bool);
-        let gateway = Gateway::new(crew, desk, limits, before, (&cancel, poll), workers);
+        let gateway = Gateway::new(executor, desk, limits, before, (&cancel, poll), workers);
         let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
         drive.run(observer.as_deref_mut())
     }

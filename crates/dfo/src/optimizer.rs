@@ -3,7 +3,7 @@
 use crate::answer::{Answer, Outcome, Want};
 use crate::checkpoint::Writer;
 use crate::description::Begun;
-use crate::drive::{end, reached};
+use crate::drive::{end, limited, reached};
 use crate::error::Error;
 use crate::gateway::desk::Desk;
 use crate::gateway::desk::reset;
@@ -161,25 +161,25 @@ impl Optimizer {
             Outcome::Abort(_) => None,
             other if !other.is_known() => {
                 self.due.insert(k);
-                return Ok(());
+                self.n_open += 1;
+                answer.clear();
+                None
             }
             _ => None,
         };
         self.n_open -= 1;
         answer.seconds = handed.elapsed().as_secs_f64();
         self.answers[k] = answer;
+        if let Some((place, _)) = self.desk.last(&self.answers) {
+            // Nothing after it is needed; what was handed out already is waited for.
+            let from = self.desk.n_before(place + 1);
+            self.n_open -= self.due.split_off(&from).len();
+        }
         if abort.is_some() || self.n_open == 0 {
-            let completed = self.complete(abort.or(self.stopped()));
+            let completed = self.complete(self.desk.stopped(&self.answers).or(abort));
             return completed.and(self.advance());
         }
         Ok(())
-    }
-
-    /// Why the run ends with this batch, if what is known says so.
-    fn stopped(&self) -> Option<Termination> {
-        let aborted = self.desk.abort(&self.answers[..self.desk.n_needed()]);
-        let aborted = aborted.map(|(_, message)| Termination::Aborted(message.to_owned()));
-        aborted.or_else(|| self.desk.is_truncated().then_some(Termination::MaxEvaluations))
     }
 
     /// Enters the batch as far as it is known and tells the method.
@@ -213,7 +213,7 @@ impl Optimizer {
             // Evaluations that are at hand from before were paid for already.
             if (spent || late) && self.desk.replay.is_empty() {
                 let why = if spent { Termination::MaxEvaluations } else { Termination::MaxTime };
-                self.ended = Some(Some(why));
+                self.ended = Some(Some(limited(&self.method, &self.desk, why)));
                 break;
             }
             self.desk.open(&self.batch, &self.limits);
@@ -234,7 +234,7 @@ impl Optimizer {
             if len > 0 {
                 break;
             }
-            let stopped = self.stopped();
+            let stopped = self.desk.stopped(&self.answers);
             self.complete(stopped)?;
         }
         self.save_now_and_then()

@@ -25,7 +25,8 @@ pub struct Report {
     pub n_batches: usize,
     /// Failed evaluations of the path.
     pub n_failed: usize,
-    /// Answers that needed no evaluation, because the point was known already.
+    /// Answers that count as no evaluation, because the point was known already. Where only that it lies above a lower
+    /// cutoff was known, it is evaluated all the same, outside of budget and trace: so cutoffs change no count.
     pub n_cached: usize,
     /// Further calls of the objective: made ahead of need, and not needed. May depend on the number of workers and on how
     /// long evaluations take.

@@ -15,7 +15,8 @@ pub struct Limits {
     pub max_iterations: Option<usize>,
     /// Wall-clock time: no evaluation starts after it.
     pub max_time: Option<Duration>,
-    /// The run ends with the first batch of the path that has a point with a cost at or below this.
+    /// The run ends with the first evaluation of the path whose cost is at or below this. What was evaluated at once with it
+    /// and comes after it counts as made ahead of need.
     pub target: Option<f64>,
 }
 

@@ -2,7 +2,7 @@
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use dfo::{Checkpoint, minimize};
+use dfo::{Checkpoint, Resume, minimize};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 use std::time::Duration;
@@ -56,4 +56,22 @@ fn a_link_is_followed_and_permissions_stay() {
     std::fs::set_permissions(&file, PermissionsExt::from_mode(0o640)).unwrap();
     run(&link, 20);
     assert_eq!((mode(&file), link.is_symlink()), (0o640, true));
+}
+
+#[test]
+fn what_is_no_regular_file_is_refused_and_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let link = folder.path().join("link");
+    symlink("/dev/zero", &link).unwrap();
+    for path in [Path::new("/dev/full"), &fifo, &link, folder.path()] {
+        for resume in [Resume::Auto, Resume::Never, Resume::Require] {
+            let checkpoint = Checkpoint::new(path).resume(resume);
+            let run = minimize(|x: &[f64]| x[0] * x[0]).start(&[1.0]).checkpoint(checkpoint).run();
+            let message = run.unwrap_err().to_string();
+            assert!(message.contains("this is no regular file"), "{message}");
+        }
+        assert!(!std::fs::metadata(path).unwrap().is_file());
+    }
 }

@@ -339,3 +339,39 @@ fn mirroring_never_makes_the_simplex_flat() {
     // An ordinary mirror image stays one.
     assert_eq!(reflection([[0.25, 0.25], [0.25, 0.5], [0.625, 0.375]]), [0.125, 0.375]);
 }
+
+#[test]
+fn a_simplex_clamped_onto_one_point_is_no_success() {
+    // Starts on a bound and inside of it, minima anywhere: vertices are set onto bounds that others lie on.
+    for width in [1.0, 0.5, 2.0, 0.13] {
+        for optimum in [0.4f64, 0.01, -0.3, -0.9, -0.9999, 0.95] {
+            for lower in [-1.0, -2.3] {
+                for start in [lower, width, 0.0] {
+                    for other in [-0.5, 0.05] {
+                        let cost = |x: &[f64]| {
+                            let rest = if x.len() > 1 { x[1] - 0.2 * x[0] - other } else { 0.0 };
+                            (x[0] - optimum).powi(2) + rest * rest
+                        };
+                        for n in [1, 2] {
+                            let report = minimize(cost)
+                                .start(&[start, 0.0][..n])
+                                .bounds(&[lower, 0.0][..n], &[width, 1.0][..n])
+                                .unwrap()
+                                .method(NelderMead::default().bounds_handling(BoundsHandling::Clamp))
+                                .run()
+                                .unwrap();
+                            let grid = (0..=4000).map(|k| lower + (width - lower) * f64::from(k) / 4000.0);
+                            let rest = |x: f64| (0.2 * x + other).clamp(0.0, 1.0);
+                            let least = grid.map(|x| cost(&[x, rest(x)][..n])).fold(f64::INFINITY, f64::min);
+                            let size = report.tests.unwrap().x_size;
+                            assert!(report.is_success() && size > 0.0, "{start} {optimum}: {report}");
+                            if n == 1 {
+                                assert!(report.fun < least + 1e-6, "{start} {optimum}: {report}");
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -64,3 +64,24 @@ fn whole_numbers_that_are_found_are_a_success() {
         );
     }
 }
+
+#[test]
+fn whole_numbers_are_found_however_the_search_ends() {
+    let cost = |x: &[f64]| x.iter().zip([3.2, -1.6, 0.3]).map(|(x, t)| (x - t).powi(2)).sum::<f64>();
+    for method in [DifferentialEvolution::default(), DifferentialEvolution::classic()] {
+        for n in 1..=3 {
+            for seed in 0..10 {
+                for budget in [None, Some(150), Some(400), Some(1000)] {
+                    let m = minimize(cost).bounds(&vec![-6.0; n], &vec![6.0; n]).unwrap();
+                    let m = m.kinds(&vec![Kind::Integer; n]).method(method.clone()).seed(seed);
+                    let report = budget.into_iter().fold(m, |m, b| m.max_evaluations(b)).run().unwrap();
+                    let tests = report.tests.unwrap();
+                    assert_eq!(report.is_success(), tests.passed, "{budget:?}: {report}");
+                    if budget.is_none() {
+                        assert!(report.is_success() && report.x == [3.0, -2.0, 0.0][..n], "{report}");
+                    }
+                }
+            }
+        }
+    }
+}

@@ -97,11 +97,11 @@ impl Method for StencilsState {
             assert_eq!(answers.residuals(0), None);
             return Ok(());
         }
-        let base = answers.residuals(0).unwrap();
+        let Some(base) = answers.residuals(0) else { return Ok(()) };
         self.cost = answers.outcomes()[0].value();
         // One coordinate at a time, which is enough to move.
         for j in 0..n {
-            let column = answers.residuals(j + 1).unwrap();
+            let Some(column) = answers.residuals(j + 1) else { continue };
             let (mut jj, mut jr) = (0.0, 0.0);
             for (r, c) in base.iter().zip(column) {
                 let d = (c - r) / STEP;
@@ -221,6 +221,12 @@ fn residuals_that_the_trace_has_kept_are_not_computed_again() {
     assert_eq!(again(wanted().collect()).n_cached, 1);
     let costs = again(wanted().map(|known| Known { residuals: Vec::new(), ..known }).collect());
     assert_eq!((costs.n_cached, costs.n_failed), (0, 0));
+    // What cannot belong to the others has failed, and shifts no row.
+    let mut wrong: Vec<Known> = wanted().collect();
+    wrong.iter_mut().for_each(|known| known.residuals.truncate(5));
+    let report = again(wrong);
+    let (why, _) = &report.failures[0];
+    assert!(why.contains("9 residuals, but 5 at the points before"), "{why}");
 }
 
 #[test]

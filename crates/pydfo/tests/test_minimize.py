@@ -397,3 +397,28 @@ def test_sizes_that_nothing_tells():
     assert "no step of x[1] from zero has changed the cost" in unmoved.message
     with pytest.raises(ValueError, match=r"x\[1\].*NaN"):
         minimize(cost, [0.0, 0.0, 0.0], options={"nominal": [1e-6, float("nan"), 30]})
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_run_ends_with_the_call_that_reaches_the_target(method, workers):
+    res = pydfo.minimize(
+        lambda x: float(x @ x), [1.0, 2.0], bounds=[(-5, 5)] * 2, method=method, target=1e9, rng=1, workers=workers
+    )
+    assert (res.success, res.nfev, res.status) == (True, 1, 10)
+
+
+def test_cutoffs_change_no_count():
+    def cost(x):
+        return float(((x - [3.3, -4.1, 1.7]) ** 2).sum() + 3 * (1 - np.cos(2 * (x - [3.3, -4.1, 1.7]))).sum())
+
+    def cutting(x, *, cutoff):
+        value = cost(x)
+        return pydfo.Above(cutoff) if value > cutoff else value
+
+    for seed in range(10):
+        options = {"kinds": "integer", "population": 12}
+        arguments = dict(bounds=[(-9, 9)] * 3, method="de", rng=seed, max_evaluations=60 + 13 * seed, options=options)
+        whole, cut = pydfo.minimize(cost, **arguments), pydfo.minimize(cutting, **arguments)
+        assert (whole.x == cut.x).all()
+        assert (whole.nfev, whole.nit, whole.n_cached) == (cut.nfev, cut.nit, cut.n_cached)

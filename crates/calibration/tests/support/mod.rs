@@ -47,7 +47,7 @@ pub(crate) fn fit(calibration: &Calibration, workers: usize, evaluations: usize)
         limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
         workers: Some(workers),
         seed: Some(5),
-        ..FitOptions::run()
+        ..FitOptions::default_run()
     };
     calibration.fit(options).unwrap()
 }

@@ -10,4 +10,4 @@ pub(crate) use batch_function::{BatchFunction, Batches};
 pub(crate) use calling_thread::CallingThread;
 pub(crate) use calls::{Evaluator, GivesUp, Polled, Wait};
 pub use pool::WorkerPool;
-pub(crate) use pool::{Parcel, Shared, Threads};
+pub(crate) use pool::{Job, Shared, Threads};

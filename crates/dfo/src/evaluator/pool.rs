@@ -83,7 +83,7 @@ impl<'a> Shared<'a> {
 
 /// A point on its way to a thread and back.
 #[derive(Debug)]
-pub(crate) struct Parcel {
+pub(crate) struct Job {
     x: Vec<f64>,
     query: Query<'static>,
     answer: Answer,
@@ -93,14 +93,14 @@ pub(crate) struct Parcel {
 pub(crate) struct Threads<'p, 's> {
     scope: &'p Scope<'s>,
     shared: &'s Shared<'s>,
-    spare: &'p mut Vec<Parcel>,
-    sender: Sender<Parcel>,
-    receiver: Receiver<Parcel>,
+    spare: &'p mut Vec<Job>,
+    sender: Sender<Job>,
+    receiver: Receiver<Job>,
     n_open: usize,
 }
 
 impl<'p, 's> Threads<'p, 's> {
-    pub(crate) fn new(scope: &'p Scope<'s>, shared: &'s Shared<'s>, spare: &'p mut Vec<Parcel>) -> Self {
+    pub(crate) fn new(scope: &'p Scope<'s>, shared: &'s Shared<'s>, spare: &'p mut Vec<Job>) -> Self {
         let (sender, receiver) = channel();
         Self { scope, shared, spare, sender, receiver, n_open: 0 }
     }
@@ -108,17 +108,17 @@ impl<'p, 's> Threads<'p, 's> {
 
 impl Evaluator for Threads<'_, '_> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
-        let Parcel { x: mut room, answer, .. } =
-            self.spare.pop().unwrap_or_else(|| Parcel { x: Vec::new(), query, answer: Answer::default() });
+        let Job { x: mut room, answer, .. } =
+            self.spare.pop().unwrap_or_else(|| Job { x: Vec::new(), query, answer: Answer::default() });
         room.clear();
         room.extend_from_slice(x);
-        let mut parcel = Parcel { x: room, query, answer };
+        let mut job = Job { x: room, query, answer };
         let (shared, sender) = (self.shared, self.sender.clone());
         self.n_open += 1;
         // Spawned from outside, jobs begin in the order of their coming: when one has begun, all before it have too, so an
         // abort at one never loses a point that a serial run would have had.
         self.scope.spawn(move |_| {
-            let Parcel { x, query, answer } = &mut parcel;
+            let Job { x, query, answer } = &mut job;
             if shared.stop.load(Ordering::Acquire) {
                 answer.clear();
             } else {
@@ -130,7 +130,7 @@ impl Evaluator for Threads<'_, '_> {
                 );
             }
             // Nobody listens any more only while the calling thread unwinds.
-            let _ = sender.send(parcel);
+            let _ = sender.send(job);
         });
     }
 
@@ -139,11 +139,11 @@ impl Evaluator for Threads<'_, '_> {
             return Polled::Idle;
         }
         match self.receiver.recv_timeout(wait.until.saturating_duration_since(Instant::now())) {
-            Ok(mut parcel) => {
+            Ok(mut job) => {
                 self.n_open -= 1;
-                std::mem::swap(answer, &mut parcel.answer);
-                let id = parcel.query.id;
-                self.spare.push(parcel);
+                std::mem::swap(answer, &mut job.answer);
+                let id = job.query.id;
+                self.spare.push(job);
                 Polled::Answered(id)
             }
             Err(RecvTimeoutError::Timeout) => Polled::Waiting,

@@ -97,6 +97,12 @@ impl Cache {
         self.known.get(&self.key[..]).filter(answers)
     }
 
+    /// Whether no more is known of a point than that it lies above some cutoff.
+    pub(crate) fn is_above(&mut self, x: &[f64]) -> bool {
+        self.key(x);
+        matches!(self.known.get(&self.key[..]), Some(Answer { outcome: Outcome::Above(_), .. }))
+    }
+
     /// Remembers an evaluation, unless it says nothing lasting about the point.
     pub(crate) fn insert(&mut self, x: &[f64], answer: &Answer, want: Want) {
         if self.capacity == 0 || !answer.outcome.is_lasting() {

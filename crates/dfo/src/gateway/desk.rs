@@ -5,6 +5,7 @@ use super::ledger::{Ledger, Source};
 use crate::answer::{Answer, Answers, Outcome, Want};
 use crate::evaluator::GivesUp;
 use crate::method::{Batch, Method};
+use crate::termination::Termination;
 use crate::tolerances::Limits;
 use crate::trace::Early;
 use serde::{Deserialize, Serialize};
@@ -41,6 +42,18 @@ pub(crate) struct Desk {
     /// Places of the points of a batch, by their hash.
     places: HashMap<u64, usize>,
     truncated: bool,
+    /// The cost at which the run ends, and the place of the batch where a known answer has it.
+    target: Option<f64>,
+    reached: Option<usize>,
+}
+
+/// Why no point after this one is of the path.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Last<'a> {
+    /// The objective asked to end the run, with this message.
+    Abort(&'a str),
+    /// Its cost is the target or below.
+    Target,
 }
 
 impl Desk {
@@ -59,6 +72,8 @@ impl Desk {
             told: Answers::default(),
             places: HashMap::new(),
             truncated: false,
+            target: None,
+            reached: None,
         }
     }
 
@@ -71,11 +86,16 @@ impl Desk {
         reset(&mut self.answers, batch.len());
         self.places.clear();
         self.truncated = false;
+        (self.target, self.reached) = (limits.target, None);
         for k in 0..batch.len() {
             let (x, cutoff) = (batch.point(k), batch.cutoff(k));
-            let source = if let Some(known) = self.cache.get(x, batch.query(k)) {
+            let source = if self.reached.is_some() {
+                Source::Forbidden
+            } else if let Some(known) = self.cache.get(x, batch.query(k)) {
                 self.answers[k].clone_from(known);
                 Source::Cached
+            } else if self.cache.is_above(x) {
+                self.again(batch, k)
             } else if let Some(twin) = self.twin(batch, k) {
                 Source::Copy(twin)
             } else if left == 0 {
@@ -95,8 +115,27 @@ impl Desk {
                 }
             };
             self.sources.push(source);
+            let known = matches!(source, Source::Cached | Source::Replayed);
+            if known && self.reached.is_none() && self.is_target(&self.answers[k], cutoff) {
+                self.reached = Some(k);
+            }
         }
         self.n_needed = self.work.len();
+    }
+
+    /// What becomes of a point that is known to lie above a lower cutoff. Without cutoffs it would be known altogether, so
+    /// that it must not count.
+    fn again(&mut self, batch: &Batch, k: usize) -> Source {
+        if let Some(twin) = self.twin(batch, k) {
+            return Source::Copy(twin);
+        }
+        if let Some(answer) = self.evaluated_before(batch, k) {
+            self.cache.insert(batch.point(k), &answer, batch.want());
+            self.answers[k] = answer;
+            return Source::Cached;
+        }
+        self.work.push_with_id(batch.point(k), batch.cutoff(k), batch.id(k));
+        Source::Again
     }
 
     /// Evaluations that the budget leaves.
@@ -136,7 +175,7 @@ impl Desk {
         };
         let j = *place.get();
         let same = batch.point(j).iter().zip(batch.point(k)).all(|(a, b)| a.to_bits() == b.to_bits());
-        let answers = matches!(self.sources[j], Source::Run | Source::Replayed);
+        let answers = matches!(self.sources[j], Source::Run | Source::Again | Source::Replayed);
         if same && answers && batch.cutoff(j) >= batch.cutoff(k) {
             return Some(j);
         }
@@ -147,7 +186,8 @@ impl Desk {
 
     /// Adds up to `wanted` points to `work` that the path may need next. No more than the budget lets it come to.
     pub(crate) fn look_ahead<M: Method + ?Sized>(&mut self, method: &mut M, wanted: usize, limits: &Limits) {
-        let wanted = wanted.min(self.left(limits).saturating_sub(self.n_needed));
+        let n_counted = self.sources.iter().filter(|source| **source == Source::Run).count();
+        let wanted = wanted.min(self.left(limits).saturating_sub(n_counted));
         if wanted == 0 || self.n_needed == 0 {
             return;
         }
@@ -164,16 +204,48 @@ impl Desk {
         self.n_needed
     }
 
-    /// The first place of the batch at which the objective asked to end the run, and its message. `answers`: to `work`.
-    pub(crate) fn abort<'a>(&'a self, answers: &'a [Answer]) -> Option<(usize, &'a str)> {
-        let mut new = answers.iter();
+    /// Whether an answer ends the run. What lies above its cutoff might as well have been given up.
+    fn is_target(&self, answer: &Answer, cutoff: f64) -> bool {
+        let value = answer.outcome.value().filter(|value| *value <= cutoff);
+        matches!((value, self.target), (Some(value), Some(target)) if value <= target)
+            && !(self.work.want() == Want::Residuals
+                && answer.residuals_failure(&mut self.ledger.n_residuals.clone()).is_some())
+    }
+
+    /// Whether the answer to point `k` of `work` is one after which nothing more is of the path.
+    pub(crate) fn is_last(&self, k: usize, answer: &Answer) -> bool {
+        let over = matches!(answer.outcome, Outcome::Abort(_)) || self.is_target(answer, self.work.cutoff(k));
+        k < self.n_needed && over
+    }
+
+    /// The last place of the batch that is of the path, if not all are, and why. `answers`: to `work`.
+    pub(crate) fn last<'a>(&'a self, answers: &'a [Answer]) -> Option<(usize, Last<'a>)> {
+        let mut new = answers.iter().enumerate().take(self.n_needed);
         self.sources.iter().enumerate().find_map(|(k, source)| {
-            let answer = if *source == Source::Run { new.next() } else { self.answers.get(k) };
-            match answer.map(|answer| &answer.outcome) {
-                Some(Outcome::Abort(message)) => Some((k, message.as_str())),
-                _ => None,
+            if !source.is_work() {
+                return (self.reached == Some(k)).then_some((k, Last::Target));
             }
+            let (place, answer) = new.next()?;
+            let why = match &answer.outcome {
+                Outcome::Abort(message) => Last::Abort(message),
+                _ => Last::Target,
+            };
+            self.is_last(place, answer).then_some((k, why))
         })
+    }
+
+    /// How many points of `work` lie before this place of the batch.
+    pub(crate) fn n_before(&self, place: usize) -> usize {
+        self.sources[..place].iter().filter(|source| source.is_work()).count()
+    }
+
+    /// Why the run ends with this batch, if it is not entered whole. `answers`: to `work`.
+    pub(crate) fn stopped(&self, answers: &[Answer]) -> Option<Termination> {
+        match self.last(answers) {
+            Some((_, Last::Abort(message))) => Some(Termination::Aborted(message.to_owned())),
+            Some((place, Last::Target)) if place + 1 < self.sources.len() => Some(Termination::Target),
+            _ => self.truncated.then_some(Termination::MaxEvaluations),
+        }
     }
 
     /// What of this batch is known for good, should the run end here.
@@ -182,7 +254,7 @@ impl Desk {
         let mut new = answers.iter();
         for (k, source) in self.sources.iter().enumerate() {
             let answer = match source {
-                Source::Run => new.next(),
+                Source::Run | Source::Again => new.next(),
                 Source::Replayed => self.answers.get(k),
                 Source::Cached | Source::Copy(_) | Source::Forbidden => continue,
             };
@@ -197,15 +269,12 @@ impl Desk {
     pub(crate) fn close(&mut self, batch: &Batch, answers: &mut [Answer]) {
         let mut at = 0;
         // One point at a time nothing would have been evaluated after it.
-        let last = self.abort(&answers[..self.n_needed]).map_or(usize::MAX, |(k, _)| k);
+        let last = self.last(answers).map_or(usize::MAX, |(k, _)| k);
         for k in 0..batch.len() {
             match self.sources[k] {
-                Source::Run => {
+                Source::Run | Source::Again => {
                     if k <= last {
                         std::mem::swap(&mut self.answers[k], &mut answers[at]);
-                        if batch.want() == Want::Residuals {
-                            self.answers[k].check_residuals(&mut self.ledger.n_residuals);
-                        }
                     } else {
                         self.keep_ahead(at, &answers[at]);
                     }
@@ -215,7 +284,17 @@ impl Desk {
                 Source::Copy(twin) => self.answers[k] = self.answers[twin].clone(),
                 Source::Replayed | Source::Cached | Source::Forbidden => {}
             }
-            if matches!(self.sources[k], Source::Run | Source::Replayed) {
+            // Also what is known from elsewhere: a file or a user may have given it.
+            if batch.want() == Want::Residuals {
+                self.answers[k].check_residuals(&mut self.ledger.n_residuals);
+            }
+            let remembers = match self.sources[k] {
+                Source::Run | Source::Replayed => true,
+                // Had it been known altogether, it would not come back once the batch has driven it out.
+                Source::Again => self.cache.contains(batch.point(k)),
+                Source::Cached | Source::Copy(_) | Source::Forbidden => false,
+            };
+            if remembers {
                 self.cache.insert(batch.point(k), &self.answers[k], batch.want());
             }
         }
@@ -252,10 +331,6 @@ impl Desk {
     /// Answers to the last batch; what was not evaluated is [`Outcome::Skipped`].
     pub(crate) fn told(&self) -> &Answers {
         &self.told
-    }
-
-    pub(crate) fn is_truncated(&self) -> bool {
-        self.truncated
     }
 
     pub(crate) fn is_stale(&self) -> bool {

@@ -15,14 +15,23 @@ const MAX_REASONS: usize = 50;
 pub(crate) enum Source {
     /// The objective is called for it.
     Run,
+    /// The same, for a point of which only that it lies above a lower cutoff is known: it counts as known.
+    Again,
     /// The objective was called for it before: ahead of need, or before the run was resumed.
     Replayed,
     /// It is known from another point of this run or an earlier one.
     Cached,
     /// The same point stands at this place of the batch.
     Copy(usize),
-    /// The budget forbids it.
+    /// The budget forbids it, or the run ends before it.
     Forbidden,
+}
+
+impl Source {
+    /// Whether the point stands in the desk's work.
+    pub(crate) fn is_work(self) -> bool {
+        matches!(self, Self::Run | Self::Again)
+    }
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -75,7 +84,7 @@ impl Ledger {
             }
             if matches!(sources[k], Source::Run | Source::Replayed) {
                 self.enter(batch, k, answer);
-            } else {
+            } else if outcome.is_known() {
                 self.n_cached += 1;
             }
             // What lies above its cutoff might as well have been given up, and must not make a difference.

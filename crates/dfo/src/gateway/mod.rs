@@ -6,10 +6,9 @@ pub(crate) mod desk;
 pub(crate) mod ledger;
 mod pace;
 
-use crate::answer::{Answer, Outcome};
+use crate::answer::Answer;
 use crate::evaluator::{
-    BatchFunction, Batches, CallingThread, Evaluator, GivesUp, Parcel, Polled, Shared, Threads, Wait,
-    WorkerPool,
+    BatchFunction, Batches, CallingThread, Evaluator, GivesUp, Job, Polled, Shared, Threads, Wait, WorkerPool,
 };
 use crate::method::{Batch, Method};
 use crate::objective::{Ends, Objective};
@@ -27,25 +26,25 @@ pub(crate) use pace::Here;
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Who computes.
-pub(crate) enum Crew<'a> {
-    Alone(CallingThread<'a>),
+pub(crate) enum Executor<'a> {
+    Serial(CallingThread<'a>),
     Pool {
         pool: &'a WorkerPool,
         objective: &'a dyn Objective,
         here: Here,
-        alone: CallingThread<'a>,
-        spare: Vec<Parcel>,
+        serial: CallingThread<'a>,
+        spare: Vec<Job>,
     },
     Batches(Batches<'a>),
 }
 
-impl<'a> Crew<'a> {
-    pub(crate) fn alone(objective: &'a dyn Objective) -> Self {
-        Self::Alone(CallingThread::new(objective))
+impl<'a> Executor<'a> {
+    pub(crate) fn serial(objective: &'a dyn Objective) -> Self {
+        Self::Serial(CallingThread::new(objective))
     }
 
     pub(crate) fn pool(pool: &'a WorkerPool, objective: &'a dyn Objective, here: Here) -> Self {
-        Self::Pool { pool, objective, here, alone: CallingThread::new(objective), spare: Vec::new() }
+        Self::Pool { pool, objective, here, serial: CallingThread::new(objective), spare: Vec::new() }
     }
 
     pub(crate) fn batches(function: &'a mut BatchFunction<'a>) -> Self {
@@ -54,7 +53,7 @@ impl<'a> Crew<'a> {
 
     fn handing_over(&self) -> HandingOver {
         match self {
-            Self::Alone(_) => HandingOver::Never,
+            Self::Serial(_) => HandingOver::Never,
             Self::Pool { .. } => HandingOver::Threads,
             Self::Batches(_) => HandingOver::Batches,
         }
@@ -105,14 +104,15 @@ impl<'a> Outside<'a> {
     }
 }
 
-/// Evaluates these points of a batch, of which the first `needed` are what the path needs: an exception in one of them
-/// lets nothing more begin.
+/// Evaluates these points of the desk's work: one that the path needs and that ends the run lets nothing more begin.
 fn gather(
     evaluator: &mut dyn Evaluator,
-    (work, points, needed): (&Batch, Range<usize>, usize),
+    desk: &Desk,
+    points: Range<usize>,
     outside: &mut Outside<'_>,
     answers: &mut [Answer],
 ) -> Option<Halt> {
+    let work = &desk.work;
     for k in points {
         evaluator.submit(work.point(k), work.query(k));
     }
@@ -122,7 +122,7 @@ fn gather(
             Polled::Answered(id) => {
                 let Some(k) = work.place_of(id) else { continue };
                 std::mem::swap(&mut answers[k], &mut answer);
-                if k < needed && matches!(answers[k].outcome, Outcome::Abort(_)) {
+                if desk.is_last(k, &answers[k]) {
                     evaluator.withdraw();
                 }
             }
@@ -139,7 +139,7 @@ fn gather(
 }
 
 pub(crate) struct Gateway<'a> {
-    crew: Crew<'a>,
+    executor: Executor<'a>,
     outside: Outside<'a>,
     limits: Limits,
     pace: Pace,
@@ -153,7 +153,7 @@ pub(crate) struct Gateway<'a> {
 
 impl<'a> Gateway<'a> {
     pub(crate) fn new(
-        crew: Crew<'a>,
+        executor: Executor<'a>,
         mut desk: Desk,
         limits: Limits,
         before: f64,
@@ -165,14 +165,14 @@ impl<'a> Gateway<'a> {
             .max_time
             .map(|t| t.saturating_sub(Duration::try_from_secs_f64(before).unwrap_or(Duration::MAX)));
         let deadline = left.and_then(|t| start.checked_add(t));
-        desk.gives_up = match &crew {
-            Crew::Alone(alone) | Crew::Pool { alone, .. } => alone.gives_up(),
-            Crew::Batches(_) => GivesUp::Unknown,
+        desk.gives_up = match &executor {
+            Executor::Serial(serial) | Executor::Pool { serial, .. } => serial.gives_up(),
+            Executor::Batches(_) => GivesUp::Unknown,
         };
         let (cancel, poll) = outside;
         Self {
-            pace: Pace::new(workers, crew.handing_over()),
-            crew,
+            pace: Pace::new(workers, executor.handing_over()),
+            executor,
             outside: Outside { ends: Ends::new(cancel, deadline), poll, last_poll: None },
             limits,
             start,
@@ -223,30 +223,29 @@ impl<'a> Gateway<'a> {
 
     /// Evaluates the desk's work.
     fn execute(&mut self) -> Option<Halt> {
-        let Self { crew, desk, outside, pace, answers, .. } = self;
-        let (work, needed) = (&desk.work, desk.n_needed());
-        let mut rest = 0..work.len();
-        match crew {
-            Crew::Alone(alone) => gather(alone, (work, rest, needed), outside, answers),
-            Crew::Batches(batches) => gather(batches, (work, rest, needed), outside, answers),
-            Crew::Pool { pool, objective, here, alone, spare } => {
+        let Self { executor, desk, outside, pace, answers, .. } = self;
+        let mut rest = 0..desk.work.len();
+        match executor {
+            Executor::Serial(serial) => gather(serial, desk, rest, outside, answers),
+            Executor::Batches(batches) => gather(batches, desk, rest, outside, answers),
+            Executor::Pool { pool, objective, here, serial, spare } => {
                 if *here == Here::AtFirst && pace.is_new() && !rest.is_empty() {
                     // How long an evaluation takes shows whether threads are worth starting.
-                    let halt = gather(alone, (work, 0..1, needed), outside, answers);
-                    if halt.is_some() || matches!(answers[0].outcome, Outcome::Abort(_)) {
+                    let halt = gather(serial, desk, 0..1, outside, answers);
+                    if halt.is_some() || desk.is_last(0, &answers[0]) {
                         return halt;
                     }
-                    rest = 1..work.len();
+                    rest = 1..desk.work.len();
                 }
                 let known = (rest.start > 0).then(|| answers[0].seconds);
                 let away = !rest.is_empty() && pace.hands_over(rest.len(), *here, known);
                 let Some(threads) = away.then(|| pool.threads()).flatten() else {
-                    return gather(alone, (work, rest, needed), outside, answers);
+                    return gather(serial, desk, rest, outside, answers);
                 };
                 let shared = Shared::new(*objective, outside.ends);
                 threads.in_place_scope(|scope| {
                     let mut threads = Threads::new(scope, &shared, spare);
-                    gather(&mut threads, (work, rest, needed), outside, answers)
+                    gather(&mut threads, desk, rest, outside, answers)
                 })
             }
         }
@@ -254,22 +253,24 @@ impl<'a> Gateway<'a> {
 
     /// Why the run must end after what the path needs was evaluated.
     fn verdict(&self, halt: Option<Halt>) -> Option<Termination> {
-        let needed = &self.answers[..self.desk.n_needed()];
-        if let Some((_, message)) = self.desk.abort(needed) {
-            return Some(Termination::Aborted(message.to_owned()));
+        let stopped = self.desk.stopped(&self.answers);
+        if matches!(stopped, Some(Termination::Aborted(_))) {
+            return stopped;
         }
         match halt {
             Some(Halt::Interrupted) => return Some(Termination::Interrupted),
             Some(Halt::OutOfTime) => return Some(Termination::MaxTime),
             None => {}
         }
-        if needed.iter().any(|answer| !answer.outcome.is_known()) {
+        let last = self.desk.last(&self.answers);
+        let n_needed = last.map_or(self.desk.n_needed(), |(place, _)| self.desk.n_before(place));
+        if self.answers[..n_needed].iter().any(|answer| !answer.outcome.is_known()) {
             // An evaluation gave up although nothing above noticed: the deadline passed inside of it, or the
             // objective was told to stop by somebody else.
             let is_late = self.outside.ends.is_late();
             return Some(if is_late { Termination::MaxTime } else { Termination::Interrupted });
         }
-        self.desk.is_truncated().then_some(Termination::MaxEvaluations)
+        stopped
     }
 
     /// What of the batch just evaluated is known for good.

@@ -120,12 +120,13 @@ impl MethodOptions for Barrier {
         if !bounded && space.n_free() > 0 {
             return Err(Error::NoBounds { method: "barrier" });
         }
-        let inner = inner_setup(setup, space.x0(), 0);
+        let setup = Setup { space: space.without_far_bounds(), ..setup.clone() };
+        let inner = inner_setup(&setup, space.x0(), 0);
         Ok(BarrierState {
             inner: self.inner().begin(&inner)?,
             mu: self.mu,
             options: self.clone(),
-            setup: setup.clone(),
+            setup,
             asked: Batch::new(),
             cutoffs: Vec::new(),
             translated: Answers::default(),
@@ -164,7 +165,11 @@ fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
         (transforms[i], sizes[i]) = (space.transform(k), Some(space.size(k)));
         let width = upper[i] - lower[i];
         let step = |bound: f64| {
-            if width.is_finite() { MARGIN * width } else { MARGIN * bound.abs().max(space.size(k)) }
+            if space.width(k).is_some() && width.is_finite() {
+                MARGIN * width
+            } else {
+                MARGIN * bound.abs().max(space.size(k))
+            }
         };
         // A start that is nearer to the bound than the margin may be kept half that near.
         let (low, high) = space.ends(k);
@@ -220,7 +225,7 @@ impl BarrierState {
     fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
         let inner = inner_setup(&self.setup, &self.stage_start, self.schedule.len());
-        self.setup.space == *space
+        self.setup.space == space.without_far_bounds()
             && self.working.len() == space.n_free()
             && self.stage_start.len() == space.n()
             && self.best.as_ref().is_none_or(|(x, _)| x.len() == space.n())

@@ -4,6 +4,10 @@ use crate::error::Error;
 use serde::{Deserialize, Serialize};
 
 /// Lower and upper bounds per parameter; infinite where there is none; equal where the parameter is fixed.
+///
+/// Better infinite than huge: of a box some methods take the sizes of parameters. Those that start from a point take a bound
+/// of a linear parameter that lies at least 1e10 times as far as the largest of 1, |x0| and the given size as none, but for
+/// keeping to it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     lower: Vec<f64>,

@@ -26,7 +26,14 @@ pub struct Space {
     pub(super) units: Vec<f64>,
     /// Whether the user's bounds are finite on both sides (in working coordinates).
     pub(super) boxed: Vec<bool>,
+    /// Whether the lower and the upper bound count as none, see [`without_far_bounds`](Self::without_far_bounds).
+    pub(super) far: Vec<[bool; 2]>,
 }
+
+/// A bound that lies so many times farther than what is known of a parameter counts as none. Beyond that the rounding of an
+/// angle between the bounds (1e-16 of the width) is more than the default `x_tol` of 1e-6 near the start, and `x_tol` in
+/// units of the width is wider than all that the start tells of the parameter.
+const FAR: f64 = 1e10;
 
 /// Logarithms of about the smallest and the largest normal number, with room for rounding.
 const LN_RANGE: (f64, f64) = (-708.0, 709.0);
@@ -74,6 +81,7 @@ impl Space {
             sine: false,
             units: Vec::new(),
             boxed: Vec::new(),
+            far: Vec::new(),
         };
         for index in 0..n {
             let transform = transforms.get(index).copied().unwrap_or_default();
@@ -127,7 +135,37 @@ impl Space {
         let linear = transform == Transform::Linear;
         self.size_unknown.push(linear && value == 0.0 && size.is_none() && width.is_infinite());
         self.boxed.push(width.is_finite());
+        self.far.push([false; 2]);
         Ok(())
+    }
+
+    /// The same problem for a search that starts from a point: finite bounds that stand for "none" tell no size, and the
+    /// coordinates are those of a parameter without them. They are kept all the same: points are clamped to them. A bound
+    /// of a linear parameter is one of these from 1e10 times the largest of 1, |x0| and the given size on.
+    pub(crate) fn without_far_bounds(&self) -> Self {
+        let mut space = self.clone();
+        for (k, &i) in self.free.iter().enumerate().filter(|(k, _)| self.transforms[*k] == Transform::Linear)
+        {
+            let (value, size) = (self.x0[i].abs(), if self.size_given[k] { self.sizes[k] } else { 0.0 });
+            let limit = FAR * value.max(size).max(1.0);
+            let far = [self.lower[k], self.upper[k]].map(|bound| bound.is_finite() && bound.abs() >= limit);
+            space.far[k] = far;
+            if far == [false; 2] {
+                continue;
+            }
+            space.boxed[k] = false;
+            if !self.size_given[k] {
+                space.sizes[k] = if value > 0.0 { value } else { 1.0 };
+                space.size_unknown[k] = value == 0.0;
+            }
+        }
+        space
+    }
+
+    /// Whether coordinate `k` has no bound that counts.
+    pub(crate) fn is_open(&self, k: usize) -> bool {
+        let (lower, upper) = self.working_bounds(k);
+        (lower == f64::NEG_INFINITY || self.far[k][0]) && (upper == f64::INFINITY || self.far[k][1])
     }
 
     /// Makes parameters discrete, one kind per parameter. Working coordinates of discrete parameters stay real;
@@ -349,7 +387,7 @@ impl Space {
         }
     }
 
-    /// The user's bounds in the linear or logarithmic scale of a coordinate; infinite where there is none.
+    /// The user's bounds in the linear or logarithmic scale of a coordinate; infinite where there is none that counts.
     pub(crate) fn ends(&self, k: usize) -> (f64, f64) {
         let i = self.free[k];
         let (lower, upper) = (self.bounds.lower()[i], self.bounds.upper()[i]);
@@ -357,8 +395,9 @@ impl Space {
             Transform::Linear => lower.is_infinite(),
             Transform::Log => lower <= 0.0,
         };
-        let lower = if open { f64::NEG_INFINITY } else { self.lower[k] };
-        (lower, if upper.is_infinite() { f64::INFINITY } else { self.upper[k] })
+        let [far_below, far_above] = self.far[k];
+        let lower = if open || far_below { f64::NEG_INFINITY } else { self.lower[k] };
+        (lower, if upper.is_infinite() || far_above { f64::INFINITY } else { self.upper[k] })
     }
 
     /// The largest distance from `centre` that coordinate `k` has on the way to any of the `others`, all of them pairs of a

@@ -4,6 +4,10 @@
 //! parameter, `x` itself on a linear scale (bit for bit, so that tolerances in x stay tolerances in x) and `ln x` on
 //! a logarithmic one. The typical size of a coordinate is taken from the user, else from the width of a finite box,
 //! else from |x0|, else it is 1.
+//!
+//! Searches that start from a point (Nelder-Mead, barrier) take finite bounds that stand for "none", at least 1e10 times as
+//! far as the largest of 1, |x0| and the given size, as none: they tell no size, and the coordinates are those of a
+//! parameter without them. No point outside of them is evaluated all the same.
 
 mod angles;
 mod bounds;

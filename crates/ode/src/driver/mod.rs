@@ -222,8 +222,6 @@ where
         self.stepper.begin(&*self.system).map_err(no_retreat)?;
 
         let given = if self.fixed_step.is_some() { self.fixed_step } else { self.options.max_step };
-        // A span that is one instant has nothing to integrate over.
-        let given = given.or(Some(end - start).filter(|span| *span <= self.same));
         if let Some(step) = given.filter(|step| start < end && *step <= 4.0 * self.same) {
             return Err(ErrorKind::StepBelowRounding { step, least: 4.0 * self.same }.into());
         }

@@ -362,7 +362,8 @@ class Calibration:
         max_time : float, optional
             Limit of wall-clock time in s.
         target : float, optional
-            End the fit as soon as the cost is at or below this.
+            End the fit with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
+            at once with it and comes after it counts as speculative.
         stop : {"all", "any"}
             Whether both tests must hold, or one ends the fit.
         batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}

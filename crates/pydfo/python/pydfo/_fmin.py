@@ -162,7 +162,8 @@ def fmin(
         step of its own: a tenth of the width of its box, else 0.3 abs(xstart); where that is 0, one that is found by steps
         of powers of ten.
     target : float, optional
-        End the run as soon as the cost is at or below this.
+        End the run with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
+        at once with it and comes after it counts as speculative.
     max_time : float, optional
         Limit of wall-clock time in s: no call starts after it.
     on_error : {"raise", "fail"}

@@ -58,7 +58,8 @@ def minimize(
         Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
         ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
-        outside is ever evaluated.
+        outside is ever evaluated. "nelder-mead" and "barrier" take a bound that lies at least 1e10 times as far as the
+        largest of 1, abs(x0) and the nominal size as none, but for keeping to it: it tells nothing of the size.
     method : str
         "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
         "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings). "auto" is Nelder-Mead, with
@@ -83,7 +84,8 @@ def minimize(
     max_time : float, optional
         Limit of wall-clock time in s: no call starts after it.
     target : float, optional
-        End the run as soon as the cost is at or below this.
+        End the run with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
+        at once with it and comes after it counts as speculative.
     options : dict, optional
         For every method: ``x_tol`` (1e-6), ``f_tol`` (1e-6), ``stop`` ("all" or "any" of both tests), ``tolerances``
         ("relative": x_tol in units of the parameters' sizes, f_tol as a fraction of the best cost; or "absolute"),

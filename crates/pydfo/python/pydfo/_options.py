@@ -178,7 +178,7 @@ def build(
 
 def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:
     """Says that a run goes on from a file that nothing binds to the function that is minimised."""
-    if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None or not os.path.exists(checkpoint):
+    if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None or not os.path.isfile(checkpoint):
         return
     _log.warning(
         "checkpoint %s is there: the run goes on from it, or its result is returned, whatever the function computes now; resume='never' "

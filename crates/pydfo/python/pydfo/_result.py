@@ -170,7 +170,8 @@ class OptimizeResult:
         Further calls of the objective: made ahead of need, and not needed. May depend on the number of workers and on how
         long calls take.
     n_cached : int
-        Answers that needed no call, because the point was known already.
+        Answers that count as no call, because the point was known already. Where only that it lies above a lower cutoff was
+        known, it is called all the same, outside of budget and trace.
     n_batches : int
         Batches of calls that could run at once.
     solve_time : float

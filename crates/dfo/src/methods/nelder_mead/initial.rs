@@ -41,7 +41,7 @@ pub(super) fn simplex(space: &Space, initial: &InitialSimplex) -> Result<Simplex
 
 /// Whether no coordinate has a bound of any kind.
 fn is_open(space: &Space) -> bool {
-    (0..space.n_free()).all(|k| space.working_bounds(k) == (f64::NEG_INFINITY, f64::INFINITY))
+    (0..space.n_free()).all(|k| space.is_open(k))
 }
 
 /// The start point and the other corners of a simplex that is regular, with edges `FREE_FRACTION` long, where each

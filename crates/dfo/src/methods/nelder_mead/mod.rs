@@ -62,7 +62,7 @@ impl MethodOptions for NelderMead {
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         // The vertices on two scales, those of a batch, and twice the moves of Lee and Wiswall.
         memory::check("a simplex of so many parameters", &[n + 1, 2 * n + 2 * n_user])?;
-        let mut simplex = initial::simplex(&setup.space, &self.initial)?;
+        let mut simplex = initial::simplex(&setup.space.without_far_bounds(), &self.initial)?;
         let setup = self.prepared(setup);
         simplex.rewrite(&setup.space);
         let unknown = (0..setup.space.n_free()).any(|k| setup.space.size_is_unknown(k));

@@ -242,9 +242,9 @@ impl NelderMead {
 }
 
 impl NelderMead {
-    /// The problem as the search sees it: over angles, if so wished.
+    /// The problem as the search sees it: without bounds that stand for "none", over angles, if so wished.
     pub(crate) fn prepared(&self, setup: &Setup) -> Setup {
-        let mut setup = setup.clone();
+        let mut setup = Setup { space: setup.space.without_far_bounds(), ..setup.clone() };
         if self.bounds == BoundsHandling::Sine {
             setup.space = setup.space.with_sine();
         }

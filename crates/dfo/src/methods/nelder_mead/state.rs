@@ -20,6 +20,9 @@ use crate::termination::Termination;
 use crate::tolerances::Tests;
 use serde::{Deserialize, Serialize};
 
+/// A simplex of this size cannot become much smaller but on one point.
+const RESOLVED: f64 = 1e-12;
+
 /// What a point of the last batch stands for.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 enum Role {
@@ -267,10 +270,14 @@ impl NelderMeadState {
         let f_best = self.simplex.cost(self.simplex.best()).value().unwrap_or(f64::NAN);
         let x_size = self.simplex.x_size(space, tolerances.measure);
         let tests = tolerances.judge(x_size, self.simplex.f_spread(), f_best, self.f_0);
-        self.tests = Some(tests);
+        let before = self.tests.replace(tests).map(|before| before.x_size);
         let collapsed = self.simplex.is_collapsed(space);
         if tests.passed {
-            if self.may_restart(&tests) {
+            // All vertices on one point say nothing, unless they came there through simplices that were about as small.
+            let came_there = before.is_some_and(|size| size <= (10.0 * tolerances.x_tol).max(RESOLVED));
+            if x_size == 0.0 && !came_there {
+                self.end(Termination::Collapsed);
+            } else if self.may_restart(&tests) {
                 let space = &self.setup.space;
                 let x_size = self.simplex.relative_size(space);
                 restart::orient(&mut self.simplex, space, x_size);

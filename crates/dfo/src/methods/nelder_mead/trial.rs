@@ -81,8 +81,11 @@ impl Frame<'_> {
         let raw = |k: usize| centroid[k] + self.factor * (centroid[k] - self.worst[k]);
         for (k, u) in point.u.iter_mut().enumerate() {
             *u = space.bring_inside(k, raw(k), self.fallback[k], self.handling);
-            if self.handling == BoundsHandling::Mirror && mirrored_onto(*u, raw(k), centroid[k]) {
+            if self.handling == BoundsHandling::Mirror && brought_onto(*u, raw(k), centroid[k]) {
                 *u = beside(space, k, raw(k), centroid[k]);
+            } else if self.handling == BoundsHandling::Clamp && brought_onto(*u, raw(k), centroid[k]) {
+                // The other vertices lie on the bound: the simplex draws near to it, but does not become flat on it.
+                *u = 0.5 * centroid[k] + 0.5 * self.worst[k];
             }
         }
         if self.handling == BoundsHandling::Mirror && is_vertex(&point.u) {
@@ -94,9 +97,10 @@ impl Frame<'_> {
     }
 }
 
-/// Whether mirroring took a coordinate (nearly) back to the centroid: with starts and steps on a grid of tenths of
-/// the box that happens, and a simplex that accepts the point is flat ever after.
-fn mirrored_onto(u: f64, raw: f64, centroid: f64) -> bool {
+/// Whether the bounds took a coordinate (nearly) back to the centroid: a simplex that accepts the point is flat ever after.
+/// Mirroring does that with starts and steps on a grid of tenths of the box, clamping where a side of the simplex lies on a
+/// bound.
+fn brought_onto(u: f64, raw: f64, centroid: f64) -> bool {
     u != raw && (u - centroid).abs() <= 1e-3 * (raw - centroid).abs()
 }
 

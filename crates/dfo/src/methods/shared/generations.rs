@@ -136,6 +136,8 @@ impl<B: Breeder> Generations<B> {
             _ if tests.passed && !self.breeder.tries_neighbours(&self.pool.setup.space) => {
                 Phase::Ended(Termination::Converged)
             }
+            // No neighbour can be tried any more.
+            Some(Termination::Collapsed) if tests.passed => Phase::Ended(Termination::Converged),
             Some(termination) => Phase::Ended(termination),
             None => Phase::Breeding,
         };
@@ -190,6 +192,7 @@ impl<B: Breeder> Method for Generations<B> {
             n_iterations: self.n_iterations,
             operation,
             tests: self.tests,
+            settled: self.tests.is_some_and(|tests| tests.passed),
             plan: "generation",
             seed: Some(self.pool.seed),
             population: Some(self.pool.population.view()),
