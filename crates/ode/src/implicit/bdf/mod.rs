@@ -23,10 +23,10 @@ mod coefficients;
 use array::add_multiple;
 use coefficients::{Coefficients, MAX_ORDER};
 
-const MAX_NEWTON: u32 = 3;
-/// Newton's error, as a share of the error test: at 0.1 the inside of steps beside a stiff component is off by 5.5 tolerances
-/// (`tests/inside_steps.rs`).
-const NEWTON_SHARE: f64 = 0.05;
+/// Three iterations, as in VODE.
+const MAX_NEWTON: u32 = 4;
+/// Newton's error, as a share of the error test, as in VODE.
+const NEWTON_SHARE: f64 = 0.1;
 const RULES: Rules =
     Rules { change: 0.3, decomposition_steps: 20, jacobian_steps: 50, cheap: 0, only_after_events: true };
 /// Where an input changes its slope the second derivative jumps; the rows of the array above it are of the past only, and
@@ -240,14 +240,16 @@ impl Bdf {
                 Matrix::Singular => return Ok(false),
             }
             self.correction.fill(0.0);
+            // Half a correction for the change of gamma since the decomposition; what it leaves of stiff components.
+            let ratio = gamma / self.freshness.coefficient();
+            let (relaxation, change) = (2.0 / (1.0 + ratio), (1.0 - ratio).abs() / (1.0 + ratio));
             let mut iteration = Corrector {
                 lu: &self.lu,
                 z: &self.z_new,
                 end,
                 gamma,
                 share: 1.0 / self.coefficients.l[1],
-                // Half a correction for the change of gamma since the decomposition.
-                relaxation: 2.0 / (1.0 + gamma / self.freshness.coefficient()),
+                relaxation,
                 inverse: &self.inverse,
                 x: &mut self.x,
                 rhs: &mut self.rhs,
@@ -255,7 +257,8 @@ impl Bdf {
                 correction: &mut self.correction,
             };
             let tolerance = NEWTON_SHARE / self.coefficients.here;
-            if self.convergence.iterate(equations, &mut iteration, tolerance)? == Newton::Converged {
+            let newton = self.convergence.iterate(equations, &mut iteration, tolerance, change)?;
+            if newton == Newton::Converged {
                 self.correction_norm = scaled_norm(&self.correction, &self.inverse);
                 return Ok(true);
             }
