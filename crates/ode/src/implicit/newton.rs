@@ -107,3 +107,70 @@ impl Convergence {
         Ok(Newton::Failed(0.5))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::Weights;
+    use crate::stats::Stats;
+    use crate::system::EventOutcome;
+
+    struct Nothing;
+
+    impl HybridSystem for Nothing {
+        fn n_states(&self) -> usize {
+            0
+        }
+        fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
+            Ok(EventOutcome::default())
+        }
+        fn derivatives(&mut self, _: f64, _: &[f64], _: &mut [f64]) -> CallResult<()> {
+            Ok(())
+        }
+    }
+
+    /// Increments that become smaller by the same factor, from 1 on.
+    struct Geometric {
+        norm: f64,
+        rate: f64,
+    }
+
+    impl Iteration for Geometric {
+        fn solve<S: HybridSystem + ?Sized>(&mut self, _: &mut Equations<'_, S>, _: bool) -> CallResult<f64> {
+            Ok(self.norm)
+        }
+        fn advance(&mut self) {
+            self.norm *= self.rate;
+        }
+    }
+
+    fn iterate(convergence: &mut Convergence, rate: f64, tolerance: f64, change: f64) -> Newton {
+        let (weights, mut stats) = (Weights::default(), Stats::default());
+        let mut equations = Equations { system: &mut Nothing, weights: &weights, stats: &mut stats };
+        let mut iteration = Geometric { norm: 1.0, rate };
+        convergence.iterate(&mut equations, &mut iteration, tolerance, change).unwrap()
+    }
+
+    /// By hand: after the second increment 1/2 the error is 1/2, after four more iterations it would be 1/32.
+    #[test]
+    fn a_failure_is_predicted_from_the_rate() {
+        let mut convergence = Convergence::new(7);
+        assert_eq!(iterate(&mut convergence, 0.5, 1.0 / 31.0, 0.0), Newton::Converged);
+        assert_eq!((convergence.count(), convergence.rate()), (6, 0.5));
+        let share = 0.8 * (33f64 / 32.0).powf(-0.125);
+        let Newton::Failed(found) = iterate(&mut convergence, 0.5, 1.0 / 33.0, 0.0) else { panic!() };
+        assert!((found - share).abs() < 1e-15);
+        assert_eq!(iterate(&mut convergence, 1.5, 1e-3, 0.0), Newton::Failed(0.5));
+    }
+
+    /// A fast convergence before is trusted in the first iteration, unless the coefficient of the matrix has changed.
+    #[test]
+    fn a_changed_coefficient_is_no_reason_to_trust_the_rate_before() {
+        for (change, count) in [(0.0, 1), (0.1, 2)] {
+            let mut convergence = Convergence::new(4);
+            assert_eq!(iterate(&mut convergence, 1e-6, 1e-3, 0.0), Newton::Converged);
+            assert_eq!(iterate(&mut convergence, 1e-6, 1e-3, change), Newton::Converged);
+            assert_eq!(convergence.count(), count);
+        }
+    }
+}

@@ -181,15 +181,10 @@ impl Bdf {
         (t, x, h): (f64, &[f64], f64),
     ) -> CallResult<()> {
         if !self.fresh && self.error_failures >= 3 {
-            // The derivatives in the array have lost their meaning.
-            self.error_failures = 0;
-            if self.order > 1 {
-                self.next_order = self.order - 1;
-            } else {
-                equations.derivatives(t, x, &mut self.f)?;
-                self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = self.h * f);
-                self.wait = 10;
-            }
+            // The derivatives in the array are not those of the solution: a new start at order 1, as in DASSL.
+            (self.order, self.next_order, self.wait, self.last_scale) = (1, 1, 2, 0.0);
+            equations.derivatives(t, x, &mut self.f)?;
+            self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = self.h * f);
         }
         if self.fresh {
             self.fresh = false;
