@@ -223,12 +223,6 @@ pub trait HybridSystem {
         let _ = t;
         None
     }
-
-    /// Seconds, counted from any instant, that its calls have spent in what is no part of the model: functions of the
-    /// user for its inputs, for example. They are not [time in the model](crate::Stats::seconds_in_model).
-    fn seconds_elsewhere(&self) -> f64 {
-        0.0
-    }
 }
 
 /// What a wrapper of a system hands on: all calls of the trait. `$around!(self, Call, answer)` makes those that run the
@@ -264,9 +258,6 @@ macro_rules! hand_on {
         }
         fn next_input_stop(&mut $self, t: f64) -> Option<InputStop> {
             $inner.next_input_stop(t)
-        }
-        fn seconds_elsewhere(&$self) -> f64 {
-            $inner.seconds_elsewhere()
         }
         fn nominals(&mut $self, nominals: &mut [f64]) -> CallResult<()> {
             $around!($self, Nominals, $inner.nominals(nominals))
