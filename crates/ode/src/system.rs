@@ -150,13 +150,22 @@ pub trait HybridSystem {
         None
     }
 
+    /// Fills in the entries of the Jacobian at the places of the [pattern](Self::jacobian_pattern), column by column, the rows
+    /// of each ascending; all are zero when it is called. `Ok(false)`: the model has none (decided once per run). Asked
+    /// where there is a pattern.
+    fn jacobian_entries(&mut self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+        let _ = (t, x, entries);
+        Ok(false)
+    }
+
     /// Whether [`jacobian`](Self::jacobian) is to be asked, for which room for a dense matrix is made. Read once per run.
     fn has_jacobian(&self) -> bool {
         false
     }
 
-    /// Fills in the Jacobian by columns: `j[i + n * k]` is the derivative of `dx[i]` with respect to `x[k]`. All
-    /// entries are zero when it is called. `Ok(false)`: the model has none (decided once per run).
+    /// Fills in the whole Jacobian by columns: `j[i + n * k]` is the derivative of `dx[i]` with respect to `x[k]`. All
+    /// entries are zero when it is called. `Ok(false)`: the model has none (decided once per run). Asked where there are no
+    /// [entries](Self::jacobian_entries); of a sparse system only those at the places of the pattern are taken.
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
         let _ = (t, x, j);
         Ok(false)
@@ -270,6 +279,9 @@ macro_rules! hand_on {
         }
         fn jacobian(&mut $self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
             $around!($self, Jacobian, $inner.jacobian(t, x, j))
+        }
+        fn jacobian_entries(&mut $self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+            $around!($self, Jacobian, $inner.jacobian_entries(t, x, entries))
         }
         fn directional_derivative(
             &mut $self,

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use ode::{Driver, *};
+use std::ops::ControlFlow;
 
 const N: usize = 10_000;
 
@@ -14,8 +15,7 @@ enum Given {
     Entries,
 }
 
-/// Heat in a rod with cold ends that starts with its slowest mode; an arrow on request: each cell also heats the first a
-/// little, and is cooled by it.
+/// Heat in a rod with cold ends that starts with its slowest mode.
 struct Rod {
     pattern: JacobianPattern,
     given: Given,
@@ -54,6 +54,14 @@ impl HybridSystem for Rod {
     fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
         Some(&self.pattern)
     }
+    fn jacobian_entries(&mut self, _: f64, _: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+        assert_eq!(entries.len(), 3 * N - 2);
+        // The first column has the rows 0 and 1, the next ones those above, on and below the diagonal.
+        for (p, entry) in entries.iter_mut().enumerate() {
+            *entry = if p.is_multiple_of(3) { -2e8 } else { 1e8 };
+        }
+        Ok(self.given == Given::Entries)
+    }
     fn directional_derivative(
         &mut self,
         _: f64,
@@ -66,20 +74,48 @@ impl HybridSystem for Rod {
     }
 }
 
+struct Last(Vec<f64>);
+
+impl Observer for Last {
+    fn sample(&mut self, s: &Sample<'_>) -> ControlFlow<()> {
+        self.0.extend_from_slice(s.states);
+        ControlFlow::Continue(())
+    }
+}
+
+/// A matrix of `N * N` numbers takes 800 MB, and even one of bits 12.5 MB.
 #[test]
-fn ten_thousand_states_in_a_row() {
-    for given in [Given::Nothing, Given::Products] {
-        for method in [Method::Radau5, Method::Bdf] {
-            let mut seen = Vec::new();
+fn ten_thousand_states_in_a_row_take_some_megabytes() {
+    let rate = -4e8 * (0.5 * std::f64::consts::PI / (N + 1) as f64).sin().powi(2);
+    for method in [Method::Radau5, Method::Bdf] {
+        let mut ends = Vec::new();
+        for given in [Given::Nothing, Given::Products, Given::Entries] {
+            let (mut seen, mut stats) = (Last(Vec::with_capacity(N)), Stats::default());
             let counted = allocation_counter::measure(|| {
                 let options = Options { method, relative_tolerance: 1e-6, ..Options::default() };
-                let mut rod = Rod::new(given);
-                let start = std::time::Instant::now();
-                let r = Driver::new(options).unwrap().run(&mut rod, 0.0, 0.1, &[], &mut Ignore).unwrap();
-                eprintln!("{given:?} {} {:?} {:?}", method.name(), start.elapsed(), r.stats);
-                seen.push(r);
+                let mut driver = Driver::new(options).unwrap();
+                stats = driver.run(&mut Rod::new(given), 0.0, 0.1, &[0.1], &mut seen).unwrap().stats;
             });
-            eprintln!("{counted:?}");
+            let what = format!("{given:?} {} {stats:?} {counted:?}", method.name());
+            assert!(counted.bytes_max < 20_000_000, "{what}");
+            let off = |(i, x): (usize, &f64)| (x - (0.1 * rate).exp() * mode(i)).abs();
+            let off = seen.0.iter().enumerate().map(off).fold(0.0, f64::max);
+            assert!(seen.0.len() == N && off < 1e-5, "{off:e}: {what}");
+            // Three groups of columns.
+            let products = if given == Given::Products { 3 * stats.jacobians } else { 0 };
+            assert!(stats.jacobians > 0 && stats.directional_derivatives == products, "{what}");
+            ends.push(stats.right_hand_sides);
         }
+        assert!(ends[0] >= ends[2] + 3 && ends[1] == ends[2], "{ends:?}");
     }
+}
+
+/// Each column has an entry of its own and one in the last row: no two of them share a group.
+#[test]
+fn colouring_takes_no_room_for_a_square_either() {
+    let counted = allocation_counter::measure(|| {
+        let arrow = (0..N).flat_map(|k| [(k, k), (N - 1, k)]);
+        assert_eq!(JacobianPattern::new(N, arrow).unwrap().n_colours(), N);
+    });
+    assert!(counted.bytes_max < 10_000_000, "{counted:?}");
 }
