@@ -42,6 +42,16 @@ LAYERS = {
         reuse
         session
     """,
+    "ode": """
+        number sparsity stats stages stopwatch tableau
+        system options error
+        control event lu observer
+        sampling stepper
+        explicit_rk jacobian
+        implicit
+        auto
+        driver
+    """,
 }
 
 Module = tuple[str, ...]

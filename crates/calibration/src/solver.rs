@@ -2,9 +2,10 @@
 
 use crate::calibration::{Calibration, NoCost, no_cost};
 use crate::error::CalibrationError;
+use crate::race::{Lap, Race, race};
 use dfo::Checkpoint;
 use fmi::{FmiError, InterfaceKind, Pool, SimulateOptions, SimulationPlan, Simulator};
-use ode::{ErrorKind, Lap, Method, Observer, Race, Sample, Stats};
+use ode::{ErrorKind, Method, Observer, Sample, Stats};
 use sha2::{Digest, Sha256};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -71,7 +72,7 @@ impl Observer for Samples<'_> {
 
 impl Calibration {
     /// The method that integrates the simulations of this calibration, in fits and outside of them. Where the settings
-    /// name none, it is found at the first use, by a race at the parameters' start values (see [`ode::race`]): up to four
+    /// name none, it is found at the first use, by a race at the parameters' start values (see [`race`]): up to four
     /// simulations of every experiment, one if the model is not stiff there. It stays the same from then on.
     ///
     /// # Errors
@@ -156,7 +157,7 @@ impl Calibration {
                 plan.times().iter().flat_map(move |_| row.clone())
             })
             .collect();
-        ode::race(relative, &absolute, n, |heat| {
+        race(relative, &absolute, n, |heat| {
             let (mut all, mut total) = (Vec::new(), Stats::default());
             for options in self.all_options() {
                 let options = SimulateOptions {

@@ -3,11 +3,12 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::{
-    Calibration, CalibrationError, Data, Experiment, FitOptions, Parameter, SimulationSettings,
+    Calibration, CalibrationError, Data, Entry, Experiment, FitOptions, Parameter, SimulationSettings,
+    Verdict,
 };
 use dfo::{Checkpoint, Limits, Resume, RunOptions};
 use fmi::{Fmu, Inputs, SimulateOptions, example_fmu};
-use ode::{Method, Verdict};
+use ode::Method;
 
 const TRUE: [(&str, f64); 2] = [("C1", 2500.0), ("C2", 9000.0)];
 const INPUTS: [(&str, f64, f64); 5] = [
@@ -68,7 +69,7 @@ fn a_stiff_model_is_raced_once_and_the_winner_is_used_everywhere() {
     let winner = race.entries.iter().find(|e| e.method == solver.method).unwrap();
     assert!(matches!(winner.verdict, Verdict::Agrees(d) if d <= 5.0), "{race:?}");
     // At equal error no method that agrees takes less work.
-    let at_equal_error = |entry: &ode::Entry| match entry.verdict {
+    let at_equal_error = |entry: &Entry| match entry.verdict {
         Verdict::Agrees(distance) => entry.work.unwrap() * distance.max(0.1).powf(1.0 / 6.0),
         _ => f64::INFINITY,
     };

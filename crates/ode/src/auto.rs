@@ -7,11 +7,9 @@
 //! of step size and eigenvalue, which the last two stages tell (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II,
 //! section IV.2), stays at the end of the interval of stability; else when the right-hand sides since the last trial are worth it.
 
-use crate::bdf::Bdf;
-use crate::dop853::Dop853;
-use crate::explicit_rk::ExplicitRk;
-use crate::radau5::Radau5;
-use crate::stepper::{Attempt, Consistency, Equations, StepWithEvent, Stepper, Trial};
+use crate::explicit_rk::{DOP853, ExplicitRk};
+use crate::implicit::{Bdf, Radau5};
+use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::TSIT5;
 
@@ -60,7 +58,7 @@ enum Active {
 #[derive(Debug)]
 pub(crate) struct Auto {
     tsit5: ExplicitRk<7>,
-    dop853: Dop853,
+    dop853: ExplicitRk<16>,
     radau5: Radau5,
     bdf: Bdf,
     /// The explicit one of them that the tolerance asks for.
@@ -108,7 +106,7 @@ impl Auto {
         let explicit = if rtol < TIGHT { Active::Dop853 } else { Active::Tsit5 };
         Self {
             tsit5: ExplicitRk::new(&TSIT5),
-            dop853: Dop853::default(),
+            dop853: ExplicitRk::new(&DOP853),
             radau5: Radau5::default(),
             bdf: Bdf::default(),
             explicit,
@@ -285,28 +283,8 @@ impl Auto {
 }
 
 impl Stepper for Auto {
-    fn order(&self) -> u32 {
-        active!(self.order())
-    }
-
-    fn has_error_estimate(&self) -> bool {
-        true
-    }
-
-    fn takes_mass_matrix(&self) -> bool {
-        true
-    }
-
-    fn step_with_event(&self) -> StepWithEvent {
-        active!(self.step_with_event())
-    }
-
-    fn takes_long_steps(&self) -> bool {
-        active!(self.takes_long_steps())
-    }
-
-    fn evaluates_ends(&self) -> bool {
-        active!(self.evaluates_ends())
+    fn properties(&self) -> Properties {
+        Properties { takes_mass_matrix: true, ..active!(self.properties()) }
     }
 
     fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
@@ -355,20 +333,12 @@ impl Stepper for Auto {
         active!(self.begin_with(s, dx));
     }
 
-    fn wants_second_derivative(&self) -> bool {
-        active!(self.wants_second_derivative())
-    }
-
     fn kink(&mut self, h: f64) -> f64 {
         active!(self.kink(h))
     }
 
     fn repeat(&mut self) {
         active!(self.repeat());
-    }
-
-    fn takes_jacobians(&self) -> bool {
-        active!(self.takes_jacobians())
     }
 
     fn undetermined<S: HybridSystem + ?Sized>(
@@ -397,7 +367,8 @@ impl Stepper for Auto {
                 self.bdf.begin(&*equations.system)?;
                 self.bdf_has_begun = true;
             }
-            self.bdf.take_over(trial.x, &mut self.radau5);
+            self.bdf.take_over(trial.x, self.radau5.derivative());
+            self.bdf.freshness_mut().take_over(self.radau5.freshness_mut());
             self.active = Active::Bdf;
         }
         let calls = |equations: &Equations<'_, S>| {

@@ -131,27 +131,17 @@ pub(crate) struct Controller {
 impl Controller {
     const SAFETY: f64 = 0.9;
 
-    /// For methods of order 5: `beta = 0.04`, growth at most 10, reduction at most to a fifth.
+    /// For methods of order 5: `beta = 0.04`, growth at most 10, reduction at most to a fifth; for those of order 8: no
+    /// memory, growth at most 6, reduction at most to a third.
     pub(crate) fn new(order: u32) -> Self {
-        let beta = 0.04;
+        let (beta, growth, reduction) = if order < 8 { (0.04, 10.0, 0.2) } else { (0.0, 6.0, 1.0 / 3.0) };
         Self {
             exponent: 1.0 / f64::from(order) - 0.75 * beta,
             beta,
-            growth: 10.0,
-            reduction: 0.2,
+            growth,
+            reduction,
             previous_error: 1e-4,
             just_rejected: false,
-        }
-    }
-
-    /// For methods of order 8: no memory, growth at most 6, reduction at most to a third.
-    pub(crate) fn of_high_order(order: u32) -> Self {
-        Self {
-            exponent: 1.0 / f64::from(order),
-            beta: 0.0,
-            growth: 6.0,
-            reduction: 1.0 / 3.0,
-            ..Self::new(order)
         }
     }
 

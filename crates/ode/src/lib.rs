@@ -2,36 +2,32 @@
 #![forbid(unsafe_code)]
 
 mod auto;
-mod bdf;
 mod control;
-mod dop853;
 mod driver;
 mod error;
 mod event;
 mod explicit_rk;
+mod implicit;
 mod jacobian;
 mod lu;
 mod number;
 mod observer;
 mod options;
-mod race;
-mod radau5;
 mod sampling;
+mod sparsity;
 mod stages;
 mod stats;
 mod stepper;
 mod stopwatch;
 mod system;
 mod tableau;
-mod watched;
 
 pub use driver::Driver;
 pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
-pub use jacobian::JacobianPattern;
 pub use number::Number;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
-pub use race::{Entry, Heat, Lap, Race, Verdict, race};
+pub use sparsity::JacobianPattern;
 pub use stats::{Seconds, Stats};
 pub use stopwatch::{Stopwatch, Timing};
 pub use system::{

@@ -3,6 +3,14 @@
 /// So many components are added up at once, each in the order of the stages as if it were alone.
 const BLOCK: usize = 8;
 
+/// The stages that have these weights, with them.
+pub(crate) fn terms<'k, const S: usize>(
+    weights: &'k [(usize, f64)],
+    k: &'k [Vec<f64>; S],
+) -> impl Iterator<Item = (f64, &'k [f64])> + Clone {
+    weights.iter().map(|(j, w)| (*w, &k[*j][..]))
+}
+
 /// `out_i = finish(sum_j w_j k_j_i, x_i)`, over terms `(w_j, k_j)`.
 #[inline(always)]
 fn sums<'k>(

@@ -63,6 +63,43 @@ pub(crate) enum StepWithEvent {
     RepeatedToBefore,
 }
 
+/// What the driver must know of a method.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Properties {
+    /// The order that decides how a first step is guessed: that of the solution whose error is estimated.
+    pub(crate) order: u32,
+    /// Steps carry an error estimate.
+    pub(crate) has_error_estimate: bool,
+    /// It integrates systems with a mass matrix.
+    pub(crate) takes_mass_matrix: bool,
+    /// What is done with a step inside of which an event was located.
+    pub(crate) step_with_event: StepWithEvent,
+    /// Its steps are so long that a crossing and its return may hide in one.
+    pub(crate) takes_long_steps: bool,
+    /// It [begins](Stepper::begin_with) with the second derivative where indicators slide.
+    pub(crate) wants_second_derivative: bool,
+    /// [`Stepper::derivative`] is the right-hand side itself also where a whole step has led, and not only where it was
+    /// [evaluated](Stepper::evaluate).
+    pub(crate) evaluates_ends: bool,
+    /// It makes use of Jacobians.
+    pub(crate) takes_jacobians: bool,
+}
+
+impl Default for Properties {
+    fn default() -> Self {
+        Self {
+            order: 1,
+            has_error_estimate: true,
+            takes_mass_matrix: false,
+            step_with_event: StepWithEvent::Interpolated,
+            takes_long_steps: false,
+            wants_second_derivative: false,
+            evaluates_ends: true,
+            takes_jacobians: false,
+        }
+    }
+}
+
 /// An integration method. The driver decides where steps end, and whether a step that meets the tolerance stands; the
 /// stepper judges its own error, proposes step sizes, and keeps what the method remembers between steps.
 ///
@@ -71,26 +108,8 @@ pub(crate) enum StepWithEvent {
 /// looked into and is then accepted; after an event [`evaluate`](Self::evaluate), [`make_consistent`](Self::make_consistent),
 /// and [`forget`](Self::forget) if it changed something.
 pub(crate) trait Stepper {
-    /// The order that decides how a first step is guessed: that of the solution whose error is estimated.
-    fn order(&self) -> u32;
-
-    /// Whether steps carry an error estimate.
-    fn has_error_estimate(&self) -> bool;
-
-    /// Whether it integrates systems with a mass matrix.
-    fn takes_mass_matrix(&self) -> bool {
-        false
-    }
-
-    /// What is done with a step inside of which an event was located.
-    fn step_with_event(&self) -> StepWithEvent {
-        StepWithEvent::Interpolated
-    }
-
-    /// Whether its steps are so long that a crossing and its return may hide in one.
-    fn takes_long_steps(&self) -> bool {
-        false
-    }
+    /// What the driver must know of it.
+    fn properties(&self) -> Properties;
 
     /// Starts a run: makes room, forgets everything. It fails where there is no room for its matrices.
     fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()>;
@@ -126,11 +145,6 @@ pub(crate) trait Stepper {
         let _ = (s, dx);
     }
 
-    /// Whether it [begins](Self::begin_with) with the second derivative then.
-    fn wants_second_derivative(&self) -> bool {
-        false
-    }
-
     /// An input changes its slope at the current point, where a step always ends. Returns the step size to go on with.
     fn kink(&mut self, h: f64) -> f64 {
         h
@@ -138,17 +152,6 @@ pub(crate) trait Stepper {
 
     /// The next trial is the last one, which was good, with an earlier end.
     fn repeat(&mut self) {}
-
-    /// Whether [`derivative`](Self::derivative) is the right-hand side itself also where a whole step has led, and not only
-    /// where it was [evaluated](Self::evaluate).
-    fn evaluates_ends(&self) -> bool {
-        true
-    }
-
-    /// Whether it makes use of Jacobians.
-    fn takes_jacobians(&self) -> bool {
-        false
-    }
 
     /// After a failure at `(t, x)`: an equation without derivatives that does not determine the states it should, neither
     /// there nor nearby, as in systems of index 2 or higher. `None`: there is none.

@@ -1,21 +1,47 @@
 //! Butcher tableaux as data: coefficients, order, error weights and continuous extension, each with its source.
 
-/// An explicit Runge-Kutta method with `S` stages whose last stage is the right-hand side at the end of the step
+/// The weights that are not zero, with the stages they belong to.
+pub(crate) type Weights = &'static [(usize, f64)];
+
+/// An explicit Runge-Kutta method with `S` stages, of which stage `end` is the right-hand side at the end of the step
 /// (first same as last), so that the next step gets its first stage for nothing.
-///
-/// The continuous extension is `x(t + theta h) = x + h * sum_i (sum_k dense[i][k] theta^(k+1)) k_i`.
 #[derive(Debug)]
 pub(crate) struct Tableau<const S: usize> {
     /// Order of the solution that is propagated.
     pub(crate) order: u32,
+    /// The stage at the end of the step; those behind it belong to the continuous extension.
+    pub(crate) end: usize,
     /// Abscissae.
     pub(crate) c: [f64; S],
-    /// Stage weights; row `i` uses the first `i` entries. The last row is the solution itself.
-    pub(crate) a: [[f64; S]; S],
-    /// Solution minus embedded solution; `None` for a method without an error estimate.
-    pub(crate) error: Option<[f64; S]>,
-    /// Coefficients of `theta, theta^2, theta^3, theta^4` of the continuous extension, per stage.
-    pub(crate) dense: [[f64; 4]; S],
+    /// Stage weights; each row uses stages before it. Row `end` is the solution itself.
+    pub(crate) a: [Weights; S],
+    /// What the step-size controller looks at.
+    pub(crate) error: Estimate,
+    /// The solution inside a step.
+    pub(crate) dense: Dense<S>,
+}
+
+/// How the error of a step is estimated.
+#[derive(Debug)]
+pub(crate) enum Estimate {
+    /// It is not: the step size is fixed.
+    None,
+    /// Solution minus embedded solution.
+    Embedded(Weights),
+    /// Solution minus embedded solutions of order 5 and of order 3: the first, made smaller where the second is larger still
+    /// (Hairer, Norsett, Wanner I, section II.10).
+    Two(Weights, Weights),
+}
+
+/// The continuous extension.
+#[derive(Debug)]
+pub(crate) enum Dense<const S: usize> {
+    /// Coefficients of `theta, theta^2, theta^3, theta^4` per stage:
+    /// `x(t + theta h) = x + h * sum_i (sum_k p[i][k] theta^(k+1)) k_i`.
+    Polynomials([[f64; 4]; S]),
+    /// Weights of the four highest of the seven terms of dop853.f, on stages behind the end that are evaluated for steps
+    /// that somebody looks into.
+    Terms([Weights; 4]),
 }
 
 /// Tsitouras 5(4): Ch. Tsitouras, Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying
@@ -23,21 +49,22 @@ pub(crate) struct Tableau<const S: usize> {
 #[rustfmt::skip]
 pub(crate) static TSIT5: Tableau<7> = Tableau {
     order: 5,
+    end: 6,
     c: [0.0, 0.161, 0.327, 0.9, 0.980_025_540_904_509_7, 1.0, 1.0],
     a: [
-        [0.0; 7],
-        [0.161, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [-0.008_480_655_492_356_989, 0.335_480_655_492_357, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [2.897_153_057_105_493_5, -6.359_448_489_975_075, 4.362_295_432_869_581_5, 0.0, 0.0, 0.0, 0.0],
-        [5.325_864_828_439_257, -11.748_883_564_062_828, 7.495_539_342_889_836_5, -0.092_495_066_361_755_25, 0.0, 0.0, 0.0],
-        [5.861_455_442_946_42, -12.920_969_317_847_11, 8.159_367_898_576_159, -0.071_584_973_281_401, -0.028_269_050_394_068_383, 0.0, 0.0],
-        [0.096_460_766_818_065_23, 0.01, 0.479_889_650_414_499_6, 1.379_008_574_103_742, -3.290_069_515_436_081, 2.324_710_524_099_774, 0.0],
+        &[],
+        &[(0, 0.161)],
+        &[(0, -0.008_480_655_492_356_989), (1, 0.335_480_655_492_357)],
+        &[(0, 2.897_153_057_105_493_5), (1, -6.359_448_489_975_075), (2, 4.362_295_432_869_581_5)],
+        &[(0, 5.325_864_828_439_257), (1, -11.748_883_564_062_828), (2, 7.495_539_342_889_836_5), (3, -0.092_495_066_361_755_25)],
+        &[(0, 5.861_455_442_946_42), (1, -12.920_969_317_847_11), (2, 8.159_367_898_576_159), (3, -0.071_584_973_281_401), (4, -0.028_269_050_394_068_383)],
+        &[(0, 0.096_460_766_818_065_23), (1, 0.01), (2, 0.479_889_650_414_499_6), (3, 1.379_008_574_103_742), (4, -3.290_069_515_436_081), (5, 2.324_710_524_099_774)],
     ],
-    error: Some([
-        -0.001_780_011_052_225_777, -0.000_816_434_459_656_746_9, 0.007_880_878_010_261_995, -0.144_711_007_173_262_9,
-        0.582_357_165_452_555_2, -0.458_082_105_929_186_97, 1.0 / 66.0,
+    error: Estimate::Embedded(&[
+        (0, -0.001_780_011_052_225_777), (1, -0.000_816_434_459_656_746_9), (2, 0.007_880_878_010_261_995), (3, -0.144_711_007_173_262_9),
+        (4, 0.582_357_165_452_555_2), (5, -0.458_082_105_929_186_97), (6, 1.0 / 66.0),
     ]),
-    dense: [
+    dense: Dense::Polynomials([
         [1.0, -2.763_706_197_274_826, 2.913_255_461_821_912_6, -1.053_088_497_729_021_6],
         [0.0, 0.131_7, -0.223_4, 0.101_7],
         [0.0, 3.930_296_236_894_751_6, -5.941_033_872_131_505, 2.490_627_285_651_253],
@@ -45,7 +72,7 @@ pub(crate) static TSIT5: Tableau<7> = Tableau {
         [0.0, 37.509_313_416_511_04, -88.178_904_894_766_4, 47.379_521_962_819_28],
         [0.0, -27.896_526_289_197_286, 65.091_894_674_793_66, -34.870_657_861_496_61],
         [0.0, 1.5, -4.0, 2.5],
-    ],
+    ]),
 };
 
 /// The classical method of order 4 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table II.1.2)
@@ -53,38 +80,38 @@ pub(crate) static TSIT5: Tableau<7> = Tableau {
 #[rustfmt::skip]
 pub(crate) static RK4: Tableau<5> = Tableau {
     order: 4,
+    end: 4,
     c: [0.0, 0.5, 0.5, 1.0, 1.0],
     a: [
-        [0.0; 5],
-        [0.5, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.5, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0, 0.0],
-        [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0, 0.0],
+        &[],
+        &[(0, 0.5)],
+        &[(1, 0.5)],
+        &[(2, 1.0)],
+        &[(0, 1.0 / 6.0), (1, 1.0 / 3.0), (2, 1.0 / 3.0), (3, 1.0 / 6.0)],
     ],
-    error: None,
-    dense: [
+    error: Estimate::None,
+    dense: Dense::Polynomials([
         [1.0, -1.5, 2.0 / 3.0, 0.0],
         [0.0, 1.0, -2.0 / 3.0, 0.0],
         [0.0, 1.0, -2.0 / 3.0, 0.0],
         [0.0, 0.5, -1.0 / 3.0, 0.0],
         [0.0, -1.0, 1.0, 0.0],
-    ],
+    ]),
 };
 
 /// The explicit Euler method; between steps a straight line.
 pub(crate) static EULER: Tableau<2> = Tableau {
     order: 1,
+    end: 1,
     c: [0.0, 1.0],
-    a: [[0.0, 0.0], [1.0, 0.0]],
-    error: None,
-    dense: [[1.0, 0.0, 0.0, 0.0], [0.0; 4]],
+    a: [&[], &[(0, 1.0)]],
+    error: Estimate::None,
+    dense: Dense::Polynomials([[1.0, 0.0, 0.0, 0.0], [0.0; 4]]),
 };
 
-impl<const S: usize> Tableau<S> {
-    /// Weights of the continuous extension at `theta`.
-    pub(crate) fn dense_weights(&self, theta: f64) -> [f64; S] {
-        self.dense.map(|p| theta * (p[0] + theta * (p[1] + theta * (p[2] + theta * p[3]))))
-    }
+/// Weights of the stages at `theta` by polynomials.
+pub(crate) fn polynomial_weights<const S: usize>(polynomials: &[[f64; 4]; S], theta: f64) -> [f64; S] {
+    polynomials.map(|p| theta * (p[0] + theta * (p[1] + theta * (p[2] + theta * p[3]))))
 }
 
 #[cfg(test)]
@@ -96,7 +123,7 @@ mod tests {
     fn defects<const S: usize>(t: &Tableau<S>, b: [f64; S], theta: f64, order: u32) -> f64 {
         let dot = |u: &[f64; S], v: &[f64; S]| (0..S).map(|i| u[i] * v[i]).sum::<f64>();
         let mul = |u: &[f64; S], v: &[f64; S]| std::array::from_fn::<f64, S, _>(|i| u[i] * v[i]);
-        let app = |v: &[f64; S]| std::array::from_fn::<f64, S, _>(|i| dot(&t.a[i], v));
+        let app = |v: &[f64; S]| std::array::from_fn::<f64, S, _>(|i| dot(&row(t.a[i]), v));
         let one = [1.0; S];
         let c = t.c;
         let (c2, ac) = (mul(&c, &c), app(&c));
@@ -127,19 +154,26 @@ mod tests {
             .fold(0.0, f64::max)
     }
 
+    fn row<const S: usize>(weights: Weights) -> [f64; S] {
+        let mut row = [0.0; S];
+        weights.iter().for_each(|(j, w)| row[*j] = *w);
+        row
+    }
+
     fn check<const S: usize>(t: &Tableau<S>, dense_order: u32) {
         for i in 0..S {
-            let row: f64 = t.a[i].iter().sum();
-            assert!((row - t.c[i]).abs() < 1e-14, "row {i} sums to {row}, c = {}", t.c[i]);
+            let sum: f64 = t.a[i].iter().map(|(_, w)| w).sum();
+            assert!((sum - t.c[i]).abs() < 1e-14, "row {i} sums to {sum}, c = {}", t.c[i]);
         }
-        assert!(defects(t, t.a[S - 1], 1.0, t.order) < 2e-15 * 100.0);
+        assert!(defects(t, row(t.a[S - 1]), 1.0, t.order) < 2e-15 * 100.0);
+        let Dense::Polynomials(polynomials) = &t.dense else { unreachable!() };
         for theta in [0.1, 0.35, 0.5, 0.77, 1.0] {
-            let d = defects(t, t.dense_weights(theta), theta, dense_order);
+            let d = defects(t, polynomial_weights(polynomials, theta), theta, dense_order);
             assert!(d < 1e-13, "dense output at {theta}: {d:e}");
         }
-        let at_end = t.dense_weights(1.0);
+        let (at_end, solution): (_, [f64; S]) = (polynomial_weights(polynomials, 1.0), row(t.a[S - 1]));
         for (i, w) in at_end.iter().enumerate() {
-            assert!((w - t.a[S - 1][i]).abs() < 1e-13, "dense output ends elsewhere at stage {i}: {w}");
+            assert!((w - solution[i]).abs() < 1e-13, "dense output ends elsewhere at stage {i}: {w}");
         }
     }
 
@@ -152,8 +186,9 @@ mod tests {
 
     #[test]
     fn the_embedded_method_has_order_four_and_not_five() {
-        let e = TSIT5.error.unwrap();
-        let hat: [f64; 7] = std::array::from_fn(|i| TSIT5.a[6][i] - e[i]);
+        let Estimate::Embedded(error) = TSIT5.error else { unreachable!() };
+        let (b, e): ([f64; 7], [f64; 7]) = (row(TSIT5.a[6]), row(error));
+        let hat: [f64; 7] = std::array::from_fn(|i| b[i] - e[i]);
         assert!(defects(&TSIT5, hat, 1.0, 4) < 1e-13);
         assert!(defects(&TSIT5, hat, 1.0, 5) > 1e-5);
     }

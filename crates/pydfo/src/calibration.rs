@@ -11,13 +11,13 @@ use crate::settings::{self, Options, Settings, time_limit};
 use crate::trajectory::Counts;
 use crate::values;
 use calibration::{
-    CalibrationError, Data, Experiment, FitOptions, Parameter, Scale, SimulationSettings, TimeColumn,
+    CalibrationError, Data, Entry, Experiment, FitOptions, Parameter, Scale, SimulationSettings, TimeColumn,
+    Verdict,
 };
 use dfo::{Progress, Termination};
 use fmi::FmiError;
 use fmi::OpenOptions;
 use numpy::PyArray1;
-use ode::{Entry, Verdict};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict};

@@ -1,10 +1,12 @@
 //! Events at the point where the run stands: one visit for all causes, then on as before or anew.
 
+use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
 use super::sliding::ChatteringGuard;
-use super::{ErrorKind, Run, Space, Step, finish, kind_of, no_retreat, read_indicators};
+use super::watched::kind_of;
 use crate::control::{initial_step, probe_step};
-use crate::error::Termination;
+use crate::error::{ErrorKind, Termination};
 use crate::observer::{EventRecord, Observer};
+use crate::options::ChatteringPolicy;
 use crate::stepper::{Consistency, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem};
 
@@ -29,6 +31,42 @@ where
     M: Stepper,
     O: Observer + ?Sized,
 {
+    /// Watches the events at the end of a step for chattering; `crossed` is an indicator that has crossed, one that does not
+    /// slide if there is any.
+    pub(super) fn watch_events(&mut self, cause: EventCause, crossed: Option<usize>) -> Step<()> {
+        let slides = crossed.is_some_and(|i| self.space.domains.slides(i));
+        if self.sliding.step().is_some() {
+            self.sliding.advance(self.space.domains.go_on_sliding());
+        }
+        let events = ChatteringGuard::EVENTS as u64;
+        if cause.time && self.sliding.time_events.record(self.t, self.sliding.ticks).is_some() {
+            return Err(ErrorKind::TimeEventLoop(events).into());
+        }
+        if !cause.state || slides {
+            return Ok(());
+        }
+        let can_slide = self.options.chattering == ChatteringPolicy::Slide
+            && self.fixed_step.is_none()
+            && !self.space.x.is_empty();
+        let bounces = can_slide && crossed.is_some_and(|i| self.space.domains.resets(i));
+        let least = if bounces { self.sliding.bounces } else { self.sliding.chatters };
+        let Some(within) = self.sliding.state_events.record(self.t, least) else { return Ok(()) };
+        match self.options.chattering {
+            ChatteringPolicy::Slide if can_slide => {
+                self.space.domains.slide_marked();
+                self.sliding.begin();
+            }
+            ChatteringPolicy::Warn if within > self.sliding.stands_still => {}
+            _ => {
+                let indicator = crossed.unwrap_or_default();
+                return Err(ErrorKind::Chattering { events, within, indicator }.into());
+            }
+        }
+        self.sliding.state_events.forget();
+        self.stats.chattering += 1;
+        Ok(())
+    }
+
     /// Lets the events at the current time happen, restarts the method where they changed something.
     pub(super) fn visit_event(&mut self, cause: EventCause) -> Step<()> {
         if let Some(n) = self.options.limits.max_events
@@ -111,7 +149,7 @@ where
         if !same {
             self.stats.restarts += 1;
             self.stepper.forget();
-            if self.sliding.step().is_none() || self.stepper.wants_second_derivative() {
+            if self.sliding.step().is_none() || self.stepper.properties().wants_second_derivative {
                 self.estimate_step()?;
                 self.h = self.h.min(before);
             }
@@ -234,7 +272,14 @@ where
         self.stats.right_hand_sides += 1;
         self.h = match self.system.derivatives(self.t + probe, &space.x_mid, &mut space.x_new) {
             Ok(()) => {
-                let h = initial_step(&space.weights, self.stepper.order(), &space.x, dx, &space.x_new, probe);
+                let h = initial_step(
+                    &space.weights,
+                    self.stepper.properties().order,
+                    &space.x,
+                    dx,
+                    &space.x_new,
+                    probe,
+                );
                 if self.sliding.step().is_some() {
                     // Over longer times the right-hand side may switch.
                     self.stepper.begin_with(probe, &space.x_new);
@@ -289,7 +334,7 @@ where
             }
             if time || input {
                 self.sample_left()?;
-                self.take_slope(is_evaluated || any || self.stepper.evaluates_ends())?;
+                self.take_slope(is_evaluated || any || self.stepper.properties().evaluates_ends)?;
                 any = true;
                 self.visit_event(EventCause { time, input, ..EventCause::default() })?;
             } else if stop.is_none() {

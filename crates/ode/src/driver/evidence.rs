@@ -1,7 +1,7 @@
 //! What a run that fails can say of the reason: values that are not finite, and a system of a higher index.
 
-use super::{ErrorKind, Exit, Run, no_retreat};
-use crate::error::{Evaluated, NotFinite};
+use super::run::{Exit, Run, Space, no_retreat};
+use crate::error::{ErrorKind, Evaluated, NotFinite};
 use crate::observer::Observer;
 use crate::stepper::{Equations, Stepper};
 use crate::system::{CallError, HybridSystem};
@@ -54,7 +54,7 @@ where
     fn look_ahead(&mut self) {
         let (n, mut s) = (self.space.x.len(), self.h_tried);
         let (mut dx, mut jacobian) = (vec![0.0; n], Vec::new());
-        if self.stepper.takes_jacobians() && n <= LARGEST_JACOBIAN {
+        if self.stepper.properties().takes_jacobians && n <= LARGEST_JACOBIAN {
             jacobian.resize(n * n, 0.0);
             // What a model has filled in before it refused is what there is to see.
             let _ = self.system.jacobian(self.t, &self.space.x, &mut jacobian);
@@ -65,7 +65,7 @@ where
             if self.not_finite.is_some() || at > self.end {
                 return;
             }
-            let super::Space { x, x_mid, domains, .. } = &mut *self.space;
+            let Space { x, x_mid, domains, .. } = &mut *self.space;
             let slope = self.stepper.derivative();
             x_mid.iter_mut().zip(x.iter().zip(slope)).for_each(|(p, (x, d))| *p = x + s * d);
             let _ = self.system.derivatives(at, x_mid, &mut dx);

@@ -1,10 +1,10 @@
 //! Looking inside a step that meets the tolerance: crossings of indicators, and the step that ends at one.
 
-use super::returns::Return;
-use super::step::{Shrink, Tried};
-use super::{Run, Space, Step, U, kind_of, no_retreat, read_indicators};
+use super::run::{Run, Space, Step, U, no_retreat, read_indicators};
+use super::trial::{Found, Inside, Return, Shrink, Tried};
+use super::watched::kind_of;
 use crate::observer::Observer;
-use crate::stepper::{Equations, StepWithEvent, Stepper, Trial};
+use crate::stepper::{StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// So many repetitions of a step for one event; three are usual.
@@ -13,29 +13,6 @@ const MAX_REPETITIONS: u32 = 12;
 /// So many times at most the turning point of an indicator in a step is looked for: each time it is nearer to zero by a factor of four, or
 /// given up.
 const MAX_TURNS: u32 = 5;
-
-/// What there was inside a step.
-pub(super) enum Inside {
-    Nothing,
-    Crossing(Found),
-    /// The step cannot stand; one of this size may.
-    Again {
-        h: f64,
-        why: Shrink,
-    },
-}
-
-/// Where a good step is cut.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Found {
-    /// The point to go on from.
-    pub(super) at: f64,
-    /// End and size of the trial that the stepper holds now.
-    pub(super) end: f64,
-    pub(super) h: f64,
-    /// A time before the first change of an indicator that is an event at the cut; `None`: there is none.
-    pub(super) before: Option<f64>,
-}
 
 impl<S, M, O> Run<'_, S, M, O>
 where
@@ -114,21 +91,10 @@ where
         }
         let long = || {
             !self.space.x.is_empty()
-                && (self.stepper.takes_long_steps()
+                && (self.stepper.properties().takes_long_steps
                     || (self.fixed_step.is_none() && domains.growth(self.t, end).is_some_and(|g| g > 3.0)))
         };
         self.options.interior_samples.map_or_else(|| usize::from(long()), |k| k as usize)
-    }
-
-    /// Has the method interpolate inside the trial, once.
-    pub(super) fn make_ready(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
-        if !std::mem::replace(ready, true) {
-            let Space { x, x_new, weights, .. } = &*self.space;
-            let trial = Trial { t: self.t, end, h, x };
-            let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
-            self.stepper.prepare_interpolation(&mut equations, trial, x_new)?;
-        }
-        Ok(())
     }
 
     /// Looks at the indicators at a point inside the trial, unless changes count from a later one; `true`: one has an
@@ -180,7 +146,7 @@ where
             let before = domains.changed().then_some(located.before);
             return Ok(Inside::Crossing(Found { at: end, end, h, before }));
         }
-        match self.stepper.step_with_event() {
+        match self.stepper.properties().step_with_event {
             StepWithEvent::RepeatedToIt => return self.polish(located.time, hi, tolerance),
             StepWithEvent::RepeatedToBefore if located.before - self.t > self.same => {
                 return self.step_to_before(located.before, located.time);

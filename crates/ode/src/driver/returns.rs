@@ -1,9 +1,9 @@
 //! Indicators that come back to zero within the first step after their event: a body that bounces less and less, or is
 //! left behind the floor by its event, must not fall through the floor unseen.
 
-use super::inside::Inside;
-use super::step::Shrink;
-use super::{ErrorKind, Run, Space, Step, no_retreat, read_indicators};
+use super::run::{Run, Space, Step, no_retreat, read_indicators};
+use super::trial::{Inside, Return, Shrink};
+use crate::error::ErrorKind;
 use crate::event::SLOPE_STEP;
 use crate::observer::Observer;
 use crate::options::ChatteringPolicy;
@@ -15,19 +15,6 @@ const SLOPE_REACH: f64 = 1e-3;
 
 /// Steps of so many times what tells two instants apart are long enough to show whether an indicator goes on.
 const RESOLVED: f64 = 100.0;
-
-/// Whether an indicator next to zero at the start of a step leaves its domain and comes back within it.
-pub(super) enum Return {
-    Nothing,
-    /// At this time it is in the other domain.
-    Found(f64),
-    /// It leads into the other domain at the start, and is in the domain where it began at the end, but no point of the
-    /// step was found where it is in the other one. A step of this size may show it.
-    Unseen {
-        indicator: usize,
-        shorter: Option<f64>,
-    },
-}
 
 impl<S, M, O> Run<'_, S, M, O>
 where

@@ -1,6 +1,6 @@
 //! Samples on the way: inside of a step, left of an event, after everything at an instant.
 
-use super::{Run, Space, Step, finish, no_retreat};
+use super::run::{Run, Space, Step, finish, no_retreat};
 use crate::error::Termination;
 use crate::observer::{Observer, StepView};
 use crate::sampling::Here;

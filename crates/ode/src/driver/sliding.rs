@@ -1,10 +1,6 @@
 //! What is done where events follow each other while time hardly advances.
 
-use super::{ErrorKind, Run, Step};
-use crate::observer::Observer;
 use crate::options::ChatteringPolicy;
-use crate::stepper::Stepper;
-use crate::system::{EventCause, HybridSystem};
 
 /// Notices events that follow each other while time hardly advances (chattering, Zeno). The test is on the time that
 /// passes, not on the number of events: many events far apart are a legal model.
@@ -58,14 +54,14 @@ impl ChatteringGuard {
 /// The guards, and whether the solution slides along the border of a domain.
 #[derive(Debug)]
 pub(super) struct Sliding {
-    state_events: ChatteringGuard,
-    time_events: ChatteringGuard,
+    pub(super) state_events: ChatteringGuard,
+    pub(super) time_events: ChatteringGuard,
     /// In this time a hundred state events, bounces and time events are too many.
-    chatters: f64,
-    bounces: f64,
-    ticks: f64,
+    pub(super) chatters: f64,
+    pub(super) bounces: f64,
+    pub(super) ticks: f64,
     /// In less time than this a hundred events do not go on.
-    stands_still: f64,
+    pub(super) stands_still: f64,
     /// Length of a step while it slides.
     usual: f64,
     /// The step to try now, if it slides.
@@ -111,51 +107,8 @@ impl Sliding {
     }
 
     /// A step was accepted, after which some indicator slides or none.
-    fn advance(&mut self, any_slides: bool) {
+    pub(super) fn advance(&mut self, any_slides: bool) {
         self.step = any_slides.then_some(self.usual);
-    }
-}
-
-impl<S, M, O> Run<'_, S, M, O>
-where
-    S: HybridSystem + ?Sized,
-    M: Stepper,
-    O: Observer + ?Sized,
-{
-    /// Watches the events at the end of a step for chattering; `crossed` is an indicator that has crossed, one that does not
-    /// slide if there is any.
-    pub(super) fn watch_events(&mut self, cause: EventCause, crossed: Option<usize>) -> Step<()> {
-        let slides = crossed.is_some_and(|i| self.space.domains.slides(i));
-        if self.sliding.step.is_some() {
-            self.sliding.advance(self.space.domains.go_on_sliding());
-        }
-        let events = ChatteringGuard::EVENTS as u64;
-        if cause.time && self.sliding.time_events.record(self.t, self.sliding.ticks).is_some() {
-            return Err(ErrorKind::TimeEventLoop(events).into());
-        }
-        if !cause.state || slides {
-            return Ok(());
-        }
-        let can_slide = self.options.chattering == ChatteringPolicy::Slide
-            && self.fixed_step.is_none()
-            && !self.space.x.is_empty();
-        let bounces = can_slide && crossed.is_some_and(|i| self.space.domains.resets(i));
-        let least = if bounces { self.sliding.bounces } else { self.sliding.chatters };
-        let Some(within) = self.sliding.state_events.record(self.t, least) else { return Ok(()) };
-        match self.options.chattering {
-            ChatteringPolicy::Slide if can_slide => {
-                self.space.domains.slide_marked();
-                self.sliding.begin();
-            }
-            ChatteringPolicy::Warn if within > self.sliding.stands_still => {}
-            _ => {
-                let indicator = crossed.unwrap_or_default();
-                return Err(ErrorKind::Chattering { events, within, indicator }.into());
-            }
-        }
-        self.sliding.state_events.forget();
-        self.stats.chattering += 1;
-        Ok(())
     }
 }
 

@@ -1,33 +1,15 @@
-//! One step: how far it is to go, the trial, and what becomes of one that was not good.
+//! One step: how far it is to go, the trial, and a smaller one where it was not good.
 
-use super::{ErrorKind, Run, Step, U, kind_of, read_indicators};
+use super::run::{Run, Space, Step, U, read_indicators};
+use super::trial::{Shrink, Tried};
+use super::watched::kind_of;
+use crate::error::ErrorKind;
 use crate::observer::Observer;
 use crate::stepper::{Attempt, Equations, Stepper, Trial};
-use crate::system::{CallError, HybridSystem};
+use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Refused points in a row before a run gives up.
 const MAX_DISCARDS: u32 = 12;
-
-/// Outcome of one trial step.
-pub(super) enum Tried {
-    /// Good up to its own end, or up to the event found inside.
-    Good,
-    /// Not good for this reason; to be tried again with this size.
-    Again { h: f64, why: Shrink },
-}
-
-/// Why a step is made smaller.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Shrink {
-    /// The error test wants it.
-    TooInexact,
-    /// The equations of an implicit method were not solved.
-    NotSolved,
-    /// The model refused a point of it.
-    Refused,
-    /// An event indicator left its domain and came back in it, which was not seen.
-    Returned,
-}
 
 impl<S, M, O> Run<'_, S, M, O>
 where
@@ -128,6 +110,17 @@ where
         }
         self.h = h;
         self.sliding.shrink(h);
+        Ok(())
+    }
+
+    /// Has the method interpolate inside the trial, once.
+    pub(super) fn make_ready(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
+        if !std::mem::replace(ready, true) {
+            let Space { x, x_new, weights, .. } = &*self.space;
+            let trial = Trial { t: self.t, end, h, x };
+            let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
+            self.stepper.prepare_interpolation(&mut equations, trial, x_new)?;
+        }
         Ok(())
     }
 }

@@ -1,7 +1,8 @@
 //! Indicators that are next to zero when a step begins, and may leave their domain and come back within it.
 
-use super::{Direction, Domains, flipped};
+use super::domains::{Domains, SinceEvent, flipped, is_behind};
 use crate::system::CallResult;
+use crate::system::Direction;
 
 /// The slopes of indicators are differences over this share of a step.
 pub(crate) const SLOPE_STEP: f64 = 1.0 / 256.0;
@@ -14,66 +15,7 @@ pub(super) const SMALL: f64 = 0.1;
 /// way in the step; else the event may have stopped it, and what is left of its slope be rounding.
 const GOES_ON: f64 = 1.0 / 16.0;
 
-/// What is known of an indicator since its last event. Its `depth` is a value in the domain that it crossed into, with
-/// the sign of that domain, up to which the location of the event explains its values.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) enum SinceEvent {
-    /// It is in the domain that its value says.
-    #[default]
-    Settled,
-    /// It is next to zero, and has not moved yet.
-    New { depth: f64 },
-    /// It is next to zero, and its event has turned it back, or stopped it: it will be seen in the domain it came from before it is
-    /// seen beyond this depth, or it is lost.
-    TurnedBack { depth: f64 },
-}
-
-impl SinceEvent {
-    fn depth(self) -> Option<f64> {
-        match self {
-            Self::Settled => None,
-            Self::New { depth } | Self::TurnedBack { depth } => Some(depth),
-        }
-    }
-}
-
-/// Whether a value is in the domain of this depth.
-fn is_behind(depth: f64, z: f64) -> bool {
-    (z > 0.0) == depth.is_sign_positive()
-}
-
 impl Domains {
-    /// Notes which domain indicator `i`, which crosses, comes from: the one that it leaves, unless it was only next to zero there,
-    /// where an event has left it.
-    pub(super) fn find_origin(&mut self, i: usize) {
-        let ends_above = self.end[i] > 0.0;
-        let was_left_behind = self.since_event[i].depth().is_some_and(|depth| !is_behind(depth, self.end[i]));
-        if !was_left_behind && !self.is_held(i) {
-            self.from_above[i] = !ends_above;
-        }
-    }
-
-    /// Whether indicator `i` is held at zero: it slides, and its events put it back by changing states.
-    pub(crate) fn is_held(&self, i: usize) -> bool {
-        self.slides(i) && self.resets[i]
-    }
-
-    /// Whether the last event of indicator `i` has changed states.
-    pub(crate) fn resets(&self, i: usize) -> bool {
-        self.resets[i]
-    }
-
-    /// Whether indicator `i`, of this value, is in the other domain than the one it came from.
-    fn is_beyond(&self, i: usize, z: f64) -> bool {
-        (z > 0.0) != self.from_above[i]
-    }
-
-    /// Whether indicator `i`, which is held, leaves the domain it came from in the step, or goes further away from it.
-    pub(super) fn falls(&self, i: usize) -> bool {
-        let (base, end) = (self.base[i], self.end[i]);
-        self.is_beyond(i, end) && (!self.is_beyond(i, base) || end.abs() > base.abs())
-    }
-
     /// After any event the indicators were read anew: those that crossed and are still next to zero may have turned back.
     /// `reset`: the event has changed states.
     pub(crate) fn begin_after_event(&mut self, reset: bool) {
@@ -259,27 +201,6 @@ impl Domains {
         }
         self.since_event[i] = SinceEvent::Settled;
         f64::NAN
-    }
-
-    /// Whether indicator `i` ends the trial where an event that has turned it back, or has stopped it, does not explain it.
-    pub(crate) fn is_lost(&self, i: usize) -> bool {
-        let is_beyond = |depth: f64| is_behind(depth, self.end[i]) && self.end[i].abs() > depth.abs();
-        self.since_event[i].depth().is_some_and(is_beyond)
-    }
-
-    /// Whether a change of indicator `i` is an event: where going from next to zero back to the domain that it came from is
-    /// none, the other direction alone counts until it has gone there.
-    pub(super) fn direction(&self, i: usize) -> Direction {
-        match (self.directions[i], self.since_event[i].depth()) {
-            (Direction::Either, Some(depth)) if self.resets[i] => {
-                if depth.is_sign_positive() {
-                    Direction::Up
-                } else {
-                    Direction::Down
-                }
-            }
-            (direction, _) => direction,
-        }
     }
 
     /// The slope that [`find_slopes`](Self::find_slopes) has found.

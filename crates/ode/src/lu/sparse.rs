@@ -3,8 +3,8 @@
 //! Unlike the dense one it allocates: 37 times for a decomposition (its factors, and room to work in), once for a solution.
 //! Everything is given back with the next decomposition.
 
-use super::Scalar;
-use crate::jacobian::JacobianPattern;
+use super::scalar::Scalar;
+use crate::sparsity::JacobianPattern;
 use faer::linalg::solvers::Solve;
 use faer::mat::MatMut;
 use faer::sparse::linalg::solvers::{Lu, SymbolicLu};

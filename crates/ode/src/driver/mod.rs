@@ -1,36 +1,30 @@
 //! The only loop: limit, step, locate, sample inside, commit, event, restart.
 
 use crate::auto::Auto;
-use crate::bdf::Bdf;
-use crate::control::Weights;
-use crate::dop853::Dop853;
 use crate::error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
-use crate::event::Domains;
-use crate::explicit_rk::ExplicitRk;
+use crate::explicit_rk::{DOP853, ExplicitRk};
+use crate::implicit::{Bdf, Radau5};
 use crate::observer::Observer;
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
-use crate::radau5::Radau5;
 use crate::sampling::Sampler;
-use crate::stats::Stats;
 use crate::stepper::Stepper;
-use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSystem, InputStop};
+use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSystem};
 use crate::tableau::{EULER, RK4, TSIT5};
-use crate::watched::{CallWatch, Watch, Watched, kind_of};
 
 mod events;
 mod evidence;
 mod inside;
 mod returns;
+mod run;
 mod samples;
 mod sliding;
 mod step;
+mod trial;
+mod watched;
 
-use inside::{Found, Inside};
-use sliding::Sliding;
-use step::{Shrink, Tried};
-
-/// Unit round-off of double precision.
-const U: f64 = f64::EPSILON / 2.0;
+use run::{Exit, Run, Space, Step, finish, no_retreat};
+use trial::{Found, Inside, Shrink, Tried};
+use watched::{CallWatch, Watch, Watched};
 
 /// An indicator is next to zero where its value says no more of the time of its event than this, in units of times that
 /// are one.
@@ -86,23 +80,10 @@ enum MethodState {
     Auto(Box<Auto>),
     Tsit5(ExplicitRk<7>),
     Radau5(Box<Radau5>),
-    Dop853(Box<Dop853>),
+    Dop853(Box<ExplicitRk<16>>),
     Bdf(Box<Bdf>),
     Rk4(ExplicitRk<5>),
     Euler(ExplicitRk<2>),
-}
-
-/// Work space that outlives a run.
-#[derive(Debug, Default)]
-struct Space {
-    x: Vec<f64>,
-    x_new: Vec<f64>,
-    x_mid: Vec<f64>,
-    slope: Vec<f64>,
-    nominals: Vec<f64>,
-    weights: Weights,
-    domains: Domains,
-    sampler: Sampler,
 }
 
 impl Driver {
@@ -116,7 +97,7 @@ impl Driver {
             Method::Auto => MethodState::Auto(Box::new(Auto::new(options.relative_tolerance))),
             Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
             Method::Radau5 => MethodState::Radau5(Box::default()),
-            Method::Dop853 => MethodState::Dop853(Box::default()),
+            Method::Dop853 => MethodState::Dop853(Box::new(ExplicitRk::new(&DOP853))),
             Method::Bdf => MethodState::Bdf(Box::default()),
             Method::Rk4 => MethodState::Rk4(ExplicitRk::new(&RK4)),
             Method::Euler => MethodState::Euler(ExplicitRk::new(&EULER)),
@@ -172,94 +153,12 @@ impl Driver {
     }
 }
 
-/// Why the loop is left.
-enum Exit {
-    Normal(Termination),
-    Error(ErrorKind),
-}
-
-impl From<ErrorKind> for Exit {
-    fn from(kind: ErrorKind) -> Self {
-        Self::Error(kind)
-    }
-}
-
-type Step<T> = Result<T, Exit>;
-
-/// One run: everything that changes between `start` and `end`.
-struct Run<'a, S: ?Sized, M, O: ?Sized> {
-    options: &'a Options,
-    stepper: &'a mut M,
-    space: &'a mut Space,
-    system: &'a mut S,
-    times: &'a [f64],
-    observer: &'a mut O,
-    start: f64,
-    end: f64,
-    /// Times closer than this are one.
-    same: f64,
-    t: f64,
-    /// Step size the controller proposes, before it is cut to hit a target.
-    h: f64,
-    h_tried: f64,
-    fixed_step: Option<f64>,
-    next_time_event: Option<f64>,
-    input_stop: Option<InputStop>,
-    sliding: Sliding,
-    discards: u32,
-    not_finite: Option<NotFinite>,
-    undetermined: Option<usize>,
-    worst_state: Option<usize>,
-    last_event: Option<f64>,
-    stats: Stats,
-    watch: Watch<'a>,
-}
-
-impl<'a, S, M, O> Run<'a, S, M, O>
+impl<S, M, O> Run<'_, S, M, O>
 where
     S: HybridSystem + ?Sized,
     M: Stepper,
     O: Observer + ?Sized,
 {
-    fn new(
-        options: &'a Options,
-        stepper: &'a mut M,
-        space: &'a mut Space,
-        system: &'a mut S,
-        (start, end): (f64, f64),
-        times: &'a [f64],
-        (observer, watch): (&'a mut O, Watch<'a>),
-    ) -> Self {
-        let span = end - start;
-        let same = 100.0 * U * start.abs().max(end.abs()).max(span);
-        let fixed_step = (!stepper.has_error_estimate()).then(|| options.step_size.unwrap_or(span / 500.0));
-        Self {
-            options,
-            stepper,
-            space,
-            system,
-            times,
-            observer,
-            start,
-            end,
-            same,
-            t: start,
-            h: 0.0,
-            h_tried: 0.0,
-            fixed_step,
-            next_time_event: None,
-            input_stop: None,
-            sliding: Sliding::new(span, same),
-            discards: 0,
-            not_finite: None,
-            undetermined: None,
-            worst_state: None,
-            last_event: None,
-            stats: Stats::default(),
-            watch,
-        }
-    }
-
     fn run(mut self) -> Result<Report, Box<SimulationError>> {
         let exit = match self.begin() {
             Ok(()) => loop {
@@ -316,7 +215,7 @@ where
             if m.len() != n * n || m.iter().any(|m| !m.is_finite()) {
                 return Err(ErrorKind::MassMatrix { given: m.len(), states: n }.into());
             }
-            if !self.stepper.takes_mass_matrix() {
+            if !self.stepper.properties().takes_mass_matrix {
                 return Err(ErrorKind::MassMatrixNeedsRadau5.into());
             }
         }
@@ -433,7 +332,7 @@ where
         if eventful {
             self.sample_left()?;
             if before.is_none() {
-                self.take_slope(!inside && self.stepper.evaluates_ends())?;
+                self.take_slope(!inside && self.stepper.properties().evaluates_ends)?;
             }
         }
         if let Some(stop) = stop {
@@ -474,28 +373,5 @@ where
 
     fn reached_end(&mut self) -> Step<()> {
         if self.t >= self.end - self.same { finish(Termination::Finished) } else { Ok(()) }
-    }
-}
-
-fn finish(termination: Termination) -> Step<()> {
-    Err(Exit::Normal(termination))
-}
-
-/// Event indicators; a value that is not finite counts as refused.
-fn read_indicators<S: HybridSystem + ?Sized>(
-    system: &mut S,
-    t: f64,
-    x: &[f64],
-    z: &mut [f64],
-) -> Result<(), CallError> {
-    system.event_indicators(t, x, z)?;
-    if z.iter().all(|z| z.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
-}
-
-/// A call that has no smaller step to fall back to: the model's own start, its state after an event, a sample.
-fn no_retreat(error: CallError) -> Exit {
-    match error {
-        CallError::Discard => ErrorKind::DiscardedAtRestart.into(),
-        CallError::Failed(e) => kind_of(e).into(),
     }
 }

@@ -7,8 +7,7 @@
 //! Of those within 5 tolerances of it the winner is who takes the least work for the same error. A method takes part as long as it
 //! may still be that one.
 
-use crate::options::Method;
-use crate::stats::Stats;
+use ode::{Method, Stats};
 
 /// Samples may differ by this many tolerances: what differs more makes the cost of a fit noisy.
 const AGREEMENT: f64 = 5.0;
@@ -32,7 +31,7 @@ pub struct Heat {
     pub method: Method,
     /// With this relative tolerance; the absolute ones in proportion.
     pub relative_tolerance: f64,
-    /// The work after which it may be given up, for [`Limits::max_work`](crate::Limits::max_work).
+    /// The work after which it may be given up, for [`Limits::max_work`](ode::Limits::max_work).
     pub max_work: Option<f64>,
 }
 
@@ -118,7 +117,8 @@ impl Tolerance<'_> {
 /// output is enough.
 ///
 /// ```
-/// use ode::{Lap, Method, Stats, race};
+/// use calibration::{Lap, race};
+/// use ode::{Method, Stats};
 /// // A system on which BDF takes a tenth of the right-hand sides.
 /// let result: Result<_, ()> = race(1e-6, &[1e-8], 1, |heat| {
 ///     let right_hand_sides = if heat.method == Method::Bdf { 100 } else { 1000 };

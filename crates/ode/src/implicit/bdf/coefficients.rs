@@ -1,6 +1,6 @@
 //! The coefficients of one step of BDF.
 
-use super::MAX_ORDER;
+pub(super) const MAX_ORDER: usize = 5;
 
 /// Coefficients of one step: they follow from its size, its order and the sizes of the steps before.
 #[derive(Debug, Default, Clone, Copy)]

@@ -2,8 +2,8 @@
 //! calls are timed.
 
 use crate::error::{ErrorKind, TooLargeForDense};
-use crate::jacobian::JacobianPattern;
 use crate::options::Options;
+use crate::sparsity::JacobianPattern;
 use crate::stats::{Seconds, Stats};
 use crate::stopwatch::Stopwatch;
 use crate::system::{
@@ -125,12 +125,8 @@ macro_rules! watched {
         } else {
             $self.stopwatch.start(Call::$call as usize)
         };
-        if !timing.is_on() {
-            return $answer;
-        }
-        let elsewhere = $self.system.seconds_elsewhere();
         let answer = $answer;
-        $self.stopwatch.stop(timing, $self.system.seconds_elsewhere() - elsewhere);
+        $self.stopwatch.stop(timing);
         answer
     }};
 }

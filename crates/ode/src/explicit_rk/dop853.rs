@@ -4,17 +4,25 @@
 //! E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second edition, section II.5 and
 //! II.6. The numbers are checked against the order conditions below.
 
-pub(crate) const STAGES: usize = 16;
+use crate::tableau::{Dense, Estimate, Tableau, Weights};
 
-/// The weights that are not zero, with the stages they belong to.
-pub(crate) type Weights = &'static [(usize, f64)];
+const STAGES: usize = 16;
+
+pub(crate) static DOP853: Tableau<STAGES> = Tableau {
+    order: 8,
+    end: 12,
+    c: C,
+    a: A,
+    error: Estimate::Two(ERROR_5, ERROR_3),
+    dense: Dense::Terms(DENSE),
+};
 
 #[rustfmt::skip]
-pub(crate) static C: [f64; STAGES] = [0.0, 0.052_600_151_958_767_73, 0.078_900_227_938_151_6, 0.118_350_341_907_227_4, 0.281_649_658_092_772_6, 0.333_333_333_333_333_3, 0.25, 0.307_692_307_692_307_7, 0.651_282_051_282_051_3, 0.6, 0.857_142_857_142_857_1, 1.0, 1.0, 0.1, 0.2, 0.777_777_777_777_777_8];
+const C: [f64; STAGES] = [0.0, 0.052_600_151_958_767_73, 0.078_900_227_938_151_6, 0.118_350_341_907_227_4, 0.281_649_658_092_772_6, 0.333_333_333_333_333_3, 0.25, 0.307_692_307_692_307_7, 0.651_282_051_282_051_3, 0.6, 0.857_142_857_142_857_1, 1.0, 1.0, 0.1, 0.2, 0.777_777_777_777_777_8];
 
 /// Weights of the stages; row 12 is the solution of order 8 itself, rows 13 to 15 belong to the continuous extension.
 #[rustfmt::skip]
-pub(crate) static A: [Weights; STAGES] = [
+const A: [Weights; STAGES] = [
     &[],
     &[(0, 0.052_600_151_958_767_73)],
     &[(0, 0.019_725_056_984_537_9), (1, 0.059_175_170_953_613_7)],
@@ -35,17 +43,17 @@ pub(crate) static A: [Weights; STAGES] = [
 
 /// The solution minus the embedded one of order 5.
 #[rustfmt::skip]
-pub(crate) static ERROR_5: Weights =
+const ERROR_5: Weights =
     &[(0, 0.013_120_044_994_194_88), (5, -1.225_156_446_376_204_4), (6, -0.495_758_949_657_250_2), (7, 1.664_377_182_454_986_4), (8, -0.350_328_848_749_973_66), (9, 0.334_179_118_713_017_5), (10, 0.081_923_206_485_115_71), (11, -0.022_355_307_863_886_294)];
 
 /// The solution minus the embedded one of order 3.
 #[rustfmt::skip]
-pub(crate) static ERROR_3: Weights =
+const ERROR_3: Weights =
     &[(0, -0.189_800_754_072_407_62), (5, 4.450_312_892_752_409), (6, 1.891_517_899_314_500_3), (7, -5.801_203_960_010_585), (8, -0.422_682_321_323_791_9), (9, -0.152_160_949_662_516_1), (10, 0.201_365_400_804_030_34), (11, 0.022_651_792_198_360_82)];
 
 /// The four highest terms of the continuous extension of order 7.
 #[rustfmt::skip]
-pub(crate) static DENSE: [Weights; 4] = [
+const DENSE: [Weights; 4] = [
     &[(0, -8.428_938_276_109_013), (5, 0.566_714_953_519_377_7), (6, -3.068_949_945_949_891_7), (7, 2.384_667_656_512_07), (8, 2.117_034_582_445_028), (9, -0.871_391_583_777_973), (10, 2.240_437_430_260_788_3), (11, 0.631_578_778_769_468_8), (12, -0.088_990_336_451_333_31), (13, 18.148_505_520_854_727), (14, -9.194_632_392_478_356), (15, -4.436_036_387_594_894)],
     &[(0, 10.427_508_642_579_134), (5, 242.283_491_775_258_17), (6, 165.200_451_717_270_28), (7, -374.546_754_722_690_2), (8, -22.113_666_853_125_306), (9, 7.733_432_668_472_264), (10, -30.674_084_731_089_398), (11, -9.332_130_526_430_229), (12, 15.697_238_121_770_845), (13, -31.139_403_219_565_178), (14, -9.352_924_358_844_48), (15, 35.816_841_486_394_08)],
     &[(0, 19.985_053_242_002_433), (5, -387.037_308_749_351_8), (6, -189.178_138_195_167_58), (7, 527.808_159_205_423_6), (8, -11.573_902_539_959_63), (9, 6.881_232_694_696_3), (10, -1.000_605_096_691_083_8), (11, 0.777_713_779_805_344_3), (12, -2.778_205_752_353_508), (13, -60.196_695_231_264_12), (14, 84.320_405_506_677_16), (15, 11.992_291_136_182_79)],
@@ -55,7 +63,7 @@ pub(crate) static DENSE: [Weights; 4] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dop853::dense_weights;
+    use crate::explicit_rk::continuous::{dense_terms, factors};
 
     /// A rooted tree: its order, its density, and the trees that hang on its root.
     struct Tree {
@@ -98,6 +106,14 @@ mod tests {
             found.extend(new);
         }
         found
+    }
+
+    /// Weights of the stages in the continuous extension at `theta`.
+    fn dense_weights(theta: f64) -> [f64; STAGES] {
+        std::array::from_fn(|stage| {
+            let k = std::array::from_fn(|j| vec![f64::from(j == stage)]);
+            dense_terms(&DOP853, &DENSE, &k, 1.0, 0).iter().zip(factors(theta)).map(|(d, f)| d * f).sum()
+        })
     }
 
     fn dot(weights: &[(usize, f64)], v: &[f64; STAGES]) -> f64 {

@@ -10,27 +10,25 @@
 //! current point. A step predicts by continuing it; the corrector adds `l_j e` to each `z_j`, where `e` solves
 //! `G(e) = e + z_1 / l_1 - gamma f(t, z_0 + e) = 0`, `gamma = h / l_1`.
 
+use super::freshness::{Freshness, Matrix, Rules};
+use super::newton::{Convergence, Iteration, Newton};
 use crate::control::scaled_norm;
-use crate::jacobian::Jacobian;
 use crate::lu::Lu;
-use crate::radau5::Radau5;
-use crate::stepper::{Attempt, Equations, Stepper, Trial};
+use crate::stepper::{Attempt, Equations, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 mod array;
 mod coefficients;
 
 use array::add_multiple;
-use coefficients::Coefficients;
+use coefficients::{Coefficients, MAX_ORDER};
 
-const MAX_ORDER: usize = 5;
-const MAX_NEWTON: u32 = 3;
-/// Newton's error, as a share of the error test.
+/// Three iterations, as in VODE.
+const MAX_NEWTON: u32 = 4;
+/// Newton's error, as a share of the error test, as in VODE.
 const NEWTON_SHARE: f64 = 0.1;
-/// A decomposition is kept while `gamma` changes less than this, and for so many steps.
-const KEEP_GAMMA: f64 = 0.3;
-const KEEP_DECOMPOSITION: u32 = 20;
-const KEEP_JACOBIAN: u32 = 50;
+const RULES: Rules =
+    Rules { change: 0.3, decomposition_steps: 20, jacobian_steps: 50, cheap: 0, only_after_events: true };
 /// Where an input changes its slope the second derivative jumps; the rows of the array above it are of the past only, and
 /// are left out. Measured on an exhaust pipe driven by inputs with a kink each second: steps that go over the kinks take
 /// 17 % more right-hand sides and are off by 50 times as much at rtol 1e-8, and the noise of a cost at rtol 1e-6 is 2e-5
@@ -44,7 +42,8 @@ const GROWTH: f64 = 10.0;
 
 #[derive(Debug)]
 pub(crate) struct Bdf {
-    jacobian: Jacobian,
+    freshness: Freshness,
+    convergence: Convergence,
     lu: Lu<f64>,
     /// The array at the current point, and at the end of the trial.
     z: [Vec<f64>; MAX_ORDER + 1],
@@ -69,15 +68,6 @@ pub(crate) struct Bdf {
     correction_norm: f64,
     last_correction: Vec<f64>,
     last_scale: f64,
-    /// `gamma` of the decomposition; 0: none.
-    decomposed_gamma: f64,
-    decomposition_age: u32,
-    has_jacobian: bool,
-    jacobian_age: u32,
-    /// The Jacobian is from before an event.
-    jacobian_is_suspect: bool,
-    wants_jacobian: bool,
-    rate: f64,
     inverse: Vec<f64>,
     x: Vec<f64>,
     rhs: Vec<f64>,
@@ -87,7 +77,8 @@ pub(crate) struct Bdf {
 impl Default for Bdf {
     fn default() -> Self {
         Self {
-            jacobian: Jacobian::default(),
+            freshness: Freshness::new(RULES),
+            convergence: Convergence::new(MAX_NEWTON),
             lu: Lu::default(),
             z: Default::default(),
             z_new: Default::default(),
@@ -106,13 +97,6 @@ impl Default for Bdf {
             correction_norm: 0.0,
             last_correction: Vec::new(),
             last_scale: 0.0,
-            decomposed_gamma: 0.0,
-            decomposition_age: 0,
-            has_jacobian: false,
-            jacobian_age: 0,
-            jacobian_is_suspect: false,
-            wants_jacobian: false,
-            rate: 1.0,
             inverse: Vec::new(),
             x: Vec::new(),
             rhs: Vec::new(),
@@ -121,15 +105,61 @@ impl Default for Bdf {
     }
 }
 
+/// The equation of the corrector, `G(e) = 0`.
+struct Corrector<'a> {
+    lu: &'a Lu<f64>,
+    /// The prediction.
+    z: &'a [Vec<f64>],
+    end: f64,
+    gamma: f64,
+    share: f64,
+    relaxation: f64,
+    inverse: &'a [f64],
+    x: &'a mut [f64],
+    rhs: &'a mut [f64],
+    increment: &'a mut [f64],
+    correction: &'a mut [f64],
+}
+
+impl Iteration for Corrector<'_> {
+    fn solve<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        is_first: bool,
+    ) -> CallResult<f64> {
+        equations.stats.linear_algebra += self.lu.operations().1;
+        if !is_first {
+            for (i, x) in self.x.iter_mut().enumerate() {
+                *x = self.z[0][i] + self.correction[i];
+            }
+            equations.derivatives(self.end, self.x, self.rhs)?;
+        }
+        for (i, b) in self.increment.iter_mut().enumerate() {
+            *b = self.gamma * self.rhs[i] - self.share * self.z[1][i] - self.correction[i];
+        }
+        self.lu.solve(self.increment);
+        if self.relaxation != 1.0 {
+            self.increment.iter_mut().for_each(|v| *v *= self.relaxation);
+        }
+        Ok(scaled_norm(self.increment, self.inverse))
+    }
+
+    fn advance(&mut self) {
+        self.correction.iter_mut().zip(&*self.increment).for_each(|(e, d)| *e += d);
+    }
+}
+
 impl Bdf {
-    /// Takes over from Radau5 at `x`, with its Jacobian.
-    pub(crate) fn take_over(&mut self, x: &[f64], from: &mut Radau5) {
+    /// Takes over in the middle of a run from a method that knows the right-hand side at `x` and has a Jacobian.
+    pub(crate) fn take_over(&mut self, x: &[f64], f: &[f64]) {
         self.forget();
         self.z[0].copy_from_slice(x);
-        self.f.copy_from_slice(from.derivative());
-        std::mem::swap(&mut self.jacobian, from.jacobian_mut());
-        self.has_jacobian = true;
-        self.jacobian_age = 0;
+        self.f.copy_from_slice(f);
+    }
+
+    /// The Jacobian, to be taken over.
+    pub(crate) fn freshness_mut(&mut self) -> &mut Freshness {
+        &mut self.freshness
     }
 
     /// Takes the decided order.
@@ -151,15 +181,10 @@ impl Bdf {
         (t, x, h): (f64, &[f64], f64),
     ) -> CallResult<()> {
         if !self.fresh && self.error_failures >= 3 {
-            // The derivatives in the array have lost their meaning.
-            self.error_failures = 0;
-            if self.order > 1 {
-                self.next_order = self.order - 1;
-            } else {
-                equations.derivatives(t, x, &mut self.f)?;
-                self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = self.h * f);
-                self.wait = 10;
-            }
+            // The derivatives in the array are not those of the solution: a new start at order 1, as in DASSL.
+            (self.order, self.next_order, self.wait, self.last_scale) = (1, 1, 2, 0.0);
+            equations.derivatives(t, x, &mut self.f)?;
+            self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = self.h * f);
         }
         if self.fresh {
             self.fresh = false;
@@ -182,84 +207,6 @@ impl Bdf {
         Ok(())
     }
 
-    /// A new decomposition for this `gamma`, with a new Jacobian where the old one cannot be kept.
-    fn set_up<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        end: f64,
-        gamma: f64,
-    ) -> CallResult<bool> {
-        if !self.has_jacobian || self.wants_jacobian || self.jacobian_age > KEEP_JACOBIAN {
-            let point = (end, &self.z_new[0][..], &self.rhs[..]);
-            self.jacobian.evaluate(equations, point)?;
-            self.has_jacobian = true;
-            self.wants_jacobian = false;
-            self.jacobian_is_suspect = false;
-            self.jacobian_age = 0;
-        }
-        let j = &self.jacobian.values;
-        equations.stats.decompositions += 1;
-        equations.stats.linear_algebra += self.lu.operations().0;
-        let good = self.lu.decompose(|p, on_diagonal| f64::from(on_diagonal) - gamma * j[p]);
-        self.decomposed_gamma = if good { gamma } else { 0.0 };
-        self.decomposition_age = 0;
-        self.rate = 1.0;
-        Ok(good)
-    }
-
-    /// Newton's iterations from the prediction, whose right-hand side is in `rhs`. `false`: no convergence.
-    fn newton<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        end: f64,
-        gamma: f64,
-    ) -> CallResult<bool> {
-        let tolerance = NEWTON_SHARE / self.coefficients.here;
-        let share = 1.0 / self.coefficients.l[1];
-        // Half a correction for the change of gamma since the decomposition.
-        let ratio = gamma / self.decomposed_gamma;
-        let relaxation = 2.0 / (1.0 + ratio);
-        self.correction.fill(0.0);
-        let mut last = 0.0;
-        for count in 1..=MAX_NEWTON {
-            equations.stats.newton_iterations += 1;
-            equations.stats.linear_algebra += self.lu.operations().1;
-            for (i, b) in self.increment.iter_mut().enumerate() {
-                *b = gamma * self.rhs[i] - share * self.z_new[1][i] - self.correction[i];
-            }
-            self.lu.solve(&mut self.increment);
-            if ratio != 1.0 {
-                self.increment.iter_mut().for_each(|v| *v *= relaxation);
-            }
-            for (e, d) in self.correction.iter_mut().zip(&self.increment) {
-                *e += d;
-            }
-            let norm = scaled_norm(&self.increment, &self.inverse);
-            if !norm.is_finite() {
-                return Err(CallError::Discard);
-            }
-            if count > 1 {
-                self.rate = (0.3 * self.rate).max(norm / last);
-            }
-            if norm * self.rate.min(1.0) <= tolerance {
-                self.correction_norm =
-                    if count == 1 { norm } else { scaled_norm(&self.correction, &self.inverse) };
-                // Slow, with a Jacobian from before the last event.
-                self.wants_jacobian |= self.jacobian_is_suspect && count == MAX_NEWTON;
-                return Ok(true);
-            }
-            if count == MAX_NEWTON || (count > 1 && norm > 2.0 * last) {
-                break;
-            }
-            last = norm;
-            for (i, x) in self.x.iter_mut().enumerate() {
-                *x = self.z_new[0][i] + self.correction[i];
-            }
-            equations.derivatives(end, &self.x, &mut self.rhs)?;
-        }
-        Ok(false)
-    }
-
     /// Predicts and corrects. `false`: the equations could not be solved with a fresh Jacobian.
     fn correct<S: HybridSystem + ?Sized>(
         &mut self,
@@ -272,31 +219,47 @@ impl Bdf {
         array::advance(&mut self.z_new[..=self.order]);
         self.coefficients = Coefficients::new(self.order, self.h, &self.past);
         let gamma = self.h / self.coefficients.l[1];
-        let mut must_set_up = self.wants_jacobian || self.error_failures > 0;
         loop {
             equations.derivatives(end, &self.z_new[0], &mut self.rhs)?;
-            let change = if self.decomposed_gamma == 0.0 {
-                f64::INFINITY
-            } else {
-                (gamma / self.decomposed_gamma - 1.0).abs()
-            };
-            let old = must_set_up || change > KEEP_GAMMA || self.decomposition_age >= KEEP_DECOMPOSITION;
-            if old && !self.set_up(equations, end, gamma)? {
-                if self.jacobian_age == 0 {
-                    return Ok(false);
-                }
-                self.wants_jacobian = true;
-                continue;
+            let Self { freshness, lu, .. } = self;
+            let point = (end, &self.z_new[0][..], &self.rhs[..]);
+            let matrix = freshness.prepare(equations, gamma, point, |jacobian, stats| {
+                let j = &jacobian.values;
+                stats.decompositions += 1;
+                stats.linear_algebra += lu.operations().0;
+                lu.decompose(|p, on_diagonal| f64::from(on_diagonal) - gamma * j[p])
+            })?;
+            match matrix {
+                Matrix::Kept => {}
+                Matrix::New => self.convergence.forget(),
+                Matrix::Singular => return Ok(false),
             }
-            if self.newton(equations, end, gamma)? {
+            self.correction.fill(0.0);
+            // Half a correction for the change of gamma since the decomposition; what it leaves of stiff components.
+            let ratio = gamma / self.freshness.coefficient();
+            let (relaxation, change) = (2.0 / (1.0 + ratio), (1.0 - ratio).abs() / (1.0 + ratio));
+            let mut iteration = Corrector {
+                lu: &self.lu,
+                z: &self.z_new,
+                end,
+                gamma,
+                share: 1.0 / self.coefficients.l[1],
+                relaxation,
+                inverse: &self.inverse,
+                x: &mut self.x,
+                rhs: &mut self.rhs,
+                increment: &mut self.increment,
+                correction: &mut self.correction,
+            };
+            let tolerance = NEWTON_SHARE / self.coefficients.here;
+            let newton = self.convergence.iterate(equations, &mut iteration, tolerance, change)?;
+            if newton == Newton::Converged {
+                self.correction_norm = scaled_norm(&self.correction, &self.inverse);
                 return Ok(true);
             }
-            if self.jacobian_age == 0 && self.decomposed_gamma == gamma {
+            if !self.freshness.renew_after_failure(gamma) {
                 return Ok(false);
             }
-            // If gamma has moved far the decomposition is to blame, else the Jacobian.
-            self.wants_jacobian = change < 0.2 || self.decomposed_gamma == gamma;
-            must_set_up = true;
         }
     }
 
@@ -348,29 +311,27 @@ impl Bdf {
 }
 
 impl Stepper for Bdf {
-    fn order(&self) -> u32 {
-        1
-    }
-
-    fn has_error_estimate(&self) -> bool {
-        true
-    }
-
-    fn takes_long_steps(&self) -> bool {
-        true
+    fn properties(&self) -> Properties {
+        Properties {
+            order: 1,
+            takes_long_steps: true,
+            wants_second_derivative: true,
+            evaluates_ends: false,
+            takes_jacobians: true,
+            ..Properties::default()
+        }
     }
 
     fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
         let n = system.n_states();
-        self.jacobian.begin(system)?;
-        self.lu.begin(n, self.jacobian.pattern())?;
+        self.freshness.begin(system)?;
+        self.lu.begin(n, self.freshness.jacobian().pattern())?;
         let Self { f, correction, last_correction, inverse, x, rhs, increment, z, z_new, .. } = self;
         let single = [f, correction, last_correction, inverse, x, rhs, increment];
         for v in single.into_iter().chain(z).chain(z_new) {
             v.clear();
             v.resize(n, 0.0);
         }
-        self.has_jacobian = false;
         self.forget();
         Ok(())
     }
@@ -395,10 +356,8 @@ impl Stepper for Bdf {
         self.error_failures = 0;
         self.last_scale = 0.0;
         self.past = [0.0; MAX_ORDER + 1];
-        self.decomposed_gamma = 0.0;
-        self.rate = 1.0;
-        self.jacobian_is_suspect = true;
-        self.wants_jacobian = false;
+        self.convergence.forget();
+        self.freshness.event();
     }
 
     fn begin_with(&mut self, s: f64, dx: &[f64]) {
@@ -410,24 +369,12 @@ impl Stepper for Bdf {
         }
     }
 
-    fn wants_second_derivative(&self) -> bool {
-        true
-    }
-
     fn kink(&mut self, h: f64) -> f64 {
         self.order = self.order.min(KINK_ORDER);
         self.next_order = self.order;
         self.wait = self.order as u32 + 1;
         self.last_scale = 0.0;
         h
-    }
-
-    fn evaluates_ends(&self) -> bool {
-        false
-    }
-
-    fn takes_jacobians(&self) -> bool {
-        true
     }
 
     fn derivative(&self) -> &[f64] {
@@ -448,7 +395,7 @@ impl Stepper for Bdf {
         self.prepare(equations, (t, x, h))?;
         if !self.correct(equations, end)? {
             self.growth = 1.0;
-            self.wants_jacobian = true;
+            self.freshness.want_jacobian();
             return Ok(Attempt::NotSolved { h: 0.25 * h });
         }
         for (z, l) in self.z_new.iter_mut().zip(self.coefficients.l).take(self.order + 1) {
@@ -462,6 +409,7 @@ impl Stepper for Bdf {
         if error > 1.0 {
             self.growth = 1.0;
             self.error_failures += 1;
+            self.freshness.rejected();
             let wanted = 1.0 / ((6.0 * error).powf(1.0 / (self.order as f64 + 1.0)) + 1e-6);
             let share = match self.error_failures {
                 1 => wanted.clamp(0.1, 0.9),
@@ -488,8 +436,7 @@ impl Stepper for Bdf {
 
     fn accept(&mut self, _: f64, theta: f64) -> f64 {
         self.steps += 1;
-        self.decomposition_age += 1;
-        self.jacobian_age += 1;
+        self.freshness.accepted(self.convergence.count(), self.convergence.rate());
         self.error_failures = 0;
         self.past.rotate_right(1);
         self.past[0] = self.h;

@@ -2,7 +2,7 @@
 //!
 //! The functions take the rows that count, one more than the order; each row has one number per state.
 
-use super::MAX_ORDER;
+use super::coefficients::MAX_ORDER;
 
 /// In units of a step `ratio` times as long.
 pub(super) fn rescale(z: &mut [Vec<f64>], ratio: f64) {

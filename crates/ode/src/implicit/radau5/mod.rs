@@ -6,56 +6,48 @@
 //! The stages are written as increments `z_i = X_i - x`, transformed by `T` to the variables `w` in which the Newton
 //! matrix falls apart into a real and a complex block of the size of the system.
 
+use super::freshness::{Freshness, Matrix, Rules};
+use super::newton::{Convergence, Newton};
 use crate::control::scaled_norm;
-use crate::jacobian::Jacobian;
-use crate::lu::Lu;
-use crate::stats::Stats;
-use crate::stepper::{Attempt, Consistency, Equations, StepWithEvent, Stepper, Trial};
+use crate::stepper::{Attempt, Consistency, Equations, Properties, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use nalgebra::Complex;
 
 mod algebraic;
 mod coefficients;
 mod dense;
-mod newton;
+mod stages;
 
 use algebraic::Algebraic;
-use coefficients::{ALPHA, BETA, E, GAMMA};
+use coefficients::{E, GAMMA};
 use dense::{Collocation, Terms};
-use newton::{MAX_NEWTON, Newton};
+use stages::{StageEquations, Stages};
 
 const U: f64 = f64::EPSILON / 2.0;
-/// Below this rate of convergence the Jacobian is good enough for the next step too.
-const KEEP_JACOBIAN: f64 = 1e-3;
-/// A Jacobian of so few evaluations is made anew as soon as convergence slows down or a step fails; a dearer one only
-/// when the slow convergence costs iterations.
-const CHEAP_JACOBIAN: usize = 4;
+/// As in radau5 (its NIT).
+const MAX_NEWTON: u32 = 7;
+/// A step keeps its size where a little more is not worth a decomposition: the decomposed matrix is that of the step.
+const RULES: Rules = Rules {
+    change: 0.0,
+    decomposition_steps: u32::MAX,
+    jacobian_steps: u32::MAX,
+    cheap: 4,
+    only_after_events: false,
+};
 const SAFETY: f64 = 0.9;
 /// The estimates at the end of a step are held against this times `rtol^(2/3)`: they are of order 3, the end itself of
 /// order 5, and this makes the error about what was asked for (radau5 has 0.1 here).
 const TRANSFORM: f64 = 0.08;
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct Radau5 {
-    jacobian: Jacobian,
-    mass: Option<Vec<f64>>,
+    freshness: Freshness,
+    convergence: Convergence,
     algebraic: Algebraic,
-    real: Lu<f64>,
-    complex: Lu<Complex<f64>>,
-    /// Size of the step whose matrices are decomposed; 0: none.
-    decomposed_h: f64,
-    /// There is a Jacobian; it was made at the current point; the last one converged too slowly.
-    has_jacobian: bool,
+    stages: Stages,
     spectrum: Option<(f64, f64)>,
-    jacobian_is_fresh: bool,
-    wants_jacobian: bool,
     f: Vec<f64>,
     f_new: Vec<f64>,
-    z: [Vec<f64>; 3],
-    w: [Vec<f64>; 3],
-    stage_f: [Vec<f64>; 3],
-    stage_x: Vec<f64>,
-    complex_rhs: Vec<Complex<f64>>,
     /// Inverse weights of the norm.
     inverse: Vec<f64>,
     error: Vec<f64>,
@@ -66,9 +58,6 @@ pub(crate) struct Radau5 {
     can_extrapolate: bool,
     /// The next trial is the last good one made shorter.
     is_repetition: bool,
-    theta: f64,
-    fac_convergence: f64,
-    newton_count: u32,
     error_norm: f64,
     /// Error and size of the last accepted step, for the predictive controller.
     last_error: f64,
@@ -80,6 +69,34 @@ pub(crate) struct Radau5 {
     kink_h: f64,
 }
 
+impl Default for Radau5 {
+    fn default() -> Self {
+        Self {
+            freshness: Freshness::new(RULES),
+            convergence: Convergence::new(MAX_NEWTON),
+            algebraic: Algebraic::default(),
+            stages: Stages::default(),
+            spectrum: None,
+            f: Vec::new(),
+            f_new: Vec::new(),
+            inverse: Vec::new(),
+            error: Vec::new(),
+            trial: Collocation::default(),
+            last: Collocation::default(),
+            terms: Terms::default(),
+            can_extrapolate: false,
+            is_repetition: false,
+            error_norm: 0.0,
+            last_error: 0.0,
+            last_h: 0.0,
+            after_rejection: false,
+            first: false,
+            at_kink: false,
+            kink_h: 0.0,
+        }
+    }
+}
+
 impl Radau5 {
     /// The spectral radius of the last Jacobian, by vector iteration (the mean growth over the last half of twenty products, so
     /// that complex pairs count with their modulus), and the cosine between the last vector and its image: -1 where the
@@ -89,14 +106,14 @@ impl Radau5 {
         if let Some(known) = self.spectrum {
             return known;
         }
-        let Self { jacobian, inverse, stage_x: v, error: product, .. } = self;
+        let Self { freshness, inverse, stages: Stages { point: v, .. }, error: product, .. } = self;
         for (i, (v, inverse)) in v.iter_mut().zip(&*inverse).enumerate() {
             *v = (1.0 + 0.1 * i as f64) / inverse;
         }
         let (mut growth, mut cosine) = (1.0, 0.0);
         for count in 0..2 * HALF {
             product.fill(0.0);
-            jacobian.each(|i, k, j| product[i] += j * v[k]);
+            freshness.jacobian().each(|i, k, j| product[i] += j * v[k]);
             let (before, after) = (scaled_norm(v, inverse), scaled_norm(product, inverse));
             if after == 0.0 || !after.is_finite() {
                 (growth, cosine) = (0.0, 0.0);
@@ -115,36 +132,19 @@ impl Radau5 {
 
     /// The rate of convergence of Newton's method in the last step; 0 where one iteration was enough.
     pub(crate) fn contraction(&self) -> f64 {
-        if self.newton_count > 1 { self.theta } else { 0.0 }
+        if self.convergence.count() > 1 { self.convergence.rate() } else { 0.0 }
     }
 
-    /// Hands over the Jacobian.
-    pub(crate) fn jacobian_mut(&mut self) -> &mut Jacobian {
-        self.has_jacobian = false;
-        &mut self.jacobian
+    /// The Jacobian, to be taken over.
+    pub(crate) fn freshness_mut(&mut self) -> &mut Freshness {
+        &mut self.freshness
     }
 
     /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
     pub(crate) fn take_over(&mut self, f: &[f64]) {
         self.f.copy_from_slice(f);
-        self.has_jacobian = false;
-        self.decomposed_h = 0.0;
+        self.freshness.drop_jacobian();
         self.forget();
-    }
-
-    fn decompose(&mut self, h: f64, stats: &mut Stats) -> bool {
-        let (j, mass) = (&self.jacobian.values, self.mass.as_deref());
-        let m = |p: usize, on_diagonal: bool| match mass {
-            Some(m) => m[p],
-            None => f64::from(on_diagonal),
-        };
-        let (gamma, eigen) = (GAMMA / h, Complex::new(ALPHA / h, BETA / h));
-        stats.decompositions += 2;
-        stats.linear_algebra += self.real.operations().0 + self.complex.operations().0;
-        let good = self.real.decompose(|p, d| gamma * m(p, d) - j[p])
-            && self.complex.decompose(|p, d| eigen * m(p, d) - Complex::new(j[p], 0.0));
-        self.decomposed_h = if good { h } else { 0.0 };
-        good
     }
 
     /// The weighted error of the embedded formula; the second time from the point that the first estimate leads to.
@@ -154,23 +154,24 @@ impl Radau5 {
         Trial { t, h, x, .. }: Trial<'_>,
     ) -> CallResult<f64> {
         let n = x.len();
+        let Stages { mass, real, z, f: stage_f, point, .. } = &mut self.stages;
         for i in 0..n {
-            self.stage_x[i] = (E[0] * self.z[0][i] + E[1] * self.z[1][i] + E[2] * self.z[2][i]) / h;
+            point[i] = (E[0] * z[0][i] + E[1] * z[1][i] + E[2] * z[2][i]) / h;
         }
-        let slopes = &mut self.stage_f[0];
-        match &self.mass {
-            None => slopes.copy_from_slice(&self.stage_x),
+        let slopes = &mut stage_f[0];
+        match mass {
+            None => slopes.copy_from_slice(point),
             Some(m) => {
                 for (i, s) in slopes.iter_mut().enumerate() {
-                    *s = (0..n).map(|k| m[i + n * k] * self.stage_x[k]).sum();
+                    *s = (0..n).map(|k| m[i + n * k] * point[k]).sum();
                 }
             }
         }
         for ((e, s), f) in self.error.iter_mut().zip(&*slopes).zip(&self.f) {
             *e = s + f;
         }
-        equations.stats.linear_algebra += self.real.operations().1;
-        self.real.solve(&mut self.error);
+        equations.stats.linear_algebra += real.operations().1;
+        real.solve(&mut self.error);
         for (d, e) in self.terms.defect.iter_mut().zip(&self.error) {
             *d = GAMMA * e;
         }
@@ -178,55 +179,47 @@ impl Radau5 {
         if norm < 1.0 || !(self.first || self.after_rejection) {
             return Ok(norm.max(1e-10));
         }
-        for ((p, x), e) in self.stage_x.iter_mut().zip(x).zip(&self.error) {
+        for ((p, x), e) in point.iter_mut().zip(x).zip(&self.error) {
             *p = x + e;
         }
-        match equations.derivatives(t, &self.stage_x, &mut self.stage_f[1]) {
+        match equations.derivatives(t, point, &mut stage_f[1]) {
             Ok(()) => {}
             // The first estimate stands.
             Err(CallError::Discard) => return Ok(norm),
             Err(failed) => return Err(failed),
         }
-        for i in 0..n {
-            self.error[i] = self.stage_f[1][i] + self.stage_f[0][i];
+        let [defect, slope, _] = stage_f;
+        for ((e, slope), defect) in self.error.iter_mut().zip(&*slope).zip(&*defect) {
+            *e = slope + defect;
         }
-        equations.stats.linear_algebra += self.real.operations().1;
-        self.real.solve(&mut self.error);
+        equations.stats.linear_algebra += real.operations().1;
+        real.solve(&mut self.error);
         Ok(scaled_norm(&self.error, &self.inverse).max(1e-10))
     }
 
     /// The step size that the error alone asks for.
     fn wanted(&self, h: f64) -> f64 {
-        let newton = f64::from(1 + 2 * MAX_NEWTON) / f64::from(self.newton_count + 2 * MAX_NEWTON);
+        let newton = f64::from(1 + 2 * MAX_NEWTON) / f64::from(self.convergence.count() + 2 * MAX_NEWTON);
         h / (self.error_norm.powf(0.25) / (SAFETY * newton.min(1.0))).clamp(0.125, 5.0)
     }
 }
 
 impl Stepper for Radau5 {
-    fn order(&self) -> u32 {
-        3
-    }
-
-    fn has_error_estimate(&self) -> bool {
-        true
-    }
-
-    fn takes_mass_matrix(&self) -> bool {
-        true
-    }
-
-    fn step_with_event(&self) -> StepWithEvent {
-        StepWithEvent::RepeatedToIt
-    }
-
-    fn takes_long_steps(&self) -> bool {
-        true
+    fn properties(&self) -> Properties {
+        Properties {
+            order: 3,
+            takes_mass_matrix: true,
+            step_with_event: StepWithEvent::RepeatedToIt,
+            takes_long_steps: true,
+            takes_jacobians: true,
+            ..Properties::default()
+        }
     }
 
     fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
         let n = system.n_states();
-        self.jacobian.begin(system)?;
-        match (system.mass_matrix(), &mut self.mass) {
+        self.freshness.begin(system)?;
+        match (system.mass_matrix(), &mut self.stages.mass) {
             (None, mass) => *mass = None,
             (Some(m), Some(mass)) => {
                 mass.clear();
@@ -234,28 +227,25 @@ impl Stepper for Radau5 {
             }
             (Some(m), mass) => *mass = Some(m.to_vec()),
         }
-        if let Some(mass) = &self.mass {
+        if let Some(mass) = &self.stages.mass {
             self.algebraic.begin(n, mass)?;
         }
+        let Self { f, f_new, inverse, error, stages, .. } = self;
         // A mass matrix has places of its own.
-        let pattern = self.jacobian.pattern().filter(|_| self.mass.is_none());
-        self.real.begin(n, pattern)?;
-        self.complex.begin(n, pattern)?;
+        let pattern = self.freshness.jacobian().pattern().filter(|_| stages.mass.is_none());
+        stages.real.begin(n, pattern)?;
+        stages.complex.begin(n, pattern)?;
         self.trial.begin(n);
         self.last.begin(n);
         self.terms.begin(n);
-        let Self { f, f_new, stage_x, inverse, error, z, w, stage_f, .. } = self;
-        let single = [f, f_new, stage_x, inverse, error];
+        let Stages { point, complex_rhs, z, w, f: stage_f, .. } = stages;
+        let single = [f, f_new, point, inverse, error];
         let triple = [z, w, stage_f];
         for v in single.into_iter().chain(triple.into_iter().flatten()) {
             v.clear();
             v.resize(n, 0.0);
         }
-        self.complex_rhs.resize(n, Complex::new(0.0, 0.0));
-        self.decomposed_h = 0.0;
-        self.has_jacobian = false;
-        self.jacobian_is_fresh = false;
-        self.wants_jacobian = false;
+        complex_rhs.resize(n, Complex::new(0.0, 0.0));
         self.forget();
         Ok(())
     }
@@ -266,7 +256,7 @@ impl Stepper for Radau5 {
         t: f64,
         x: &[f64],
     ) -> CallResult<()> {
-        self.jacobian_is_fresh = false;
+        self.freshness.moved();
         self.f_new.copy_from_slice(&self.f);
         equations.derivatives(t, x, &mut self.f)?;
         // A change below the tolerance is one all the same: crossings are looked for inside of steps.
@@ -280,18 +270,15 @@ impl Stepper for Radau5 {
         t: f64,
         x: &mut [f64],
     ) -> CallResult<Consistency> {
-        if self.mass.is_none() {
+        if self.stages.mass.is_none() {
             return Ok(Consistency::Holds);
         }
         let before = equations.stats.jacobians;
-        let Self { algebraic, jacobian, f, has_jacobian, .. } = self;
-        let found = algebraic.make_consistent(equations, (t, x, f), (jacobian, *has_jacobian))?;
+        let Self { algebraic, freshness, f, .. } = self;
+        let found = algebraic.make_consistent(equations, (t, x, f), freshness.jacobian_mut())?;
         if equations.stats.jacobians > before {
             // Where nothing was changed it is of the current point.
-            self.has_jacobian = found == Consistency::Holds;
-            self.jacobian_is_fresh = self.has_jacobian;
-            self.wants_jacobian = false;
-            self.decomposed_h = 0.0;
+            freshness.take_new(found == Consistency::Holds);
         }
         Ok(found)
     }
@@ -299,12 +286,11 @@ impl Stepper for Radau5 {
     fn forget(&mut self) {
         self.is_repetition = false;
         self.can_extrapolate = false;
-        self.fac_convergence = 1.0;
+        self.convergence.forget();
         self.first = true;
         self.after_rejection = false;
         self.last_h = 0.0;
         self.last_error = 1e-2;
-        self.theta = KEEP_JACOBIAN;
         self.at_kink = false;
         self.kink_h = f64::INFINITY;
     }
@@ -319,19 +305,15 @@ impl Stepper for Radau5 {
         self.is_repetition = true;
     }
 
-    fn takes_jacobians(&self) -> bool {
-        true
-    }
-
     fn undetermined<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
     ) -> Option<usize> {
-        self.mass.as_ref()?;
-        self.has_jacobian = false;
-        self.algebraic.undetermined(equations, &mut self.jacobian, t, x)
+        self.stages.mass.as_ref()?;
+        self.freshness.drop_jacobian();
+        self.algebraic.undetermined(equations, self.freshness.jacobian_mut().0, t, x)
     }
 
     fn derivative(&self) -> &[f64] {
@@ -354,25 +336,24 @@ impl Stepper for Radau5 {
         equations.weights.inverse_at(x, equations.weights.rtol() / rtol, &mut self.inverse);
         let newton_tolerance = (10.0 * U / rtol).max(rtol.sqrt().min(0.03));
         loop {
-            if !self.has_jacobian || self.wants_jacobian {
-                self.jacobian.evaluate(equations, (t, x, &self.f))?;
-                self.has_jacobian = true;
+            let before = equations.stats.jacobians;
+            let Self { freshness, stages, .. } = self;
+            let point = (t, x, &self.f[..]);
+            let decompose = |jacobian: &_, stats: &mut _| stages.decompose(jacobian, h, stats);
+            let matrix = freshness.prepare(equations, h, point, decompose)?;
+            if equations.stats.jacobians > before {
                 self.spectrum = None;
-                self.jacobian_is_fresh = true;
-                self.wants_jacobian = false;
-                self.decomposed_h = 0.0;
             }
-            if self.decomposed_h != h && !self.decompose(h, equations.stats) {
-                if self.jacobian_is_fresh {
-                    self.after_rejection = true;
-                    return Ok(Attempt::NotSolved { h: 0.5 * h });
-                }
-                self.wants_jacobian = true;
-                continue;
+            if matrix == Matrix::Singular {
+                self.after_rejection = true;
+                return Ok(Attempt::NotSolved { h: 0.5 * h });
             }
-            match self.newton(equations, trial, newton_tolerance)? {
+            let longer = std::mem::take(&mut self.is_repetition).then_some(&self.trial);
+            self.stages.guess(h, self.can_extrapolate.then_some(&self.last), longer);
+            let mut iteration = StageEquations { stages: &mut self.stages, trial, inverse: &self.inverse };
+            match self.convergence.iterate(equations, &mut iteration, newton_tolerance, 0.0)? {
                 Newton::Converged => break,
-                Newton::Failed(_) if !self.jacobian_is_fresh => self.wants_jacobian = true,
+                Newton::Failed(_) if self.freshness.renew_after_failure(h) => {}
                 Newton::Failed(share) => {
                     self.after_rejection = true;
                     return Ok(Attempt::NotSolved { h: share * h });
@@ -380,20 +361,20 @@ impl Stepper for Radau5 {
             }
         }
         let at_end = self.estimate_error(equations, trial)?;
-        self.trial.set(h, &self.z);
+        self.trial.set(h, &self.stages.z);
         let last = self.can_extrapolate.then_some(&self.last);
         let inside = self.terms.bend(&self.trial, last, &self.inverse) * (rtol / equations.weights.rtol());
         self.error_norm = at_end.max(inside);
         if !self.error_norm.is_finite() {
             return Err(CallError::Discard);
         }
-        for ((new, x), z) in x_new.iter_mut().zip(x).zip(&self.z[2]) {
+        for ((new, x), z) in x_new.iter_mut().zip(x).zip(&self.stages.z[2]) {
             *new = x + z;
         }
         if self.error_norm >= 1.0 {
             let h_new = if self.first { 0.1 * h } else { self.wanted(h).min(0.9 * h) };
             self.after_rejection = true;
-            self.wants_jacobian = !self.jacobian_is_fresh && self.jacobian.cost() <= CHEAP_JACOBIAN;
+            self.freshness.rejected();
             return Ok(Attempt::TooInexact { h: h_new });
         }
         equations.derivatives(end, x_new, &mut self.f_new)?;
@@ -415,7 +396,7 @@ impl Stepper for Radau5 {
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
         let value = self.terms.value(&self.trial, theta);
         for (i, out) in x.iter_mut().enumerate() {
-            *out = trial.x[i] + self.z[2][i] + value(i);
+            *out = trial.x[i] + self.stages.z[2][i] + value(i);
         }
     }
 
@@ -437,15 +418,13 @@ impl Stepper for Radau5 {
         self.last_error = self.error_norm.max(1e-2);
         self.first = false;
         self.after_rejection = false;
-        self.jacobian_is_fresh = false;
-        let slow = self.newton_count > 2 || self.jacobian.cost() <= CHEAP_JACOBIAN;
-        self.wants_jacobian = slow && self.theta > KEEP_JACOBIAN;
+        self.freshness.accepted(self.convergence.count(), self.convergence.rate());
         self.can_extrapolate = theta == 1.0;
         if self.can_extrapolate {
             std::mem::swap(&mut self.f, &mut self.f_new);
             std::mem::swap(&mut self.trial, &mut self.last);
         }
         // A little more is not worth a decomposition.
-        if !self.wants_jacobian && (1.0..=1.2).contains(&(proposed / h)) { h } else { proposed }
+        if !self.freshness.wants_jacobian() && (1.0..=1.2).contains(&(proposed / h)) { h } else { proposed }
     }
 }

@@ -1,63 +1,10 @@
-//! State events: the domain memory of the indicators, and root location.
-//!
-//! An indicator is in the domain `z > 0` or `z <= 0` (the rule of FMI 2.0, 3.2.1). A state event happens when one
-//! changes its domain, in a direction that its system wants to know of. Signs are never multiplied: products underflow.
+//! Where in a step the first event is: turning points that may hide one, and root location.
 
-use crate::system::{CallResult, Direction};
-
-mod returns;
-
-pub(crate) use returns::SLOPE_STEP;
-use returns::{SMALL, SinceEvent};
+use super::domains::{Domains, flipped};
+use crate::system::CallResult;
 
 /// A parabola comes near zero where its turning point is less than this share of the least value that it passes.
 const NEAR: f64 = 0.25;
-
-/// After so many steps without a crossing the sliding of an indicator has ended.
-const CLEAN_STEPS: u32 = 100;
-
-/// Which indicators are positive, and the values they were read from.
-#[derive(Debug, Default)]
-pub(crate) struct Domains {
-    /// Indicators at the start of the step (after all events there).
-    pub(crate) base: Vec<f64>,
-    /// Indicators at the end of the step that is being looked at.
-    pub(crate) end: Vec<f64>,
-    mid: Vec<f64>,
-    lo: Vec<f64>,
-    discarded: Vec<f64>,
-    directions: Vec<Direction>,
-    /// Indicators at a point inside the step, and its time, where one has changed its domain in a direction that is no
-    /// event: what happens behind it counts from there. `None`: from the start of the step.
-    from: Vec<f64>,
-    counts_since: Option<f64>,
-    /// Times inside the step at which the indicators were looked at, ascending, and their values there, one time after the other.
-    looked_at: Vec<f64>,
-    looked: Vec<f64>,
-    /// Indicators at the start of the step before, and that time, if nothing has happened since.
-    before: Vec<f64>,
-    before_time: Option<f64>,
-    /// +1, -1 or 0 per indicator, once [`crossings`](Self::mark) has been called.
-    pub(crate) crossings: Vec<i8>,
-    /// How far from zero an indicator may be where its last event was located.
-    near_zero: Vec<f64>,
-    since_event: Vec<SinceEvent>,
-    /// The largest absolute values so far.
-    largest: Vec<f64>,
-    /// Those whose last event has changed states.
-    resets: Vec<bool>,
-    /// Those that came from the domain `z > 0` at their last event.
-    from_above: Vec<bool>,
-    /// Those that an event has turned back, and that were small since.
-    bounces: Vec<bool>,
-    /// Slopes at the start of the step of the indicators that may come back in it; NaN: of no interest.
-    slopes: Vec<f64>,
-    /// Those that their event has left next to zero, and that the flow leads on from there in the step.
-    onward: Vec<bool>,
-    /// Indicators that chatter: their crossings count at the ends of steps. For so many more steps, if they do not cross; 0: they do not
-    /// slide.
-    sliding: Vec<u32>,
-}
 
 /// Where the first change of domain in a step was found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,20 +15,6 @@ pub(crate) struct Located {
     pub(crate) before: f64,
     /// Evaluations of the indicators it took.
     pub(crate) evaluations: u64,
-}
-
-fn flipped(from: f64, to: f64) -> bool {
-    (from > 0.0) != (to > 0.0)
-}
-
-/// Whether a change of an indicator is an event.
-fn crosses(direction: Direction, from: f64, to: f64) -> bool {
-    flipped(from, to)
-        && match direction {
-            Direction::Both | Direction::Either => true,
-            Direction::Up => to > 0.0,
-            Direction::Down => to <= 0.0,
-        }
 }
 
 /// Where after `start` the parabola through three points `(t, z)` in one domain turns, if that is in the other domain or near it.
@@ -101,177 +34,6 @@ fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) ->
 }
 
 impl Domains {
-    /// Makes room for `n` indicators whose changes are events in these directions.
-    pub(crate) fn begin(&mut self, n: usize, direction: impl Fn(usize) -> Direction) {
-        for v in [
-            &mut self.base,
-            &mut self.end,
-            &mut self.mid,
-            &mut self.lo,
-            &mut self.discarded,
-            &mut self.before,
-            &mut self.from,
-            &mut self.slopes,
-            &mut self.near_zero,
-            &mut self.largest,
-        ] {
-            v.clear();
-            v.resize(n, 0.0);
-        }
-        self.crossings.clear();
-        self.crossings.resize(n, 0);
-        self.since_event.clear();
-        self.since_event.resize(n, SinceEvent::Settled);
-        self.sliding.clear();
-        self.sliding.resize(n, 0);
-        for v in [&mut self.bounces, &mut self.resets, &mut self.from_above, &mut self.onward] {
-            v.clear();
-            v.resize(n, false);
-        }
-        self.directions.clear();
-        self.directions.extend((0..n).map(direction));
-        self.before_time = None;
-        self.counts_since = None;
-    }
-
-    pub(crate) fn len(&self) -> usize {
-        self.base.len()
-    }
-
-    /// A step is going to be looked into: changes count from its start.
-    pub(crate) fn look(&mut self) {
-        self.counts_since = None;
-        self.looked_at.clear();
-        self.looked.clear();
-    }
-
-    /// From when on changes count, if not from the start of the step.
-    pub(crate) fn counts_since(&self) -> Option<f64> {
-        self.counts_since
-    }
-
-    /// The indicators where changes begin to count.
-    fn reference(&self) -> &[f64] {
-        if self.counts_since.is_some() { &self.from } else { &self.base }
-    }
-
-    /// Whether the change of an indicator is an event that is to be located.
-    fn is_located(&self, i: usize, from: f64, to: f64) -> bool {
-        !self.slides(i) && crosses(self.direction(i), from, to)
-    }
-
-    /// Whether any indicator has an event between two points.
-    fn any_crosses(&self, from: &[f64], to: &[f64]) -> bool {
-        from.iter().zip(to).enumerate().any(|(i, (from, to))| self.is_located(i, *from, *to))
-    }
-
-    /// Whether any indicator has left the domain it was in, so that it is an event.
-    pub(crate) fn changed(&self) -> bool {
-        self.any_crosses(self.reference(), &self.end)
-    }
-
-    /// Writes down the direction of every crossing up to the end, after the time `elapsed`, that is an event; returns the
-    /// first that crossed, those that do not slide before those that do. Times within `tolerance` are one.
-    pub(crate) fn mark(&mut self, elapsed: f64, tolerance: f64) -> Option<usize> {
-        for i in 0..self.len() {
-            let (base, end) = (self.base[i], self.end[i]);
-            let has_crossed = if self.is_held(i) {
-                self.falls(i) || (self.directions[i] == Direction::Both && flipped(base, end))
-            } else if self.slides(i) {
-                // One that came back in the step may have begun in the domain where it ends.
-                self.is_lost(i) || crosses(self.direction(i), base, end)
-            } else {
-                crosses(self.direction(i), self.reference()[i], end)
-            };
-            self.crossings[i] = match (has_crossed, end > 0.0) {
-                (true, true) => 1,
-                (true, false) => -1,
-                _ => 0,
-            };
-            if has_crossed {
-                self.find_origin(i);
-                let slope = (end - base) / elapsed;
-                // One that jumps is nowhere near.
-                let jumps = end.abs() > SMALL * self.largest[i];
-                self.near_zero[i] = if jumps { 0.0 } else { end.abs() + (tolerance * slope).abs() };
-            }
-        }
-        let crossed = |i: &usize| self.crossings[*i] != 0;
-        (0..self.len()).filter(crossed).min_by_key(|i| self.slides(*i))
-    }
-
-    /// Those marked slide from now on.
-    pub(crate) fn slide_marked(&mut self) {
-        for i in 0..self.len() {
-            if self.crossings[i] != 0 {
-                self.slide(i);
-            }
-        }
-    }
-
-    /// Whether an indicator that was marked is zero: the crossing is there, or yet to come.
-    pub(crate) fn crossed_on_zero(&self) -> bool {
-        self.end.iter().zip(&self.crossings).any(|(end, crossing)| *end == 0.0 && *crossing != 0)
-    }
-
-    /// This indicator slides from now on.
-    pub(crate) fn slide(&mut self, i: usize) {
-        self.sliding[i] = CLEAN_STEPS;
-    }
-
-    /// This indicator slides no more.
-    pub(crate) fn release(&mut self, i: usize) {
-        self.sliding[i] = 0;
-        self.since_event[i] = SinceEvent::Settled;
-    }
-
-    /// A step is over: those that slide and have crossed in it go on sliding. `false`: none slides any more.
-    pub(crate) fn go_on_sliding(&mut self) -> bool {
-        for (left, crossing) in self.sliding.iter_mut().zip(&self.crossings) {
-            *left = if *left > 0 && *crossing != 0 { CLEAN_STEPS } else { left.saturating_sub(1) };
-        }
-        self.sliding.iter().any(|left| *left > 0)
-    }
-
-    /// Whether this indicator slides.
-    pub(crate) fn slides(&self, i: usize) -> bool {
-        self.sliding[i] > 0
-    }
-
-    /// Whether the event at the end of the step has left the indicators as they were, `base` being those after it.
-    pub(crate) fn unmoved(&self) -> bool {
-        self.base.iter().zip(&self.end).all(|(after, before)| (after - before).abs() <= 1e-3 * before.abs())
-    }
-
-    /// Nothing crossed.
-    pub(crate) fn clear_marks(&mut self) {
-        self.crossings.fill(0);
-    }
-
-    /// The step that began at `start` is over without an event: its end is the next start.
-    pub(crate) fn advance(&mut self, start: f64) {
-        std::mem::swap(&mut self.before, &mut self.base);
-        std::mem::swap(&mut self.base, &mut self.end);
-        self.before_time = Some(start);
-    }
-
-    /// Whether an indicator that goes on as in the step before, from `began` to `now`, may change its domain within the time
-    /// `same`.
-    pub(crate) fn is_about_to_cross(&self, began: f64, now: f64, same: f64) -> bool {
-        let reach = 2.0 * same / (now - began);
-        self.base.iter().zip(&self.before).any(|(z, last)| z.abs() < reach * (z - last).abs())
-    }
-
-    /// The indicators go on from the current point without a past.
-    pub(crate) fn forget(&mut self) {
-        self.before_time = None;
-    }
-
-    /// How many times longer the step from `start` to `end` is than the one before; `None`: there is none.
-    pub(crate) fn growth(&self, start: f64, end: f64) -> Option<f64> {
-        self.before_time.map(|before| (end - start) / (start - before))
-    }
-
     /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to its turning point, if
     /// that lies in the other domain or near it: a crossing and its return may hide there.
     pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
@@ -434,6 +196,7 @@ impl Domains {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::system::Direction;
 
     fn locate(z: impl Fn(f64) -> Vec<f64>, lo: f64, hi: f64, tolerance: f64) -> (f64, u64, Domains) {
         let mut d = Domains::default();

@@ -1,0 +1,141 @@
+//! A run: everything that changes between its start and its end, and how it is left.
+
+use super::sliding::Sliding;
+use super::watched::{Watch, kind_of};
+use crate::control::Weights;
+use crate::error::{ErrorKind, NotFinite, Termination};
+use crate::event::Domains;
+use crate::options::Options;
+use crate::sampling::Sampler;
+use crate::stats::Stats;
+use crate::stepper::Stepper;
+use crate::system::{CallError, HybridSystem, InputStop};
+
+/// Unit round-off of double precision.
+pub(super) const U: f64 = f64::EPSILON / 2.0;
+
+/// Work space that outlives a run.
+#[derive(Debug, Default)]
+pub(super) struct Space {
+    pub(super) x: Vec<f64>,
+    pub(super) x_new: Vec<f64>,
+    pub(super) x_mid: Vec<f64>,
+    pub(super) slope: Vec<f64>,
+    pub(super) nominals: Vec<f64>,
+    pub(super) weights: Weights,
+    pub(super) domains: Domains,
+    pub(super) sampler: Sampler,
+}
+
+/// Why the loop is left.
+pub(super) enum Exit {
+    Normal(Termination),
+    Error(ErrorKind),
+}
+
+impl From<ErrorKind> for Exit {
+    fn from(kind: ErrorKind) -> Self {
+        Self::Error(kind)
+    }
+}
+
+pub(super) type Step<T> = Result<T, Exit>;
+
+/// One run: everything that changes between `start` and `end`.
+pub(super) struct Run<'a, S: ?Sized, M, O: ?Sized> {
+    pub(super) options: &'a Options,
+    pub(super) stepper: &'a mut M,
+    pub(super) space: &'a mut Space,
+    pub(super) system: &'a mut S,
+    pub(super) times: &'a [f64],
+    pub(super) observer: &'a mut O,
+    pub(super) start: f64,
+    pub(super) end: f64,
+    /// Times closer than this are one.
+    pub(super) same: f64,
+    pub(super) t: f64,
+    /// Step size the controller proposes, before it is cut to hit a target.
+    pub(super) h: f64,
+    pub(super) h_tried: f64,
+    pub(super) fixed_step: Option<f64>,
+    pub(super) next_time_event: Option<f64>,
+    pub(super) input_stop: Option<InputStop>,
+    pub(super) sliding: Sliding,
+    pub(super) discards: u32,
+    pub(super) not_finite: Option<NotFinite>,
+    pub(super) undetermined: Option<usize>,
+    pub(super) worst_state: Option<usize>,
+    pub(super) last_event: Option<f64>,
+    pub(super) stats: Stats,
+    pub(super) watch: Watch<'a>,
+}
+
+impl<'a, S, M, O> Run<'a, S, M, O>
+where
+    S: HybridSystem + ?Sized,
+    M: Stepper,
+    O: ?Sized,
+{
+    pub(super) fn new(
+        options: &'a Options,
+        stepper: &'a mut M,
+        space: &'a mut Space,
+        system: &'a mut S,
+        (start, end): (f64, f64),
+        times: &'a [f64],
+        (observer, watch): (&'a mut O, Watch<'a>),
+    ) -> Self {
+        let span = end - start;
+        let same = 100.0 * U * start.abs().max(end.abs()).max(span);
+        let fixed_step =
+            (!stepper.properties().has_error_estimate).then(|| options.step_size.unwrap_or(span / 500.0));
+        Self {
+            options,
+            stepper,
+            space,
+            system,
+            times,
+            observer,
+            start,
+            end,
+            same,
+            t: start,
+            h: 0.0,
+            h_tried: 0.0,
+            fixed_step,
+            next_time_event: None,
+            input_stop: None,
+            sliding: Sliding::new(span, same),
+            discards: 0,
+            not_finite: None,
+            undetermined: None,
+            worst_state: None,
+            last_event: None,
+            stats: Stats::default(),
+            watch,
+        }
+    }
+}
+
+pub(super) fn finish(termination: Termination) -> Step<()> {
+    Err(Exit::Normal(termination))
+}
+
+/// Event indicators; a value that is not finite counts as refused.
+pub(super) fn read_indicators<S: HybridSystem + ?Sized>(
+    system: &mut S,
+    t: f64,
+    x: &[f64],
+    z: &mut [f64],
+) -> Result<(), CallError> {
+    system.event_indicators(t, x, z)?;
+    if z.iter().all(|z| z.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
+}
+
+/// A call that has no smaller step to fall back to: the model's own start, its state after an event, a sample.
+pub(super) fn no_retreat(error: CallError) -> Exit {
+    match error {
+        CallError::Discard => ErrorKind::DiscardedAtRestart.into(),
+        CallError::Failed(e) => kind_of(e).into(),
+    }
+}

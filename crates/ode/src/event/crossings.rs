@@ -1,0 +1,92 @@
+//! What has crossed up to the end of a step, and which indicators slide.
+
+use super::domains::{CLEAN_STEPS, Domains, crosses, flipped, is_behind};
+use super::returns::SMALL;
+use crate::system::Direction;
+
+impl Domains {
+    /// Writes down the direction of every crossing up to the end, after the time `elapsed`, that is an event; returns the
+    /// first that crossed, those that do not slide before those that do. Times within `tolerance` are one.
+    pub(crate) fn mark(&mut self, elapsed: f64, tolerance: f64) -> Option<usize> {
+        for i in 0..self.len() {
+            let (base, end) = (self.base[i], self.end[i]);
+            let has_crossed = if self.is_held(i) {
+                self.falls(i) || (self.directions[i] == Direction::Both && flipped(base, end))
+            } else if self.slides(i) {
+                // One that came back in the step may have begun in the domain where it ends.
+                self.is_lost(i) || crosses(self.direction(i), base, end)
+            } else {
+                crosses(self.direction(i), self.reference()[i], end)
+            };
+            self.crossings[i] = match (has_crossed, end > 0.0) {
+                (true, true) => 1,
+                (true, false) => -1,
+                _ => 0,
+            };
+            if has_crossed {
+                self.find_origin(i);
+                let slope = (end - base) / elapsed;
+                // One that jumps is nowhere near.
+                let jumps = end.abs() > SMALL * self.largest[i];
+                self.near_zero[i] = if jumps { 0.0 } else { end.abs() + (tolerance * slope).abs() };
+            }
+        }
+        let crossed = |i: &usize| self.crossings[*i] != 0;
+        (0..self.len()).filter(crossed).min_by_key(|i| self.slides(*i))
+    }
+
+    /// Those marked slide from now on.
+    pub(crate) fn slide_marked(&mut self) {
+        for i in 0..self.len() {
+            if self.crossings[i] != 0 {
+                self.slide(i);
+            }
+        }
+    }
+
+    /// Whether an indicator that was marked is zero: the crossing is there, or yet to come.
+    pub(crate) fn crossed_on_zero(&self) -> bool {
+        self.end.iter().zip(&self.crossings).any(|(end, crossing)| *end == 0.0 && *crossing != 0)
+    }
+
+    /// A step is over: those that slide and have crossed in it go on sliding. `false`: none slides any more.
+    pub(crate) fn go_on_sliding(&mut self) -> bool {
+        for (left, crossing) in self.sliding.iter_mut().zip(&self.crossings) {
+            *left = if *left > 0 && *crossing != 0 { CLEAN_STEPS } else { left.saturating_sub(1) };
+        }
+        self.sliding.iter().any(|left| *left > 0)
+    }
+
+    /// Whether the event at the end of the step has left the indicators as they were, `base` being those after it.
+    pub(crate) fn unmoved(&self) -> bool {
+        self.base.iter().zip(&self.end).all(|(after, before)| (after - before).abs() <= 1e-3 * before.abs())
+    }
+
+    /// Nothing crossed.
+    pub(crate) fn clear_marks(&mut self) {
+        self.crossings.fill(0);
+    }
+
+    /// Whether an indicator that goes on as in the step before, from `began` to `now`, may change its domain within the time
+    /// `same`.
+    pub(crate) fn is_about_to_cross(&self, began: f64, now: f64, same: f64) -> bool {
+        let reach = 2.0 * same / (now - began);
+        self.base.iter().zip(&self.before).any(|(z, last)| z.abs() < reach * (z - last).abs())
+    }
+
+    /// Notes which domain indicator `i`, which crosses, comes from: the one that it leaves, unless it was only next to zero there,
+    /// where an event has left it.
+    pub(super) fn find_origin(&mut self, i: usize) {
+        let ends_above = self.end[i] > 0.0;
+        let was_left_behind = self.since_event[i].depth().is_some_and(|depth| !is_behind(depth, self.end[i]));
+        if !was_left_behind && !self.is_held(i) {
+            self.from_above[i] = !ends_above;
+        }
+    }
+
+    /// Whether indicator `i`, which is held, leaves the domain it came from in the step, or goes further away from it.
+    pub(super) fn falls(&self, i: usize) -> bool {
+        let (base, end) = (self.base[i], self.end[i]);
+        self.is_beyond(i, end) && (!self.is_beyond(i, base) || end.abs() > base.abs())
+    }
+}

@@ -1,0 +1,228 @@
+//! Explicit Runge-Kutta methods: one implementation for every tableau, with or without an error estimate.
+
+use crate::control::{Controller, Weights};
+use crate::stages::{combine, terms, weighted_sum};
+use crate::stepper::{Attempt, Equations, Properties, StepWithEvent, Stepper, Trial};
+use crate::system::{CallError, CallResult, HybridSystem};
+use crate::tableau::{Dense, Estimate, Tableau, polynomial_weights};
+use continuous::{TERMS, dense_terms, factors};
+
+mod continuous;
+mod dop853;
+
+pub(crate) use dop853::DOP853;
+
+/// An explicit method and its stages `k_i = f(t + c_i h, ...)`.
+#[derive(Debug)]
+pub(crate) struct ExplicitRk<const S: usize> {
+    tableau: &'static Tableau<S>,
+    k: [Vec<f64>; S],
+    stage: Vec<f64>,
+    error: Vec<f64>,
+    error_norm: f64,
+    /// The terms of a continuous extension that has stages of its own.
+    dense: [Vec<f64>; TERMS],
+    controller: Controller,
+}
+
+impl<const S: usize> ExplicitRk<S> {
+    pub(crate) fn new(tableau: &'static Tableau<S>) -> Self {
+        Self {
+            tableau,
+            k: std::array::from_fn(|_| Vec::new()),
+            stage: Vec::new(),
+            error: Vec::new(),
+            error_norm: 0.0,
+            dense: Default::default(),
+            controller: Controller::new(tableau.order),
+        }
+    }
+
+    /// How strongly the right-hand side answers to a change of the state, from the last two stages, which lie at the end
+    /// of the step both: an estimate of the largest eigenvalue. For methods whose last but one abscissa is 1.
+    pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &Weights) -> f64 {
+        let end = self.tableau.end;
+        weights.ratio(x, (&self.k[end], &self.k[end - 1]), (x_new, &self.stage))
+    }
+
+    /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
+    pub(crate) fn take_over(&mut self, f: &[f64]) {
+        self.k[0].copy_from_slice(f);
+        self.forget();
+    }
+
+    fn has_stages_behind_end(&self) -> bool {
+        self.tableau.end + 1 < S
+    }
+
+    /// Evaluates a stage that is not the solution.
+    fn stage<M: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, M>,
+        s: usize,
+        Trial { t, end, h, x }: Trial<'_>,
+    ) -> CallResult<()> {
+        combine(&mut self.stage, x, h, terms(self.tableau.a[s], &self.k));
+        // The end of the step is met exactly: an input that jumps there must be asked at that very time.
+        let c = self.tableau.c[s];
+        let time = if c == 1.0 { end } else { t + c * h };
+        equations.derivatives(time, &self.stage, &mut self.k[s])
+    }
+
+    /// The norm of the error by these weights.
+    fn error_by(
+        &mut self,
+        weights: &Weights,
+        (x, x_new): (&[f64], &[f64]),
+        (h, of_error): (f64, &[(usize, f64)]),
+    ) -> f64 {
+        weighted_sum(&mut self.error, h, terms(of_error, &self.k));
+        weights.error_norm(x, x_new, &self.error)
+    }
+}
+
+impl<const S: usize> Stepper for ExplicitRk<S> {
+    fn properties(&self) -> Properties {
+        let own_stages = self.has_stages_behind_end();
+        Properties {
+            order: self.tableau.order,
+            has_error_estimate: !matches!(self.tableau.error, Estimate::None),
+            takes_long_steps: own_stages,
+            step_with_event: if own_stages {
+                StepWithEvent::RepeatedToBefore
+            } else {
+                StepWithEvent::Interpolated
+            },
+            ..Properties::default()
+        }
+    }
+
+    fn begin<M: HybridSystem + ?Sized>(&mut self, system: &M) -> CallResult<()> {
+        let n = system.n_states();
+        let own_stages = self.has_stages_behind_end();
+        let Self { k, stage, error, dense, .. } = self;
+        let dense = dense.iter_mut().filter(|_| own_stages);
+        for v in k.iter_mut().chain(dense).chain([stage, error]) {
+            v.clear();
+            v.resize(n, 0.0);
+        }
+        self.controller.restart();
+        Ok(())
+    }
+
+    fn evaluate<M: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, M>,
+        t: f64,
+        x: &[f64],
+    ) -> CallResult<()> {
+        equations.derivatives(t, x, &mut self.k[0])
+    }
+
+    fn forget(&mut self) {
+        self.controller.restart();
+    }
+
+    fn derivative(&self) -> &[f64] {
+        &self.k[0]
+    }
+
+    fn try_step<M: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, M>,
+        trial: Trial<'_>,
+        x_new: &mut [f64],
+    ) -> CallResult<Attempt> {
+        let Trial { end, h, x, .. } = trial;
+        if x.is_empty() {
+            return Ok(Attempt::Good);
+        }
+        let tableau = self.tableau;
+        for s in 1..tableau.end {
+            self.stage(equations, s, trial)?;
+        }
+        combine(x_new, x, h, terms(tableau.a[tableau.end], &self.k));
+        // An estimate without the stage at the end spares its evaluation where the step is rejected.
+        let spares_end = matches!(tableau.error, Estimate::Two(..));
+        if !spares_end {
+            equations.derivatives(end, x_new, &mut self.k[tableau.end])?;
+        }
+        self.error_norm = match tableau.error {
+            Estimate::Embedded(error) => self.error_by(equations.weights, (x, x_new), (h, error)),
+            Estimate::Two(fifth, third) => {
+                let third = self.error_by(equations.weights, (x, x_new), (h, third));
+                let fifth = self.error_by(equations.weights, (x, x_new), (h, fifth));
+                let both = fifth.hypot(0.1 * third);
+                if both == 0.0 { 0.0 } else { fifth * (fifth / both) }
+            }
+            // A sum is finite unless something in it is not; no need to look at each number.
+            Estimate::None if x_new.iter().sum::<f64>().is_finite() => 0.0,
+            Estimate::None => f64::NAN,
+        };
+        if self.error_norm.is_nan() {
+            return Err(CallError::Discard);
+        }
+        if self.error_norm > 1.0 {
+            return Ok(Attempt::TooInexact { h: h * self.controller.rejected(self.error_norm) });
+        }
+        if spares_end {
+            let f = &mut self.k[tableau.end];
+            equations.derivatives(end, x_new, f)?;
+            if !f.iter().sum::<f64>().is_finite() {
+                return Err(CallError::Discard);
+            }
+        }
+        Ok(Attempt::Good)
+    }
+
+    fn error(&self) -> &[f64] {
+        &self.error
+    }
+
+    fn refused(&mut self, h: f64) -> f64 {
+        h * self.controller.discarded()
+    }
+
+    fn prepare_interpolation<M: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, M>,
+        trial: Trial<'_>,
+        _: &[f64],
+    ) -> CallResult<()> {
+        let Dense::Terms(highest) = &self.tableau.dense else { return Ok(()) };
+        if trial.x.is_empty() {
+            return Ok(());
+        }
+        for s in self.tableau.end + 1..S {
+            self.stage(equations, s, trial)?;
+        }
+        for i in 0..trial.x.len() {
+            let terms = dense_terms(self.tableau, highest, &self.k, trial.h, i);
+            self.dense.iter_mut().zip(terms).for_each(|(d, term)| d[i] = term);
+        }
+        Ok(())
+    }
+
+    fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
+        match &self.tableau.dense {
+            Dense::Polynomials(polynomials) => {
+                let weights = polynomial_weights(polynomials, theta);
+                let terms = weights.iter().copied().zip(self.k.iter().map(Vec::as_slice));
+                combine(x, trial.x, trial.h, terms);
+            }
+            Dense::Terms(_) => {
+                let factors = factors(theta);
+                for (i, (out, x)) in x.iter_mut().zip(trial.x).enumerate() {
+                    *out = x + self.dense.iter().zip(&factors).map(|(d, f)| d[i] * f).sum::<f64>();
+                }
+            }
+        }
+    }
+
+    fn accept(&mut self, h: f64, theta: f64) -> f64 {
+        if theta == 1.0 {
+            self.k.swap(0, self.tableau.end);
+        }
+        h * self.controller.accepted(self.error_norm)
+    }
+}

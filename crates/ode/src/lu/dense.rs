@@ -1,0 +1,109 @@
+//! Dense decomposition with partial pivoting, in place.
+
+use super::scalar::Scalar;
+use crate::error::TooLargeForDense;
+use crate::system::{CallError, CallResult};
+
+/// Dense matrices of more rows are refused: 2 GB each (4 GB if complex), and hours for one decomposition.
+const MOST_DENSE_ROWS: usize = 16384;
+
+/// Makes a list of the entries of a dense matrix of `n` rows, unless there is no room for it.
+pub(crate) fn make_room<T: Clone>(list: &mut Vec<T>, n: usize, zero: T) -> CallResult<()> {
+    let entries = n.saturating_mul(n);
+    list.clear();
+    if n > MOST_DENSE_ROWS || list.try_reserve_exact(entries).is_err() {
+        return Err(CallError::failed(TooLargeForDense { states: n }));
+    }
+    list.resize(entries, zero);
+    Ok(())
+}
+
+/// The factors of a square matrix `P A = L U` in one matrix, and the row exchanges.
+#[derive(Debug)]
+pub(super) struct DenseLu<T> {
+    a: Vec<T>,
+    pub(super) pivots: Vec<usize>,
+}
+
+impl<T: Scalar> Default for DenseLu<T> {
+    fn default() -> Self {
+        Self { a: Vec::new(), pivots: Vec::new() }
+    }
+}
+
+impl<T: Scalar> DenseLu<T> {
+    /// Makes room for `n` rows.
+    ///
+    /// # Errors
+    /// There is none.
+    pub(super) fn resize(&mut self, n: usize) -> CallResult<()> {
+        if self.pivots.len() != n {
+            make_room(&mut self.a, n, T::zero())?;
+            self.pivots = vec![0; n];
+        }
+        Ok(())
+    }
+
+    /// Fills in the matrix entry by entry and decomposes it; `false`: it is singular, or has entries that are not finite.
+    pub(super) fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
+        let n = self.pivots.len();
+        let a = &mut self.a[..];
+        for (p, a) in a.iter_mut().enumerate() {
+            *a = entry(p, p.is_multiple_of(n + 1));
+        }
+        for k in 0..n {
+            let column = &a[k * n..(k + 1) * n];
+            let mut pivot = k;
+            let mut largest = column[k].norm1();
+            for (i, v) in column.iter().enumerate().skip(k + 1) {
+                if v.norm1() > largest {
+                    (pivot, largest) = (i, v.norm1());
+                }
+            }
+            // Also false for a NaN.
+            if !(largest > 0.0 && largest.is_finite()) {
+                return false;
+            }
+            self.pivots[k] = pivot;
+            let (left, right) = a.split_at_mut((k + 1) * n);
+            let column = &mut left[k * n..];
+            column.swap(k, pivot);
+            let inverse = T::one() / column[k];
+            column[k + 1..].iter_mut().for_each(|v| *v *= inverse);
+            let multipliers = &column[k + 1..];
+            for other in right.chunks_exact_mut(n) {
+                other.swap(k, pivot);
+                let factor = other[k];
+                if factor != T::zero() {
+                    for (o, m) in other[k + 1..].iter_mut().zip(multipliers) {
+                        *o -= *m * factor;
+                    }
+                }
+            }
+        }
+        true
+    }
+
+    /// Solves `A x = b` in place of `b`.
+    pub(super) fn solve(&self, b: &mut [T]) {
+        let n = self.pivots.len();
+        let a = &self.a[..];
+        // The rows of earlier columns of L are not exchanged along, so exchanges and elimination alternate.
+        for k in 0..n {
+            b.swap(k, self.pivots[k]);
+            let factor = b[k];
+            if factor != T::zero() {
+                for (b, l) in b[k + 1..].iter_mut().zip(&a[k * n + k + 1..(k + 1) * n]) {
+                    *b -= *l * factor;
+                }
+            }
+        }
+        for k in (0..n).rev() {
+            let factor = b[k] / a[k * n + k];
+            b[k] = factor;
+            for (b, u) in b[..k].iter_mut().zip(&a[k * n..k * n + k]) {
+                *b -= *u * factor;
+            }
+        }
+    }
+}
