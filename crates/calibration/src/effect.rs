@@ -1,6 +1,7 @@
 //! What a fit leaves open: parameters that ended at a bound, and parameters that did not change the cost.
 
-use crate::calibration::{Calibration, NoCost};
+use crate::calibration::Calibration;
+use crate::no_cost::NoCost;
 use crate::parameter::{Parameter, Scale};
 use dfo::{Kind, Measure, Outcome, Report, Termination, Tolerances};
 use ode::{Number, Stats};
@@ -99,11 +100,12 @@ impl Calibration {
             return found;
         }
         let mut checked = Findings::default();
+        let mut residuals = vec![0.0; self.n_residuals()];
         let mut cost_with = |index: usize, value: f64| {
             checked.n_checks += 1;
             let mut x = report.x.clone();
             x[index] = value;
-            self.evaluate_into(&x, (f64::INFINITY, cancelled), None, stats)
+            self.evaluate_into(&x, (f64::INFINITY, cancelled), &mut residuals, stats)
         };
         // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
         let is_spent = report.termination == Termination::MaxEvaluations;
@@ -192,7 +194,7 @@ impl Calibration {
 
     /// Whether two costs differ by no more than the integration leaves uncertain.
     fn is_equal_cost(&self, a: f64, b: f64) -> bool {
-        (a - b).abs() <= self.pool_of_settings(0).plan().relative_tolerance() * a
+        (a - b).abs() <= self.evaluator().simulations[0].pool.plan().relative_tolerance() * a
     }
 
     /// What is to be said about them behind the message of a fit.

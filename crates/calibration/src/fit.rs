@@ -204,14 +204,14 @@ impl Calibration {
             self.adopt_solver(checkpoint)?;
         }
         // The race and the model's first-use test are not part of the time that the fit is given.
-        let solver = self.find_solver(poll.borrow_mut().as_deref_mut())?;
+        let solver = self.choice().find(self.evaluator(), poll.borrow_mut().as_deref_mut())?;
         self.prepare()?;
         let max_time = described.limits.max_time;
         let late = max_time.and_then(|limit| Instant::now().checked_add(limit));
         let is_late = || late.is_some_and(|late| Instant::now() >= late);
         let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
         let cancelled = || is_late() || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
-        described.problem = Some(self.problem(solver));
+        described.problem = Some(self.problem_hash(solver));
         described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
         let tolerances = described.tolerances;
         let (mut stats, mut n_beginnings) = (Stats::default(), 0);
@@ -266,13 +266,12 @@ impl Calibration {
         }
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
-        let rms = (report.fun / self.n_residuals() as f64).sqrt();
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         Ok(Fit {
             x: report.x.clone(),
             names,
             cost: report.fun,
-            rms,
+            rms: self.rms(report.fun),
             start_cost,
             at_bound: found.at_bound,
             without_effect: found.without_effect,
@@ -323,7 +322,7 @@ impl Calibration {
         match parameter.scale_kind() {
             Scale::Log => Some(usable((upper / lower).ln()).unwrap_or(1.0)),
             Scale::Linear => {
-                let nominal = self.fmu().description().variable(parameter.name()).and_then(|v| v.nominal);
+                let nominal = self.fmu().description().variable(parameter.variable()).and_then(|v| v.nominal);
                 parameter
                     .nominal_size()
                     .or(nominal)

@@ -8,6 +8,7 @@
 //! may still be that one.
 
 use ode::{Method, Stats};
+use serde::{Deserialize, Serialize};
 
 /// Samples may differ by this many tolerances: what differs more makes the cost of a fit noisy.
 const AGREEMENT: f64 = 5.0;
@@ -52,7 +53,7 @@ pub enum Lap {
 }
 
 /// What became of a method in a race.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Verdict {
     /// It agrees with the simulation of tighter tolerance: the largest difference in tolerances of its sample.
@@ -68,7 +69,7 @@ pub enum Verdict {
 }
 
 /// A method in a race.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Entry {
     /// The method.
     pub method: Method,
@@ -80,7 +81,7 @@ pub struct Entry {
 }
 
 /// A race and its winner.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Race {
     /// The winner: of the methods that agree the one with the least work for the same error; where none does the one that

@@ -1,9 +1,8 @@
 //! What a setup leaves in doubt: it can be evaluated, but perhaps it is not what was meant.
 
-use crate::data::sampling_interval;
+use crate::data::{parts, sampling_interval};
 use crate::experiment::Experiment;
 use crate::parameter::{Parameter, Scale};
-use crate::time_column::parts;
 use fmi::ModelDescription;
 use fmi::description::Causality;
 use ode::Number;

@@ -53,6 +53,7 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
     match error {
         E::DataFile { path, source } => file("cannot read", path, source),
         E::Data { .. }
+        | E::OtherModel { .. }
         | E::Parameter { .. }
         | E::Setup(_)
         | E::Length { .. }

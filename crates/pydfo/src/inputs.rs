@@ -1,6 +1,6 @@
 //! Inputs from Python: tables as arrays, and functions that are called with the interpreter lock taken only inside.
 
-use crate::interrupt::lock;
+use crate::threads::lock;
 use fmi::{Inputs, Value};
 use numpy::PyReadonlyArray1;
 use pyo3::exceptions::{PyTypeError, PyValueError};

@@ -6,7 +6,7 @@
 //! one on KeyboardInterrupt is raised, as always. A handler of the user's is left in place. Work that runs inside of
 //! other work (a simulation inside of an objective) stops with it.
 
-use crate::helper;
+use crate::threads::{self, lock};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -16,7 +16,7 @@ use std::cell::{Cell, RefCell};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, TryRecvError, channel};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// How long the calling thread waits at most before it looks for signals.
@@ -148,11 +148,6 @@ impl Stop {
     pub(crate) fn take_raised(&self) -> Option<PyErr> {
         lock(&self.raised).take()
     }
-}
-
-/// A poisoned lock is no reason to fail: what we keep under locks is whole at every instant.
-pub(crate) fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(|e| e.into_inner())
 }
 
 thread_local! {
@@ -325,7 +320,7 @@ impl<'py> Watch<'py> {
         let (sender, mut jobs) = channel();
         let (give, result) = channel();
         let desk = Desk { sender };
-        helper::run(Box::new(move || {
+        threads::run(Box::new(move || {
             let end = catch_unwind(AssertUnwindSafe(|| work(&desk)));
             // Nobody takes it if the user has lost patience. The desk goes last: that is how the caller notices.
             let _ = give.send(end);
@@ -336,7 +331,7 @@ impl<'py> Watch<'py> {
         loop {
             let job;
             (job, jobs) = self.py.detach(move || {
-                let soon = if is_long { Err(TryRecvError::Empty) } else { helper::soon(&jobs) };
+                let soon = if is_long { Err(TryRecvError::Empty) } else { threads::soon(&jobs) };
                 let job = match soon {
                     Err(TryRecvError::Empty) => jobs.recv_timeout(PATIENCE),
                     arrived => arrived.map_err(|_| RecvTimeoutError::Disconnected),

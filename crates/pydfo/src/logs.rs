@@ -2,7 +2,7 @@
 //!
 //! Lines are kept until the next return to Python: the threads that simulate must not wait for the interpreter lock.
 
-use crate::interrupt::lock;
+use crate::threads::lock;
 use calibration::SETUP_LOG_TARGET;
 use log::{Level, LevelFilter, Log, Metadata, Record};
 use pyo3::prelude::*;

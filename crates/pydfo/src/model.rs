@@ -2,8 +2,9 @@
 
 use crate::description::Fmu;
 use crate::inputs::{self, Callbacks, Function, Table};
-use crate::interrupt::{Desk, Stop, Watch, fits_here, lock};
+use crate::interrupt::{Desk, Stop, Watch, fits_here};
 use crate::settings::time_limit;
+use crate::threads::lock;
 use crate::trajectory::Record;
 use crate::{error, fmu_error, logs, values};
 use fmi::description::Interval;

@@ -1,6 +1,7 @@
 //! A Python function as an objective: called with the lock held only inside of it, from whatever thread evaluates.
 
-use crate::interrupt::{Inside, Stop, lock};
+use crate::interrupt::{Inside, Stop};
+use crate::threads::lock;
 use dfo::{Answer, BatchView, Objective, Outcome, Query, Report};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};

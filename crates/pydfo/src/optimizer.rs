@@ -1,11 +1,11 @@
 //! A run that Python drives, point by point.
 
 use crate::error;
-use crate::interrupt::lock;
 use crate::minimize::Problem;
 use crate::objective;
 use crate::report;
 use crate::settings::Options;
+use crate::threads::lock;
 use dfo::Outcome;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyTypeError};

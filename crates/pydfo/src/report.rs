@@ -1,6 +1,7 @@
 //! What a run has to say, as Python objects: progress, trace, result.
 
-use crate::interrupt::{Desk, lock};
+use crate::interrupt::Desk;
+use crate::threads::lock;
 use dfo::{Outcome, Progress, Report, Simplex, Tests, Trace, TraceEntry};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;

@@ -1,10 +1,8 @@
 //! What the user chose about a run, checked and in the words of the optimiser.
 
 use crate::methods;
-use dfo::{
-    AnyMethod, Checkpoint, Kind, Known, Limits, Measure, Minimize, Resume, RunOptions, Stop, Tolerances,
-    Transform,
-};
+use crate::words::{word, words};
+use dfo::{AnyMethod, Checkpoint, Kind, Known, Limits, Minimize, RunOptions, Tolerances, Transform};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -57,18 +55,14 @@ fn known(points: Vec<(Vec<f64>, f64)>, problem: Option<&String>) -> Vec<Known> {
 
 impl Options {
     pub(crate) fn check(self, py: Python<'_>) -> PyResult<Settings> {
-        let measures = [("absolute", Measure::Absolute), ("relative", Measure::Relative)];
-        let resumes = [("auto", Resume::Auto), ("never", Resume::Never), ("require", Resume::Require)];
-        let scales = [("linear", Transform::Linear), ("log", Transform::Log)];
-        let stops = [("any", Stop::Any), ("all", Stop::All)];
         let tolerances = Tolerances {
             x_tol: self.x_tol,
             f_tol: self.f_tol,
-            measure: word("tolerances", &self.tolerances, &measures)?,
-            stop: word("stop", &self.stop, &stops)?,
+            measure: word("tolerances", &self.tolerances)?,
+            stop: word("stop", &self.stop)?,
         };
         let max_time = time_limit("max_time", self.max_time)?;
-        let resume = word("resume", &self.resume, &resumes)?;
+        let resume = word("resume", &self.resume)?;
         let mut checkpoint = self.checkpoint.map(|path| Checkpoint::new(path).resume(resume));
         if let Some(seconds) = self.checkpoint_interval {
             let interval = Duration::try_from_secs_f64(seconds).map_err(|_| {
@@ -100,9 +94,9 @@ impl Options {
         };
         Ok(Settings {
             run,
-            transforms: words("scale", &self.scale, &scales)?,
+            transforms: words("scale", &self.scale)?,
             sizes: self.nominal,
-            kinds: words("kinds", &self.kinds, &KINDS)?,
+            kinds: words("kinds", &self.kinds)?,
         })
     }
 }
@@ -113,15 +107,6 @@ impl Settings {
         let Self { run: options, transforms, sizes, kinds } = self;
         run.options(options).transforms(&transforms).known_scales(&sizes).kinds(&kinds)
     }
-}
-
-/// What values a parameter takes.
-const KINDS: [(&str, Kind); 3] =
-    [("continuous", Kind::Continuous), ("integer", Kind::Integer), ("categorical", Kind::Categorical)];
-
-/// The kind of a name.
-pub(crate) fn kind(name: &str, given: &str) -> PyResult<Kind> {
-    word(name, given, &KINDS)
 }
 
 /// A limit of wall-clock time in s; None and infinity are no limit.
@@ -135,19 +120,4 @@ pub(crate) fn time_limit(name: &str, seconds: Option<f64>) -> PyResult<Option<Du
             }
         },
     }
-}
-
-/// The value of a word, whatever the case of its letters.
-pub(crate) fn word<T: Copy>(name: &str, given: &str, words: &[(&str, T)]) -> PyResult<T> {
-    let found = words.iter().find(|(word, _)| word.eq_ignore_ascii_case(given));
-    found.map(|(_, value)| *value).ok_or_else(|| {
-        let known: Vec<_> = words.iter().map(|(word, _)| format!("'{word}'")).collect();
-        let meant = words.iter().find(|(word, _)| !given.is_empty() && word.starts_with(given));
-        let hint = meant.map_or_else(String::new, |(word, _)| format!("; did you mean '{word}'?"));
-        PyValueError::new_err(format!("{name} = '{given}' is none of {}{hint}", known.join(", ")))
-    })
-}
-
-fn words<T: Copy>(name: &str, given: &[String], words: &[(&str, T)]) -> PyResult<Vec<T>> {
-    given.iter().map(|g| word(name, g, words)).collect()
 }

@@ -197,7 +197,7 @@ class FMUModel:
     ) -> None:
         if not isinstance(kind, str):
             raise TypeError(f"kind must be a string, not {kind!r}")
-        options = OpenOptions(
+        self._opened = OpenOptions(
             log_level=_log_level(log_level),
             logging=_options.flag("logging", logging),
             show_log=log_level is not None,
@@ -207,7 +207,7 @@ class FMUModel:
             max_description_bytes=size_limit("max_description_bytes", max_description_bytes),
             max_elements=size_limit("max_elements", max_elements),
         )
-        self._fmu = _core.Fmu(path, options)
+        self._fmu = _core.Fmu(path, self._opened)
         self._kind = self._fmu.check_runnable(kind)
         self._model = _core.Model(self._fmu, self._kind)
 

@@ -146,8 +146,6 @@ def build(
     if own.get("initial_simplex") is not None:
         vertices, steps = simplex(own["initial_simplex"], n)
         own["initial_simplex"] = vertices if steps is None else steps
-    if isinstance(own.get("resolution"), np.ndarray):
-        own["resolution"] = own["resolution"].tolist()
     return Options(
         method=method_name(method, kinds),
         method_options=own,
