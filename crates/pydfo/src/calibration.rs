@@ -255,7 +255,7 @@ impl PyCalibration {
         start: Option<Vec<f64>>,
         observer: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let Settings { run, .. } = options.check(py)?;
+        let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));

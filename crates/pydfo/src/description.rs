@@ -398,7 +398,6 @@ struct Attributes<'a, 'py> {
     derivative: Option<&'a str>,
     reinit: bool,
     can_handle_multiple_set_per_time_instant: bool,
-    extents: Vec<usize>,
     interval_variability: Option<&'static str>,
     line: u32,
 }
@@ -448,7 +447,6 @@ impl<'a, 'py> Attributes<'a, 'py> {
             derivative: v.derivative.map(|state| description.variables[state].name.as_str()),
             reinit: v.reinit,
             can_handle_multiple_set_per_time_instant: v.can_handle_multiple_set_per_time_instant,
-            extents: description.extents(v),
             interval_variability: v.clock.as_ref().map(|timing| timing.kind.name()),
             line: v.line,
         })

@@ -71,7 +71,7 @@ pub(crate) struct ExperimentFields {
 #[derive(FromPyObject)]
 pub(crate) struct SettingsFields {
     kind: String,
-    timeout: Option<f64>,
+    max_time: Option<f64>,
     relative_tolerance: Option<f64>,
     solver: String,
     step_size: Option<f64>,
@@ -90,7 +90,7 @@ impl SettingsFields {
             step_size: self.step_size,
             max_step: self.max_step,
             input_derivatives: Some(self.input_derivatives),
-            timeout: time_limit("timeout", self.timeout)?,
+            timeout: time_limit("max_time", self.max_time)?,
             chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
             sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,
         })

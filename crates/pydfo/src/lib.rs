@@ -28,7 +28,9 @@ mod words;
 
 use pyo3::prelude::*;
 
-#[pymodule(name = "_core")]
+// Free-threaded interpreters take the lock for it: a wheel of the stable interface does not load there, one for them alone has never
+// been tested, and an objective in Python relies on being called by one thread at a time unless workers are asked for.
+#[pymodule(name = "_core", gil_used = true)]
 mod core_module {
     use pyo3::prelude::*;
 

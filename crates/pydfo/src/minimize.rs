@@ -5,7 +5,7 @@ use crate::interrupt::{Stop, Watch};
 use crate::objective::PyObjective;
 use crate::report::{self, LastSeen, Listener, Snapshot};
 use crate::settings::{Options, Settings};
-use dfo::{ByRef, Minimize, NelderMead, Progress, Report};
+use dfo::{ByRef, Minimize, NelderMead, Progress, Report, Tolerances};
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -71,7 +71,7 @@ pub(crate) fn minimize<'py>(
     batches: bool,
     cutoffs: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let settings = options.check(py)?;
+    let settings = options.check(py, Tolerances::default())?;
     let alone = settings.run.workers.is_none_or(|workers| workers == 1);
     let problem = Problem::new(x0, lower, upper, settings);
     let watch = Watch::new(py)?;

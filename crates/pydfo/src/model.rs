@@ -103,7 +103,7 @@ pub(crate) struct Request<'py> {
     #[pyo3(item(13))]
     max_step: Option<f64>,
     #[pyo3(item(14))]
-    timeout: Option<f64>,
+    max_time: Option<f64>,
     #[pyo3(item(15))]
     record_events: bool,
     #[pyo3(item(16))]
@@ -277,7 +277,7 @@ impl Model {
         for ignored in options.without_effect(self.kind) {
             error::warn(py, &ignored)?;
         }
-        options.timeout = time_limit("timeout", request.timeout)?;
+        options.timeout = time_limit("max_time", request.max_time)?;
         Ok((options, callbacks))
     }
 }

@@ -6,7 +6,7 @@ use crate::objective;
 use crate::report;
 use crate::settings::Options;
 use crate::threads::lock;
-use dfo::Outcome;
+use dfo::{Outcome, Tolerances};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyTypeError};
 use pyo3::prelude::*;
@@ -33,7 +33,7 @@ impl PyOptimizer {
         options: Options,
     ) -> PyResult<Self> {
         let n = lower.len();
-        let problem = Problem::new(x0, lower, upper, options.check(py)?);
+        let problem = Problem::new(x0, lower, upper, options.check(py, Tolerances::default())?);
         let optimizer = py.detach(|| problem.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
         let inner = Mutex::new(optimizer.map_err(|e| error::optimiser(py, &e))?);
         Ok(Self { inner, n })

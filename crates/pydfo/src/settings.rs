@@ -14,10 +14,10 @@ use std::time::Duration;
 pub(crate) struct Options {
     method: String,
     method_options: Py<PyDict>,
-    x_tol: f64,
-    f_tol: f64,
-    stop: String,
-    tolerances: String,
+    x_tol: Option<f64>,
+    f_tol: Option<f64>,
+    stop: Option<String>,
+    tolerances: Option<String>,
     max_evaluations: Option<usize>,
     max_iterations: Option<usize>,
     max_time: Option<f64>,
@@ -54,12 +54,13 @@ fn known(points: Vec<(Vec<f64>, f64)>, problem: Option<&String>) -> Vec<Known> {
 }
 
 impl Options {
-    pub(crate) fn check(self, py: Python<'_>) -> PyResult<Settings> {
+    /// `default`: the tolerances that hold where none are said.
+    pub(crate) fn check(self, py: Python<'_>, default: Tolerances) -> PyResult<Settings> {
         let tolerances = Tolerances {
-            x_tol: self.x_tol,
-            f_tol: self.f_tol,
-            measure: word("tolerances", &self.tolerances)?,
-            stop: word("stop", &self.stop)?,
+            x_tol: self.x_tol.unwrap_or(default.x_tol),
+            f_tol: self.f_tol.unwrap_or(default.f_tol),
+            measure: self.tolerances.map_or(Ok(default.measure), |given| word("tolerances", &given))?,
+            stop: self.stop.map_or(Ok(default.stop), |given| word("stop", &given))?,
         };
         let max_time = time_limit("max_time", self.max_time)?;
         let resume = word("resume", &self.resume)?;
@@ -109,10 +110,14 @@ impl Settings {
     }
 }
 
+/// A limit of wall-clock time beyond this, in s, is none: 30 million years.
+const ENDLESS: f64 = 1e15;
+
 /// A limit of wall-clock time in s; None and infinity are no limit.
 pub(crate) fn time_limit(name: &str, seconds: Option<f64>) -> PyResult<Option<Duration>> {
     match seconds {
-        None | Some(f64::INFINITY) => Ok(None),
+        None => Ok(None),
+        Some(seconds) if seconds > ENDLESS => Ok(None),
         Some(seconds) => match Duration::try_from_secs_f64(seconds) {
             Ok(limit) if seconds > 0.0 => Ok(Some(limit)),
             _ => {

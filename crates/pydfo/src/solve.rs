@@ -43,7 +43,7 @@ pub(crate) struct Problem<'py> {
     chattering: String,
     max_steps: Option<u64>,
     max_events: Option<u64>,
-    timeout: Option<f64>,
+    max_time: Option<f64>,
 }
 
 /// Keeps what the driver shows: requested samples, and each step as its values at nodes.
@@ -111,7 +111,7 @@ impl Problem<'_> {
             limits: Limits {
                 max_steps: self.max_steps,
                 max_events: self.max_events,
-                timeout: time_limit("timeout", self.timeout)?,
+                timeout: time_limit("max_time", self.max_time)?,
                 ..Limits::default()
             },
             cancel: Some(stop.flag()),

@@ -87,7 +87,7 @@ def test_inputs_belong_to_their_experiment():
     runs = []
     for level in (5.0, 6.0):
         inputs = {"u1": np.full(31, level), "u2": np.full(31, 5.0)}
-        truth = model.simulate(0, 30, times=time, input={"time": time, **inputs}, output=["qt.x1"])
+        truth = model.simulate(0, 30, times=time, inputs={"time": time, **inputs}, outputs=["qt.x1"])
         runs.append(Experiment({"time": time, **inputs, "x1": truth["qt.x1"]}, {"qt.x1": "x1"}, ["u1", "u2"]))
     truth = model.get("qt.a1")
     calibration = Calibration(example_fmu("quad_tank"), runs, Parameter("qt.a1", 0.9 * truth, 0.5 * truth, 2.0 * truth))

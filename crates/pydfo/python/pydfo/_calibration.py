@@ -7,7 +7,7 @@ import logging
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Literal, NamedTuple, SupportsFloat, SupportsIndex
+from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from ._experiment import Experiment, Names, Settings, path_of
 from ._files import OpenOptions
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
-from ._keywords import argument_names, explained, given_once
+from ._keywords import also_called, argument_names, explained, given_once
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
@@ -26,9 +26,6 @@ from ._result import OptimizeResult
 FloatArray = npt.NDArray[np.float64]
 
 _log = logging.getLogger("pydfo")
-
-#: What holds in a fit where ``options`` says nothing.
-_DEFAULTS: Final[Mapping[str, Any]] = {"tolerances": "relative"}
 
 
 class Raced(NamedTuple):
@@ -81,8 +78,8 @@ class Calibration:
         held. A time that stands there twice is a jump.
     window : (float, float), optional
         Only measurements at times in this interval count, in s; the simulation still starts at its start time.
-    timeout : float, optional
-        Wall-clock limit of one simulation in s. One that reaches it counts as failed.
+    max_time : float, optional
+        Wall-clock limit of one simulation in s (also called `timeout`). One that reaches it counts as failed.
     weights : dict of str to float, or sequence of float, optional
         Per output, what its residuals are multiplied with (default 1): the inverse of the standard deviation of its noise,
         if that is known.
@@ -135,7 +132,7 @@ class Calibration:
         Data, parameters or settings that do not fit together; the message says which, where, and with which numbers.
     """
 
-    @explained
+    @also_called(timeout="max_time")
     def __init__(
         self,
         model: Any,
@@ -144,7 +141,7 @@ class Calibration:
         parameters: Sequence[Parameter] | Parameter | None = None,
         inputs: Names | None = None,
         window: tuple[float, float] | None = None,
-        timeout: SupportsFloat | None = None,
+        max_time: SupportsFloat | None = None,
         weights: Mapping[str, float] | Sequence[float] | None = None,
         start_values: Mapping[str, Any] | None = None,
         relative_tolerance: SupportsFloat | None = None,
@@ -185,7 +182,7 @@ class Calibration:
                 )
         settings = Settings(
             kind=_options.choice("kind", getattr(model, "kind", "auto") if kind is None else kind),
-            timeout=_options.optional_number("timeout", timeout),
+            max_time=_options.optional_number("max_time", max_time),
             relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
             solver=_options.solver(solver),
             step_size=_options.optional_number("step_size", step_size),
@@ -348,13 +345,13 @@ class Calibration:
         self,
         method: str = "auto",
         workers: SupportsIndex | None = None,
-        x_tol: float = 1e-4,
-        f_tol: float = 1e-4,
+        x_tol: float | None = None,
+        f_tol: float | None = None,
         max_evaluations: SupportsFloat | None = None,
         max_iterations: SupportsFloat | None = None,
         max_time: SupportsFloat | None = None,
         target: SupportsFloat | None = None,
-        stop: Literal["any", "all"] = "all",
+        stop: Literal["any", "all"] | None = None,
         batch: str = "auto",
         disp: bool = False,
         callback: Callback | None = None,
@@ -376,11 +373,11 @@ class Calibration:
             "ga".
         workers : int, optional
             Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.
-        x_tol : float
-            Tolerance of the x test: extent of the simplex in units of the parameters' sizes (see `Parameter`). For a log
+        x_tol : float, optional
+            Tolerance of the x test (default 1e-4): extent of the simplex in units of the parameters' sizes (see `Parameter`). For a log
             scale: of the logarithm.
-        f_tol : float
-            Tolerance of the f test: difference between the worst and the best vertex as a fraction of the best cost.
+        f_tol : float, optional
+            Tolerance of the f test (default 1e-4): difference between the worst and the best vertex as a fraction of the best cost.
         max_evaluations, max_iterations : int, optional
             Exact limits of the search: simulations (those of `Fit.n_checks` come after it) and iterations.
         max_time : float, optional
@@ -388,8 +385,8 @@ class Calibration:
         target : float, optional
             End the fit with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
             at once with it and comes after it counts as speculative.
-        stop : {"all", "any"}
-            Whether both tests must hold, or one ends the fit.
+        stop : {"all", "any"}, optional
+            Whether both tests must hold (the default), or one ends the fit.
         batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`.
         disp : bool
@@ -449,7 +446,6 @@ class Calibration:
             rng=rng,
             checkpoint=checkpoint,
             resume=resume,
-            defaults=_DEFAULTS,
         )
         begin = self._values(start)
         printer = Printer(self.names)

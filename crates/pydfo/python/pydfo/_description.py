@@ -184,8 +184,6 @@ class Variable:
     reinit : bool
         A state that events may set anew.
     can_handle_multiple_set_per_time_instant : bool
-    extents : list of int
-        Of an array (FMI 3.0), with structural parameters at their start values; empty for a single value.
     interval_variability : str or None
         Of a clock (FMI 3.0), who knows when it ticks: "constant", "fixed", "tunable", "changing", "countdown", "triggered".
     line : int
@@ -216,7 +214,6 @@ class Variable:
     derivative: str | None
     reinit: bool
     can_handle_multiple_set_per_time_instant: bool
-    extents: list[int]
     interval_variability: str | None
     line: int
 

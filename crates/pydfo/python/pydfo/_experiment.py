@@ -117,7 +117,7 @@ class Settings:
     """How simulations are made, as the native code reads it."""
 
     kind: str
-    timeout: float | None
+    max_time: float | None
     relative_tolerance: float | None
     solver: str
     step_size: float | None

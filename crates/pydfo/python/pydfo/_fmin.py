@@ -30,9 +30,6 @@ Callback = Callable[[Progress], Any]
 #: The numbers that the tool of the paper has for its methods.
 _NUMBERS: dict[int, str] = {1: "nelder-mead", 2: "barrier", 3: "de-classic", 4: "ga"}
 
-#: What holds where ``options`` says nothing: tolerances as the paper has them.
-_DEFAULTS: dict[str, Any] = {"tolerances": "absolute"}
-
 
 def _algorithm(alg: int | str | None) -> str:
     """The name of a method from its number or name; None stands for Nelder-Mead."""
@@ -224,6 +221,8 @@ def fmin(
     )
     if method in ("nelder-mead", "barrier"):
         own.setdefault("coefficients", "standard")
+    # As the paper has them.
+    own.setdefault("tolerances", "absolute")
     if nbr_cores is not None and workers is not None:
         raise ValueError("nbr_cores and workers are two names for one argument: give one of them")
     name, given = ("nbr_cores", nbr_cores) if workers is None else ("workers", workers)
@@ -243,7 +242,6 @@ def fmin(
         rng=rng,
         checkpoint=checkpoint,
         resume=resume,
-        defaults=_DEFAULTS,
     )
     listeners: list[Callback] = []
     if debug:

@@ -194,7 +194,7 @@ class SimulationResult(Mapping[str, Column]):
         hint = f"; did you mean {', '.join(nearest)}?" if nearest else "."
         names = list(self._columns)
         shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-        return f'"{name}" was not recorded{hint} Recorded are {shown}; simulate(output=[...]) chooses'
+        return f'"{name}" was not recorded{hint} Recorded are {shown}; simulate(outputs=[...]) chooses'
 
     def keys(self) -> KeysView[str]:
         """The names of the variables, "time" first; those of arrays without their elements."""
