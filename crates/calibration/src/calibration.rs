@@ -133,7 +133,7 @@ impl Calibration {
         &self.evaluator.fmu
     }
 
-    /// What may not be meant as it was given: columns that nobody uses, inputs that are held. Each was logged once, when
+    /// What may not be meant as it was given: columns without use, inputs that are held. Each was logged once, when
     /// the calibration was built.
     pub fn warnings(&self) -> &[SetupWarning] {
         &self.evaluator.warnings

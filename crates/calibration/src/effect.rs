@@ -1,4 +1,4 @@
-//! What a fit leaves open: parameters that ended at a bound, and parameters that did not change the cost.
+//! Checks after a fit: parameters that ended at a bound, and parameters that did not change the cost.
 
 use crate::calibration::Calibration;
 use crate::no_cost::NoCost;
@@ -68,9 +68,9 @@ struct Suspect {
 }
 
 impl Calibration {
-    /// Looks at the parameters of a run. Where its evaluations leave something open, it makes simulations of its own, unless
-    /// time or an interrupt ended the run, which no budget of the search counts: one at the bound for each parameter that ended as near
-    /// to it as the tolerance of the run, one with each parameter moved that no evaluation has shown to change the cost.
+    /// Parameters at their bounds and without effect. What the evaluations of the run leave open is simulated, unless time or an
+    /// interrupt ended the run: one simulation at the bound for each parameter that ended as near to it as the tolerance of the run,
+    /// one with the parameter moved for each that no evaluation has shown to change the cost. No budget of the search counts them.
     pub(crate) fn findings(
         &self,
         (start, report): (&[f64], &Report),
@@ -197,7 +197,7 @@ impl Calibration {
         (a - b).abs() <= self.evaluator().simulations[0].pool.plan().relative_tolerance() * a
     }
 
-    /// What is to be said about them behind the message of a fit.
+    /// What is appended to the message of a fit.
     pub(crate) fn remarks(&self, findings: &Findings) -> String {
         let bound = |(i, side): &(usize, BoundSide)| {
             let p = &self.parameters()[*i];

@@ -230,8 +230,7 @@ impl Experiment {
         Ok(())
     }
 
-    /// Without a start time of its own, refuses to simulate a long time before the recording that nobody may have thought
-    /// of.
+    /// Refuses to simulate a long time before the recording where the start time is only the model's default.
     pub(crate) fn check_begin(&self, start_time: f64) -> Result<(), CalibrationError> {
         let begin = self.data.time()[0];
         match self.data.sampling_interval() {

@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
 use std::time::Instant;
 
-/// Why a fit begins anew.
+/// Why a fit is begun again.
 const HISTORY: &str = "the fit's simulations were found to depend on earlier ones (a state that the model keeps and no variable shows)";
 
 /// Called after each iteration; `Break` ends the fit.
@@ -37,7 +37,7 @@ pub struct FitOptions<'a> {
     /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
     /// work.
     pub cutoffs: bool,
-    /// Told after each iteration, on the calling thread.
+    /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
     pub poll: Option<Box<dyn FnMut() -> bool + 'a>>,
@@ -246,8 +246,8 @@ impl Calibration {
             let is_sound = || self.n_history_findings() == n_findings;
             if is_sound() || cancelled() {
                 let report = outcome.map_err(|e| self.name_parameter(e))?;
-                let is_moot = || self.depends_on_history(&report.x, &cancelled);
-                if cancelled() || !(is_moot() || self.costs_depend_on_history(&checks, took, &cancelled)) {
+                let differs = || self.depends_on_history(&report.x, &cancelled);
+                if cancelled() || !(differs() || self.costs_depend_on_history(&checks, took, &cancelled)) {
                     let of_run = (start.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {

@@ -33,7 +33,7 @@ pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use parameter::{Parameter, Scale};
 pub use problem::{ModelFile, Problem};
-pub use race::{Entry, Heat, Lap, Race, Verdict, race};
+pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use residual::quad_err;
 pub use solver::Solver;
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};

@@ -3,9 +3,9 @@
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
 
-/// Which sample of which output is compared with which measurement, and where its residual stands in the vector.
+/// Which sample of which output is compared with which measurement, and the position of its residual in the vector.
 ///
-/// The residual vector is ordered output by output, each in the order of time; missing measurements have no place
+/// The residual vector is ordered output by output, each in the order of time; missing measurements have no position
 /// in it, so that it has the same length for every simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Comparison {
@@ -13,12 +13,12 @@ pub(crate) struct Comparison {
     /// Per requested time, per output: the measurement (NaN: none).
     measured: Vec<f64>,
     weights: Vec<f64>,
-    /// Per requested time, per output: place in the residual vector.
-    places: Vec<u32>,
+    /// Per requested time, per output: position in the residual vector.
+    positions: Vec<u32>,
     n_residuals: usize,
 }
 
-const NO_PLACE: u32 = u32::MAX;
+const NO_POSITION: u32 = u32::MAX;
 
 impl Comparison {
     /// From one column of measurements per output, all over the same times; returns the times at which anything was
@@ -42,18 +42,18 @@ impl Comparison {
                 }
             }
         }
-        let mut places = vec![NO_PLACE; measured.len()];
+        let mut positions = vec![NO_POSITION; measured.len()];
         let mut n_residuals = 0;
         for output in 0..n_outputs {
             for row in 0..kept.len() {
                 let at = row * n_outputs + output;
                 if !measured[at].is_nan() {
-                    places[at] = n_residuals as u32;
+                    positions[at] = n_residuals as u32;
                     n_residuals += 1;
                 }
             }
         }
-        (kept, Self { n_outputs, measured, weights: weights.to_vec(), places, n_residuals })
+        (kept, Self { n_outputs, measured, weights: weights.to_vec(), positions, n_residuals })
     }
 
     /// Length of the residual vector.
@@ -128,7 +128,7 @@ impl Observer for Accumulator<'_> {
                 continue;
             }
             let residual = c.weights[output] * (sample.outputs[output] - measured);
-            self.out[c.places[at] as usize] = residual;
+            self.out[c.positions[at] as usize] = residual;
             self.sum += residual * residual;
             if !self.sum.is_finite() {
                 return self.end(Stop::NotFinite(output));
@@ -144,7 +144,7 @@ impl Observer for Accumulator<'_> {
 }
 
 /// Weighted sum of squared errors between measured and simulated series, as the paper's tool computes it: the
-/// simulation lives on its own time grid and is interpolated linearly to the measured times; where a time stands there
+/// simulation has its own time grid and is interpolated linearly to the measured times; where a time stands there
 /// twice (an event), the mean of both values counts. `y_*` hold one row per quantity; `w` (one per quantity, default 1)
 /// multiplies the squared errors. Times outside of the simulated span take its end values.
 ///

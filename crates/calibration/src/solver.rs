@@ -3,7 +3,7 @@
 use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
 use crate::no_cost::NoCost;
-use crate::race::{Lap, Race, race};
+use crate::race::{Race, RaceOutcome, race};
 use fmi::{FmiError, InterfaceKind, Pool, SimulateOptions, SimulationPlan, Simulator};
 use ode::{ErrorKind, Method, Observer, Sample, Stats};
 use serde::{Deserialize, Serialize};
@@ -180,13 +180,13 @@ fn run_race(problem: &Evaluator, cancelled: &dyn Fn() -> bool) -> Result<Race, C
         })
         .collect();
     let start = problem.start();
-    race(relative, &absolute, n, |heat| {
+    race(relative, &absolute, n, |task| {
         let (mut all, mut total) = (Vec::new(), Stats::default());
         for simulation in &problem.simulations {
             let options = SimulateOptions {
-                method: heat.method,
-                relative_tolerance: Some(heat.relative_tolerance),
-                max_work: heat.max_work.map(|most| (most - total.work(n)).max(0.0)),
+                method: task.method,
+                relative_tolerance: Some(task.relative_tolerance),
+                max_work: task.max_work.map(|most| (most - total.work(n)).max(0.0)),
                 ..simulation.options.clone()
             };
             let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
@@ -201,17 +201,17 @@ fn run_race(problem: &Evaluator, cancelled: &dyn Fn() -> bool) -> Result<Race, C
             match ran {
                 Ok(report) => total += report.stats,
                 Err(FmiError::Simulation(e)) if matches!(e.kind, ErrorKind::TooMuchWork(_)) => {
-                    return Ok(Lap::GivenUp);
+                    return Ok(RaceOutcome::GivenUp);
                 }
                 Err(error) => {
                     return match NoCost::from(error) {
-                        NoCost::Failed { reason, .. } => Ok(Lap::Failed(reason)),
+                        NoCost::Failed { reason, .. } => Ok(RaceOutcome::Failed(reason)),
                         NoCost::Over(error) => Err(CalibrationError::Model(*error)),
                         NoCost::Above | NoCost::Cancelled => Err(CalibrationError::Cancelled),
                     };
                 }
             }
         }
-        Ok(Lap::Finished { samples: all, stats: total })
+        Ok(RaceOutcome::Finished { samples: all, stats: total })
     })
 }

@@ -8,7 +8,7 @@ use fmi::description::Causality;
 use ode::Number;
 use std::fmt;
 
-/// Target of the lines that tell of a [`SetupWarning`] in the log.
+/// Target of the log lines for each [`SetupWarning`].
 pub const SETUP_LOG_TARGET: &str = "calibration::setup";
 
 /// Something about a calibration that may not be what was meant; see [`Calibration::warnings`](crate::Calibration::warnings).
@@ -60,7 +60,7 @@ impl fmt::Display for SetupWarning {
     }
 }
 
-/// Columns that nobody uses, with the names of inputs that nothing drives.
+/// Columns without use that have the names of inputs that nothing drives.
 pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experiment) -> Vec<SetupWarning> {
     let Experiment { data, outputs, inputs, start_values, .. } = experiment;
     let is_used = |column: &str| {

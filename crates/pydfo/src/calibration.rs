@@ -3,7 +3,7 @@
 use crate::description::Fmu;
 use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields};
 use crate::interrupt::{Watch, fits_here};
-use crate::report::{self, LastSeen, Listener};
+use crate::report::{self, LastProgress, Listener};
 use crate::settings::{Options, Settings};
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
@@ -19,7 +19,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// A calibration; `pydfo.Calibration` is its face.
+/// A calibration; `pydfo.Calibration` is its Python class.
 #[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
 pub(crate) struct PyCalibration {
     inner: Arc<calibration::Calibration>,
@@ -259,15 +259,15 @@ impl PyCalibration {
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
-        let last_seen = Arc::new(LastSeen::default());
+        let last_progress = Arc::new(LastProgress::default());
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
-        let (seen, hearing) = (Arc::clone(&last_seen), listener.clone());
-        let outcome = watch.run(move |desk| {
+        let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
+        let outcome = watch.run(move |caller| {
             inner.fit(FitOptions {
                 run,
                 start,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
-                    seen.pass_on(progress, desk, hearing.as_ref())
+                    seen.pass_on(progress, caller, notified.as_ref())
                 })),
                 cancel: Some(asked.flag()),
                 poll: asked.has_parent().then(|| Box::new(|| asked.is_asked()) as Box<dyn FnMut() -> bool>),
@@ -276,7 +276,7 @@ impl PyCalibration {
         })?;
         logs::pass_on(py)?;
         let Some(outcome) = outcome else {
-            return Err(error::interrupted(py, last_seen.result(py)?.as_ref(), None));
+            return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None));
         };
         let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
         let result = match outcome {

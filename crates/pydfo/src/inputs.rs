@@ -56,7 +56,7 @@ impl Callbacks {
         self.all.iter().find_map(|callback| lock(&callback.raised).take())
     }
 
-    /// Lets go of the functions. What a simulation leaves behind shall not keep alive what the functions refer to (the
+    /// Releases the functions. What a simulation leaves behind shall not keep alive what the functions refer to (the
     /// model itself, perhaps).
     pub(crate) fn release(&self) {
         for callback in &self.all {

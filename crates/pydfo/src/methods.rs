@@ -9,7 +9,7 @@ use serde::Deserialize;
 use serde_json::{Map, Number, Value, json};
 use std::collections::BTreeMap;
 
-/// What can be said to every method; read in `pydfo/_options.py`.
+/// The options of every method; read in `pydfo/_options.py`.
 const COMMON: &str = "cache, checkpoint_interval, f_tol, kinds, nominal, problem, scale, stop, tolerances, trace_limit, warm_start, x_tol";
 
 /// The method of a name, with its options.
@@ -103,7 +103,7 @@ fn plain(value: &Bound<'_, PyAny>) -> Value {
     }
 }
 
-/// The serialised form of an option that is told by its shape.
+/// The serialised form of an option whose variant is given by its shape.
 fn tagged(option: &str, value: Value) -> Value {
     match (option, &value) {
         ("coefficients", Value::Array(v)) if v.len() == 4 => json!({
@@ -122,7 +122,7 @@ fn tagged(option: &str, value: Value) -> Value {
     }
 }
 
-/// The error for a value that an option cannot have, from what serde says.
+/// The error for a value that an option cannot have, from the message of serde.
 fn unfit(
     method: &str,
     option: &str,

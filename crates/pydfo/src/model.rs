@@ -2,7 +2,7 @@
 
 use crate::description::Fmu;
 use crate::inputs::{self, Callbacks, Function, Table};
-use crate::interrupt::{Desk, Stop, Watch, fits_here};
+use crate::interrupt::{CallingThread, EndRequest, Watch, fits_here};
 use crate::settings::time_limit;
 use crate::threads::lock;
 use crate::trajectory::Record;
@@ -29,7 +29,7 @@ pub(crate) struct Model {
     flag: Arc<AtomicBool>,
 }
 
-/// Where the session is. A simulation takes it away, so that nobody waits for a lock that a simulation holds.
+/// The session, taken out during a simulation, so that no call waits for a lock that a simulation holds.
 enum Slot {
     Here(Box<Session>),
     Simulating,
@@ -201,7 +201,7 @@ impl Model {
             outcome
         } else {
             let releasing = callbacks.clone();
-            let run = move |_: &Desk| {
+            let run = move |_: &CallingThread| {
                 let outcome = loan.session.as_mut().map(|session| session.simulate(&options));
                 releasing.release();
                 drop(loan);
@@ -248,7 +248,7 @@ impl Model {
         &self,
         py: Python<'_>,
         request: Request<'_>,
-        stop: &Arc<Stop>,
+        stop: &Arc<EndRequest>,
     ) -> PyResult<(SimulateOptions, Callbacks)> {
         let flag = stop.flag();
         let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &flag)?;

@@ -21,7 +21,7 @@ const AWAKE: Duration = Duration::from_micros(250);
 /// Looks between two readings of the clock, each of which offers the core to others.
 const LOOKS: u32 = 16;
 
-/// A piece of work. It returns what is to be done once its thread waits for more: tell somebody that it is done.
+/// A piece of work. It returns what is to be done once its thread waits for more: the announcement that it is done.
 pub(crate) type Work = Box<dyn FnOnce() -> Box<dyn FnOnce()> + Send>;
 
 struct Helper {

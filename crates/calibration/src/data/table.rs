@@ -229,7 +229,7 @@ impl Column {
     }
 }
 
-/// Why the numbers of a column cannot be told: some in the file have a comma, others a point, and one of the two may
+/// Why the numbers of a column are ambiguous: some in the file have a comma, others a point, and one of the two may
 /// separate thousands.
 pub(super) fn two_signs(all: &[Column], column: &Column) -> Option<String> {
     let first = |mark: fn(&Column) -> Option<&Cell>| {

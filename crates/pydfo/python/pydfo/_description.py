@@ -1,4 +1,4 @@
-"""What an FMU says about itself: the model description."""
+"""The model description of an FMU."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class DisplayUnit:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit; `base` is None where the file does not say how it is made of SI units."""
+    """A unit; `base` is None where the file does not define it in SI units."""
 
     name: str
     base: BaseUnit | None
@@ -149,7 +149,7 @@ class Quirk:
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of a model. What its type definition says is already filled in.
+    """A variable of a model. Attributes of its type definition are filled in.
 
     Attributes
     ----------
@@ -249,7 +249,7 @@ class Variables(Mapping[str, Variable]):
 
 
 class Description:
-    """What an FMU says about itself; reading it runs no code of the FMU.
+    """The model description of an FMU; reading it runs no code of the FMU.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ class Description:
 
     @cached_property
     def states(self) -> list[str | None]:
-        """Names of the continuous states in their order; None where the file does not tell."""
+        """Names of the continuous states in their order; None where the file does not name them."""
         return self._fmu.state_names()
 
     @cached_property

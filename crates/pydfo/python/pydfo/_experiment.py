@@ -143,7 +143,7 @@ def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str |
 def weighted(
     outputs: list[tuple[str, str]], weights: Mapping[str, float] | Sequence[float] | None
 ) -> list[tuple[str, str, float]]:
-    """Pairs of output and column with their weights: 1 where nothing is said."""
+    """Pairs of output and column with their weights: 1 where there is none."""
     if weights is None:
         return [(variable, column, 1.0) for variable, column in outputs]
     if isinstance(weights, Mapping):

@@ -81,7 +81,7 @@ def _frame(given: Any) -> Table:
 
 
 def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Table:
-    """Times in s: those of the column "time", with the unit that its name says."""
+    """The columns of a table; times are those of the column "time", converted to s from the unit in its name."""
     try:
         at, (numerator, denominator) = _core.find_time(list(names))
     except ValueError as e:

@@ -1,4 +1,4 @@
-"""What is said about keywords and options that there are not: what they are called here."""
+"""Keywords: messages for unknown ones, words of other tools, arguments that were positional."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def argument_names(function: Callable[..., Any]) -> list[str]:
 
 
 def explained(function: Callable[P, R]) -> Callable[P, R]:
-    """A function whose TypeError about an unknown keyword says what it is called here."""
+    """A function whose TypeError for an unknown keyword names the one that is meant."""
     return also_called()(function)
 
 

@@ -25,7 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class Request(NamedTuple):
-    """What a simulation is told, as the native code reads it, in this order; None leaves it to the model."""
+    """The options of a simulation, as the native code reads them, in this order; None: the default of the model."""
 
     start_time: float | None
     final_time: float | None
@@ -246,7 +246,7 @@ class FMUModel:
 
     @cached_property
     def description(self) -> Description:
-        """What the FMU says about itself."""
+        """The model description."""
         return Description(self._fmu)
 
     def get(self, name: str | Iterable[str]) -> Any:
@@ -464,7 +464,7 @@ class FMUModel:
         return [outputs] if isinstance(outputs, str) else _options.names("outputs", outputs)
 
     def _names_set(self) -> list[str]:
-        """Names of the variables that were set; none while or after nobody may ask."""
+        """Names of the variables that were set; none while it simulates and after it was closed."""
         try:
             return self._model.names_set()
         except (RuntimeError, ValueError):

@@ -1,4 +1,4 @@
-"""What may be chosen about a run, checked on the way to the native code."""
+"""The options of a run, checked on the way to the native code."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def build(
 
 
 def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:
-    """Says that a run goes on from a file that nothing binds to the function that is minimised."""
+    """Logs that a run goes on from a file that nothing binds to the function that is minimised."""
     if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None or not os.path.isfile(checkpoint):
         return
     _log.warning(
@@ -253,7 +253,7 @@ def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str
 
 def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]:
     """Lower and upper bounds from what SciPy takes: a sequence of pairs (None: no bound), or an object with ``lb`` and
-    ``ub``. Without a start point they say how many parameters there are."""
+    ``ub``. Without a start point their number is that of the parameters."""
     if bounds is None:
         if n is None:
             raise ValueError("x0 is needed: the point to start from (methods that sample a box need at least bounds)")

@@ -28,7 +28,7 @@ _log = logging.getLogger("pydfo")
 
 
 def pyplot() -> Any:
-    """``matplotlib.pyplot``, or an error that says how to get it."""
+    """``matplotlib.pyplot``, or an error with the command that installs it."""
     try:
         import matplotlib.pyplot as plt
     except ImportError as e:
@@ -37,7 +37,7 @@ def pyplot() -> Any:
 
 
 def _is_live(figure: Figure) -> bool:
-    """Whether somebody watches a window."""
+    """Whether the figure is shown in a window."""
     return getattr(figure.canvas, "required_interactive_framework", None) is not None
 
 
@@ -63,7 +63,7 @@ class SimplexWalk:
         self._closed = True
 
     def __call__(self, progress: Progress) -> None:
-        """Takes in the simplex or the population of one iteration, and shows it if somebody watches."""
+        """Takes in the simplex or the population of one iteration, and draws it if the figure is shown in a window."""
         shape = progress.final_simplex or progress.final_population
         if shape is None:
             return

@@ -110,7 +110,7 @@ def _result_class() -> Any:
 
 
 def _as_scipy_calls(callback: Callable[..., Any] | None) -> Callable[[Progress], Any] | None:
-    """SciPy tells the point alone, unless the one parameter is called ``intermediate_result``."""
+    """SciPy passes the point alone, unless the one parameter is called ``intermediate_result``."""
     if callback is None:
         return None
     try:
