@@ -119,10 +119,6 @@ impl Calibration {
         &self.evaluator
     }
 
-    pub(crate) fn choice(&self) -> &Choice {
-        &self.choice
-    }
-
     /// What it is made from, as plain data.
     pub fn problem(&self) -> &Problem {
         &self.evaluator.problem

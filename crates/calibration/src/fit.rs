@@ -8,7 +8,7 @@ use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RunOptions,
-    Stop, Tolerances, Transform,
+    Stop, Tolerances,
 };
 use ode::Number;
 use ode::Stats;
@@ -189,28 +189,22 @@ impl Calibration {
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
         let bound = |side: fn(&Parameter) -> f64| self.parameters().iter().map(side).collect::<Vec<_>>();
-        let transforms: Vec<Transform> = self
-            .parameters()
-            .iter()
-            .map(|p| match p.scale_kind() {
-                Scale::Linear => Transform::Linear,
-                Scale::Log => Transform::Log,
-            })
-            .collect();
+        let transforms: Vec<Scale> = self.parameters().iter().map(Parameter::scale_kind).collect();
         let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
         let sizes: Vec<Option<f64>> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.known_size(p, *x)).collect();
         if let Some(checkpoint) = &described.checkpoint {
             self.adopt_solver(checkpoint)?;
         }
+        let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
+        let is_asked = || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
         // The race and the model's first-use test are not part of the time that the fit is given.
-        let solver = self.choice().find(self.evaluator(), poll.borrow_mut().as_deref_mut())?;
+        let solver = self.solver_until(&is_asked)?;
         self.prepare()?;
         let max_time = described.limits.max_time;
         let late = max_time.and_then(|limit| Instant::now().checked_add(limit));
         let is_late = || late.is_some_and(|late| Instant::now() >= late);
-        let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
-        let cancelled = || is_late() || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
+        let cancelled = || is_late() || is_asked();
         described.problem = Some(self.problem_hash(solver));
         described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
         let tolerances = described.tolerances;

@@ -2,19 +2,9 @@
 
 use crate::error::CalibrationError;
 use dfo::Kind;
+pub use dfo::Transform as Scale;
 use ode::Number;
 use serde::{Deserialize, Serialize};
-
-/// How a parameter is measured inside the optimiser; outside it is always in the user's units.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Scale {
-    /// As it is.
-    #[default]
-    Linear,
-    /// By its logarithm: for positive parameters known only to an order of magnitude.
-    Log,
-}
 
 /// A parameter to be fitted.
 ///
@@ -62,7 +52,8 @@ impl Parameter {
         self
     }
 
-    /// The scale the optimiser works on.
+    /// The scale the optimiser works on: [`Scale::Log`] for positive parameters known only to an order of magnitude. Values and
+    /// bounds are in the user's units either way.
     #[must_use]
     pub fn scale(mut self, scale: Scale) -> Self {
         self.scale = scale;

@@ -8,16 +8,8 @@ use fmi::{FmiError, InterfaceKind, Pool, SimulateOptions, SimulationPlan, Simula
 use ode::{ErrorKind, Method, Observer, Sample, Stats};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::thread;
-use std::time::Duration;
 
-/// Stack of the thread that simulates while the calling one polls.
-const STACK_SIZE: usize = 16 << 20;
-/// How long the calling thread waits at most between two polls.
-const PATIENCE: Duration = Duration::from_millis(20);
 /// The absolute tolerance of an output is this share of the relative one and its nominal value, as for states.
 const ABSOLUTE_SHARE: f64 = 0.01;
 
@@ -129,38 +121,6 @@ impl Choice {
             }
         }
         Ok(self.made.get_or_init(|| Chosen { solver, pools }))
-    }
-
-    /// Finds the solver on another thread, while this one polls.
-    pub(crate) fn find(
-        &self,
-        problem: &Evaluator,
-        mut poll: Option<&mut (dyn FnMut() -> bool + '_)>,
-    ) -> Result<&Solver, CalibrationError> {
-        let chosen = |cancelled: &dyn Fn() -> bool| self.chosen(problem, cancelled).map(|c| &c.solver);
-        if self.known().is_some() || problem.problem.settings.method != Method::Auto {
-            return chosen(&|| false);
-        }
-        let (done, is_done) = channel::<()>();
-        let asked = AtomicBool::new(false);
-        thread::scope(|scope| {
-            let cancelled = || asked.load(Ordering::Relaxed);
-            let work = move || {
-                // Dropped at the end, however it ends.
-                let _done = done;
-                chosen(&cancelled)
-            };
-            let racing = thread::Builder::new()
-                .stack_size(STACK_SIZE)
-                .spawn_scoped(scope, work)
-                .map_err(|e| CalibrationError::Setup(format!("a thread cannot be started: {e}")))?;
-            while is_done.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
-                if poll.as_mut().is_some_and(|poll| poll()) {
-                    asked.store(true, Ordering::Relaxed);
-                }
-            }
-            racing.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        })
     }
 }
 

@@ -1,10 +1,14 @@
-//! Problems with several experiments and outputs: one order of the sum, parameters in their order, and the way through a file.
+//! Problems with several experiments and outputs: one order of the sum, parameters in their order, stored problems, cancellation.
 
 #![allow(clippy::unwrap_used)]
 
-use calibration::{Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter, Problem};
+use calibration::{
+    Calibration, CalibrationBuilder, CalibrationError, Data, Experiment, FitOptions, Parameter, Problem,
+};
 use dfo::{Answer, Limits, Objective, Outcome, Query, RunOptions, Want};
 use fmi::{Fmu, example_fmu};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 fn open(name: &str) -> Fmu {
     Fmu::open(example_fmu(name).unwrap()).unwrap()
@@ -144,4 +148,15 @@ fn a_problem_survives_a_file() {
     let found = other.content_hash().unwrap().to_owned();
     let e = Calibration::from_problem(other, problem).unwrap_err().to_string();
     assert!(e.contains(&calibration.problem().model.content_hash) && e.contains(&found), "{e}");
+}
+
+#[test]
+fn a_fit_can_be_cancelled_while_its_solver_is_chosen() {
+    let calibration = furuta();
+    let by_flag = FitOptions { cancel: Some(Arc::new(AtomicBool::new(true))), ..FitOptions::default() };
+    let by_poll = FitOptions { poll: Some(Box::new(|| true)), ..FitOptions::default() };
+    for options in [by_flag, by_poll] {
+        assert!(matches!(calibration.fit(options), Err(CalibrationError::Cancelled)));
+        assert_eq!(calibration.known_solver(), None);
+    }
 }
