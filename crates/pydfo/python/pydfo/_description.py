@@ -230,10 +230,7 @@ class Variables(Mapping[str, Variable]):
             nearest = self._fmu.nearest(name) if isinstance(name, str) else []
             hint = f"; did you mean {', '.join(nearest)}?" if nearest else ""
             raise UnknownVariableError(f'the model has no variable "{name}"{hint}')
-        fields = self._fmu.variable(index)
-        for several in ("shape", "dimensions", "aliases"):
-            fields[several] = tuple(fields[several])
-        return Variable(**fields)
+        return Variable(**self._fmu.variable(index))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._fmu.names())
