@@ -1,8 +1,13 @@
 //! Fit the parameters of a Functional Mock-up Unit to measurements: a model, data and parameters become an objective.
 //!
-//! [`Data`] holds what was recorded, an [`Experiment`] says which column measures which output of the model, a
-//! [`Parameter`] what may vary. A [`Calibration`] puts them together: [`Calibration::cost`],
+//! [`Data`] holds a recording, an [`Experiment`] which of its columns measures which output of the model, a [`Parameter`] what
+//! varies: in all experiments alike, or with a value in each. Together they are a [`Problem`], plain data that can be stored and
+//! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
 //! [`Calibration::residuals`] and [`Calibration::fit`].
+//!
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `residual` (measured against simulated), `evaluate`
+//! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
+//! (checks after a fit), `fit`.
 #![forbid(unsafe_code)]
 
 mod calibration;

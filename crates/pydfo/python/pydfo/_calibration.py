@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from . import _core, _options
 from ._errors import BadCalibrationError, CalibrationWarning
-from ._experiment import Experiment, Names, Settings, path_of
+from ._experiment import Names, Settings, collected, path_of
 from ._files import OpenOptions
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
@@ -132,7 +132,7 @@ class Calibration:
         Data, parameters or settings that do not fit together; the message says which, where, and with which numbers.
     """
 
-    @also_called(timeout="max_time")
+    @also_called(timeout="max_time", input="inputs", output="outputs")
     def __init__(
         self,
         model: Any,
@@ -155,25 +155,8 @@ class Calibration:
         sharing: Literal["copies", "serial", "together"] = "copies",
         time: str | None = None,
     ) -> None:
-        experiments: list[Experiment] | None = None
-        if isinstance(data, Experiment):
-            experiments = [data]
-        elif isinstance(data, (list, tuple)) and data and all(isinstance(one, Experiment) for one in data):
-            experiments = list(data)
-        if experiments is None:
-            experiments = [
-                Experiment(
-                    data, _needed("outputs", outputs), inputs,
-                    window=window, weights=weights, start_values=start_values, start_time=start_time, time=time,
-                )  # fmt: skip
-            ]
-        else:
-            if parameters is None:
-                outputs, parameters = None, outputs
-            own = {"outputs": outputs, "inputs": inputs, "window": window, "weights": weights, "start_time": start_time, "time": time}
-            if misplaced := [name for name, value in {**own, "start_values": start_values}.items() if value is not None]:
-                raise TypeError(f"{', '.join(misplaced)}: with experiments this is an argument of Experiment, given for each")
-        parameters = _needed("parameters", parameters)
+        own = {"window": window, "weights": weights, "start_values": start_values, "start_time": start_time, "time": time}
+        experiments, parameters = collected(data, outputs, parameters, inputs, **own)
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
             if not isinstance(parameter, Parameter):
@@ -499,9 +482,3 @@ def _restore(
     calibration._opened = opened
     calibration._native = _core.Calibration.restore(state, fmu)
     return calibration
-
-
-def _needed(name: str, value: Any) -> Any:
-    if value is None:
-        raise TypeError(f"Calibration() needs the argument {name!r}")
-    return value

@@ -127,6 +127,25 @@ class Settings:
     sharing: str
 
 
+def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:
+    """The experiments and the parameters of a calibration, from its arguments: one recording with what belongs to it, or
+    experiments, which the parameters follow."""
+    experiments = [data] if isinstance(data, Experiment) else data
+    if isinstance(experiments, (list, tuple)) and experiments and all(isinstance(one, Experiment) for one in experiments):
+        if parameters is None:
+            outputs, parameters = None, outputs
+        given = {"outputs": outputs, "inputs": inputs, **own}
+        if misplaced := [name for name, value in given.items() if value is not None]:
+            raise TypeError(f"{', '.join(misplaced)}: with experiments this is an argument of Experiment, given for each")
+    elif outputs is None:
+        raise TypeError("Calibration() needs the argument 'outputs'")
+    else:
+        experiments = [Experiment(data, outputs, inputs, **own)]
+    if parameters is None:
+        raise TypeError("Calibration() needs the argument 'parameters'")
+    return list(experiments), parameters
+
+
 def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> list[tuple[str, str]]:
     """Pairs of variable and column; of a list, columns that are named like the variables."""
     if value is None:

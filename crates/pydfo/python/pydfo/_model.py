@@ -51,58 +51,6 @@ LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug"
 """PyFMI's levels of logging, by their numbers."""
 
 
-@explained
-def load_fmu(
-    path: PathLike,
-    kind: str = "auto",
-    log_level: int | str | None = None,
-    *,
-    logging: bool = False,
-    deepbind: bool = False,
-    lazy: bool = False,
-    tool_is_present: bool = False,
-    max_description_bytes: int | None = None,
-    max_elements: int | None = None,
-) -> FMUModel:
-    """Opens an FMU: the same as `FMUModel`, which see.
-
-    Parameters
-    ----------
-    path : path
-        An ``.fmu`` file or an unpacked folder.
-    kind : {"auto", "ME", "CS"}
-        How to run it.
-    log_level : int or str, optional
-        Which lines of the FMU's log are shown.
-    logging : bool
-        The FMU is asked to log.
-    deepbind, lazy, tool_is_present : bool
-        How its library is loaded, and that the tool it needs is there.
-    max_description_bytes, max_elements : int, optional
-        How large its description may be.
-
-    Returns
-    -------
-    FMUModel
-
-    Raises
-    ------
-    OSError, FmuError, ValueError
-        As `FMUModel`.
-    """
-    return FMUModel(
-        path,
-        kind,
-        log_level,
-        logging=logging,
-        deepbind=deepbind,
-        lazy=lazy,
-        tool_is_present=tool_is_present,
-        max_description_bytes=max_description_bytes,
-        max_elements=max_elements,
-    )
-
-
 def _log_level(level: int | str | None) -> int:
     """The number of a level."""
     if level is None:
@@ -486,6 +434,10 @@ class FMUModel:
         d = self.description
         closed = ", closed" if self._model.closed else ""
         return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} {self.kind}, {d.n_states} states, {str(self.path)!r}{closed}>"
+
+
+load_fmu = FMUModel
+"""PyFMI's name for opening an FMU."""
 
 
 def _intervals(
