@@ -32,7 +32,7 @@ def main():
     model = pydfo.FMUModel(pydfo.example_fmu("exhaust"))
     for name, value in TRUE.items():
         model.set(name, value)
-    truth = model.simulate(0, 300, times=inputs["time"], input=inputs, output=["T_out"])
+    truth = model.simulate(0, 300, times=inputs["time"], inputs=inputs, outputs=["T_out"])
     stats = truth.stats
     print(f"stiff: {stats.accepted_steps} steps, {stats.jacobians} Jacobians, {stats.decompositions} decompositions")
     noise = np.random.default_rng(1).normal(0.0, 1.0, len(inputs["time"]))

@@ -31,7 +31,7 @@ def by_a_cost_function() -> None:
 
     def squared_error(frictions: np.ndarray) -> float:
         model.set(list(NOMINAL), frictions * unit)
-        response = model.simulate(final_time=recording["time"][-1], output=list(ANGLES))
+        response = model.simulate(final_time=recording["time"][-1], outputs=list(ANGLES))
         return dfo.quad_err(recording["time"], measured, response["time"], np.array([response[angle] for angle in ANGLES]))
 
     best, cost, _, n_evaluations, seconds = dfo.fmin(

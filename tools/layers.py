@@ -15,6 +15,18 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
+    "calibration": """
+        error race
+        data no_cost parameter residual
+        experiment
+        warning
+        problem
+        evaluate identity
+        solver
+        calibration
+        effect spot_checks
+        fit
+    """,
     "dfo": """
         number option_texts choices rng answer encoding
         termination objective trace
@@ -51,6 +63,16 @@ LAYERS = {
         implicit
         auto
         driver
+    """,
+    "pydfo": """
+        quad_err threads words
+        interrupt logs methods
+        fmu_error objective report
+        error files values
+        description inputs trajectory
+        settings
+        experiment minimize model py_system
+        calibration optimizer solve
     """,
 }
 

@@ -26,7 +26,7 @@ def simulate():
     model = FMUModel(example_fmu("quad_tank"))
     for name, value in OUTLETS.items():
         model.set(name, value)
-    result = model.simulate(final_time=60, times=TIMES, input={"time": TIMES, **VOLTAGES}, relative_tolerance=1e-10)
+    result = model.simulate(final_time=60, times=TIMES, inputs={"time": TIMES, **VOLTAGES}, relative_tolerance=1e-10)
     return [result[f"qt.{level}"] for level in LEVELS]
 
 

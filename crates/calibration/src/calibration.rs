@@ -1,49 +1,35 @@
-//! Experiments and parameters become an objective: cost, residuals, cutoff.
+//! A problem and its model, ready to be evaluated: cost, residuals, trajectories, cutoff.
 
-use crate::data::Data;
 use crate::error::CalibrationError;
+use crate::evaluate::Evaluator;
 use crate::experiment::{Experiment, SimulationSettings};
-use crate::identity::identity;
+use crate::identity::{hash, identity};
+use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
-use crate::residual::{Accumulator, Comparison, Stop};
-use crate::solver::Choice;
-use crate::spot_checks::is_failed_by_history;
-use crate::warning::{SETUP_LOG_TARGET, SetupWarning, held_inputs, ignored_nominals, unused_columns};
-use dfo::{Answer, Failure, FailureKind, Objective, Outcome, Query, Want};
-use fmi::platform::without_private_folders;
-use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan, Trajectory};
-use ode::{ErrorKind, Method, Number, Observer, Report, Stats, Termination};
+use crate::problem::{ModelFile, Problem};
+use crate::solver::{Choice, Solver};
+use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
+use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, Want};
+use fmi::{Fmu, Pool, Trajectory};
+use ode::{Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
-use std::sync::Arc;
+
+/// Name of the solver among what identifies a fit.
+const SOLVER: &str = "solver";
 
 /// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
 ///
 /// The cost is the sum of the squared (weighted) residuals, simulated minus measured, over all experiments, outputs and
-/// measured times: no 1/N, no 1/2. It is added up in one fixed order while the simulation runs, so the same parameters
-/// give the same bits on every worker. Where no integration method is named, the [`solver`](Self::solver) is found once, by
+/// measured times, added up in the order of the residual vector: no 1/N, no 1/2. The same parameters
+/// give the same bits on every worker, with residuals or without, with a cutoff or without. Where no integration method is named, the
+/// [`solver`](Self::solver) is found once, by
 /// a race at the parameters' start values, and used for everything: a cost is the same function in a fit and outside.
 #[derive(Debug)]
 pub struct Calibration {
-    fmu: Fmu,
-    parameters: Vec<Parameter>,
-    experiments: Vec<Prepared>,
-    n_residuals: usize,
-    warnings: Vec<SetupWarning>,
-    /// The method that the settings name.
-    method: Method,
+    evaluator: Evaluator,
     choice: Choice,
     /// What a fit is made from, by name and in words or as a hash.
     identity: Vec<(String, String)>,
-}
-
-/// An experiment with everything looked up.
-#[derive(Debug)]
-struct Prepared {
-    pool: Pool,
-    comparison: Comparison,
-    options: SimulateOptions,
-    data: Data,
-    outputs: Vec<(String, String)>,
 }
 
 /// Collects what a [`Calibration`] is made of.
@@ -68,18 +54,6 @@ pub struct CalibrationBuilder {
     experiments: Vec<Experiment>,
     parameters: Vec<Parameter>,
     settings: SimulationSettings,
-}
-
-/// Why there is no cost at a point.
-pub(crate) enum NoCost {
-    /// The partial sum is strictly above the cutoff.
-    Above,
-    /// The run is being ended.
-    Cancelled,
-    /// No simulation can be made any more, here or at other points.
-    Over(Box<FmiError>),
-    /// The simulation failed: its kind, a reason that is the same for all failures of that sort, and the error in full.
-    Failed { kind: FailureKind, reason: String, source: Option<Box<FmiError>> },
 }
 
 impl CalibrationBuilder {
@@ -110,93 +84,8 @@ impl CalibrationBuilder {
     /// Anything that does not fit: unknown names (the nearest are offered), parameters that cannot be set, bounds, data.
     pub fn build(self) -> Result<Calibration, CalibrationError> {
         let Self { fmu, experiments, parameters, settings } = self;
-        if parameters.is_empty() {
-            return Err(CalibrationError::Setup("there is no parameter to fit".to_owned()));
-        }
-        if experiments.is_empty() {
-            return Err(CalibrationError::Setup("there is no experiment to fit to".to_owned()));
-        }
-        for (i, parameter) in parameters.iter().enumerate() {
-            parameter.check()?;
-            if parameters[..i].iter().any(|p| p.name() == parameter.name()) {
-                let name = parameter.name().to_owned();
-                return Err(CalibrationError::Parameter { name, message: "is given twice".to_owned() });
-            }
-        }
-        let mut warnings = Vec::new();
-        for experiment in &experiments {
-            experiment.check_start_values(fmu.description(), &parameters)?;
-            warnings.extend(unused_columns(fmu.description(), experiment));
-        }
-        warnings.extend(ignored_nominals(&parameters));
-        let identity = identity(&fmu, &experiments, &parameters, &settings)?;
-        let start: Vec<f64> = parameters.iter().map(Parameter::start).collect();
-        let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
-        let experiments = experiments
-            .into_iter()
-            .map(|e| Prepared::new(&fmu, e, (&names, &start), &settings, &mut warnings))
-            .collect::<Result<Vec<_>, _>>()?;
-        for warning in &warnings {
-            log::warn!(target: SETUP_LOG_TARGET, "{warning}");
-        }
-        let n_residuals = experiments.iter().map(|e| e.comparison.n_residuals()).sum();
-        let (method, choice) = (settings.method, Choice::default());
-        Ok(Calibration { fmu, parameters, experiments, n_residuals, warnings, method, choice, identity })
-    }
-}
-
-impl Prepared {
-    fn new(
-        fmu: &Fmu,
-        experiment: Experiment,
-        (parameters, start): (&[String], &[f64]),
-        settings: &SimulationSettings,
-        warnings: &mut Vec<SetupWarning>,
-    ) -> Result<Self, CalibrationError> {
-        let (times, columns) = experiment.measurements()?;
-        let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-        let weights: Vec<f64> = experiment.outputs.iter().map(|o| o.weight).collect();
-        let (times, comparison) = Comparison::new(&times, &columns, &weights);
-        let start_time =
-            experiment.start_time.or(fmu.description().default_experiment.start_time).unwrap_or(0.0);
-        let rounding = 100.0 * f64::EPSILON / 2.0 * start_time.abs().max(times[times.len() - 1].abs());
-        if times[0] < start_time - rounding {
-            let [first, start] = [times[0], start_time].map(Number);
-            return Err(CalibrationError::Setup(format!(
-                "{}: the first measurement is at {first} s, before the simulation starts at {start} s; give \
-                 start_time = {first}, or a window that begins later",
-                experiment.data.source()
-            )));
-        }
-        experiment.check_begin(start_time)?;
-        warnings.extend(held_inputs(&experiment, (start_time, times[times.len() - 1])));
-        let options = SimulateOptions {
-            start_time: Some(start_time),
-            final_time: times.last().copied(),
-            times: Some(times),
-            start_values: experiment.start_values.clone(),
-            parameters: parameters.to_vec(),
-            outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
-            inputs: experiment.input_table()?,
-            relative_tolerance: settings.relative_tolerance,
-            kind: settings.kind,
-            method: settings.method,
-            step_size: settings.step_size,
-            max_step: settings.max_step,
-            timeout: settings.timeout,
-            chattering: settings.chattering,
-            input_derivatives: settings.input_derivatives,
-            sharing: settings.sharing,
-            ..SimulateOptions::default()
-        };
-        let plan = SimulationPlan::new(fmu, &options)?;
-        plan.require_single_numbers()?;
-        experiment.check_outputs(fmu.description(), parameters)?;
-        let ignored = options.without_effect(plan.kind()).into_iter().map(SetupWarning::NoEffect);
-        warnings.extend(ignored.filter(|warning| !warnings.contains(warning)).collect::<Vec<_>>());
-        let pool = Pool::with_reference(Arc::new(plan), start)?;
-        let outputs = experiment.outputs.into_iter().map(|o| (o.variable, o.column)).collect();
-        Ok(Self { pool, comparison, options, data: experiment.data, outputs })
+        let model = ModelFile::of(&fmu)?;
+        Calibration::from_problem(fmu, Problem { model, parameters, experiments, settings })
     }
 }
 
@@ -211,57 +100,96 @@ impl Calibration {
         }
     }
 
-    /// What tells this calibration from others, by name.
-    pub(crate) fn identity(&self) -> &[(String, String)] {
-        &self.identity
+    /// A calibration of a problem that was stored, or comes from another process, with its model. Looks everything up and checks
+    /// it; simulates nothing yet.
+    ///
+    /// # Errors
+    /// As [`CalibrationBuilder::build`]; [`CalibrationError::OtherModel`]: the model has another content.
+    pub fn from_problem(fmu: Fmu, problem: Problem) -> Result<Self, CalibrationError> {
+        problem.model.check(&fmu)?;
+        let evaluator = Evaluator::new(fmu, problem)?;
+        for warning in &evaluator.warnings {
+            log::warn!(target: SETUP_LOG_TARGET, "{warning}");
+        }
+        let identity = identity(&evaluator.problem, &evaluator.parameters);
+        Ok(Self { evaluator, choice: Choice::default(), identity })
     }
 
-    pub(crate) fn choice(&self) -> &Choice {
-        &self.choice
+    pub(crate) fn evaluator(&self) -> &Evaluator {
+        &self.evaluator
     }
 
-    pub(crate) fn method_of_settings(&self) -> Method {
-        self.method
-    }
-
-    pub(crate) fn pool_of_settings(&self, experiment: usize) -> &Pool {
-        &self.experiments[experiment].pool
-    }
-
-    /// How the experiments are simulated, but for the choice of the method.
-    pub(crate) fn all_options(&self) -> impl Iterator<Item = &SimulateOptions> {
-        self.experiments.iter().map(|e| &e.options)
+    /// What it is made from, as plain data.
+    pub fn problem(&self) -> &Problem {
+        &self.evaluator.problem
     }
 
     /// The model.
     pub fn fmu(&self) -> &Fmu {
-        &self.fmu
+        &self.evaluator.fmu
     }
 
-    /// What may not be meant as it was given: columns that nobody uses, inputs that are held. Each was logged once, when
+    /// What may not be meant as it was given: columns without use, inputs that are held. Each was logged once, when
     /// the calibration was built.
     pub fn warnings(&self) -> &[SetupWarning] {
-        &self.warnings
+        &self.evaluator.warnings
     }
 
-    /// The parameters, in the order of every vector of values.
+    /// The parameters, one per entry of every vector of values: in the order given, a [local](Parameter::local) one once per
+    /// experiment in its place.
     pub fn parameters(&self) -> &[Parameter] {
-        &self.parameters
+        &self.evaluator.parameters
     }
 
     /// Length of the residual vector.
     pub fn n_residuals(&self) -> usize {
-        self.n_residuals
+        self.evaluator.n_residuals
     }
 
-    /// Per experiment: the recording, and which output was compared with which of its columns.
-    pub fn comparisons(&self) -> impl Iterator<Item = (&Data, &[(String, String)])> {
-        self.experiments.iter().map(|e| (&e.data, e.outputs.as_slice()))
+    /// The root of the mean squared weighted residual that a cost stands for.
+    pub fn rms(&self, cost: f64) -> f64 {
+        (cost / self.n_residuals() as f64).sqrt()
     }
 
     /// Start values of all parameters.
     pub fn start(&self) -> Vec<f64> {
-        self.parameters.iter().map(Parameter::start).collect()
+        self.evaluator.start()
+    }
+
+    /// The method that integrates the simulations of this calibration, in fits and outside of them. Where the settings
+    /// name none, it is found at the first use, by a race at the parameters' start values (see [`race`](crate::race)): up to four
+    /// simulations of every experiment, one if the model is not stiff there. It stays the same from then on.
+    ///
+    /// # Errors
+    /// The model cannot be loaded or instantiated. Simulations that fail are no error: they lose.
+    pub fn solver(&self) -> Result<&Solver, CalibrationError> {
+        self.solver_until(&|| false)
+    }
+
+    /// The same, if it is known already.
+    pub fn known_solver(&self) -> Option<&Solver> {
+        self.choice.known()
+    }
+
+    /// As [`solver`](Self::solver); gives up when `cancelled` says so.
+    ///
+    /// # Errors
+    /// As [`solver`](Self::solver), and [`CalibrationError::Cancelled`].
+    pub fn solver_until(&self, cancelled: &dyn Fn() -> bool) -> Result<&Solver, CalibrationError> {
+        self.choice.chosen(&self.evaluator, cancelled).map(|chosen| &chosen.solver)
+    }
+
+    /// Takes a solver that was found for the same problem elsewhere, unless there is one already.
+    ///
+    /// # Errors
+    /// The model cannot be simulated with it.
+    pub fn set_solver(&self, solver: Solver) -> Result<(), CalibrationError> {
+        self.choice.choose(&self.evaluator, solver).map(|_| ())
+    }
+
+    /// The simulators of an experiment with the method in use.
+    pub(crate) fn pool(&self, experiment: usize, cancelled: &dyn Fn() -> bool) -> Result<&Pool, NoCost> {
+        self.choice.pool(&self.evaluator, experiment, cancelled)
     }
 
     /// The cost at `x` (one value per parameter, user's units).
@@ -277,7 +205,7 @@ impl Calibration {
     /// # Errors
     /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
     pub fn cost_until(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> Result<f64, CalibrationError> {
-        self.evaluate_fully(x, cancelled, None)
+        self.evaluate_fully(x, cancelled).map(|(cost, _)| cost)
     }
 
     /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by output, in the
@@ -298,9 +226,7 @@ impl Calibration {
         x: &[f64],
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, CalibrationError> {
-        let mut out = vec![0.0; self.n_residuals];
-        self.evaluate_fully(x, cancelled, Some(&mut out))?;
-        Ok(out)
+        self.evaluate_fully(x, cancelled).map(|(_, residuals)| residuals)
     }
 
     /// Simulates every experiment at `x` and keeps the trajectories of the compared outputs, at the measured times or,
@@ -322,32 +248,48 @@ impl Calibration {
         times: Option<&[f64]>,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Vec<Trajectory>, CalibrationError> {
+        (0..self.problem().experiments.len())
+            .map(|k| self.simulate_experiment_until(k, x, times, cancelled))
+            .collect()
+    }
+
+    /// As [`simulate_until`](Self::simulate_until), one experiment, counted from 0.
+    ///
+    /// # Errors
+    /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
+    ///
+    /// # Panics
+    /// There is no such experiment.
+    pub fn simulate_experiment_until(
+        &self,
+        experiment: usize,
+        x: &[f64],
+        times: Option<&[f64]>,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Trajectory, CalibrationError> {
         self.check_length(x)?;
-        let method = self.solver_until(cancelled)?.method;
+        let simulation = &self.evaluator.simulations[experiment];
+        let mut options = simulation.options.clone();
+        options.method = self.solver_until(cancelled)?.method;
+        let names = std::mem::take(&mut options.parameters);
+        let values = simulation.values(x);
+        options.start_values.extend(names.into_iter().zip(values.iter().map(|v| (*v).into())));
+        if let Some(times) = times {
+            options.times = Some(times.to_vec());
+            options.final_time = times.last().copied();
+        }
         let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-        let at = |e: &Prepared| {
-            let mut options = e.options.clone();
-            options.method = method;
-            options.parameters.clear();
-            let values = self.parameters.iter().zip(x).map(|(p, v)| (p.name().to_owned(), (*v).into()));
-            options.start_values.extend(values);
-            if let Some(times) = times {
-                options.times = Some(times.to_vec());
-                options.final_time = times.last().copied();
-            }
-            let trajectory = self.fmu.simulate_with(&options, &mut poll)?;
-            match trajectory.termination {
-                Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
-                _ => Ok(trajectory),
-            }
-        };
-        self.experiments.iter().map(at).collect()
+        let trajectory = self.fmu().simulate_with(&options, &mut poll)?;
+        match trajectory.termination {
+            Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
+            _ => Ok(trajectory),
+        }
     }
 
     /// Has the model tested before its first use (once per process): how instances are reused, and whether several can be
     /// used at once.
     pub(crate) fn prepare(&self) -> Result<(), CalibrationError> {
-        for k in 0..self.experiments.len() {
+        for k in 0..self.problem().experiments.len() {
             if let Ok(pool) = self.pool(k, &|| false) {
                 pool.is_concurrent()?;
             }
@@ -357,52 +299,49 @@ impl Calibration {
 
     /// How often simulations of the model were found to depend on earlier ones.
     pub(crate) fn n_history_findings(&self) -> u64 {
-        self.fmu.n_history_findings(self.pool_of_settings(0).plan().kind())
+        self.evaluator.n_history_findings()
     }
 
     /// Whether the simulations at `x` are found to depend on earlier ones: each is made in all copies of the library that a fit has
     /// used, and in new ones.
     pub(crate) fn depends_on_history(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> bool {
-        let found = |k: usize| self.pool(k, cancelled).map(|pool| pool.depends_on_history(x, cancelled));
+        let found = |k: usize| {
+            self.pool(k, cancelled)
+                .map(|pool| pool.depends_on_history(&self.evaluator.simulations[k].values(x), cancelled))
+        };
         // A run that fails here, after it has not before, depends on something else than its parameters.
-        (0..self.experiments.len()).any(|k| matches!(found(k), Ok(Ok(true))))
+        (0..self.problem().experiments.len()).any(|k| matches!(found(k), Ok(Ok(true))))
     }
 
     pub(crate) fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
-        if x.len() == self.parameters.len() {
+        if x.len() == self.parameters().len() {
             return Ok(());
         }
-        let names = self.parameters.iter().map(Parameter::name).collect::<Vec<_>>().join(", ");
-        Err(CalibrationError::Length { got: x.len(), expected: self.parameters.len(), names })
+        let names = self.parameters().iter().map(Parameter::name).collect::<Vec<_>>().join(", ");
+        Err(CalibrationError::Length { got: x.len(), expected: self.parameters().len(), names })
     }
 
     fn evaluate_fully(
         &self,
         x: &[f64],
         cancelled: &dyn Fn() -> bool,
-        out: Option<&mut [f64]>,
-    ) -> Result<f64, CalibrationError> {
+    ) -> Result<(f64, Vec<f64>), CalibrationError> {
         self.check_length(x)?;
-        self.evaluate_into(x, (f64::INFINITY, cancelled), out, &mut Stats::default()).map_err(|no_cost| {
-            let at = self.describe(x);
+        let mut residuals = vec![0.0; self.n_residuals()];
+        let cost = self.evaluate_into(x, (f64::INFINITY, cancelled), &mut residuals, &mut Stats::default());
+        cost.map(|cost| (cost, residuals)).map_err(|no_cost| {
+            let pairs = self.parameters().iter().zip(x);
+            let at =
+                pairs.map(|(p, v)| format!("{} = {}", p.name(), Number(*v))).collect::<Vec<_>>().join(", ");
             match no_cost {
-                NoCost::Failed { reason, source, .. } => {
-                    let message = source.as_ref().map_or(reason, |e| e.to_string());
+                NoCost::Failed { message, source, .. } => {
                     CalibrationError::Simulation { at, message, source }
                 }
-                NoCost::Above => {
-                    CalibrationError::Simulation { at, message: "infinite cost".to_owned(), source: None }
-                }
                 NoCost::Over(error) => CalibrationError::Model(*error),
-                NoCost::Cancelled => CalibrationError::Cancelled,
+                // Nothing is above an infinite cutoff.
+                NoCost::Cancelled | NoCost::Above => CalibrationError::Cancelled,
             }
         })
-    }
-
-    fn describe(&self, x: &[f64]) -> String {
-        let pairs: Vec<String> =
-            self.parameters.iter().zip(x).map(|(p, v)| format!("{} = {}", p.name(), Number(*v))).collect();
-        pairs.join(", ")
     }
 
     /// The answer to a query, what it took added to `stats`. Its work is counted in right-hand sides.
@@ -413,84 +352,72 @@ impl Calibration {
         answer: &mut Answer,
         stats: &mut Stats,
     ) {
-        let out = (query.want == Want::Residuals).then(|| {
-            answer.residuals.resize(self.n_residuals, 0.0);
-            &mut answer.residuals[..]
-        });
         let before = stats.right_hand_sides;
-        answer.outcome = match self.evaluate_into(x, (query.cutoff, &|| query.cancelled()), out, stats) {
+        answer.residuals.resize(self.n_residuals(), 0.0);
+        let ends: (f64, &dyn Fn() -> bool) = (query.cutoff, &|| query.cancelled());
+        answer.outcome = match self.evaluate_into(x, ends, &mut answer.residuals, stats) {
             Ok(cost) => Outcome::Value(cost),
             Err(NoCost::Above) => Outcome::Above(query.cutoff),
             Err(NoCost::Cancelled) => Outcome::cancelled(),
             Err(NoCost::Over(error)) => Outcome::Abort(error.to_string()),
             Err(NoCost::Failed { kind, reason, .. }) => Outcome::Failed(Failure { kind, message: reason }),
         };
+        if query.want == Want::Cost {
+            answer.residuals.clear();
+        }
         answer.work = stats.right_hand_sides - before;
     }
 
-    /// The cost, the residuals into `out`, and what the simulations took added to `stats` (of those that could not even be
-    /// started nothing). Ends above the cutoff, and when it is cancelled.
+    /// The cost, and the residuals into `out`; see [`Evaluator::evaluate`].
     pub(crate) fn evaluate_into(
         &self,
         x: &[f64],
         ends: (f64, &dyn Fn() -> bool),
-        mut out: Option<&mut [f64]>,
+        out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         loop {
-            let cost = self.evaluate_by(ends, out.as_deref_mut(), stats, |k, observer| {
+            let cost = self.evaluator.evaluate(x, ends, out, stats, |k, x, observer| {
                 let pool = self.pool(k, ends.1)?;
                 Ok(pool.lend().and_then(|mut simulator| simulator.run(x, observer)))
             });
-            if !is_failed_by_history(&cost) {
+            if !cost.as_ref().is_err_and(NoCost::is_by_history) {
                 return cost;
             }
         }
     }
 
-    /// The same with the simulation of each experiment made by `run`.
-    pub(crate) fn evaluate_by(
-        &self,
-        ends: (f64, &dyn Fn() -> bool),
-        mut out: Option<&mut [f64]>,
-        stats: &mut Stats,
-        mut run: impl FnMut(usize, &mut dyn Observer) -> Result<Result<Report, FmiError>, NoCost>,
-    ) -> Result<f64, NoCost> {
-        let mut sum = 0.0;
-        let mut place = 0;
-        for (k, experiment) in self.experiments.iter().enumerate() {
-            let comparison = &experiment.comparison;
-            let end = place + comparison.n_residuals();
-            let part = out.as_deref_mut().map(|out| &mut out[place..end]);
-            place = end;
-            let mut accumulator = Accumulator::new(comparison, ends, sum, part);
-            let ran = run(k, &mut accumulator)?;
-            match &ran {
-                Ok(report) => *stats += report.stats,
-                Err(FmiError::Simulation(error)) => *stats += error.stats,
-                Err(_) => {}
-            }
-            match accumulator.stop {
-                Some(Stop::AboveCutoff) => return Err(NoCost::Above),
-                Some(Stop::Cancelled) => return Err(NoCost::Cancelled),
-                Some(Stop::NotFinite(output)) => {
-                    let name = &experiment.outputs[output].0;
-                    let reason = format!("the residual of '{name}' is not finite");
-                    return Err(NoCost::Failed { kind: FailureKind::NotFinite, reason, source: None });
-                }
-                None => {}
-            }
-            let report = ran.map_err(no_cost)?;
-            if !accumulator.complete() {
-                let reason = format!(
-                    "the model ended the simulation before the last measurement, at t = {}",
-                    Number(report.time)
-                );
-                return Err(NoCost::Failed { kind: FailureKind::Error, reason, source: None });
-            }
-            sum = accumulator.sum;
+    /// What identifies a fit with this solver.
+    fn tags<'a>(&'a self, solver: &Solver) -> impl Iterator<Item = (&'a str, &'a str)> {
+        let own = self.identity.iter().map(|(name, value)| (name.as_str(), value.as_str()));
+        own.chain([(SOLVER, solver.method.name())])
+    }
+
+    /// What a cost depends on but the parameters' values, as a hash: model, data, settings, solver, and what each parameter
+    /// sets; neither bounds nor starts.
+    pub(crate) fn problem_hash(&self, solver: &Solver) -> String {
+        hash(self.tags(solver))
+    }
+
+    /// A checkpoint that knows what it belongs to.
+    pub(crate) fn tag(&self, checkpoint: Checkpoint, solver: &Solver) -> Checkpoint {
+        self.tags(solver).fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
+    }
+
+    /// Takes the solver of a checkpoint that will be continued, if it is of this calibration and there is no race yet.
+    pub(crate) fn adopt_solver(&self, checkpoint: &Checkpoint) -> Result<(), CalibrationError> {
+        if self.problem().settings.method != Method::Auto || self.known_solver().is_some() {
+            return Ok(());
         }
-        Ok(sum)
+        let Some(stored) = checkpoint.stored_identity()? else { return Ok(()) };
+        let value = |name: &str| stored.iter().find(|(n, _)| n == name).map(|(_, value)| value.as_str());
+        if self.identity.iter().any(|(name, given)| value(name) != Some(given)) {
+            return Ok(());
+        }
+        match value(SOLVER).and_then(|name| name.parse().ok()) {
+            Some(method) => self.set_solver(Solver { method, race: None }),
+            None => Ok(()),
+        }
     }
 }
 
@@ -501,39 +428,5 @@ impl Objective for Calibration {
 
     fn has_residuals(&self) -> bool {
         true
-    }
-}
-
-/// Sorts a failed simulation: its kind, and a reason that is the same for all failures of that sort.
-pub(crate) fn no_cost(error: FmiError) -> NoCost {
-    if matches!(error, FmiError::NoCopy { .. }) {
-        return NoCost::Over(Box::new(error));
-    }
-    let mut kind = FailureKind::Error;
-    let reason = match &error {
-        FmiError::Simulation(e) => match &e.kind {
-            ErrorKind::Cancelled => return NoCost::Cancelled,
-            ErrorKind::Model(inner) => inner.downcast_ref().map_or_else(|| inner.to_string(), call_reason),
-            other => {
-                if matches!(other, ErrorKind::TimedOut(_)) {
-                    kind = FailureKind::TimedOut;
-                }
-                other.summary()
-            }
-        },
-        other => call_reason(other),
-    };
-    let reason = without_private_folders(&reason);
-    NoCost::Failed { kind, reason, source: Some(Box::new(error)) }
-}
-
-/// A failed call without the time at which it happened, with the first line the FMU logged about it.
-fn call_reason(error: &FmiError) -> String {
-    match error {
-        FmiError::Call(failure) => {
-            let line = failure.log.first().map(|line| format!(": {line}")).unwrap_or_default();
-            format!("{} returned {}{line}", failure.call, failure.status)
-        }
-        other => other.to_string(),
     }
 }

@@ -1,6 +1,7 @@
-//! What a fit leaves open: parameters that ended at a bound, and parameters that did not change the cost.
+//! Checks after a fit: parameters that ended at a bound, and parameters that did not change the cost.
 
-use crate::calibration::{Calibration, NoCost};
+use crate::calibration::Calibration;
+use crate::no_cost::NoCost;
 use crate::parameter::{Parameter, Scale};
 use dfo::{Kind, Measure, Outcome, Report, Termination, Tolerances};
 use ode::{Number, Stats};
@@ -67,9 +68,9 @@ struct Suspect {
 }
 
 impl Calibration {
-    /// Looks at the parameters of a run. Where its evaluations leave something open, it makes simulations of its own, unless
-    /// time or an interrupt ended the run, which no budget of the search counts: one at the bound for each parameter that ended as near
-    /// to it as the tolerance of the run, one with each parameter moved that no evaluation has shown to change the cost.
+    /// Parameters at their bounds and without effect. What the evaluations of the run leave open is simulated, unless time or an
+    /// interrupt ended the run: one simulation at the bound for each parameter that ended as near to it as the tolerance of the run,
+    /// one with the parameter moved for each that no evaluation has shown to change the cost. No budget of the search counts them.
     pub(crate) fn findings(
         &self,
         (start, report): (&[f64], &Report),
@@ -99,11 +100,12 @@ impl Calibration {
             return found;
         }
         let mut checked = Findings::default();
+        let mut residuals = vec![0.0; self.n_residuals()];
         let mut cost_with = |index: usize, value: f64| {
             checked.n_checks += 1;
             let mut x = report.x.clone();
             x[index] = value;
-            self.evaluate_into(&x, (f64::INFINITY, cancelled), None, stats)
+            self.evaluate_into(&x, (f64::INFINITY, cancelled), &mut residuals, stats)
         };
         // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
         let is_spent = report.termination == Termination::MaxEvaluations;
@@ -192,10 +194,10 @@ impl Calibration {
 
     /// Whether two costs differ by no more than the integration leaves uncertain.
     fn is_equal_cost(&self, a: f64, b: f64) -> bool {
-        (a - b).abs() <= self.pool_of_settings(0).plan().relative_tolerance() * a
+        (a - b).abs() <= self.evaluator().simulations[0].pool.plan().relative_tolerance() * a
     }
 
-    /// What is to be said about them behind the message of a fit.
+    /// What is appended to the message of a fit.
     pub(crate) fn remarks(&self, findings: &Findings) -> String {
         let bound = |(i, side): &(usize, BoundSide)| {
             let p = &self.parameters()[*i];

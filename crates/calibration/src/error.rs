@@ -34,6 +34,16 @@ pub enum CalibrationError {
     /// Experiments, outputs or parameters are missing or contradict each other.
     #[error("{0}")]
     Setup(String),
+    /// The model of a stored problem is another one now.
+    #[error("the FMU {} has changed: the problem was made with content {expected}, now it is {found}", path.display())]
+    OtherModel {
+        /// Where it is.
+        path: PathBuf,
+        /// SHA-256 of the content that the problem was made with.
+        expected: String,
+        /// That of the file.
+        found: String,
+    },
     /// The model refused something.
     #[error(transparent)]
     Model(#[from] fmi::FmiError),

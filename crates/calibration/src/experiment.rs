@@ -6,6 +6,7 @@ use crate::parameter::Parameter;
 use fmi::description::{Causality, Variability};
 use fmi::{Inputs, ModelDescription, Value};
 use ode::Number;
+use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
 /// Where no start time is given, a recording may begin so many of its sampling intervals after the model's.
@@ -19,8 +20,9 @@ const MOST_BEFORE: f64 = 10.0;
 /// let experiment = Experiment::new(data).output("armJoint.phi", "phi").window(0.0, 0.5);
 /// # Ok::<(), calibration::CalibrationError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Experiment {
+    pub(crate) name: Option<String>,
     pub(crate) data: Data,
     pub(crate) outputs: Vec<Measured>,
     pub(crate) inputs: Vec<(String, String)>,
@@ -30,7 +32,7 @@ pub struct Experiment {
 }
 
 /// An output of the model and the column that measured it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Measured {
     pub(crate) variable: String,
     pub(crate) column: String,
@@ -40,7 +42,38 @@ pub(crate) struct Measured {
 impl Experiment {
     /// A recording; outputs are still to be named.
     pub fn new(data: Data) -> Self {
-        Self { data, outputs: vec![], inputs: vec![], start_values: vec![], window: None, start_time: None }
+        Self {
+            name: None,
+            data,
+            outputs: Vec::new(),
+            inputs: Vec::new(),
+            start_values: Vec::new(),
+            window: None,
+            start_time: None,
+        }
+    }
+
+    /// Names it: in the names of [local](Parameter::local) parameters, in messages and reports; default: `run1`, `run2` and
+    /// so on, by its position.
+    #[must_use]
+    pub fn named(mut self, name: impl Into<String>) -> Self {
+        self.name = Some(name.into());
+        self
+    }
+
+    /// The recording.
+    pub fn data(&self) -> &Data {
+        &self.data
+    }
+
+    /// The outputs that are compared, each with its column, in the order of their residuals.
+    pub fn outputs(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.outputs.iter().map(|o| (o.variable.as_str(), o.column.as_str()))
+    }
+
+    /// Whether a start value is that of a local parameter.
+    pub(crate) fn is_start_of_local(name: &str, parameters: &[Parameter]) -> bool {
+        parameters.iter().any(|p| p.is_local() && p.variable() == name)
     }
 
     /// `column` of the data measured the model's `variable`. Residuals follow the order of these calls.
@@ -69,7 +102,8 @@ impl Experiment {
         self
     }
 
-    /// A value set before the simulation starts, the same for all trial parameters.
+    /// A value set before the simulation starts, the same for all trial parameters; of a [local](Parameter::local) parameter,
+    /// where its search starts in this experiment.
     #[must_use]
     pub fn start_value(mut self, variable: impl Into<String>, value: impl Into<Value>) -> Self {
         self.start_values.push((variable.into(), value.into()));
@@ -128,8 +162,12 @@ impl Experiment {
     ) -> Result<(), CalibrationError> {
         let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
         for (given, value) in &self.start_values {
+            if Self::is_start_of_local(given, parameters) {
+                continue;
+            }
             let is_it = |p: &&Parameter| {
-                p.name() == given || reference(given).is_some_and(|of| reference(p.name()) == Some(of))
+                p.variable() == given
+                    || reference(given).is_some_and(|of| reference(p.variable()) == Some(of))
             };
             if let Some(parameter) = parameters.iter().find(is_it) {
                 let name = parameter.name().to_owned();
@@ -192,8 +230,7 @@ impl Experiment {
         Ok(())
     }
 
-    /// Without a start time of its own, refuses to simulate a long time before the recording that nobody may have thought
-    /// of.
+    /// Refuses to simulate a long time before the recording where the start time is only the model's default.
     pub(crate) fn check_begin(&self, start_time: f64) -> Result<(), CalibrationError> {
         let begin = self.data.time()[0];
         match self.data.sampling_interval() {
@@ -231,7 +268,7 @@ impl Experiment {
 }
 
 /// How the simulations of a fit are made.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct SimulationSettings {
     /// How the model is run; default: by model exchange where it offers that, else by co-simulation.
     pub kind: fmi::Kind,

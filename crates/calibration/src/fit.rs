@@ -8,7 +8,7 @@ use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RunOptions,
-    Stop, Tolerances, Transform,
+    Stop, Tolerances,
 };
 use ode::Number;
 use ode::Stats;
@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
 use std::time::Instant;
 
-/// Why a fit begins anew.
+/// Why a fit is begun again.
 const HISTORY: &str = "the fit's simulations were found to depend on earlier ones (a state that the model keeps and no variable shows)";
 
 /// Called after each iteration; `Break` ends the fit.
@@ -37,7 +37,7 @@ pub struct FitOptions<'a> {
     /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
     /// work.
     pub cutoffs: bool,
-    /// Told after each iteration, on the calling thread.
+    /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
     pub poll: Option<Box<dyn FnMut() -> bool + 'a>>,
@@ -189,29 +189,23 @@ impl Calibration {
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
         let bound = |side: fn(&Parameter) -> f64| self.parameters().iter().map(side).collect::<Vec<_>>();
-        let transforms: Vec<Transform> = self
-            .parameters()
-            .iter()
-            .map(|p| match p.scale_kind() {
-                Scale::Linear => Transform::Linear,
-                Scale::Log => Transform::Log,
-            })
-            .collect();
+        let transforms: Vec<Scale> = self.parameters().iter().map(Parameter::scale_kind).collect();
         let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
         let sizes: Vec<Option<f64>> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.known_size(p, *x)).collect();
         if let Some(checkpoint) = &described.checkpoint {
             self.adopt_solver(checkpoint)?;
         }
+        let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
+        let is_asked = || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
         // The race and the model's first-use test are not part of the time that the fit is given.
-        let solver = self.find_solver(poll.borrow_mut().as_deref_mut())?;
+        let solver = self.solver_until(&is_asked)?;
         self.prepare()?;
         let max_time = described.limits.max_time;
         let late = max_time.and_then(|limit| Instant::now().checked_add(limit));
         let is_late = || late.is_some_and(|late| Instant::now() >= late);
-        let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
-        let cancelled = || is_late() || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
-        described.problem = Some(self.problem(solver));
+        let cancelled = || is_late() || is_asked();
+        described.problem = Some(self.problem_hash(solver));
         described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
         let tolerances = described.tolerances;
         let (mut stats, mut n_beginnings) = (Stats::default(), 0);
@@ -246,8 +240,8 @@ impl Calibration {
             let is_sound = || self.n_history_findings() == n_findings;
             if is_sound() || cancelled() {
                 let report = outcome.map_err(|e| self.name_parameter(e))?;
-                let is_moot = || self.depends_on_history(&report.x, &cancelled);
-                if cancelled() || !(is_moot() || self.costs_depend_on_history(&checks, took, &cancelled)) {
+                let differs = || self.depends_on_history(&report.x, &cancelled);
+                if cancelled() || !(differs() || self.costs_depend_on_history(&checks, took, &cancelled)) {
                     let of_run = (start.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {
@@ -266,13 +260,12 @@ impl Calibration {
         }
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
-        let rms = (report.fun / self.n_residuals() as f64).sqrt();
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         Ok(Fit {
             x: report.x.clone(),
             names,
             cost: report.fun,
-            rms,
+            rms: self.rms(report.fun),
             start_cost,
             at_bound: found.at_bound,
             without_effect: found.without_effect,
@@ -323,7 +316,7 @@ impl Calibration {
         match parameter.scale_kind() {
             Scale::Log => Some(usable((upper / lower).ln()).unwrap_or(1.0)),
             Scale::Linear => {
-                let nominal = self.fmu().description().variable(parameter.name()).and_then(|v| v.nominal);
+                let nominal = self.fmu().description().variable(parameter.variable()).and_then(|v| v.nominal);
                 parameter
                     .nominal_size()
                     .or(nominal)

@@ -1,23 +1,20 @@
 //! What a fit is made from, by name and in words: what a checkpoint belongs to, and what a refusal of one can name.
 
-use crate::experiment::{Experiment, Measured, SimulationSettings};
+use crate::experiment::{Experiment, Measured};
 use crate::parameter::Parameter;
-use fmi::{FmiError, Fmu, Kind};
+use crate::problem::Problem;
+use fmi::Kind;
+use sha2::{Digest, Sha256};
 
-/// What tells a calibration from another, as far as its costs go.
-pub(crate) fn identity(
-    fmu: &Fmu,
-    experiments: &[Experiment],
-    parameters: &[Parameter],
-    settings: &SimulationSettings,
-) -> Result<Vec<(String, String)>, FmiError> {
+/// All that the costs of a problem depend on, by name and in words: all but the bounds and starts of its parameters.
+pub(crate) fn identity(problem: &Problem, parameters: &[Parameter]) -> Vec<(String, String)> {
     let names: Vec<&str> = parameters.iter().map(Parameter::name).collect();
     let mut all = vec![
-        ("model".to_owned(), fmu.content_hash()?.to_owned()),
+        ("model".to_owned(), problem.model.content_hash.clone()),
         ("parameter names".to_owned(), names.join(", ")),
     ];
     // Costs do not depend on how simulations share the library.
-    let SimulationSettings {
+    let crate::experiment::SimulationSettings {
         kind,
         method,
         relative_tolerance,
@@ -27,7 +24,7 @@ pub(crate) fn identity(
         chattering,
         timeout,
         sharing: _,
-    } = settings;
+    } = &problem.settings;
     let held = if *input_derivatives == Some(false) { "not told" } else { "told" };
     let number = |value: Option<f64>| value.map_or_else(|| "by default".to_owned(), |v| format!("{v:?}"));
     all.extend(
@@ -43,26 +40,41 @@ pub(crate) fn identity(
         ]
         .map(|(name, value)| (name.to_owned(), value)),
     );
-    for (k, Experiment { data, outputs, inputs, start_values, window, start_time }) in
-        experiments.iter().enumerate()
+    for (k, Experiment { name: _, data, outputs, inputs, start_values, window, start_time }) in
+        problem.experiments.iter().enumerate()
     {
         let output = |m: &Measured| format!("{} measured by {}, weight {:?}", m.variable, m.column, m.weight);
         let input = |(variable, column): &(String, String)| format!("{variable} from {column}");
         let value = |(name, value): &(String, fmi::Value)| format!("{name} = {}", whole(value));
+        let is_constant =
+            |(name, _): &&(String, _)| !Experiment::is_start_of_local(name, &problem.parameters);
         let window = window.map_or_else(|| "all".to_owned(), |(from, to)| format!("from {from:?} to {to:?}"));
         all.extend(
             [
                 ("data", data.hash()),
                 ("outputs", outputs.iter().map(output).collect::<Vec<_>>().join("; ")),
                 ("inputs", inputs.iter().map(input).collect::<Vec<_>>().join("; ")),
-                ("start values", start_values.iter().map(value).collect::<Vec<_>>().join("; ")),
+                (
+                    "start values",
+                    start_values.iter().filter(is_constant).map(value).collect::<Vec<_>>().join("; "),
+                ),
                 ("window", window),
                 ("start time", number(*start_time)),
             ]
             .map(|(name, value)| (format!("{name} of experiment {k}"), value)),
         );
     }
-    Ok(all)
+    all
+}
+
+/// The same as a hash.
+pub(crate) fn hash<'a>(identity: impl IntoIterator<Item = (&'a str, &'a str)>) -> String {
+    let mut hasher = Sha256::new();
+    for text in identity.into_iter().flat_map(|(name, value)| [name, value]) {
+        hasher.update((text.len() as u64).to_le_bytes());
+        hasher.update(text);
+    }
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// A value with all of its elements and bytes.

@@ -1,27 +1,34 @@
 //! Fit the parameters of a Functional Mock-up Unit to measurements: a model, data and parameters become an objective.
 //!
-//! [`Data`] holds what was recorded, an [`Experiment`] says which column measures which output of the model, a
-//! [`Parameter`] what may vary. A [`Calibration`] puts them together: [`Calibration::cost`],
+//! [`Data`] holds a recording, an [`Experiment`] which of its columns measures which output of the model, a [`Parameter`] what
+//! varies: in all experiments alike, or with a value in each. Together they are a [`Problem`], plain data that can be stored and
+//! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
 //! [`Calibration::residuals`] and [`Calibration::fit`].
+//!
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `residual` (measured against simulated), `evaluate`
+//! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
+//! (checks after a fit), `fit`.
 #![forbid(unsafe_code)]
 
 mod calibration;
 mod data;
 mod effect;
 mod error;
+mod evaluate;
 mod experiment;
 mod fit;
 mod identity;
+mod no_cost;
 mod parameter;
+mod problem;
 mod race;
 mod residual;
 mod solver;
 mod spot_checks;
-mod time_column;
 mod warning;
 
 pub use calibration::{Calibration, CalibrationBuilder};
-pub use data::Data;
+pub use data::{Data, TimeColumn};
 pub use dfo;
 pub use dfo::Kind;
 pub use effect::BoundSide;
@@ -30,8 +37,8 @@ pub use experiment::{Experiment, SimulationSettings};
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use parameter::{Parameter, Scale};
-pub use race::{Entry, Heat, Lap, Race, Verdict, race};
+pub use problem::{ModelFile, Problem};
+pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use residual::quad_err;
 pub use solver::Solver;
-pub use time_column::TimeColumn;
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};

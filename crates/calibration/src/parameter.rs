@@ -2,17 +2,9 @@
 
 use crate::error::CalibrationError;
 use dfo::Kind;
+pub use dfo::Transform as Scale;
 use ode::Number;
-
-/// How a parameter is measured inside the optimiser; outside it is always in the user's units.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Scale {
-    /// As it is.
-    #[default]
-    Linear,
-    /// By its logarithm: for positive parameters known only to an order of magnitude.
-    Log,
-}
+use serde::{Deserialize, Serialize};
 
 /// A parameter to be fitted.
 ///
@@ -21,9 +13,10 @@ pub enum Scale {
 /// let friction = Parameter::new("armFriction", 0.012).bounds(0.0, 0.022);
 /// assert_eq!(friction.upper(), 0.022);
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
     name: String,
+    variable: String,
     start: f64,
     lower: f64,
     upper: f64,
@@ -31,13 +24,16 @@ pub struct Parameter {
     nominal: Option<f64>,
     kind: Kind,
     fixed: bool,
+    local: bool,
 }
 
 impl Parameter {
     /// A parameter named as in the model, without bounds, on a linear scale.
     pub fn new(name: impl Into<String>, start: f64) -> Self {
+        let name = name.into();
         Self {
-            name: name.into(),
+            variable: name.clone(),
+            name,
             start,
             lower: f64::NEG_INFINITY,
             upper: f64::INFINITY,
@@ -45,6 +41,7 @@ impl Parameter {
             nominal: None,
             kind: Kind::Continuous,
             fixed: false,
+            local: false,
         }
     }
 
@@ -55,7 +52,8 @@ impl Parameter {
         self
     }
 
-    /// The scale the optimiser works on.
+    /// The scale the optimiser works on: [`Scale::Log`] for positive parameters known only to an order of magnitude. Values and
+    /// bounds are in the user's units either way.
     #[must_use]
     pub fn scale(mut self, scale: Scale) -> Self {
         self.scale = scale;
@@ -85,9 +83,34 @@ impl Parameter {
         self
     }
 
-    /// Name in the model.
+    /// Gives it a value of its own in each experiment, instead of one for all: `T0[run1]`, `T0[run2]` (see
+    /// [`Experiment::named`](crate::Experiment::named)). The start in an experiment is the
+    /// [start value](crate::Experiment::start_value) of this variable there, if there is one.
+    #[must_use]
+    pub fn local(mut self, local: bool) -> Self {
+        self.local = local;
+        self
+    }
+
+    /// The value that a local parameter has in one experiment, as a parameter.
+    pub(crate) fn in_experiment(&self, experiment: &str, start: Option<f64>) -> Self {
+        let name = format!("{}[{experiment}]", self.variable);
+        Self { name, start: start.unwrap_or(self.start), local: false, ..self.clone() }
+    }
+
+    /// Its name: that of the [variable](Self::variable), of a local one followed by the name of the experiment.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The variable of the model that it sets.
+    pub fn variable(&self) -> &str {
+        &self.variable
+    }
+
+    /// Whether each experiment has a value of its own.
+    pub fn is_local(&self) -> bool {
+        self.local
     }
 
     /// Where the fit starts.

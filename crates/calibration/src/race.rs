@@ -8,6 +8,7 @@
 //! may still be that one.
 
 use ode::{Method, Stats};
+use serde::{Deserialize, Serialize};
 
 /// Samples may differ by this many tolerances: what differs more makes the cost of a fit noisy.
 const AGREEMENT: f64 = 5.0;
@@ -26,7 +27,7 @@ const STIFF: [Method; 2] = [Method::Bdf, Method::Radau5];
 /// What is to be simulated in a race.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
-pub struct Heat {
+pub struct RaceTask {
     /// With this method.
     pub method: Method,
     /// With this relative tolerance; the absolute ones in proportion.
@@ -37,7 +38,7 @@ pub struct Heat {
 
 /// How a simulation of a race ended.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Lap {
+pub enum RaceOutcome {
     /// Well.
     Finished {
         /// The samples, row by row, all of their outputs one after the other.
@@ -52,7 +53,7 @@ pub enum Lap {
 }
 
 /// What became of a method in a race.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Verdict {
     /// It agrees with the simulation of tighter tolerance: the largest difference in tolerances of its sample.
@@ -68,7 +69,7 @@ pub enum Verdict {
 }
 
 /// A method in a race.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Entry {
     /// The method.
     pub method: Method,
@@ -80,7 +81,7 @@ pub struct Entry {
 }
 
 /// A race and its winner.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Race {
     /// The winner: of the methods that agree the one with the least work for the same error; where none does the one that
@@ -117,13 +118,13 @@ impl Tolerance<'_> {
 /// output is enough.
 ///
 /// ```
-/// use calibration::{Lap, race};
+/// use calibration::{RaceOutcome, race};
 /// use ode::{Method, Stats};
 /// // A system on which BDF takes a tenth of the right-hand sides.
-/// let result: Result<_, ()> = race(1e-6, &[1e-8], 1, |heat| {
-///     let right_hand_sides = if heat.method == Method::Bdf { 100 } else { 1000 };
+/// let result: Result<_, ()> = race(1e-6, &[1e-8], 1, |task| {
+///     let right_hand_sides = if task.method == Method::Bdf { 100 } else { 1000 };
 ///     let stats = Stats { right_hand_sides, newton_iterations: 50, ..Stats::default() };
-///     Ok(Lap::Finished { samples: vec![1.0, 2.0], stats })
+///     Ok(RaceOutcome::Finished { samples: vec![1.0, 2.0], stats })
 /// });
 /// assert_eq!(result.unwrap().method, Method::Bdf);
 /// ```
@@ -134,14 +135,14 @@ pub fn race<E>(
     relative_tolerance: f64,
     absolute: &[f64],
     n_states: usize,
-    mut run: impl FnMut(&Heat) -> Result<Lap, E>,
+    mut run: impl FnMut(&RaceTask) -> Result<RaceOutcome, E>,
 ) -> Result<Race, E> {
     let tolerance = Tolerance { relative: relative_tolerance, absolute };
-    let auto = Heat { method: Method::Auto, relative_tolerance, max_work: None };
+    let auto = RaceTask { method: Method::Auto, relative_tolerance, max_work: None };
     let first = run(&auto)?;
     let mut race = Race { method: Method::Auto, entries: Vec::new() };
     let mut reference_work = None;
-    if let Lap::Finished { stats, .. } = &first {
+    if let RaceOutcome::Finished { stats, .. } = &first {
         let work = stats.work(n_states);
         if (stats.newton_iterations as f64) <= STIFF_ITERATIONS * stats.accepted_steps as f64 {
             race.entries.push(Entry {
@@ -153,14 +154,14 @@ pub fn race<E>(
         }
         reference_work = Some(MOST_WORK * work);
     }
-    let tighter = Heat {
+    let tighter = RaceTask {
         method: Method::Radau5,
         relative_tolerance: (TIGHTER * relative_tolerance).max(1e-14),
         max_work: reference_work,
     };
     let right = match run(&tighter)? {
-        Lap::Finished { samples, .. } => Some(samples),
-        Lap::GivenUp | Lap::Failed(_) => None,
+        RaceOutcome::Finished { samples, .. } => Some(samples),
+        RaceOutcome::GivenUp | RaceOutcome::Failed(_) => None,
     };
     let mut least = None;
     race.enter((Method::Auto, first), (tolerance, right.as_deref(), n_states), &mut least);
@@ -168,8 +169,8 @@ pub fn race<E>(
         for method in STIFF {
             // With an error too small to be seen it could have taken so much.
             let max_work = least.map(|least| least / TIGHTER.powf(WORK_PER_ERROR));
-            let lap = run(&Heat { method, relative_tolerance, max_work })?;
-            race.enter((method, lap), (tolerance, right.as_deref(), n_states), &mut least);
+            let outcome = run(&RaceTask { method, relative_tolerance, max_work })?;
+            race.enter((method, outcome), (tolerance, right.as_deref(), n_states), &mut least);
         }
         if least.is_none() {
             race.take_closest();
@@ -182,14 +183,16 @@ impl Race {
     /// Judges a simulation against the right one; the best so far leads, with `least` work at an error of one tolerance.
     fn enter(
         &mut self,
-        (method, lap): (Method, Lap),
+        (method, outcome): (Method, RaceOutcome),
         (tolerance, right, n_states): (Tolerance<'_>, Option<&[f64]>, usize),
         least: &mut Option<f64>,
     ) {
-        let (work, verdict) = match lap {
-            Lap::GivenUp => (least.map(|least| least / TIGHTER.powf(WORK_PER_ERROR)), Verdict::GivenUp),
-            Lap::Failed(why) => (None, Verdict::Failed(why)),
-            Lap::Finished { samples, stats } => {
+        let (work, verdict) = match outcome {
+            RaceOutcome::GivenUp => {
+                (least.map(|least| least / TIGHTER.powf(WORK_PER_ERROR)), Verdict::GivenUp)
+            }
+            RaceOutcome::Failed(why) => (None, Verdict::Failed(why)),
+            RaceOutcome::Finished { samples, stats } => {
                 let distance = right.map(|right| tolerance.distance(&samples, right));
                 let verdict = match distance {
                     None => Verdict::NotCompared,
@@ -225,9 +228,9 @@ impl Race {
 mod tests {
     use super::*;
 
-    fn finished(sample: f64, work: u64, newton_iterations: u64) -> Lap {
+    fn finished(sample: f64, work: u64, newton_iterations: u64) -> RaceOutcome {
         let stats = Stats { right_hand_sides: work, newton_iterations, ..Stats::default() };
-        Lap::Finished { samples: vec![1.0, sample], stats }
+        RaceOutcome::Finished { samples: vec![1.0, sample], stats }
     }
 
     fn methods(race: &Race) -> Vec<Method> {
@@ -235,29 +238,29 @@ mod tests {
     }
 
     /// With `rtol = 1e-6` and `atol = 1e-6` a difference of 2e-6 at 1 is one tolerance.
-    fn run(lap: impl Fn(&Heat) -> Lap) -> (Race, Vec<Heat>) {
-        let mut heats = Vec::new();
-        let race: Result<_, ()> = race(1e-6, &[1e-6], 1, |heat| {
-            heats.push(*heat);
-            Ok(lap(heat))
+    fn run(outcome: impl Fn(&RaceTask) -> RaceOutcome) -> (Race, Vec<RaceTask>) {
+        let mut tasks = Vec::new();
+        let race: Result<_, ()> = race(1e-6, &[1e-6], 1, |task| {
+            tasks.push(*task);
+            Ok(outcome(task))
         });
-        (race.unwrap(), heats)
+        (race.unwrap(), tasks)
     }
 
     #[test]
     fn without_stiffness_there_is_one_simulation() {
-        let (race, heats) = run(|_| finished(1.0, 100, 0));
+        let (race, tasks) = run(|_| finished(1.0, 100, 0));
         assert_eq!((race.method, methods(&race)), (Method::Auto, vec![Method::Auto]));
-        assert_eq!(heats, [Heat { method: Method::Auto, relative_tolerance: 1e-6, max_work: None }]);
+        assert_eq!(tasks, [RaceTask { method: Method::Auto, relative_tolerance: 1e-6, max_work: None }]);
         assert_eq!(race.entries[0].work, Some(100.0));
     }
 
     #[test]
     fn the_least_work_at_equal_error_wins_of_those_that_agree() {
-        let (race, heats) = run(|heat| match heat.method {
+        let (race, tasks) = run(|task| match task.method {
             Method::Auto => finished(1.0 + 8e-6, 100, 9),
             Method::Bdf => finished(1.0 - 3.2e-5, 50, 9),
-            _ if heat.relative_tolerance < 1e-6 => finished(1.0, 200, 9),
+            _ if task.relative_tolerance < 1e-6 => finished(1.0, 200, 9),
             _ => finished(1.0 + 2e-7, 110, 9),
         });
         // BDF is 16 tolerances off; Radau5 takes 10 % more work than `auto`, but its error is 40 times as small.
@@ -268,19 +271,19 @@ mod tests {
             "{race:?}"
         );
         // The limits: none, twenty times the first, and from then on what the best so far would take with no error at all.
-        let limits: Vec<_> = heats.iter().map(|h| h.max_work).collect();
+        let limits: Vec<_> = tasks.iter().map(|h| h.max_work).collect();
         let most = 100.0 * 40f64.powf(1.0 / 6.0);
         assert_eq!(limits[..2], [None, Some(2000.0)]);
         assert!(limits[2..].iter().all(|limit| (limit.unwrap() - most).abs() < 1e-3), "{limits:?} {most}");
-        assert_eq!(heats[1].relative_tolerance, 0.1 * 1e-6);
+        assert_eq!(tasks[1].relative_tolerance, 0.1 * 1e-6);
     }
 
     #[test]
     fn where_none_agrees_the_closest_wins() {
-        let (race, _) = run(|heat| match heat.method {
+        let (race, _) = run(|task| match task.method {
             Method::Auto => finished(1.0 + 9e-5, 100, 9),
             Method::Bdf => finished(1.0 - 4e-5, 10, 9),
-            _ if heat.relative_tolerance < 1e-6 => finished(1.0, 200, 9),
+            _ if task.relative_tolerance < 1e-6 => finished(1.0, 200, 9),
             _ => finished(1.0 + 1.2e-5, 300, 9),
         });
         assert_eq!(race.method, Method::Radau5);
@@ -290,39 +293,39 @@ mod tests {
     fn trials_are_no_stiffness() {
         let stats =
             Stats { right_hand_sides: 600, accepted_steps: 100, newton_iterations: 12, ..Stats::default() };
-        let (race, _) = run(|_| Lap::Finished { samples: vec![1.0], stats });
+        let (race, _) = run(|_| RaceOutcome::Finished { samples: vec![1.0], stats });
         assert_eq!(race.entries.len(), 1);
     }
 
     #[test]
     fn who_fails_or_is_given_up_cannot_win() {
-        let (race, heats) = run(|heat| match heat.method {
-            Method::Auto => Lap::Failed("too many steps".to_owned()),
+        let (race, tasks) = run(|task| match task.method {
+            Method::Auto => RaceOutcome::Failed("too many steps".to_owned()),
             Method::Bdf => finished(1.0, 50, 9),
-            _ if heat.max_work.is_some() => Lap::GivenUp,
+            _ if task.max_work.is_some() => RaceOutcome::GivenUp,
             _ => finished(1.0, 200, 9),
         });
         assert_eq!(race.method, Method::Bdf);
         assert_eq!(race.entries[0].verdict, Verdict::Failed("too many steps".to_owned()));
-        // BDF has no error that can be seen: nobody may take more.
+        // BDF has no visible error: none may take more work.
         assert_eq!(race.entries[2].work, Some(50.0));
         assert_eq!(race.entries[2].verdict, Verdict::GivenUp);
-        let limits: Vec<_> = heats.iter().map(|h| h.max_work).collect();
+        let limits: Vec<_> = tasks.iter().map(|h| h.max_work).collect();
         assert_eq!(limits, [None, None, None, Some(50.0)]);
     }
 
     #[test]
     fn without_anything_to_compare_with_auto_stays() {
-        let (race, heats) = run(|heat| match heat.method {
-            Method::Radau5 => Lap::GivenUp,
+        let (race, tasks) = run(|task| match task.method {
+            Method::Radau5 => RaceOutcome::GivenUp,
             _ => finished(1.0, 50, 9),
         });
-        assert_eq!((race.method, heats.len()), (Method::Auto, 2));
+        assert_eq!((race.method, tasks.len()), (Method::Auto, 2));
         assert_eq!(race.entries[0].verdict, Verdict::NotCompared);
         // Not a number, or samples missing: no agreement.
         for bad in [vec![1.0, f64::NAN], vec![1.0]] {
-            let (race, _) = run(|heat| match heat.method {
-                Method::Bdf => Lap::Finished { samples: bad.clone(), stats: Stats::default() },
+            let (race, _) = run(|task| match task.method {
+                Method::Bdf => RaceOutcome::Finished { samples: bad.clone(), stats: Stats::default() },
                 _ => finished(1.0, 50, 9),
             });
             assert!(matches!(race.entries[1].verdict, Verdict::Differs(d) if d.is_nan()));
@@ -332,7 +335,7 @@ mod tests {
 
     #[test]
     fn an_error_ends_the_race() {
-        let stopped = race(1e-6, &[1e-6], 1, |heat| match heat.method {
+        let stopped = race(1e-6, &[1e-6], 1, |task| match task.method {
             Method::Auto => Ok(finished(1.0, 10, 9)),
             _ => Err("cancelled"),
         });

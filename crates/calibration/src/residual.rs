@@ -3,9 +3,9 @@
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
 
-/// Which sample of which output is compared with which measurement, and where its residual stands in the vector.
+/// Which sample of which output is compared with which measurement, and the position of its residual in the vector.
 ///
-/// The residual vector is ordered output by output, each in the order of time; missing measurements have no place
+/// The residual vector is ordered output by output, each in the order of time; missing measurements have no position
 /// in it, so that it has the same length for every simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Comparison {
@@ -13,17 +13,17 @@ pub(crate) struct Comparison {
     /// Per requested time, per output: the measurement (NaN: none).
     measured: Vec<f64>,
     weights: Vec<f64>,
-    /// Per requested time, per output: place in the residual vector.
-    places: Vec<u32>,
+    /// Per requested time, per output: position in the residual vector.
+    positions: Vec<u32>,
     n_residuals: usize,
 }
 
-const NO_PLACE: u32 = u32::MAX;
+const NO_POSITION: u32 = u32::MAX;
 
 impl Comparison {
     /// From one column of measurements per output, all over the same times; returns the times at which anything was
     /// measured together with the comparison. Times twice in a row (an input jumps there) become one.
-    pub(crate) fn new(times: &[f64], columns: &[&[f64]], weights: &[f64]) -> (Vec<f64>, Self) {
+    pub(crate) fn new(times: &[f64], columns: &[Vec<f64>], weights: &[f64]) -> (Vec<f64>, Self) {
         let n_outputs = columns.len();
         let mut kept: Vec<f64> = Vec::with_capacity(times.len());
         let mut measured = Vec::with_capacity(times.len() * n_outputs);
@@ -42,18 +42,18 @@ impl Comparison {
                 }
             }
         }
-        let mut places = vec![NO_PLACE; measured.len()];
+        let mut positions = vec![NO_POSITION; measured.len()];
         let mut n_residuals = 0;
         for output in 0..n_outputs {
             for row in 0..kept.len() {
                 let at = row * n_outputs + output;
                 if !measured[at].is_nan() {
-                    places[at] = n_residuals as u32;
+                    positions[at] = n_residuals as u32;
                     n_residuals += 1;
                 }
             }
         }
-        (kept, Self { n_outputs, measured, weights: weights.to_vec(), places, n_residuals })
+        (kept, Self { n_outputs, measured, weights: weights.to_vec(), positions, n_residuals })
     }
 
     /// Length of the residual vector.
@@ -62,8 +62,14 @@ impl Comparison {
     }
 }
 
-/// Adds up squared residuals in the order in which the simulation delivers them (time by time, output by output within
-/// a time): one left-to-right sum, so that the cost has the same bits wherever it is computed, and never falls.
+/// The cost that residuals make: the sum of their squares from the first to the last, by which it has the same bits wherever it
+/// is computed.
+pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
+    residuals.iter().fold(0.0, |sum, residual| sum + residual * residual)
+}
+
+/// Takes the residuals from a simulation as it delivers the samples, and adds up their squares (time by time, output by output
+/// within a time), which says when the cost is sure to be above a cutoff.
 pub(crate) struct Accumulator<'a> {
     comparison: &'a Comparison,
     /// The simulation ends when the sum is strictly above this.
@@ -74,8 +80,8 @@ pub(crate) struct Accumulator<'a> {
     pub(crate) sum: f64,
     /// Samples seen.
     seen: usize,
-    /// Where to put the residuals, if wanted.
-    out: Option<&'a mut [f64]>,
+    /// Where the residuals go.
+    out: &'a mut [f64],
     pub(crate) stop: Option<Stop>,
 }
 
@@ -95,13 +101,13 @@ impl<'a> Accumulator<'a> {
         comparison: &'a Comparison,
         (cutoff, cancelled): (f64, &'a dyn Fn() -> bool),
         sum: f64,
-        out: Option<&'a mut [f64]>,
+        out: &'a mut [f64],
     ) -> Self {
         Self { comparison, cutoff, cancelled, sum, seen: 0, out, stop: None }
     }
 
     /// Whether every requested time has been delivered.
-    pub(crate) fn complete(&self) -> bool {
+    pub(crate) fn is_complete(&self) -> bool {
         self.seen * self.comparison.n_outputs == self.comparison.measured.len()
     }
 
@@ -122,9 +128,7 @@ impl Observer for Accumulator<'_> {
                 continue;
             }
             let residual = c.weights[output] * (sample.outputs[output] - measured);
-            if let Some(out) = &mut self.out {
-                out[c.places[at] as usize] = residual;
-            }
+            self.out[c.positions[at] as usize] = residual;
             self.sum += residual * residual;
             if !self.sum.is_finite() {
                 return self.end(Stop::NotFinite(output));
@@ -140,7 +144,7 @@ impl Observer for Accumulator<'_> {
 }
 
 /// Weighted sum of squared errors between measured and simulated series, as the paper's tool computes it: the
-/// simulation lives on its own time grid and is interpolated linearly to the measured times; where a time stands there
+/// simulation has its own time grid and is interpolated linearly to the measured times; where a time stands there
 /// twice (an event), the mean of both values counts. `y_*` hold one row per quantity; `w` (one per quantity, default 1)
 /// multiplies the squared errors. Times outside of the simulated span take its end values.
 ///
@@ -216,38 +220,39 @@ mod tests {
     fn the_vector_is_ordered_output_by_output_and_skips_what_is_missing() {
         let (times, c) = Comparison::new(
             &[0.0, 1.0, 1.0, 2.0, 3.0],
-            &[&[1.0, NAN, 2.0, NAN, 3.0], &[10.0, 20.0, NAN, NAN, NAN]],
+            &[vec![1.0, NAN, 2.0, NAN, 3.0], vec![10.0, 20.0, NAN, NAN, NAN]],
             &[1.0, 2.0],
         );
         assert_eq!(times, [0.0, 1.0, 3.0]);
         assert_eq!(c.n_residuals(), 5);
         let mut out = [NAN; 5];
-        let mut a = Accumulator::new(&c, (f64::INFINITY, &|| false), 100.0, Some(&mut out));
+        let mut a = Accumulator::new(&c, (f64::INFINITY, &|| false), 100.0, &mut out);
         for (i, t) in times.iter().enumerate() {
             let outputs = [0.0, 0.0];
             let s = Sample { time: *t, index: Some(i), side: Side::Right, states: &[], outputs: &outputs };
             assert!(a.sample(&s).is_continue());
         }
-        assert!(a.complete());
+        assert!(a.is_complete());
         assert_eq!(a.sum, 100.0 + 1.0 + 400.0 + 4.0 + 1600.0 + 9.0);
         assert_eq!(out, [-1.0, -2.0, -3.0, -20.0, -40.0]);
     }
 
     #[test]
     fn stops_strictly_above_the_cutoff_and_at_nan() {
-        let (_, c) = Comparison::new(&[0.0, 1.0], &[&[0.0, 0.0]], &[1.0]);
+        let (_, c) = Comparison::new(&[0.0, 1.0], &[vec![0.0, 0.0]], &[1.0]);
+        let [mut first, mut second] = [[0.0; 2]; 2];
         let sample = |i: usize, y: &[f64], a: &mut Accumulator<'_>| {
             a.sample(&Sample { time: 0.0, index: Some(i), side: Side::Right, states: &[], outputs: y })
                 .is_break()
         };
-        let mut a = Accumulator::new(&c, (4.0, &|| false), 0.0, None);
+        let mut a = Accumulator::new(&c, (4.0, &|| false), 0.0, &mut first);
         assert!(!sample(0, &[2.0], &mut a));
         assert!(sample(1, &[1e-3], &mut a));
         assert_eq!(a.stop, Some(Stop::AboveCutoff));
-        let mut a = Accumulator::new(&c, (4.0, &|| false), 0.0, None);
+        let mut a = Accumulator::new(&c, (4.0, &|| false), 0.0, &mut second);
         assert!(sample(0, &[NAN], &mut a));
         assert_eq!(a.stop, Some(Stop::NotFinite(0)));
-        assert!(!a.complete());
+        assert!(!a.is_complete());
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! Costs of a fit that are computed again at its end, in a newly loaded copy of the FMU's library: shows whether they depend on what ran
 //! before them.
 
-use crate::calibration::{Calibration, NoCost};
-use fmi::{FmiError, Simulator};
+use crate::calibration::Calibration;
+use crate::no_cost::NoCost;
+use fmi::Simulator;
 use ode::Stats;
 use std::hash::{DefaultHasher, Hasher};
 use std::time::{Duration, Instant};
@@ -98,7 +99,9 @@ impl Calibration {
         x: &[f64],
         cancelled: &dyn Fn() -> bool,
     ) -> Result<f64, NoCost> {
-        self.evaluate_by((f64::INFINITY, cancelled), None, &mut Stats::default(), |k, observer| {
+        let mut residuals = vec![0.0; self.n_residuals()];
+        let ends = (f64::INFINITY, cancelled);
+        self.evaluator().evaluate(x, ends, &mut residuals, &mut Stats::default(), |k, x, observer| {
             Ok(simulators[k].run(x, observer))
         })
     }
@@ -112,14 +115,8 @@ impl Calibration {
                 None
             }
         };
-        (0..self.comparisons().count()).map(simulator).collect()
+        (0..self.problem().experiments.len()).map(simulator).collect()
     }
-}
-
-/// Whether an evaluation has failed because of earlier ones, and is to be made again.
-pub(crate) fn is_failed_by_history<T>(outcome: &Result<T, NoCost>) -> bool {
-    let is_meant = |error: &FmiError| matches!(error, FmiError::FailedByHistory { .. });
-    matches!(outcome, Err(NoCost::Failed { source: Some(error), .. }) if is_meant(error))
 }
 
 #[cfg(test)]

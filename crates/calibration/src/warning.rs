@@ -1,15 +1,14 @@
 //! What a setup leaves in doubt: it can be evaluated, but perhaps it is not what was meant.
 
-use crate::data::sampling_interval;
+use crate::data::{parts, sampling_interval};
 use crate::experiment::Experiment;
 use crate::parameter::{Parameter, Scale};
-use crate::time_column::parts;
 use fmi::ModelDescription;
 use fmi::description::Causality;
 use ode::Number;
 use std::fmt;
 
-/// Target of the lines that tell of a [`SetupWarning`] in the log.
+/// Target of the log lines for each [`SetupWarning`].
 pub const SETUP_LOG_TARGET: &str = "calibration::setup";
 
 /// Something about a calibration that may not be what was meant; see [`Calibration::warnings`](crate::Calibration::warnings).
@@ -61,7 +60,7 @@ impl fmt::Display for SetupWarning {
     }
 }
 
-/// Columns that nobody uses, with the names of inputs that nothing drives.
+/// Columns without use that have the names of inputs that nothing drives.
 pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experiment) -> Vec<SetupWarning> {
     let Experiment { data, outputs, inputs, start_values, .. } = experiment;
     let is_used = |column: &str| {

@@ -7,6 +7,7 @@ use crate::error::FmiError;
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
 use crate::{platform, source};
+use serde::{Deserialize, Serialize};
 use std::any::Any;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -40,7 +41,7 @@ struct Inner {
 }
 
 /// How a model is run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 pub enum Kind {
     /// By model exchange where the FMU offers it, else by co-simulation.
     #[default]

@@ -1,5 +1,6 @@
 //! The types of variables, and their values.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// Type of a variable.
@@ -98,7 +99,7 @@ impl fmt::Display for VariableKind {
 }
 
 /// A value of a variable. Enumerations are integers, clocks Booleans.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Value {
     /// A number.

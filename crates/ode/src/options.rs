@@ -1,13 +1,15 @@
 //! What a run may be told: method, tolerances, limits. Checked once, when a driver is made.
 
 use crate::number::Number;
+use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 /// The integration method.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Method {
     /// [`Tsit5`](Self::Tsit5), below a relative tolerance of 1e-7 [`Dop853`](Self::Dop853); where steps of an implicit method, made on
@@ -87,7 +89,8 @@ pub struct Limits {
 
 /// What to do when state events follow each other so closely that time hardly advances: a hundred of them within 1e-6 of
 /// the span; in spans above 1000 units of time, within a thousandth of one (or as close as times can be told apart).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum ChatteringPolicy {
     /// End the run with an error that names the indicators.

@@ -1,150 +1,25 @@
 //! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter lock.
 
 use crate::description::Fmu;
-use crate::error;
-use crate::files;
-use crate::fmu_error;
+use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields};
 use crate::interrupt::{Watch, fits_here};
-use crate::logs;
-use crate::report::{self, LastSeen, Listener};
-use crate::settings::{self, Options, Settings, time_limit};
+use crate::report::{self, LastProgress, Listener};
+use crate::settings::{Options, Settings};
 use crate::trajectory::Counts;
-use crate::values;
-use calibration::{
-    CalibrationError, Data, Entry, Experiment, FitOptions, Parameter, Scale, SimulationSettings, TimeColumn,
-    Verdict,
-};
+use crate::{error, files, fmu_error, logs};
+use calibration::{CalibrationError, Entry, FitOptions, Problem, Solver, Verdict};
 use dfo::{Progress, Termination};
-use fmi::FmiError;
 use fmi::OpenOptions;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::{IntoPyDict, PyDict};
+use pyo3::types::{IntoPyDict, PyBytes, PyDict};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// `pydfo.Parameter`, field by field.
-#[derive(FromPyObject)]
-pub(crate) struct ParameterFields {
-    name: String,
-    start: f64,
-    lower: f64,
-    upper: f64,
-    scale: String,
-    nominal: Option<f64>,
-    kind: String,
-    fixed: bool,
-}
-
-impl ParameterFields {
-    fn check(self, py: Python<'_>) -> PyResult<Parameter> {
-        let scale = settings::word("scale", &self.scale, &[("linear", Scale::Linear), ("log", Scale::Log)])?;
-        let kind = settings::kind("kind", &self.kind)?;
-        let mut parameter = Parameter::new(self.name, self.start)
-            .bounds(self.lower, self.upper)
-            .scale(scale)
-            .kind(kind)
-            .fixed(self.fixed);
-        if let Some(nominal) = self.nominal {
-            parameter = parameter.nominal(nominal);
-        }
-        parameter.check().map_err(|e| error::calibration(py, &e))?;
-        Ok(parameter)
-    }
-}
-
-/// Checks the numbers of a `pydfo.Parameter`.
-#[pyfunction]
-pub(crate) fn check_parameter(py: Python<'_>, parameter: ParameterFields) -> PyResult<()> {
-    parameter.check(py).map(|_| ())
-}
-
-/// `pydfo._calibration.ExperimentFields`, field by field.
-#[derive(FromPyObject)]
-pub(crate) struct ExperimentFields {
-    /// A CSV file; None: `columns`.
-    path: Option<PathBuf>,
-    columns: Vec<(String, Vec<f64>)>,
-    /// Names of columns that are not among them.
-    left_out: Vec<String>,
-    /// Name of the column of times; None: "time".
-    time: Option<String>,
-    /// Variable, column, weight.
-    outputs: Vec<(String, String, f64)>,
-    /// Variable, column.
-    inputs: Vec<(String, String)>,
-    start_values: Vec<(String, Py<PyAny>)>,
-    window: Option<(f64, f64)>,
-    kind: String,
-    start_time: Option<f64>,
-    timeout: Option<f64>,
-    relative_tolerance: Option<f64>,
-    solver: String,
-    step_size: Option<f64>,
-    max_step: Option<f64>,
-    input_derivatives: bool,
-    chattering: String,
-    sharing: String,
-}
-
-impl ExperimentFields {
-    fn settings(&self, py: Python<'_>) -> PyResult<SimulationSettings> {
-        Ok(SimulationSettings {
-            kind: self.kind.parse().map_err(|e| fmu_error::raise(py, &e))?,
-            method: self.solver.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
-            relative_tolerance: self.relative_tolerance,
-            step_size: self.step_size,
-            max_step: self.max_step,
-            input_derivatives: Some(self.input_derivatives),
-            timeout: time_limit("timeout", self.timeout)?,
-            chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
-            sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,
-        })
-    }
-
-    fn start_values(&self, py: Python<'_>, fmu: &fmi::Fmu) -> PyResult<Vec<(String, fmi::Value)>> {
-        let given = self.start_values.iter().map(|(name, value)| (name.clone(), value.bind(py).clone()));
-        values::all_from_python(py, fmu.description(), given)
-    }
-
-    fn experiment(self, start_values: Vec<(String, fmi::Value)>) -> Result<Experiment, CalibrationError> {
-        let data = match (self.path, &self.time) {
-            (Some(path), None) => Data::from_csv(path)?,
-            (Some(path), Some(time)) => Data::from_csv_with_time(path, time)?,
-            (None, time) => Data::from_table(self.columns, time.as_deref())?.left_out(self.left_out),
-        };
-        let mut experiment = Experiment::new(data);
-        for (variable, column, weight) in self.outputs {
-            experiment = experiment.weighted_output(variable, column, weight);
-        }
-        for (variable, column) in self.inputs {
-            experiment = experiment.input(variable, column);
-        }
-        for (variable, value) in start_values {
-            experiment = experiment.start_value(variable, value);
-        }
-        if let Some((from, to)) = self.window {
-            experiment = experiment.window(from, to);
-        }
-        if let Some(time) = self.start_time {
-            experiment = experiment.start_time(time);
-        }
-        Ok(experiment)
-    }
-}
-
-/// Position of the column of times among columns of these names, and the length of its unit in s as a fraction.
-#[pyfunction]
-#[pyo3(signature = (names, time=None))]
-pub(crate) fn find_time(names: Vec<String>, time: Option<&str>) -> PyResult<(usize, (f64, f64))> {
-    let found = TimeColumn::find(names.iter().map(String::as_str), time);
-    found.map(|column| (column.index, column.unit)).map_err(PyValueError::new_err)
-}
-
-/// A calibration; `pydfo.Calibration` is its face.
+/// A calibration; `pydfo.Calibration` is its Python class.
 #[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
 pub(crate) struct PyCalibration {
     inner: Arc<calibration::Calibration>,
@@ -210,25 +85,75 @@ impl PyCalibration {
     fn new(
         py: Python<'_>,
         model: Source<'_>,
-        experiment: ExperimentFields,
+        experiments: Vec<ExperimentFields>,
+        settings: SettingsFields,
         parameters: Vec<ParameterFields>,
     ) -> PyResult<Self> {
         let fmu = match model {
             Source::Open(fmu) => fmu.get().fmu.clone(),
             Source::Path(path) => files::open(py, path, &OpenOptions::default())?,
         };
-        let settings = experiment.settings(py)?;
+        let settings = settings.check(py)?;
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
-        let start_values = experiment.start_values(py, &fmu)?;
+        let experiments = experiments
+            .into_iter()
+            .map(|experiment| Ok((experiment.start_values(py, &fmu)?, experiment)))
+            .collect::<PyResult<Vec<_>>>()?;
         let built = py.detach(move || {
-            let builder = calibration::Calibration::builder(fmu)
-                .experiment(experiment.experiment(start_values)?)
-                .settings(settings);
+            let mut builder = calibration::Calibration::builder(fmu).settings(settings);
+            for (start_values, experiment) in experiments {
+                builder = builder.experiment(experiment.experiment(start_values)?);
+            }
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
         });
         logs::pass_on(py)?;
         let inner = built.map_err(|e| error::calibration(py, &e))?;
         Ok(Self { inner: Arc::new(inner), last: Arc::default() })
+    }
+
+    /// The problem and the solver, if it is known: what a pickle holds.
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let mut bytes = Vec::new();
+        let state = (self.inner.problem(), self.inner.known_solver());
+        ciborium::into_writer(&state, &mut bytes).map_err(|e| PyValueError::new_err(e.to_string()))?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    /// The path and the content hash of the model of a state.
+    #[staticmethod]
+    fn model_of(state: &[u8]) -> PyResult<(PathBuf, String)> {
+        let (problem, _) = stored(state)?;
+        Ok((problem.model.path, problem.model.content_hash))
+    }
+
+    /// A calibration from a state and its model.
+    #[staticmethod]
+    fn restore(py: Python<'_>, state: &[u8], fmu: &Bound<'_, Fmu>) -> PyResult<Self> {
+        let (problem, solver) = stored(state)?;
+        let fmu = fmu.get().fmu.clone();
+        let built = py.detach(move || {
+            let calibration = calibration::Calibration::from_problem(fmu, problem)?;
+            solver.map_or(Ok(()), |solver| calibration.set_solver(solver))?;
+            Ok(calibration)
+        });
+        logs::pass_on(py)?;
+        let inner = built.map_err(|e| error::calibration(py, &e))?;
+        Ok(Self { inner: Arc::new(inner), last: Arc::default() })
+    }
+
+    /// Names of the entries of `x`.
+    fn names(&self) -> Vec<&str> {
+        self.inner.parameters().iter().map(|p| p.name()).collect()
+    }
+
+    /// Their start values.
+    fn start(&self) -> Vec<f64> {
+        self.inner.start()
+    }
+
+    /// Names of the experiments.
+    fn experiments(&self) -> Vec<String> {
+        self.inner.problem().experiment_names()
     }
 
     /// What may not be meant as it was given.
@@ -239,6 +164,10 @@ impl PyCalibration {
     #[getter]
     fn n_residuals(&self) -> usize {
         self.inner.n_residuals()
+    }
+
+    fn rms(&self, cost: f64) -> f64 {
+        self.inner.rms(cost)
     }
 
     /// Name of the integration method that is in use; None: not chosen yet.
@@ -279,42 +208,43 @@ impl PyCalibration {
         Ok(PyArray1::from_vec(py, residuals))
     }
 
-    /// `time` and the compared outputs, at the measured times or at those given.
-    #[pyo3(signature = (x, times=None))]
+    /// Per experiment, or of one of them, `time` and the compared outputs, at the measured times or at those given.
+    #[pyo3(signature = (x, times=None, experiment=None))]
     fn simulate<'py>(
         &self,
         py: Python<'py>,
         x: Vec<f64>,
         times: Option<Vec<f64>>,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let trajectories = self.compute(py, move |calibration, cancelled| {
-            calibration.simulate_until(&x, times.as_deref(), cancelled)
+        experiment: Option<usize>,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let trajectories = self.compute(py, move |calibration, cancelled| match experiment {
+            Some(k) => {
+                calibration.simulate_experiment_until(k, &x, times.as_deref(), cancelled).map(|t| vec![t])
+            }
+            None => calibration.simulate_until(&x, times.as_deref(), cancelled),
         })?;
-        let columns = PyDict::new(py);
-        for trajectory in trajectories {
+        let columns = |trajectory: fmi::Trajectory| {
+            let columns = PyDict::new(py);
             columns.set_item("time", PyArray1::from_vec(py, trajectory.time))?;
             for (name, values) in trajectory.names.iter().zip(trajectory.columns) {
                 columns.set_item(name, PyArray1::from_vec(py, values))?;
             }
-        }
-        Ok(columns)
+            Ok(columns)
+        };
+        trajectories.into_iter().map(columns).collect()
     }
 
-    /// The recording: its times, and per output the variable, the column and its values (NaN where missing).
-    fn measurements<'py>(
-        &self,
-        py: Python<'py>,
-    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Vec<Measured<'py>>)> {
-        let mut times = PyArray1::from_slice(py, &[]);
-        let mut measured = Vec::new();
-        for (data, outputs) in self.inner.comparisons() {
-            times = PyArray1::from_slice(py, data.time());
-            for (variable, column) in outputs {
+    /// Per experiment: its times, and per output the variable and its values (NaN where missing).
+    fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Vec<Recording<'py>>> {
+        let recording = |experiment: &calibration::Experiment| {
+            let data = experiment.data();
+            let measured = experiment.outputs().map(|(variable, column)| {
                 let values = data.column(column).map_err(|e| error::calibration(py, &e))?;
-                measured.push((variable.clone(), column.clone(), PyArray1::from_slice(py, values)));
-            }
-        }
-        Ok((times, measured))
+                Ok((variable.to_owned(), PyArray1::from_slice(py, values)))
+            });
+            Ok((PyArray1::from_slice(py, data.time()), measured.collect::<PyResult<_>>()?))
+        };
+        self.inner.problem().experiments.iter().map(recording).collect()
     }
 
     #[pyo3(signature = (options, *, start=None, observer=None))]
@@ -325,19 +255,19 @@ impl PyCalibration {
         start: Option<Vec<f64>>,
         observer: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let Settings { run, .. } = options.check(py)?;
+        let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
-        let last_seen = Arc::new(LastSeen::default());
+        let last_progress = Arc::new(LastProgress::default());
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
-        let (seen, hearing) = (Arc::clone(&last_seen), listener.clone());
-        let outcome = watch.run(move |desk| {
+        let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
+        let outcome = watch.run(move |caller| {
             inner.fit(FitOptions {
                 run,
                 start,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
-                    seen.pass_on(progress, desk, hearing.as_ref())
+                    seen.pass_on(progress, caller, notified.as_ref())
                 })),
                 cancel: Some(asked.flag()),
                 poll: asked.has_parent().then(|| Box::new(|| asked.is_asked()) as Box<dyn FnMut() -> bool>),
@@ -346,7 +276,7 @@ impl PyCalibration {
         })?;
         logs::pass_on(py)?;
         let Some(outcome) = outcome else {
-            return Err(error::interrupted(py, last_seen.result(py)?.as_ref(), None));
+            return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None));
         };
         let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
         let result = match outcome {
@@ -361,6 +291,7 @@ impl PyCalibration {
                 result.setattr("at_bound", at_bound.into_py_dict(py)?)?;
                 let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
                 result.setattr("without_effect", inert)?;
+                result.setattr("start_cost", fit.start_cost)?;
                 result.setattr("n_checks", fit.n_checks)?;
                 result.setattr("n_beginnings", fit.n_beginnings)?;
                 Some(result)
@@ -375,5 +306,10 @@ impl PyCalibration {
 /// Solver, work, deviation in tolerances, verdict.
 type Raced = (&'static str, Option<f64>, Option<f64>, String);
 
-/// Variable, column, values.
-type Measured<'py> = (String, String, Bound<'py, PyArray1<f64>>);
+/// Times; variables and their values.
+type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<(String, Bound<'py, PyArray1<f64>>)>);
+
+fn stored(state: &[u8]) -> PyResult<(Problem, Option<Solver>)> {
+    ciborium::from_reader(state)
+        .map_err(|e| PyValueError::new_err(format!("this is no pickled Calibration of this version: {e}")))
+}

@@ -2,9 +2,7 @@
 //! their classes.
 
 use crate::{files, fmu_error, values};
-use fmi::description::{
-    BaseUnit, Capabilities, Dimension, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
-};
+use fmi::description::{BaseUnit, Dimension, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit};
 use fmi::{
     DescriptionLimits, InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions,
     Reuse, Variable,
@@ -12,7 +10,7 @@ use fmi::{
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
-use pyo3::types::{PyList, PyString};
+use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 use std::path::{Path, PathBuf};
 
 /// `pydfo._model.OpenOptions`, field by field.
@@ -49,6 +47,16 @@ impl From<OpenFields> for OpenOptions {
             ..OpenOptions::default()
         }
     }
+}
+
+/// A dictionary of fields of a structure under their names, and of other values.
+macro_rules! dict {
+    ($py:expr; $source:expr => $($field:ident),+ $(,)? $(; $($name:literal: $value:expr),+ $(,)?)?) => {{
+        let dict = PyDict::new($py);
+        $(dict.set_item(stringify!($field), &$source.$field)?;)+
+        $($(dict.set_item($name, $value)?;)+)?
+        dict
+    }};
 }
 
 fn interface(kind: &str) -> InterfaceKind {
@@ -117,8 +125,20 @@ impl Fmu {
     }
 
     /// Everything but the lists.
-    fn header(&self) -> Header<'_> {
-        Header::new(self.description())
+    fn header<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let d = self.description();
+        let default_experiment =
+            dict!(py; &d.default_experiment => start_time, stop_time, tolerance, step_size);
+        let interface = |i: &Option<Interface>| i.as_ref().map(|i| interface_fields(py, i)).transpose();
+        Ok(dict!(py;
+            d => model_name, guid, description, author, version, copyright, license, generation_tool,
+            generation_date_and_time, variable_naming_convention, n_event_indicators;
+            "fmi_version": &d.fmi_version.text,
+            "n_states": d.n_states(),
+            "default_experiment": default_experiment,
+            "model_exchange": interface(&d.model_exchange)?,
+            "co_simulation": interface(&d.co_simulation)?,
+        ))
     }
 
     /// Names of all variables in the order of the file.
@@ -150,21 +170,20 @@ impl Fmu {
     }
 
     /// The attributes of the variable at a position.
-    fn variable<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyAny>> {
+    fn variable<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
         let description = self.description();
         let variable = description.variables.get(index).ok_or_else(|| {
             PyIndexError::new_err(format!("{index} of {} variables", description.variables.len()))
         })?;
-        let attributes = Attributes::new(py, description, variable, index)?;
-        Ok(attributes.into_pyobject(py)?.into_any())
+        attributes(py, description, variable, index)
     }
 
-    fn units(&self) -> Vec<UnitFields<'_>> {
-        self.description().units.iter().map(UnitFields::new).collect()
+    fn units<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        self.description().units.iter().map(|unit| unit_fields(py, unit)).collect()
     }
 
-    fn type_definitions(&self) -> Vec<TypeFields<'_>> {
-        self.description().type_definitions.iter().map(TypeFields::new).collect()
+    fn type_definitions<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        self.description().type_definitions.iter().map(|t| type_fields(py, t)).collect()
     }
 
     fn log_categories(&self) -> Vec<(&str, Option<&str>)> {
@@ -183,274 +202,61 @@ impl Fmu {
     }
 }
 
-#[derive(IntoPyObject)]
-struct Header<'a> {
-    fmi_version: &'a str,
-    model_name: &'a str,
-    guid: &'a str,
-    description: Option<&'a str>,
-    author: Option<&'a str>,
-    version: Option<&'a str>,
-    copyright: Option<&'a str>,
-    license: Option<&'a str>,
-    generation_tool: Option<&'a str>,
-    generation_date_and_time: Option<&'a str>,
-    variable_naming_convention: Option<&'a str>,
-    n_states: usize,
-    n_event_indicators: usize,
-    default_experiment: Experiment,
-    model_exchange: Option<InterfaceFields<'a>>,
-    co_simulation: Option<InterfaceFields<'a>>,
+fn interface_fields<'py>(py: Python<'py>, interface: &Interface) -> PyResult<Bound<'py, PyDict>> {
+    let capabilities = dict!(py; &interface.capabilities =>
+        needs_execution_tool, completed_integrator_step_not_needed, can_be_instantiated_only_once_per_process,
+        can_not_use_memory_management_functions, can_get_and_set_state, can_serialize_state,
+        provides_directional_derivative, provides_adjoint_derivative, can_handle_variable_communication_step_size,
+        can_interpolate_inputs, can_run_asynchronuously, max_output_derivative_order, has_event_mode,
+    );
+    Ok(dict!(py; interface => model_identifier, source_files; "capabilities": capabilities))
 }
 
-impl<'a> Header<'a> {
-    fn new(d: &'a ModelDescription) -> Self {
-        let e = &d.default_experiment;
-        Self {
-            fmi_version: &d.fmi_version.text,
-            model_name: &d.model_name,
-            guid: &d.guid,
-            description: d.description.as_deref(),
-            author: d.author.as_deref(),
-            version: d.version.as_deref(),
-            copyright: d.copyright.as_deref(),
-            license: d.license.as_deref(),
-            generation_tool: d.generation_tool.as_deref(),
-            generation_date_and_time: d.generation_date_and_time.as_deref(),
-            variable_naming_convention: d.variable_naming_convention.as_deref(),
-            n_states: d.n_states(),
-            n_event_indicators: d.n_event_indicators,
-            default_experiment: Experiment {
-                start_time: e.start_time,
-                stop_time: e.stop_time,
-                tolerance: e.tolerance,
-                step_size: e.step_size,
-            },
-            model_exchange: d.model_exchange.as_ref().map(InterfaceFields::new),
-            co_simulation: d.co_simulation.as_ref().map(InterfaceFields::new),
-        }
-    }
+fn unit_fields<'py>(py: Python<'py>, unit: &Unit) -> PyResult<Bound<'py, PyDict>> {
+    let base =
+        |base: &BaseUnit| PyResult::Ok(dict!(py; base => kg, m, s, a, k, mol, cd, rad, factor, offset));
+    let display = |unit: &DisplayUnit| PyResult::Ok(dict!(py; unit => name, factor, offset, inverse));
+    Ok(dict!(py; unit => name;
+        "base": unit.base.as_ref().map(base).transpose()?,
+        "display_units": unit.display_units.iter().map(display).collect::<PyResult<Vec<_>>>()?,
+    ))
 }
 
-#[derive(IntoPyObject)]
-struct Experiment {
-    start_time: Option<f64>,
-    stop_time: Option<f64>,
-    tolerance: Option<f64>,
-    step_size: Option<f64>,
+fn type_fields<'py>(py: Python<'py>, t: &TypeDefinition) -> PyResult<Bound<'py, PyDict>> {
+    let item = |item: &EnumerationItem| PyResult::Ok(dict!(py; item => name, value, description));
+    Ok(dict!(py;
+        t => name, description, quantity, unit, display_unit, relative_quantity, unbounded, min, max, nominal;
+        "type": t.kind.name(),
+        "items": t.items.iter().map(item).collect::<PyResult<Vec<_>>>()?,
+    ))
 }
 
-#[derive(IntoPyObject)]
-struct InterfaceFields<'a> {
-    model_identifier: &'a str,
-    source_files: Vec<&'a str>,
-    capabilities: CapabilityFields,
-}
-
-impl<'a> InterfaceFields<'a> {
-    fn new(interface: &'a Interface) -> Self {
-        Self {
-            model_identifier: &interface.model_identifier,
-            source_files: interface.source_files.iter().map(String::as_str).collect(),
-            capabilities: CapabilityFields::new(&interface.capabilities),
-        }
-    }
-}
-
-/// Declares a dictionary with some fields of a structure.
-macro_rules! fields {
-    ($name:ident of $source:ty: $($field:ident: $type:ty),+ $(,)?) => {
-        #[derive(IntoPyObject)]
-        struct $name {
-            $($field: $type,)+
-        }
-
-        impl $name {
-            fn new(source: &$source) -> Self {
-                Self { $($field: source.$field,)+ }
-            }
-        }
-    };
-}
-
-fields!(CapabilityFields of Capabilities:
-    needs_execution_tool: bool,
-    completed_integrator_step_not_needed: bool,
-    can_be_instantiated_only_once_per_process: bool,
-    can_not_use_memory_management_functions: bool,
-    can_get_and_set_state: bool,
-    can_serialize_state: bool,
-    provides_directional_derivative: bool,
-    provides_adjoint_derivative: bool,
-    can_handle_variable_communication_step_size: bool,
-    can_interpolate_inputs: bool,
-    can_run_asynchronuously: bool,
-    max_output_derivative_order: u32,
-    has_event_mode: bool,
-);
-
-fields!(BaseFields of BaseUnit:
-    kg: i32, m: i32, s: i32, a: i32, k: i32, mol: i32, cd: i32, rad: i32, factor: f64, offset: f64,
-);
-
-#[derive(IntoPyObject)]
-struct UnitFields<'a> {
-    name: &'a str,
-    base: Option<BaseFields>,
-    display_units: Vec<DisplayFields<'a>>,
-}
-
-impl<'a> UnitFields<'a> {
-    fn new(unit: &'a Unit) -> Self {
-        Self {
-            name: &unit.name,
-            base: unit.base.as_ref().map(BaseFields::new),
-            display_units: unit.display_units.iter().map(DisplayFields::new).collect(),
-        }
-    }
-}
-
-#[derive(IntoPyObject)]
-struct DisplayFields<'a> {
-    name: &'a str,
-    factor: f64,
-    offset: f64,
-    inverse: bool,
-}
-
-impl<'a> DisplayFields<'a> {
-    fn new(unit: &'a DisplayUnit) -> Self {
-        Self { name: &unit.name, factor: unit.factor, offset: unit.offset, inverse: unit.inverse }
-    }
-}
-
-#[derive(IntoPyObject)]
-struct TypeFields<'a> {
-    name: &'a str,
-    description: Option<&'a str>,
-    r#type: &'static str,
-    quantity: Option<&'a str>,
-    unit: Option<&'a str>,
-    display_unit: Option<&'a str>,
-    relative_quantity: bool,
-    unbounded: bool,
-    min: Option<f64>,
-    max: Option<f64>,
-    nominal: Option<f64>,
-    items: Vec<ItemFields<'a>>,
-}
-
-impl<'a> TypeFields<'a> {
-    fn new(t: &'a TypeDefinition) -> Self {
-        Self {
-            name: &t.name,
-            description: t.description.as_deref(),
-            r#type: t.kind.name(),
-            quantity: t.quantity.as_deref(),
-            unit: t.unit.as_deref(),
-            display_unit: t.display_unit.as_deref(),
-            relative_quantity: t.relative_quantity,
-            unbounded: t.unbounded,
-            min: t.min,
-            max: t.max,
-            nominal: t.nominal,
-            items: t.items.iter().map(ItemFields::new).collect(),
-        }
-    }
-}
-
-#[derive(IntoPyObject)]
-struct ItemFields<'a> {
-    name: &'a str,
-    value: i64,
-    description: Option<&'a str>,
-}
-
-impl<'a> ItemFields<'a> {
-    fn new(item: &'a EnumerationItem) -> Self {
-        Self { name: &item.name, value: item.value, description: item.description.as_deref() }
-    }
-}
-
-#[derive(IntoPyObject)]
-struct Attributes<'a, 'py> {
-    name: &'a str,
+fn attributes<'py>(
+    py: Python<'py>,
+    description: &ModelDescription,
+    v: &Variable,
     index: usize,
-    value_reference: u32,
-    description: Option<&'a str>,
-    r#type: &'static str,
-    causality: String,
-    variability: String,
-    initial: Option<String>,
-    declared_type: Option<&'a str>,
-    quantity: Option<&'a str>,
-    unit: Option<&'a str>,
-    display_unit: Option<&'a str>,
-    relative_quantity: bool,
-    unbounded: bool,
-    min: Option<f64>,
-    max: Option<f64>,
-    nominal: Option<f64>,
-    start: Option<Bound<'py, PyAny>>,
-    shape: Vec<usize>,
-    dimensions: Vec<Bound<'py, PyAny>>,
-    aliases: Vec<&'a str>,
-    derivative: Option<&'a str>,
-    reinit: bool,
-    can_handle_multiple_set_per_time_instant: bool,
-    extents: Vec<usize>,
-    interval_variability: Option<&'static str>,
-    line: u32,
-}
-
-impl<'a, 'py> Attributes<'a, 'py> {
-    fn new(
-        py: Python<'py>,
-        description: &'a ModelDescription,
-        v: &'a Variable,
-        index: usize,
-    ) -> PyResult<Self> {
-        Ok(Self {
-            name: &v.name,
-            index,
-            value_reference: v.value_reference,
-            description: v.description.as_deref(),
-            r#type: v.kind.name(),
-            causality: v.causality.to_string(),
-            variability: v.variability.to_string(),
-            initial: v.initial.map(|initial| initial.to_string()),
-            declared_type: v.declared_type.as_deref(),
-            quantity: v.quantity.as_deref(),
-            unit: v.unit.as_deref(),
-            display_unit: v.display_unit.as_deref(),
-            relative_quantity: v.relative_quantity,
-            unbounded: v.unbounded,
-            min: v.min,
-            max: v.max,
-            nominal: v.nominal,
-            start: v
-                .start
-                .clone()
-                .map(|value| values::to_python(py, value, v.kind, &description.extents(v)))
-                .transpose()?,
-            shape: description.extents(v),
-            dimensions: v
-                .dimensions
-                .iter()
-                .map(|dimension| match dimension {
-                    Dimension::Fixed(extent) => extent.into_bound_py_any(py),
-                    Dimension::Parameter(index) => {
-                        description.variables[*index].name.as_str().into_bound_py_any(py)
-                    }
-                })
-                .collect::<PyResult<_>>()?,
-            aliases: v.aliases.iter().map(|alias| alias.name.as_str()).collect(),
-            derivative: v.derivative.map(|state| description.variables[state].name.as_str()),
-            reinit: v.reinit,
-            can_handle_multiple_set_per_time_instant: v.can_handle_multiple_set_per_time_instant,
-            extents: description.extents(v),
-            interval_variability: v.clock.as_ref().map(|timing| timing.kind.name()),
-            line: v.line,
-        })
-    }
+) -> PyResult<Bound<'py, PyDict>> {
+    let shape = description.extents(v);
+    let start = v.start.clone().map(|value| values::to_python(py, value, v.kind, &shape)).transpose()?;
+    let name_of = |variable: usize| description.variables[variable].name.as_str();
+    let dimension = |dimension: &Dimension| match dimension {
+        Dimension::Fixed(extent) => extent.into_bound_py_any(py),
+        Dimension::Parameter(index) => name_of(*index).into_bound_py_any(py),
+    };
+    Ok(dict!(py;
+        v => name, value_reference, description, declared_type, quantity, unit, display_unit, relative_quantity,
+        unbounded, min, max, nominal, reinit, can_handle_multiple_set_per_time_instant, line;
+        "index": index,
+        "type": v.kind.name(),
+        "causality": v.causality.to_string(),
+        "variability": v.variability.to_string(),
+        "initial": v.initial.map(|initial| initial.to_string()),
+        "start": start,
+        "shape": PyTuple::new(py, shape)?,
+        "dimensions": PyTuple::new(py, v.dimensions.iter().map(dimension).collect::<PyResult<Vec<_>>>()?)?,
+        "aliases": PyTuple::new(py, v.aliases.iter().map(|alias| alias.name.as_str()))?,
+        "derivative": v.derivative.map(name_of),
+        "interval_variability": v.clock.as_ref().map(|timing| timing.kind.name()),
+    ))
 }

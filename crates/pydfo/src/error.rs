@@ -2,7 +2,7 @@
 //! `fmu_error`.) The exception classes themselves are defined, and documented, in `pydfo/_errors.py`.
 
 use crate::fmu_error;
-use crate::interrupt::Stop;
+use crate::interrupt::EndRequest;
 use pyo3::exceptions::{
     PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyUserWarning, PyValueError,
 };
@@ -53,6 +53,7 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
     match error {
         E::DataFile { path, source } => file("cannot read", path, source),
         E::Data { .. }
+        | E::OtherModel { .. }
         | E::Parameter { .. }
         | E::Setup(_)
         | E::Length { .. }
@@ -102,7 +103,7 @@ pub(crate) fn interrupted(py: Python<'_>, result: Option<&Bound<'_, PyAny>>, cau
 /// How a run ends for the user: an interrupt outranks an exception, an exception a result; both carry the result.
 pub(crate) fn ended<'py>(
     py: Python<'py>,
-    stop: &Stop,
+    stop: &EndRequest,
     raised: Option<PyErr>,
     result: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
@@ -112,7 +113,7 @@ pub(crate) fn ended<'py>(
             Err(interrupted(py, result.as_ref(), Some(e)))
         }
         (Some(e), result) => {
-            // An exception without room for attributes is raised all the same.
+            // An exception that takes no attributes is raised all the same.
             let _ = e.value(py).setattr("partial_result", result);
             Err(e)
         }

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 use std::time::Duration;
 
-/// FMUs that stay open for whoever opens them next: scripts open their model at every evaluation.
+/// FMUs that stay open after their last use: scripts open their model at every evaluation.
 const KEPT_OPEN: usize = 32;
 
 static OPEN: LazyLock<FmuCache> = LazyLock::new(|| FmuCache::new(KEPT_OPEN));

@@ -1,6 +1,6 @@
 //! Inputs from Python: tables as arrays, and functions that are called with the interpreter lock taken only inside.
 
-use crate::interrupt::lock;
+use crate::threads::lock;
 use fmi::{Inputs, Value};
 use numpy::PyReadonlyArray1;
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -56,7 +56,7 @@ impl Callbacks {
         self.all.iter().find_map(|callback| lock(&callback.raised).take())
     }
 
-    /// Lets go of the functions. What a simulation leaves behind shall not keep alive what the functions refer to (the
+    /// Releases the functions. What a simulation leaves behind shall not keep alive what the functions refer to (the
     /// model itself, perhaps).
     pub(crate) fn release(&self) {
         for callback in &self.all {

@@ -1,12 +1,12 @@
 //! Ctrl-C: the calling thread looks for Python's signals while work goes on elsewhere, between two steps of a short
 //! simulation, or inside of a Python function.
 //!
-//! While a [`Watch`] lives, SIGINT is handled by us: the first one raises a flag, so that no further evaluation starts
+//! While there is a [`Watch`], SIGINT is handled by us: the first one raises a flag, so that no further evaluation starts
 //! and simulations stop at their next step, while a Python function that is running is left to end; from the second
 //! one on KeyboardInterrupt is raised, as always. A handler of the user's is left in place. Work that runs inside of
 //! other work (a simulation inside of an objective) stops with it.
 
-use crate::helper;
+use crate::threads::{self, lock};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -16,11 +16,11 @@ use std::cell::{Cell, RefCell};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, TryRecvError, channel};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// How long the calling thread waits at most before it looks for signals.
-const PATIENCE: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Work that took less than this the last time is done on the calling thread: handing it to another one takes up to 0.5 ms.
 const SHORT: Duration = Duration::from_millis(50);
@@ -41,7 +41,7 @@ const POLLS_PER_READING: u32 = 16;
 /// ... unless so many take longer than this: then the clock is read at each.
 const SLOW: Duration = Duration::from_millis(1);
 
-/// Says when [`PATIENCE`] is over, to somebody who asks before every step.
+/// Whether [`POLL_INTERVAL`] is over, asked before every step.
 struct PollClock {
     start: Instant,
     polls: Cell<u32>,
@@ -57,7 +57,7 @@ impl PollClock {
             start: Instant::now(),
             polls: Cell::new(0),
             read: Cell::new(Duration::ZERO),
-            due: Cell::new(PATIENCE),
+            due: Cell::new(POLL_INTERVAL),
             polls_per_reading: Cell::new(POLLS_PER_READING),
         }
     }
@@ -73,26 +73,26 @@ impl PollClock {
         self.polls.set(0);
         let is_due = now >= self.due.get();
         if is_due {
-            self.due.set(now + PATIENCE);
+            self.due.set(now + POLL_INTERVAL);
         }
         is_due
     }
 }
 
-/// The wish to end one piece of work.
+/// A request to end one piece of work.
 #[derive(Default)]
-pub(crate) struct Stop {
+pub(crate) struct EndRequest {
     flag: Arc<AtomicBool>,
     asked: AtomicU32,
     /// The work that this one is part of.
-    parent: Option<Arc<Stop>>,
+    parent: Option<Arc<EndRequest>>,
     /// What a signal handler of the user's raised.
     raised: Mutex<Option<PyErr>>,
 }
 
-impl Stop {
+impl EndRequest {
     /// The flag for optimisers and simulations to look at. Work may raise it to end itself (an input function that
-    /// raised an exception); nobody lowers it.
+    /// raised an exception); it is never lowered.
     pub(crate) fn flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.flag)
     }
@@ -126,7 +126,7 @@ impl Stop {
         self.asked.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Lets Python handle its signals. True: the user has lost patience.
+    /// Lets Python handle its signals. True: the user has interrupted it twice.
     fn look(&self, py: Python<'_>) -> bool {
         let Err(e) = py.check_signals() else {
             self.is_asked();
@@ -150,21 +150,16 @@ impl Stop {
     }
 }
 
-/// A poisoned lock is no reason to fail: what we keep under locks is whole at every instant.
-pub(crate) fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(|e| e.into_inner())
-}
-
 thread_local! {
     /// The work inside of which this thread is calling a Python function.
-    static AROUND: RefCell<Vec<Arc<Stop>>> = const { RefCell::new(Vec::new()) };
+    static AROUND: RefCell<Vec<Arc<EndRequest>>> = const { RefCell::new(Vec::new()) };
 }
 
 /// Until it is dropped, work that this thread starts counts as part of the work given.
 pub(crate) struct Inside;
 
 impl Inside {
-    pub(crate) fn new(work: &Arc<Stop>) -> Self {
+    pub(crate) fn new(work: &Arc<EndRequest>) -> Self {
         AROUND.with_borrow_mut(|around| around.push(Arc::clone(work)));
         Self
     }
@@ -212,7 +207,7 @@ impl Signals {
 /// What we install for SIGINT.
 #[pyclass(frozen, module = "pydfo._core", name = "_SigintHandler")]
 pub(crate) struct SigintHandler {
-    active: Mutex<Vec<Arc<Stop>>>,
+    active: Mutex<Vec<Arc<EndRequest>>>,
 }
 
 #[pymethods]
@@ -220,7 +215,7 @@ impl SigintHandler {
     #[pyo3(signature = (*_args))]
     fn __call__(&self, _args: &Bound<'_, PyTuple>) -> PyResult<()> {
         let active = lock(&self.active);
-        // Nobody is left to be asked: as if we were not here.
+        // No work is left to end: as Python's own handler.
         let mut raise = active.is_empty();
         for stop in active.iter() {
             raise |= stop.ask() > 0;
@@ -232,7 +227,7 @@ impl SigintHandler {
 /// Handles SIGINT for one piece of work, until it is dropped.
 pub(crate) struct Watch<'py> {
     py: Python<'py>,
-    stop: Arc<Stop>,
+    stop: Arc<EndRequest>,
     handler: Option<Bound<'py, SigintHandler>>,
     /// The handler to put back, if ours was installed for this work.
     previous: Option<Bound<'py, PyAny>>,
@@ -245,11 +240,11 @@ impl<'py> Watch<'py> {
         Self::with_flag(py, Arc::default())
     }
 
-    /// The same; `flag`, which nobody else may use meanwhile, is lowered and raised when the work is to end.
+    /// The same; `flag`, used by nothing else meanwhile, is lowered and raised when the work is to end.
     pub(crate) fn with_flag(py: Python<'py>, flag: Arc<AtomicBool>) -> Self {
         flag.store(false, Ordering::Relaxed);
         let parent = AROUND.with_borrow(|around| around.last().cloned());
-        let stop = Arc::new(Stop { flag, parent, ..Stop::default() });
+        let stop = Arc::new(EndRequest { flag, parent, ..EndRequest::default() });
         Self { py, stop, handler: None, previous: None }
     }
 
@@ -281,17 +276,17 @@ impl<'py> Watch<'py> {
         Ok(watch)
     }
 
-    pub(crate) fn stop(&self) -> &Arc<Stop> {
+    pub(crate) fn stop(&self) -> &Arc<EndRequest> {
         &self.stop
     }
 
     /// Runs `work` on a thread of its own without the interpreter lock, while this thread handles signals and does
-    /// what `work` asks for at the [`Desk`]. `None`: the user has lost patience; `work` will end on its own some time.
+    /// what `work` asks for at the [`CallingThread`]. `None`: the user has interrupted it twice; `work` will end on its own some time.
     pub(crate) fn run<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&Desk) -> T + Send + 'static,
+        work: impl FnOnce(&CallingThread) -> T + Send + 'static,
     ) -> PyResult<Option<T>> {
-        self.serve(work, Stop::look)
+        self.serve(work, EndRequest::look)
     }
 
     /// Runs `work` on the calling thread without the interpreter lock. What `work` is given is to be asked before every
@@ -314,31 +309,31 @@ impl<'py> Watch<'py> {
         &self,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> PyResult<Option<T>> {
-        self.serve(move |_| work(), Stop::poll)
+        self.serve(move |_| work(), EndRequest::poll)
     }
 
     fn serve<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&Desk) -> T + Send + 'static,
-        leave: fn(&Stop, Python<'_>) -> bool,
+        work: impl FnOnce(&CallingThread) -> T + Send + 'static,
+        leave: fn(&EndRequest, Python<'_>) -> bool,
     ) -> PyResult<Option<T>> {
         let (sender, mut jobs) = channel();
         let (give, result) = channel();
-        let desk = Desk { sender };
-        helper::run(Box::new(move || {
-            let end = catch_unwind(AssertUnwindSafe(|| work(&desk)));
-            // Nobody takes it if the user has lost patience. The desk goes last: that is how the caller notices.
+        let caller = CallingThread { sender };
+        threads::run(Box::new(move || {
+            let end = catch_unwind(AssertUnwindSafe(|| work(&caller)));
+            // Nobody takes it if the user has interrupted it twice. `caller` is dropped last: the calling thread sees the channel closed.
             let _ = give.send(end);
-            Box::new(move || drop(desk))
+            Box::new(move || drop(caller))
         }))?;
         // Where nothing came for a while, it is not worth while to stay awake.
         let mut is_long = false;
         loop {
             let job;
             (job, jobs) = self.py.detach(move || {
-                let soon = if is_long { Err(TryRecvError::Empty) } else { helper::soon(&jobs) };
+                let soon = if is_long { Err(TryRecvError::Empty) } else { threads::soon(&jobs) };
                 let job = match soon {
-                    Err(TryRecvError::Empty) => jobs.recv_timeout(PATIENCE),
+                    Err(TryRecvError::Empty) => jobs.recv_timeout(POLL_INTERVAL),
                     arrived => arrived.map_err(|_| RecvTimeoutError::Disconnected),
                 };
                 (job, jobs)
@@ -365,7 +360,7 @@ impl<'py> Watch<'py> {
 }
 
 impl Watch<'_> {
-    /// Puts the handler from before back, unless somebody has put another one in place of ours.
+    /// Restores the handler from before, unless ours has been replaced.
     fn restore(&self, ours: &Bound<'_, SigintHandler>, previous: &Bound<'_, PyAny>) -> PyResult<()> {
         let signals = Signals::get(self.py)?;
         match signals.handler(self.py)?.is(ours) {
@@ -380,8 +375,8 @@ impl Drop for Watch<'_> {
         let Some(handler) = &self.handler else { return };
         let mut came_late = false;
         if let Some(previous) = &self.previous {
-            // Python lets pending signals be handled before it changes a handler: one that came since somebody looked is
-            // told to this work, which nobody asks any more.
+            // Python lets pending signals be handled before it changes a handler: one that came after the last look
+            // reaches this work, which has ended.
             let asked = self.stop.asked.load(Ordering::Relaxed);
             let restored = match self.restore(handler, previous) {
                 Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(self.py) => self.restore(handler, previous),
@@ -406,11 +401,11 @@ impl Drop for Watch<'_> {
 type Job = Box<dyn FnOnce(Python<'_>) + Send>;
 
 /// Where work on another thread asks for something to be done on the calling thread.
-pub(crate) struct Desk {
+pub(crate) struct CallingThread {
     sender: Sender<Job>,
 }
 
-impl Desk {
+impl CallingThread {
     /// Has `job` done on the calling thread, with the interpreter lock. `None`: the calling thread has gone.
     pub(crate) fn call<R: Send + 'static>(
         &self,

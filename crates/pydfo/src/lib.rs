@@ -5,9 +5,9 @@
 mod calibration;
 mod description;
 mod error;
+mod experiment;
 mod files;
 mod fmu_error;
-mod helper;
 mod inputs;
 mod interrupt;
 mod logs;
@@ -21,19 +21,25 @@ mod quad_err;
 mod report;
 mod settings;
 mod solve;
+mod threads;
 mod trajectory;
 mod values;
+mod words;
 
 use pyo3::prelude::*;
 
-#[pymodule(name = "_core")]
+// Free-threaded interpreters take the lock for it: a wheel of the stable interface does not load there, one for them alone has never
+// been tested, and an objective in Python relies on being called by one thread at a time unless workers are asked for.
+#[pymodule(name = "_core", gil_used = true)]
 mod core_module {
     use pyo3::prelude::*;
 
     #[pymodule_export]
-    use super::calibration::{PyCalibration, check_parameter, find_time};
+    use super::calibration::PyCalibration;
     #[pymodule_export]
     use super::description::Fmu;
+    #[pymodule_export]
+    use super::experiment::{check_parameter, find_time};
     #[pymodule_export]
     use super::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
     #[pymodule_export]

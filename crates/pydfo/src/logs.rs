@@ -1,8 +1,8 @@
-//! What the libraries have to say (warnings about models, mostly) goes to Python's `logging`, logger "pydfo".
+//! Log lines of the libraries (warnings about models, mostly) go to Python's `logging`, logger "pydfo".
 //!
 //! Lines are kept until the next return to Python: the threads that simulate must not wait for the interpreter lock.
 
-use crate::interrupt::lock;
+use crate::threads::lock;
 use calibration::SETUP_LOG_TARGET;
 use log::{Level, LevelFilter, Log, Metadata, Record};
 use pyo3::prelude::*;
@@ -39,13 +39,13 @@ impl Log for Keeper {
 
 /// Starts to listen to the libraries.
 pub(crate) fn install() {
-    // Fails if somebody listens already, which in this extension module can only be ourselves.
+    // Fails if a logger is set already, which in this extension module can only be this one.
     if log::set_logger(&KEEPER).is_ok() {
         log::set_max_level(LevelFilter::Info);
     }
 }
 
-/// Hands over what has been said since the last time.
+/// Passes on the lines since the last call.
 pub(crate) fn pass_on(py: Python<'_>) -> PyResult<()> {
     let lines = std::mem::take(&mut *lock(&KEEPER.lines));
     if lines.is_empty() {

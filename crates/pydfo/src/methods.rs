@@ -1,191 +1,31 @@
-//! The options of a method from a Python dict: every entry checked for its type, unknown ones refused with those known.
+//! The options of a method from a Python dict: they take their places in the serialised defaults of the method.
 
-use crate::settings;
-use dfo::{
-    AnyMethod, BatchPlan, BoundsHandling, Coefficients, Crossover, InitialSimplex, Kind, MethodOptions,
-    Repair, Sampling, Scheme, Selection, Strategy, Weight,
-};
+use crate::words::{self, none_of};
+use dfo::{AnyMethod, MethodOptions};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict};
+use serde::Deserialize;
+use serde_json::{Map, Number, Value, json};
+use std::collections::BTreeMap;
 
-/// What can be said to every method; read in `pydfo/_options.py`.
+/// The options of every method; read in `pydfo/_options.py`.
 const COMMON: &str = "cache, checkpoint_interval, f_tol, kinds, nominal, problem, scale, stop, tolerances, trace_limit, warm_start, x_tol";
-
-/// The words for an option with a fixed set of values.
-type Words<T> = &'static [(&'static str, T)];
-
-const PLANS: Words<BatchPlan> = &[
-    ("auto", BatchPlan::Auto),
-    ("serial", BatchPlan::Serial),
-    ("two", BatchPlan::Two),
-    ("four", BatchPlan::Four),
-    ("two-ahead", BatchPlan::TwoAhead),
-    ("ahead", BatchPlan::Ahead),
-    ("lee-wiswall", BatchPlan::LeeWiswall),
-];
-const BOUNDS: Words<BoundsHandling> =
-    &[("mirror", BoundsHandling::Mirror), ("clamp", BoundsHandling::Clamp), ("sine", BoundsHandling::Sine)];
-const SAMPLINGS: Words<Sampling> = &[
-    ("uniform", Sampling::Uniform),
-    ("latin-hypercube", Sampling::LatinHypercube),
-    ("sobol", Sampling::Sobol),
-];
-const REPAIRS: Words<Repair> = &[
-    ("midpoint", Repair::Midpoint),
-    ("mirror", Repair::Mirror),
-    ("clamp", Repair::Clamp),
-    ("resample", Repair::Resample),
-];
-const STRATEGIES: Words<Strategy> = &[
-    ("rand1", Strategy::Rand1),
-    ("best1", Strategy::Best1),
-    ("current-to-best1", Strategy::CurrentToBest1),
-    ("rand2", Strategy::Rand2),
-];
-const CROSSOVERS: Words<Crossover> =
-    &[("binomial", Crossover::Binomial), ("exponential", Crossover::Exponential)];
-const COEFFICIENTS: &str = "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)";
-
-/// The entries of a dict, taken one by one.
-struct Given<'a, 'py> {
-    method: &'a str,
-    entries: &'a Bound<'py, PyDict>,
-    known: Vec<&'static str>,
-}
-
-impl<'py> Given<'_, 'py> {
-    fn take(&mut self, name: &'static str) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.known.push(name);
-        self.entries.get_item(name)
-    }
-
-    fn unfit(&self, name: &str, what: &str, value: &Bound<'py, PyAny>) -> PyErr {
-        let text = value.repr().map_or_else(|_| "?".to_owned(), |r| r.to_string());
-        PyTypeError::new_err(format!("option '{name}' of {} must be {what}, not {text}", self.method))
-    }
-
-    /// Reads an entry, if there is one, into its place.
-    fn read<T>(
-        &mut self,
-        name: &'static str,
-        what: &str,
-        place: &mut T,
-        convert: impl Fn(&Bound<'py, PyAny>) -> Option<T>,
-    ) -> PyResult<()> {
-        if let Some(value) = self.take(name)? {
-            *place = convert(&value).ok_or_else(|| self.unfit(name, what, &value))?;
-        }
-        Ok(())
-    }
-
-    fn number(&mut self, name: &'static str, place: &mut f64) -> PyResult<()> {
-        self.read(name, "a number", place, number)
-    }
-
-    fn optional_number(&mut self, name: &'static str, place: &mut Option<f64>) -> PyResult<()> {
-        self.read(name, "a number or None", place, |v| optional(v, number))
-    }
-
-    fn count(&mut self, name: &'static str, place: &mut usize) -> PyResult<()> {
-        self.read(name, "a whole number, at least 0", place, count)
-    }
-
-    fn optional_count(&mut self, name: &'static str, place: &mut Option<usize>) -> PyResult<()> {
-        self.read(name, "a whole number or None", place, |v| optional(v, count))
-    }
-
-    fn flag(&mut self, name: &'static str, place: &mut bool) -> PyResult<()> {
-        self.read(name, "True or False", place, |v| {
-            v.cast::<PyBool>().map(|b| b.is_true()).ok().or_else(|| {
-                // bool of NumPy
-                let scalar = v.hasattr("dtype").unwrap_or(false);
-                scalar.then(|| v.call_method0("item").and_then(|b| b.extract()).ok()).flatten()
-            })
-        })
-    }
-
-    fn word<T: Copy>(&mut self, name: &'static str, place: &mut T, words: Words<T>) -> PyResult<()> {
-        if let Some(value) = self.take(name)? {
-            let Ok(text) = value.extract::<String>() else {
-                return Err(self.unfit(name, "a string", &value));
-            };
-            let found = words.iter().find(|(word, _)| *word == text.replace('_', "-"));
-            *place = found.map(|(_, v)| *v).ok_or_else(|| {
-                let words: Vec<_> = words.iter().map(|(word, _)| format!("'{word}'")).collect();
-                PyValueError::new_err(format!("{name} = '{text}' is none of {}", words.join(", ")))
-            })?;
-        }
-        Ok(())
-    }
-
-    /// Refuses what nobody asked for.
-    fn finish(mut self) -> PyResult<()> {
-        self.known.sort_unstable();
-        for name in self.entries.keys() {
-            let name = name.extract::<String>().unwrap_or_else(|_| name.to_string());
-            if !self.known.contains(&&*name) {
-                let near = nearest(self.entries.py(), &name, &self.known);
-                let hint = near.map_or_else(|| ";".to_owned(), |near| format!("; did you mean '{near}'?"));
-                return Err(PyValueError::new_err(format!(
-                    "{} has no option '{name}'{hint} it has {}, and every method has {COMMON}",
-                    self.method,
-                    self.known.join(", ")
-                )));
-            }
-        }
-        Ok(())
-    }
-}
-
-fn number(value: &Bound<'_, PyAny>) -> Option<f64> {
-    value.extract().ok().filter(|_| !value.is_instance_of::<PyBool>())
-}
-
-fn count(value: &Bound<'_, PyAny>) -> Option<usize> {
-    value.extract().ok().filter(|_| !value.is_instance_of::<PyBool>())
-}
-
-fn optional<T>(
-    value: &Bound<'_, PyAny>,
-    convert: impl Fn(&Bound<'_, PyAny>) -> Option<T>,
-) -> Option<Option<T>> {
-    if value.is_none() { Some(None) } else { convert(value).map(Some) }
-}
-
-fn coefficients(value: &Bound<'_, PyAny>) -> Option<Coefficients> {
-    if let Ok(word) = value.extract::<String>() {
-        return match word.as_str() {
-            "auto" => Some(Coefficients::Auto),
-            "standard" => Some(Coefficients::Standard),
-            "adaptive" => Some(Coefficients::Adaptive),
-            _ => None,
-        };
-    }
-    let (reflection, expansion, contraction, shrink) = value.extract().ok()?;
-    Some(Coefficients::Custom { reflection, expansion, contraction, shrink })
-}
-
-/// Steps (a list of numbers) or vertices (a list of lists).
-fn initial_simplex(value: &Bound<'_, PyAny>) -> Option<InitialSimplex> {
-    if value.is_none() {
-        return Some(InitialSimplex::Auto);
-    }
-    let steps = value.extract().map(InitialSimplex::Steps);
-    steps.or_else(|_| value.extract().map(InitialSimplex::Vertices)).ok()
-}
-
-fn weight(value: &Bound<'_, PyAny>) -> Option<Weight> {
-    if let Some(weight) = number(value) {
-        return Some(Weight::Fixed(weight));
-    }
-    value.extract().ok().map(|(low, high)| Weight::Dither(low, high))
-}
 
 /// The method of a name, with its options.
 pub(crate) fn method(name: &str, entries: &Bound<'_, PyDict>) -> PyResult<AnyMethod> {
-    let (method, given) = read(name, entries)?;
-    given.finish()?;
+    let (mut method, mut form) = default(name)?;
+    let places = places(name, &form);
+    for (key, given) in entries {
+        let option = key.extract::<String>().unwrap_or_else(|_| key.to_string());
+        let Some(place) = places.get(&option).and_then(|pointer| form.pointer_mut(pointer)) else {
+            return Err(unknown(entries.py(), name, &option, &places));
+        };
+        let is_optional = place.is_null();
+        *place = tagged(&option, plain(&given));
+        method = AnyMethod::deserialize(&form)
+            .map_err(|error| unfit(name, &option, &given, (&error.to_string(), is_optional)))?;
+    }
     Ok(method)
 }
 
@@ -199,85 +39,128 @@ pub(crate) fn method_names() -> Vec<(&'static str, bool)> {
 /// The name of the method for those who choose none, for parameters of these kinds.
 #[pyfunction]
 pub(crate) fn auto_method(kinds: Vec<String>) -> PyResult<&'static str> {
-    let kinds: Vec<Kind> = kinds.iter().map(|kind| settings::kind("kinds", kind)).collect::<PyResult<_>>()?;
-    Ok(AnyMethod::auto(&kinds).name())
+    Ok(AnyMethod::auto(&words::words("kinds", &kinds)?).name())
 }
 
 /// The names of the options that there are, of any method.
 #[pyfunction]
-pub(crate) fn option_names(py: Python<'_>) -> PyResult<Vec<&'static str>> {
-    let none = PyDict::new(py);
-    let mut names: Vec<_> = COMMON.split(", ").collect();
+pub(crate) fn option_names() -> PyResult<Vec<String>> {
+    let mut names: Vec<String> = COMMON.split(", ").map(str::to_owned).collect();
     for name in AnyMethod::NAMES {
-        names.extend(read(name, &none)?.1.known);
+        names.extend(places(name, &default(name)?.1).into_keys());
     }
     Ok(names)
 }
 
-fn read<'a, 'py>(name: &'a str, entries: &'a Bound<'py, PyDict>) -> PyResult<(AnyMethod, Given<'a, 'py>)> {
-    let mut method: AnyMethod = name.parse().map_err(|e: dfo::Error| PyValueError::new_err(e.to_string()))?;
-    let mut given = Given { method: name, entries, known: Vec::new() };
-    match &mut method {
-        AnyMethod::NelderMead(m) => {
-            given.word("batch", &mut m.batch, PLANS)?;
-            given.word("bounds_handling", &mut m.bounds, BOUNDS)?;
-            given.read("coefficients", COEFFICIENTS, &mut m.coefficients, coefficients)?;
-            given.read("initial_simplex", "steps or vertices", &mut m.initial, initial_simplex)?;
-            given.count("restarts", &mut m.restarts)?;
-        }
-        AnyMethod::Barrier(m) => {
-            given.word("batch", &mut m.batch, PLANS)?;
-            given.read("coefficients", COEFFICIENTS, &mut m.coefficients, coefficients)?;
-            given.number("factor", &mut m.factor)?;
-            given.optional_number("mu", &mut m.mu)?;
-        }
-        AnyMethod::DifferentialEvolution(m) => {
-            given.optional_count("population", &mut m.population)?;
-            given.word("sampling", &mut m.sampling, SAMPLINGS)?;
-            given.word("repair", &mut m.repair, REPAIRS)?;
-            given.flag("include_start", &mut m.include_start)?;
-            match &mut m.scheme {
-                Scheme::Classic { strategy, crossover, weight: f, probability } => {
-                    given.word("strategy", strategy, STRATEGIES)?;
-                    given.word("crossover", crossover, CROSSOVERS)?;
-                    given.read("weight", "a number or (low, high)", f, weight)?;
-                    given.number("probability", probability)?;
-                }
-                Scheme::Adaptive(a) => {
-                    given.optional_count("budget", &mut m.budget)?;
-                    given.number("p_best", &mut a.p_best)?;
-                    given.count("memory", &mut a.memory)?;
-                    given.number("archive", &mut a.archive)?;
-                    given.count("final_population", &mut a.final_population)?;
-                }
-                _ => {}
-            }
-        }
-        AnyMethod::Genetic(m) => {
-            given.optional_count("population", &mut m.population)?;
-            let words = "'fitness', or a number of members: the size of a tournament";
-            given.read("selection", words, &mut m.selection, |value| match value.extract::<String>() {
-                Ok(word) => (word == "fitness").then_some(Selection::FitnessProportional),
-                Err(_) => count(value).map(Selection::Tournament),
-            })?;
-            given.number("crossover_rate", &mut m.crossover_rate)?;
-            given.optional_number("mutation_rate", &mut m.mutation_rate)?;
-            given.count("elite", &mut m.elite)?;
-            given.flag("gray", &mut m.gray)?;
-            given.read("resolution", "one number per parameter", &mut m.resolution, |v| v.extract().ok())?;
-            given.word("sampling", &mut m.sampling, SAMPLINGS)?;
-            given.flag("include_start", &mut m.include_start)?;
-            given.optional_count("stall", &mut m.stall)?;
-        }
-        _ => {}
-    }
-    Ok((method, given))
+/// A method with its defaults, and the same serialised.
+fn default(name: &str) -> PyResult<(AnyMethod, Value)> {
+    let method: AnyMethod = name.parse().map_err(|e: dfo::Error| PyValueError::new_err(e.to_string()))?;
+    let form = serde_json::to_value(&method).map_err(|e| PyValueError::new_err(e.to_string()))?;
+    Ok((method, form))
 }
 
-/// The name among those of a method's options that is most like `name`.
-fn nearest(py: Python<'_>, name: &str, known: &[&'static str]) -> Option<String> {
-    let names: Vec<&str> = known.iter().copied().chain(COMMON.split(", ")).collect();
-    let near =
-        py.import("difflib").and_then(|difflib| difflib.call_method1("get_close_matches", (name, names, 1)));
-    near.and_then(|near| near.extract::<Vec<String>>()).ok()?.pop()
+/// The options of a method, and the JSON pointers to where they stand: those of a variant (the scheme of differential
+/// evolution) are options like the others.
+fn places(method: &str, form: &Value) -> BTreeMap<String, String> {
+    let mut places = BTreeMap::new();
+    let mut open = vec![(String::new(), form)];
+    while let Some((pointer, value)) = open.pop() {
+        // A variant with fields is an object with its name as the only key.
+        for (variant, fields) in value.as_object().into_iter().flatten() {
+            for (option, value) in fields.as_object().into_iter().flatten() {
+                let place = format!("{pointer}/{variant}/{option}");
+                if value.as_object().is_some_and(|v| v.values().all(Value::is_object)) {
+                    open.push((place, value));
+                // Only L-SHADE plans with it.
+                } else if (method, option.as_str()) != ("de-classic", "budget") {
+                    places.insert(option.clone(), place);
+                }
+            }
+        }
+    }
+    places
+}
+
+/// A Python value as plain data; an empty object, which fits nowhere, stands for what is none.
+fn plain(value: &Bound<'_, PyAny>) -> Value {
+    if let Ok(list) = value.call_method0("tolist") {
+        return plain(&list);
+    }
+    if value.is_none() {
+        Value::Null
+    } else if let Ok(flag) = value.cast::<PyBool>() {
+        Value::Bool(flag.is_true())
+    } else if let Ok(count) = value.extract::<i64>() {
+        Value::Number(count.into())
+    } else if let Ok(number) = value.extract::<f64>() {
+        Number::from_f64(number).map_or_else(|| Value::Object(Map::new()), Value::Number)
+    } else if let Ok(text) = value.extract::<String>() {
+        Value::String(text.replace('_', "-"))
+    } else if let Ok(items) = value.extract::<Vec<Bound<'_, PyAny>>>() {
+        items.iter().map(plain).collect()
+    } else {
+        Value::Object(Map::new())
+    }
+}
+
+/// The serialised form of an option whose variant is given by its shape.
+fn tagged(option: &str, value: Value) -> Value {
+    match (option, &value) {
+        ("coefficients", Value::Array(v)) if v.len() == 4 => json!({
+            "custom": { "reflection": v[0], "expansion": v[1], "contraction": v[2], "shrink": v[3] }
+        }),
+        ("initial_simplex", Value::Null) => json!("auto"),
+        ("initial_simplex", Value::Array(rows)) => match rows.first() {
+            Some(Value::Array(_)) => json!({ "vertices": value }),
+            _ => json!({ "steps": value }),
+        },
+        ("selection", Value::Number(_)) => json!({ "tournament": value }),
+        ("selection", Value::String(word)) if word == "fitness" => json!("fitness-proportional"),
+        ("weight", Value::Number(_)) => json!({ "fixed": value }),
+        ("weight", Value::Array(_)) => json!({ "dither": value }),
+        _ => value,
+    }
+}
+
+/// The error for a value that an option cannot have, from the message of serde.
+fn unfit(
+    method: &str,
+    option: &str,
+    given: &Bound<'_, PyAny>,
+    (message, is_optional): (&str, bool),
+) -> PyErr {
+    let what = match option {
+        "coefficients" => "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)",
+        "initial_simplex" => "steps or vertices",
+        "resolution" => "one number per parameter",
+        "selection" => "'fitness', or a number of members: the size of a tournament",
+        "weight" => "a number or (low, high)",
+        _ => match message.rsplit("expected ").next() {
+            Some("usize") => "a whole number, at least 0",
+            Some("f64") => "a number",
+            Some("a boolean") => "True or False",
+            _ => match given.extract::<String>() {
+                Ok(word) => return none_of(option, &word, message),
+                Err(_) => "a string",
+            },
+        },
+    };
+    let or_none = if is_optional { " or None" } else { "" };
+    let text = given.repr().map_or_else(|_| "?".to_owned(), |r| r.to_string());
+    PyTypeError::new_err(format!("option '{option}' of {method} must be {what}{or_none}, not {text}"))
+}
+
+/// The error for an option that there is not, with the one that is most like it.
+fn unknown(py: Python<'_>, method: &str, option: &str, places: &BTreeMap<String, String>) -> PyErr {
+    let known: Vec<&str> = places.keys().map(String::as_str).collect();
+    let all: Vec<&str> = known.iter().copied().chain(COMMON.split(", ")).collect();
+    let near = py.import("difflib").and_then(|difflib| {
+        difflib.call_method1("get_close_matches", (option, all, 1))?.extract::<Vec<String>>()
+    });
+    let near = near.ok().and_then(|mut near| near.pop());
+    let hint = near.map_or_else(|| ";".to_owned(), |near| format!("; did you mean '{near}'?"));
+    let known = known.join(", ");
+    PyValueError::new_err(format!(
+        "{method} has no option '{option}'{hint} it has {known}, and every method has {COMMON}"
+    ))
 }

@@ -1,11 +1,11 @@
 //! Minimising a Python function: on the calling thread, on threads of a pool, or in batches that it takes as a whole.
 
 use crate::error;
-use crate::interrupt::{Stop, Watch};
+use crate::interrupt::{EndRequest, Watch};
 use crate::objective::PyObjective;
-use crate::report::{self, LastSeen, Listener, Snapshot};
+use crate::report::{self, LastProgress, Listener, Snapshot};
 use crate::settings::{Options, Settings};
-use dfo::{ByRef, Minimize, NelderMead, Progress, Report};
+use dfo::{ByRef, Minimize, NelderMead, Progress, Report, Tolerances};
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -13,19 +13,19 @@ use std::sync::Arc;
 type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
 /// A minimisation without its objective: owned, to be moved to another thread.
-pub(crate) struct Problem {
+pub(crate) struct RunSetup {
     x0: Option<Vec<f64>>,
     lower: Vec<f64>,
     upper: Vec<f64>,
     settings: Settings,
 }
 
-impl Problem {
+impl RunSetup {
     pub(crate) fn new(x0: Option<Vec<f64>>, lower: Vec<f64>, upper: Vec<f64>, settings: Settings) -> Self {
         Self { x0, lower, upper, settings }
     }
 
-    /// The same for the optimiser, whoever drives it.
+    /// The same for the optimiser.
     pub(crate) fn describe<'a, D>(
         self,
         run: Minimize<'a, NelderMead, D>,
@@ -40,7 +40,7 @@ impl Problem {
     fn run<'a>(
         self,
         run: Minimize<'a, NelderMead>,
-        stop: &Stop,
+        stop: &EndRequest,
         poll: impl FnMut() -> bool + 'a,
         observer: Option<&'a mut Observer<'_>>,
     ) -> Result<Report, dfo::Error> {
@@ -71,36 +71,36 @@ pub(crate) fn minimize<'py>(
     batches: bool,
     cutoffs: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let settings = options.check(py)?;
+    let settings = options.check(py, Tolerances::default())?;
     let alone = settings.run.workers.is_none_or(|workers| workers == 1);
-    let problem = Problem::new(x0, lower, upper, settings);
+    let setup = RunSetup::new(x0, lower, upper, settings);
     let watch = Watch::new(py)?;
     let stop = Arc::clone(watch.stop());
     let objective = Arc::new(PyObjective::new(func, (tolerant, cutoffs), Arc::clone(&stop)));
     let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
     let outcome = if alone || batches {
-        let mut hear = |progress: &Progress<'_>| match &listener {
-            Some(listener) => listener.hear(py, &Snapshot::new(progress, detail)),
+        let mut notify = |progress: &Progress<'_>| match &listener {
+            Some(listener) => listener.notify(py, &Snapshot::new(progress, detail)),
             None => ControlFlow::Continue(()),
         };
-        let observer = listener.is_some().then_some(&mut hear as &mut Observer<'_>);
+        let observer = listener.is_some().then_some(&mut notify as &mut Observer<'_>);
         let run = match batches {
             true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch)),
             false => dfo::minimize(ByRef(&*objective)),
         };
-        problem.run(run, &stop, || stop.poll(py), observer)
+        setup.run(run, &stop, || stop.poll(py), observer)
     } else {
-        let last_seen = Arc::new(LastSeen::default());
+        let last_progress = Arc::new(LastProgress::default());
         let (objective, stop) = (Arc::clone(&objective), Arc::clone(&stop));
-        let (seen, hearing) = (Arc::clone(&last_seen), listener.clone());
-        let outcome = watch.run(move |desk| {
-            let mut hear = |progress: &Progress<'_>| seen.pass_on(progress, desk, hearing.as_ref());
+        let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
+        let outcome = watch.run(move |caller| {
+            let mut notify = |progress: &Progress<'_>| seen.pass_on(progress, caller, notified.as_ref());
             let run = dfo::minimize(ByRef(&*objective));
-            problem.run(run, &stop, || stop.is_asked(), Some(&mut hear))
+            setup.run(run, &stop, || stop.is_asked(), Some(&mut notify))
         })?;
         match outcome {
             Some(outcome) => outcome,
-            None => return Err(error::interrupted(py, last_seen.result(py)?.as_ref(), None)),
+            None => return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None)),
         }
     };
     let raised = objective.take_raised(&outcome).or_else(|| listener.and_then(|l| l.take_raised()));
@@ -110,7 +110,7 @@ pub(crate) fn minimize<'py>(
 /// The result, or the exception that ended the run with the result attached to it.
 fn conclude<'py>(
     py: Python<'py>,
-    stop: &Stop,
+    stop: &EndRequest,
     raised: Option<PyErr>,
     outcome: Result<Report, dfo::Error>,
 ) -> PyResult<Bound<'py, PyAny>> {

@@ -2,8 +2,9 @@
 
 use crate::description::Fmu;
 use crate::inputs::{self, Callbacks, Function, Table};
-use crate::interrupt::{Desk, Stop, Watch, fits_here, lock};
+use crate::interrupt::{CallingThread, EndRequest, Watch, fits_here};
 use crate::settings::time_limit;
+use crate::threads::lock;
 use crate::trajectory::Record;
 use crate::{error, fmu_error, logs, values};
 use fmi::description::Interval;
@@ -28,7 +29,7 @@ pub(crate) struct Model {
     flag: Arc<AtomicBool>,
 }
 
-/// Where the session is. A simulation takes it away, so that nobody waits for a lock that a simulation holds.
+/// The session, taken out during a simulation, so that no call waits for a lock that a simulation holds.
 enum Slot {
     Here(Box<Session>),
     Simulating,
@@ -102,7 +103,7 @@ pub(crate) struct Request<'py> {
     #[pyo3(item(13))]
     max_step: Option<f64>,
     #[pyo3(item(14))]
-    timeout: Option<f64>,
+    max_time: Option<f64>,
     #[pyo3(item(15))]
     record_events: bool,
     #[pyo3(item(16))]
@@ -200,7 +201,7 @@ impl Model {
             outcome
         } else {
             let releasing = callbacks.clone();
-            let run = move |_: &Desk| {
+            let run = move |_: &CallingThread| {
                 let outcome = loan.session.as_mut().map(|session| session.simulate(&options));
                 releasing.release();
                 drop(loan);
@@ -247,7 +248,7 @@ impl Model {
         &self,
         py: Python<'_>,
         request: Request<'_>,
-        stop: &Arc<Stop>,
+        stop: &Arc<EndRequest>,
     ) -> PyResult<(SimulateOptions, Callbacks)> {
         let flag = stop.flag();
         let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &flag)?;
@@ -276,7 +277,7 @@ impl Model {
         for ignored in options.without_effect(self.kind) {
             error::warn(py, &ignored)?;
         }
-        options.timeout = time_limit("timeout", request.timeout)?;
+        options.timeout = time_limit("max_time", request.max_time)?;
         Ok((options, callbacks))
     }
 }

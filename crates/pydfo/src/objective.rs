@@ -1,6 +1,7 @@
 //! A Python function as an objective: called with the lock held only inside of it, from whatever thread evaluates.
 
-use crate::interrupt::{Inside, Stop, lock};
+use crate::interrupt::{EndRequest, Inside};
+use crate::threads::lock;
 use dfo::{Answer, BatchView, Objective, Outcome, Query, Report};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};
@@ -15,13 +16,17 @@ pub(crate) struct PyObjective {
     tolerant: bool,
     /// Whether it is told the cutoff, and may return `Above`.
     takes_cutoff: bool,
-    stop: Arc<Stop>,
+    stop: Arc<EndRequest>,
     /// Exceptions, by the points at which they were raised: the run ends with that of the first point of its path.
     raised: Mutex<Vec<(Vec<u64>, PyErr)>>,
 }
 
 impl PyObjective {
-    pub(crate) fn new(function: Py<PyAny>, (tolerant, takes_cutoff): (bool, bool), stop: Arc<Stop>) -> Self {
+    pub(crate) fn new(
+        function: Py<PyAny>,
+        (tolerant, takes_cutoff): (bool, bool),
+        stop: Arc<EndRequest>,
+    ) -> Self {
         Self { function, tolerant, takes_cutoff, stop, raised: Mutex::default() }
     }
 
@@ -57,7 +62,7 @@ impl PyObjective {
             // SystemExit, KeyboardInterrupt and their like always end the run.
             Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
             Err(e) if e.is_instance_of::<PyException>(py) => self.abort(x, e),
-            // Also at a point that nobody needs yet.
+            // Also at a point that is evaluated ahead of need.
             Err(e) => {
                 let message = e.to_string();
                 self.stop.end_with(e);

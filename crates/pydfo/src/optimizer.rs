@@ -1,18 +1,18 @@
 //! A run that Python drives, point by point.
 
 use crate::error;
-use crate::interrupt::lock;
-use crate::minimize::Problem;
+use crate::minimize::RunSetup;
 use crate::objective;
 use crate::report;
 use crate::settings::Options;
-use dfo::Outcome;
+use crate::threads::lock;
+use dfo::{Outcome, Tolerances};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyTypeError};
 use pyo3::prelude::*;
 use std::sync::Mutex;
 
-/// An optimiser that is asked and told; `pydfo.Optimizer` is its face.
+/// An optimiser that is asked and told; `pydfo.Optimizer` is its Python class.
 #[pyclass(frozen, module = "pydfo._core", name = "Optimizer")]
 pub(crate) struct PyOptimizer {
     inner: Mutex<dfo::Optimizer>,
@@ -33,8 +33,8 @@ impl PyOptimizer {
         options: Options,
     ) -> PyResult<Self> {
         let n = lower.len();
-        let problem = Problem::new(x0, lower, upper, options.check(py)?);
-        let optimizer = py.detach(|| problem.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
+        let setup = RunSetup::new(x0, lower, upper, options.check(py, Tolerances::default())?);
+        let optimizer = py.detach(|| setup.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
         let inner = Mutex::new(optimizer.map_err(|e| error::optimiser(py, &e))?);
         Ok(Self { inner, n })
     }

@@ -1,7 +1,7 @@
 //! A hybrid system written in Python: right-hand side, events, Jacobian as functions. Called on the thread that holds the
 //! interpreter lock.
 
-use crate::interrupt::{Inside, Stop};
+use crate::interrupt::{EndRequest, Inside};
 use crate::objective::number;
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use ode::{
@@ -67,7 +67,7 @@ impl<'py> SparseJacobian<'py> {
 /// The system, and what it keeps of a run.
 pub(crate) struct PySystem<'py> {
     pub(crate) py: Python<'py>,
-    pub(crate) stop: Arc<Stop>,
+    pub(crate) stop: Arc<EndRequest>,
     pub(crate) rhs: Bound<'py, PyAny>,
     pub(crate) x0: Vec<f64>,
     pub(crate) events: Vec<Event<'py>>,

@@ -1,6 +1,7 @@
-//! What a run has to say, as Python objects: progress, trace, result.
+//! Runs as Python objects: progress, trace, result.
 
-use crate::interrupt::{Desk, lock};
+use crate::interrupt::CallingThread;
+use crate::threads::lock;
 use dfo::{Outcome, Progress, Report, Simplex, Tests, Trace, TraceEntry};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
@@ -86,7 +87,7 @@ impl Snapshot {
     }
 }
 
-/// A Python function that is told the progress of a run, on the calling thread.
+/// A Python function that is called with the progress of a run, on the calling thread.
 pub(crate) struct Listener {
     function: Py<PyAny>,
     detail: bool,
@@ -98,8 +99,8 @@ impl Listener {
         Self { function, detail, raised: Mutex::new(None) }
     }
 
-    /// Ends the run if the function returns True or raises; StopIteration is a way to say "enough".
-    pub(crate) fn hear(&self, py: Python<'_>, snapshot: &Snapshot) -> ControlFlow<()> {
+    /// Ends the run if the function returns True or raises; StopIteration ends it without an error.
+    pub(crate) fn notify(&self, py: Python<'_>, snapshot: &Snapshot) -> ControlFlow<()> {
         let answer = snapshot
             .to_python(py)
             .and_then(|progress| self.function.bind(py).call1((progress,)))
@@ -122,24 +123,24 @@ impl Listener {
     }
 }
 
-/// The state after the last complete iteration while a run goes on, for a user who loses patience.
+/// The state after the last complete iteration while a run goes on, for a user who interrupts it twice.
 #[derive(Default)]
-pub(crate) struct LastSeen {
+pub(crate) struct LastProgress {
     snapshot: Mutex<Option<Snapshot>>,
 }
 
-impl LastSeen {
+impl LastProgress {
     /// Keeps the progress of a run on another thread, and has the listener told on the calling thread.
     pub(crate) fn pass_on(
         &self,
         progress: &Progress<'_>,
-        desk: &Desk,
+        caller: &CallingThread,
         listener: Option<&Arc<Listener>>,
     ) -> ControlFlow<()> {
         let snapshot = Snapshot::new(progress, listener.is_some_and(|l| l.detail));
         *lock(&self.snapshot) = Some(snapshot.clone());
         let Some(listener) = listener.cloned() else { return ControlFlow::Continue(()) };
-        desk.call(move |py| listener.hear(py, &snapshot)).unwrap_or(ControlFlow::Break(()))
+        caller.call(move |py| listener.notify(py, &snapshot)).unwrap_or(ControlFlow::Break(()))
     }
 
     pub(crate) fn result<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {

@@ -1,10 +1,8 @@
 //! What the user chose about a run, checked and in the words of the optimiser.
 
 use crate::methods;
-use dfo::{
-    AnyMethod, Checkpoint, Kind, Known, Limits, Measure, Minimize, Resume, RunOptions, Stop, Tolerances,
-    Transform,
-};
+use crate::words::{word, words};
+use dfo::{AnyMethod, Checkpoint, Kind, Known, Limits, Minimize, RunOptions, Tolerances, Transform};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -16,10 +14,10 @@ use std::time::Duration;
 pub(crate) struct Options {
     method: String,
     method_options: Py<PyDict>,
-    x_tol: f64,
-    f_tol: f64,
-    stop: String,
-    tolerances: String,
+    x_tol: Option<f64>,
+    f_tol: Option<f64>,
+    stop: Option<String>,
+    tolerances: Option<String>,
     max_evaluations: Option<usize>,
     max_iterations: Option<usize>,
     max_time: Option<f64>,
@@ -56,19 +54,16 @@ fn known(points: Vec<(Vec<f64>, f64)>, problem: Option<&String>) -> Vec<Known> {
 }
 
 impl Options {
-    pub(crate) fn check(self, py: Python<'_>) -> PyResult<Settings> {
-        let measures = [("absolute", Measure::Absolute), ("relative", Measure::Relative)];
-        let resumes = [("auto", Resume::Auto), ("never", Resume::Never), ("require", Resume::Require)];
-        let scales = [("linear", Transform::Linear), ("log", Transform::Log)];
-        let stops = [("any", Stop::Any), ("all", Stop::All)];
+    /// `default`: the tolerances that hold where none are said.
+    pub(crate) fn check(self, py: Python<'_>, default: Tolerances) -> PyResult<Settings> {
         let tolerances = Tolerances {
-            x_tol: self.x_tol,
-            f_tol: self.f_tol,
-            measure: word("tolerances", &self.tolerances, &measures)?,
-            stop: word("stop", &self.stop, &stops)?,
+            x_tol: self.x_tol.unwrap_or(default.x_tol),
+            f_tol: self.f_tol.unwrap_or(default.f_tol),
+            measure: self.tolerances.map_or(Ok(default.measure), |given| word("tolerances", &given))?,
+            stop: self.stop.map_or(Ok(default.stop), |given| word("stop", &given))?,
         };
         let max_time = time_limit("max_time", self.max_time)?;
-        let resume = word("resume", &self.resume, &resumes)?;
+        let resume = word("resume", &self.resume)?;
         let mut checkpoint = self.checkpoint.map(|path| Checkpoint::new(path).resume(resume));
         if let Some(seconds) = self.checkpoint_interval {
             let interval = Duration::try_from_secs_f64(seconds).map_err(|_| {
@@ -100,9 +95,9 @@ impl Options {
         };
         Ok(Settings {
             run,
-            transforms: words("scale", &self.scale, &scales)?,
+            transforms: words("scale", &self.scale)?,
             sizes: self.nominal,
-            kinds: words("kinds", &self.kinds, &KINDS)?,
+            kinds: words("kinds", &self.kinds)?,
         })
     }
 }
@@ -115,19 +110,14 @@ impl Settings {
     }
 }
 
-/// What values a parameter takes.
-const KINDS: [(&str, Kind); 3] =
-    [("continuous", Kind::Continuous), ("integer", Kind::Integer), ("categorical", Kind::Categorical)];
-
-/// The kind of a name.
-pub(crate) fn kind(name: &str, given: &str) -> PyResult<Kind> {
-    word(name, given, &KINDS)
-}
+/// A limit of wall-clock time beyond this, in s, is none: 30 million years.
+const ENDLESS: f64 = 1e15;
 
 /// A limit of wall-clock time in s; None and infinity are no limit.
 pub(crate) fn time_limit(name: &str, seconds: Option<f64>) -> PyResult<Option<Duration>> {
     match seconds {
-        None | Some(f64::INFINITY) => Ok(None),
+        None => Ok(None),
+        Some(seconds) if seconds > ENDLESS => Ok(None),
         Some(seconds) => match Duration::try_from_secs_f64(seconds) {
             Ok(limit) if seconds > 0.0 => Ok(Some(limit)),
             _ => {
@@ -135,19 +125,4 @@ pub(crate) fn time_limit(name: &str, seconds: Option<f64>) -> PyResult<Option<Du
             }
         },
     }
-}
-
-/// The value of a word, whatever the case of its letters.
-pub(crate) fn word<T: Copy>(name: &str, given: &str, words: &[(&str, T)]) -> PyResult<T> {
-    let found = words.iter().find(|(word, _)| word.eq_ignore_ascii_case(given));
-    found.map(|(_, value)| *value).ok_or_else(|| {
-        let known: Vec<_> = words.iter().map(|(word, _)| format!("'{word}'")).collect();
-        let meant = words.iter().find(|(word, _)| !given.is_empty() && word.starts_with(given));
-        let hint = meant.map_or_else(String::new, |(word, _)| format!("; did you mean '{word}'?"));
-        PyValueError::new_err(format!("{name} = '{given}' is none of {}{hint}", known.join(", ")))
-    })
-}
-
-fn words<T: Copy>(name: &str, given: &[String], words: &[(&str, T)]) -> PyResult<Vec<T>> {
-    given.iter().map(|g| word(name, g, words)).collect()
 }

@@ -1,7 +1,7 @@
 //! `pydfo.ode.solve`: hybrid systems written in Python meet the stepper.
 
 use crate::error;
-use crate::interrupt::{Stop, Watch};
+use crate::interrupt::{EndRequest, Watch};
 use crate::py_system::{Event, JacobianSource, PySystem, SparseJacobian, is_sparse, matrix, sparse_entries};
 use crate::settings::time_limit;
 use crate::trajectory::Counts;
@@ -43,13 +43,13 @@ pub(crate) struct Problem<'py> {
     chattering: String,
     max_steps: Option<u64>,
     max_events: Option<u64>,
-    timeout: Option<f64>,
+    max_time: Option<f64>,
 }
 
 /// Keeps what the driver shows: requested samples, and each step as its values at nodes.
 struct Keeper<'a, 'py> {
     py: Python<'py>,
-    stop: &'a Stop,
+    stop: &'a EndRequest,
     times: Vec<f64>,
     states: Vec<f64>,
     dense: Option<Dense>,
@@ -93,7 +93,7 @@ impl Observer for Keeper<'_, '_> {
 }
 
 impl Problem<'_> {
-    fn driver(&self, stop: &Stop) -> PyResult<Driver> {
+    fn driver(&self, stop: &EndRequest) -> PyResult<Driver> {
         let bad = |e: OptionsError| PyValueError::new_err(in_words_of_solve(e).to_string());
         let absolute_tolerance = match self.atol[..] {
             [one] => AbsoluteTolerance::Scalar(one),
@@ -111,7 +111,7 @@ impl Problem<'_> {
             limits: Limits {
                 max_steps: self.max_steps,
                 max_events: self.max_events,
-                timeout: time_limit("timeout", self.timeout)?,
+                timeout: time_limit("max_time", self.max_time)?,
                 ..Limits::default()
             },
             cancel: Some(stop.flag()),
@@ -143,7 +143,7 @@ impl<'py> Problem<'py> {
         Ok(())
     }
 
-    fn system(&self, py: Python<'py>, stop: Arc<Stop>) -> PyResult<PySystem<'py>> {
+    fn system(&self, py: Python<'py>, stop: Arc<EndRequest>) -> PyResult<PySystem<'py>> {
         let n = self.x0.len();
         let mut places = self.sparsity.clone();
         let jacobian = match &self.jacobian {

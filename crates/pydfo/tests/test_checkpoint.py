@@ -82,7 +82,7 @@ def test_what_does_not_fit_is_refused_and_left_as_it_is(tmp_path):
     path = tmp_path / "run"
     with pytest.raises(FileNotFoundError):
         minimize(rosenbrock, [-1.2, 1.0], checkpoint=path, resume="require")
-    minimize(rosenbrock, [-1.2, 1.0], [(-2, 2)] * 2, checkpoint=path)
+    minimize(rosenbrock, [-1.2, 1.0], bounds=[(-2, 2)] * 2, checkpoint=path)
     before = path.read_bytes()
     for changes, said in [
         ({"x0": [-1.0, 1.0]}, "start: .* in the file, .* here"),
@@ -97,7 +97,7 @@ def test_what_does_not_fit_is_refused_and_left_as_it_is(tmp_path):
     assert path.read_bytes() == before
     path.write_bytes(before[:-1] + b"x")
     with pytest.raises(pydfo.CheckpointError, match="damaged"):
-        minimize(rosenbrock, [-1.2, 1.0], [(-2, 2)] * 2, checkpoint=path)
+        minimize(rosenbrock, [-1.2, 1.0], bounds=[(-2, 2)] * 2, checkpoint=path)
     with pytest.raises(OSError):
         minimize(rosenbrock, [-1.2, 1.0], checkpoint=tmp_path / "nowhere" / "run")
     other = {"bounds": [(-2, 2)] * 2, "method": "de", "max_evaluations": 50, "checkpoint": tmp_path / "seeded"}

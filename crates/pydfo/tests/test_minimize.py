@@ -49,7 +49,14 @@ def test_the_signature_is_what_was_promised():
         ("vectorized", False),
     ]
     assert list(parameters)[:2] == ["fun", "x0"]
-    assert all(p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters.values())
+    assert [p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters.values()] == [True] * 2 + [False] * 15
+    with pytest.warns(DeprecationWarning, match=r"after x0 by position are deprecated: write bounds=\.\.\., method=\.\.\.$") as caught:
+        by_position = minimize(rosenbrock, [-1.2, 1.0], [(-2, 2)] * 2, "barrier", max_evaluations=50)
+    assert caught[0].filename == __file__
+    named = minimize(rosenbrock, [-1.2, 1.0], bounds=[(-2, 2)] * 2, method="barrier", max_evaluations=50)
+    assert timeless(by_position) == timeless(named)
+    with pytest.warns(DeprecationWarning), pytest.raises(TypeError, match="multiple values for argument 'bounds'"):
+        minimize(rosenbrock, [-1.2, 1.0], [(-2, 2)] * 2, bounds=None)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -85,7 +92,7 @@ def test_bounds_as_scipy_takes_them():
         return (x[0] - 3.0) ** 2 + (x[1] + 3.0) ** 2
 
     runs = [
-        minimize(cost, [0.0, 0.0], bounds)
+        minimize(cost, [0.0, 0.0], bounds=bounds)
         for bounds in (
             [(-1, 1), (-2, None)],
             ((-1, 1), (-2, np.inf)),
@@ -95,12 +102,12 @@ def test_bounds_as_scipy_takes_them():
     ]
     assert len({timeless(run) for run in runs}) == 1
     np.testing.assert_allclose(runs[0].x, [1.0, -2.0], atol=2e-5)
-    scalar = minimize(cost, [0.0, 0.0], optimize.Bounds(-1, 2))
+    scalar = minimize(cost, [0.0, 0.0], bounds=optimize.Bounds(-1, 2))
     np.testing.assert_allclose(scalar.x, [2.0, -1.0], atol=1e-3)
-    fixed = minimize(cost, [0.5, 0.0], [(0.5, 0.5), (None, None)])
+    fixed = minimize(cost, [0.5, 0.0], bounds=[(0.5, 0.5), (None, None)])
     assert np.all(fixed.trace.x[:, 0] == 0.5) and fixed.x[1] == pytest.approx(-3.0, abs=1e-5)
     # methods that sample a box need no start, and Bounds then say how many parameters there are
-    sampled = minimize(cost, None, optimize.Bounds([-1, -2], [1, 2]), "de", rng=1, max_evaluations=2000)
+    sampled = minimize(cost, None, bounds=optimize.Bounds([-1, -2], [1, 2]), method="de", rng=1, max_evaluations=2000)
     np.testing.assert_allclose(sampled.x, [1.0, -2.0], atol=1e-3)
 
 
@@ -246,24 +253,24 @@ def test_integer_and_categorical_parameters():
 
     box = [(-1, 1), (-10, 10), (0, 5)]
     kinds = ["continuous", "integer", "categorical"]
-    res = minimize(cost, None, box, rng=1, max_evaluations=4000, options={"kinds": kinds})
+    res = minimize(cost, None, bounds=box, rng=1, max_evaluations=4000, options={"kinds": kinds})
     assert res.method == "ga" and list(res.x[1:]) == [4.0, 2.0] and res.fun < 1e-3
-    whole = minimize(lambda x: (x[0] - 0.3) ** 2 + (x[1] - 4.0) ** 2, None, box[:2], rng=1, options={"kinds": kinds[:2]})
+    whole = minimize(lambda x: (x[0] - 0.3) ** 2 + (x[1] - 4.0) ** 2, None, bounds=box[:2], rng=1, options={"kinds": kinds[:2]})
     assert whole.method == "de" and whole.x[1] == 4.0 and whole.fun < 1e-9 and whole.success
     with pytest.raises(ValueError, match="x\\[2\\], which is categorical"):
-        minimize(cost, None, box, "de", options={"kinds": kinds})
+        minimize(cost, None, bounds=box, method="de", options={"kinds": kinds})
     with pytest.raises(ValueError, match=r"nelder-mead cannot search over x\[1\]"):
-        minimize(cost, [0, 0, 0], box, "nelder-mead", options={"kinds": kinds})
+        minimize(cost, [0, 0, 0], bounds=box, method="nelder-mead", options={"kinds": kinds})
 
 
 def test_sizes_scales_and_warm_starts_are_options():
     def cost(x):
         return (np.log10(x[0]) - 3.0) ** 2 + (x[1] - 2e-6) ** 2 * 1e12
 
-    res = minimize(cost, [1.0, 0.0], [(1e-3, 1e6), (None, None)], options={"scale": ["log", "linear"], "nominal": [1, 1e-6]})
+    res = minimize(cost, [1.0, 0.0], bounds=[(1e-3, 1e6), (None, None)], options={"scale": ["log", "linear"], "nominal": [1, 1e-6]})
     np.testing.assert_allclose(res.x, [1e3, 2e-6], rtol=1e-4)
     for known in (res, res.trace, (res.trace.x, res.trace.fun)):
-        more = minimize(cost, [1.0, 0.0], [(1e-3, 1e6), (None, None)], options={"warm_start": known})
+        more = minimize(cost, [1.0, 0.0], bounds=[(1e-3, 1e6), (None, None)], options={"warm_start": known})
         assert more.fun <= res.fun and more.trace.x[0].tolist() != [1.0, 0.0]
     limited = minimize(rosenbrock, [-1.2, 1.0], options={"trace_limit": 10})
     assert len(limited.trace) == 10 and limited.trace.n_dropped == limited.nfev - 10

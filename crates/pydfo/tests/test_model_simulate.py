@@ -252,7 +252,7 @@ def test_time_limit():
     m = model("van_der_pol")
     start = time.monotonic()
     with pytest.raises(pydfo.SimulationError, match=r"0\.1 s") as info:
-        m.simulate(**LONG, timeout=0.1)
+        m.simulate(**LONG, max_time=0.1)
     assert time.monotonic() - start < 5
     assert info.value.status is None and 0 < info.value.time < 1e6 and info.value.log == []
     # The model can be used again, and None and inf are no limit.
@@ -349,7 +349,7 @@ def test_closed_while_it_is_simulated():
     m = model("van_der_pol")
     threading.Timer(0.1, m.close).start()
     with pytest.raises(pydfo.SimulationError):
-        m.simulate(**LONG, timeout=0.4)
+        m.simulate(**LONG, max_time=0.4)
     with pytest.raises(ValueError, match="closed"):
         m.get("x0")
 
@@ -492,3 +492,17 @@ def test_a_fit_can_slide_too():
     with pytest.raises(SimulationError, match="chattering"):
         Calibration(example_fmu("bouncing_ball"), **settings).cost()
     assert Calibration(example_fmu("bouncing_ball"), chattering="slide", **settings).cost() > 0
+
+
+def test_the_words_of_other_tools_are_taken():
+    model = FMUModel(example_fmu("quad_tank"))
+    drive = {"time": [0.0, 10.0], "u1": [5.0, 6.0], "u2": 5.0}
+    ours = model.simulate(0, final_time=10, inputs=drive, outputs=["qt.x1"], max_time=60)
+    theirs = model.simulate(0, stop_time=10, input=drive, output=["qt.x1"], timeout=60)
+    assert fmus.same_bits(ours, theirs)
+    for twice in ({"inputs": drive, "input": drive}, {"outputs": "qt.x1", "output": "qt.x1"}, {"max_time": 1, "timeout": 1}):
+        first, second = twice
+        with pytest.raises(ValueError, match=f"{first} and {second} mean the same; give one of them"):
+            model.simulate(0, 10, **twice)
+    with pytest.raises(ValueError, match="final_time and stop_time mean the same"):
+        model.simulate(0, 10, stop_time=10)

@@ -384,7 +384,7 @@ def test_time_limit():
         time.sleep(2e-3)
         return circle(t, y)
 
-    res = ode.solve(slow, (0, 1e6), [0.0, 1.0], timeout=0.1)
+    res = ode.solve(slow, (0, 1e6), [0.0, 1.0], max_time=0.1)
     assert not res.success and "time limit of 0.1 s" in res.message and res.t[-1] > 0
     assert res.seconds >= res.seconds_in_model >= 0.09
 
@@ -445,7 +445,7 @@ def test_exceptions_keep_their_identity(method):
         ({"jac": lambda t, y: [1.0], "method": "bdf"}, ValueError, r"jac must have the shape \(2, 2\), not \(1,\)"),
         ({"jac_sparsity": [[1.0]]}, ValueError, r"jac_sparsity must have the shape \(2, 2\)"),
         ({"chattering": "stop"}, ValueError, "unknown answer to chattering 'stop'"),
-        ({"timeout": -1}, ValueError, "timeout = -1 must be a positive number of seconds"),
+        ({"timeout": -1}, ValueError, "max_time = -1 must be a positive number of seconds"),
         ({"max_step": 0.0}, ValueError, "max_step = 0"),
         ({"max_step": 1e-300}, ValueError, "steps of 1e-300 were asked for"),
         ({"first_step": 0.0}, ValueError, "^first_step = 0"),

@@ -19,7 +19,7 @@ def test_every_method_runs_in_scipy_as_alone(method):
     res = optimize.minimize(
         rosenbrock, [-1.2, 1.0], bounds=BOX, method=pydfo.scipy_method(method, rng=3), options={"maxfev": 400}
     )
-    alone = pydfo.minimize(rosenbrock, [-1.2, 1.0], BOX, method, rng=3, max_evaluations=400)
+    alone = pydfo.minimize(rosenbrock, [-1.2, 1.0], bounds=BOX, method=method, rng=3, max_evaluations=400)
     assert isinstance(res, optimize.OptimizeResult) and res.x.tobytes() == alone.x.tobytes()
     assert (res.fun, res.nfev, res.nit, res.message) == (alone.fun, alone.nfev, alone.nit, alone.message)
     assert res.success == alone.success and res.status == alone.status

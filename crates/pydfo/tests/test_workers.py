@@ -30,7 +30,7 @@ def test_no_kind_of_workers_changes_anything(method, budget):
 
     def run(fun, **more):
         return told(
-            pydfo.minimize(fun, [-0.5, 1.0], [(-2, 2)] * 2, method=method, rng=3, max_evaluations=budget, **more)
+            pydfo.minimize(fun, [-0.5, 1.0], bounds=[(-2, 2)] * 2, method=method, rng=3, max_evaluations=budget, **more)
         )
 
     serial = run(patchy)

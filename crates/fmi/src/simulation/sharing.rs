@@ -1,6 +1,7 @@
 //! How simulations that run in parallel share a process.
 
 use crate::error::FmiError;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
@@ -8,7 +9,8 @@ use std::str::FromStr;
 ///
 /// Nothing can be proven about the thread safety of a library by trying it, and a failed trial ends the process: so two
 /// threads are never inside one loaded copy of a library, except with [`Together`](Self::Together).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Sharing {
     /// Each simulator has a loaded copy of the library of its own: a copied file, for which the loader makes static

@@ -30,6 +30,7 @@ from ._errors import (
     SimulationError,
     UnknownVariableError,
 )
+from ._experiment import Experiment
 from ._files import build_fmu, clear_caches, example_fmu
 from ._fit import Fit
 from ._fmin import fmin
@@ -54,6 +55,7 @@ __all__ = [
     "CalibrationWarning",
     "CheckpointError",
     "Description",
+    "Experiment",
     "FMUModel",
     "Fit",
     "FmuError",

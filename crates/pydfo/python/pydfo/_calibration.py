@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Literal, NamedTuple, NoReturn, SupportsFloat, SupportsIndex
+from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _data, _options
+from . import _core, _options
 from ._errors import BadCalibrationError, CalibrationWarning
-from ._experiment import ExperimentFields, pairs_of_columns, path_of, weighted
+from ._experiment import Names, Settings, collected, path_of
+from ._files import OpenOptions
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
-from ._keywords import argument_names, explained, given_once
+from ._keywords import also_called, argument_names, explained, given_once
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
@@ -24,9 +26,6 @@ from ._result import OptimizeResult
 FloatArray = npt.NDArray[np.float64]
 
 _log = logging.getLogger("pydfo")
-
-#: What holds in a fit where ``options`` says nothing.
-_DEFAULTS: Final[Mapping[str, Any]] = {"tolerances": "relative"}
 
 
 class Raced(NamedTuple):
@@ -47,15 +46,22 @@ class Calibration:
     """A model, measurements and parameters to be fitted.
 
     The cost is the sum of the squared weighted residuals (simulated minus measured, times weight) over all outputs and
-    measured times. It is added up while the simulation runs; simulations run without the interpreter lock, and stop early
+    measured times, added up in the order of `residuals`. Simulations run without the interpreter lock, and stop early
     in a fit when their cost can no longer matter. The same parameters give the same bits, always.
+
+    One recording is given by `data` and `outputs`; several by a list of `Experiment`, each with its own inputs, window,
+    weights and start values: ``Calibration(model, [Experiment(...), ...], parameters)``. The cost is then the sum over all
+    of them.
+
+    It can be pickled and copied: with the recordings by value, and the model by the path of its file and a hash of the content,
+    which must be the same where it is unpickled.
 
     Parameters
     ----------
     model : path or FMUModel
         The FMU. Values that were set in an FMUModel do not count (a warning says so); give them as `start_values`.
     data : path, dict of arrays, DataFrame or structured array
-        The recording: a column of times (ascending, intervals as they come) and what was measured. NaN, None and
+        The recording (or a list of `Experiment`): a column of times (ascending, intervals as they come) and what was measured. NaN, None and
         empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate, and
         where no commas do, numbers may have decimal commas (all of them: a file with commas and points is refused).
         The times are those of the column (or the named index of a DataFrame) ``time``, in any case; a unit in
@@ -65,14 +71,15 @@ class Calibration:
         Which output of the model was measured by which column; a list if they have the same names. A simulation in which
         one of them is NaN or infinite where something was measured counts as failed.
     parameters : sequence of Parameter
-        What is fitted.
+        What is fitted. The entries of every ``x`` are in this order; a local parameter has one entry per experiment in its
+        place.
     inputs : dict of str to str, or list of str, optional
         Which input of the model is driven by which column: linearly between the rows if the input is continuous, else
         held. A time that stands there twice is a jump.
     window : (float, float), optional
         Only measurements at times in this interval count, in s; the simulation still starts at its start time.
-    timeout : float, optional
-        Wall-clock limit of one simulation in s. One that reaches it counts as failed.
+    max_time : float, optional
+        Wall-clock limit of one simulation in s (also called `timeout`). One that reaches it counts as failed.
     weights : dict of str to float, or sequence of float, optional
         Per output, what its residuals are multiplied with (default 1): the inverse of the standard deviation of its noise,
         if that is known.
@@ -125,16 +132,16 @@ class Calibration:
         Data, parameters or settings that do not fit together; the message says which, where, and with which numbers.
     """
 
-    @explained
+    @also_called(timeout="max_time", input="inputs", output="outputs")
     def __init__(
         self,
         model: Any,
         data: Any,
-        outputs: Mapping[str, str] | Sequence[str] | str,
-        parameters: Sequence[Parameter] | Parameter,
-        inputs: Mapping[str, str] | Sequence[str] | str | None = None,
+        outputs: Names | Sequence[Parameter] | Parameter | None = None,
+        parameters: Sequence[Parameter] | Parameter | None = None,
+        inputs: Names | None = None,
         window: tuple[float, float] | None = None,
-        timeout: SupportsFloat | None = None,
+        max_time: SupportsFloat | None = None,
         weights: Mapping[str, float] | Sequence[float] | None = None,
         start_values: Mapping[str, Any] | None = None,
         relative_tolerance: SupportsFloat | None = None,
@@ -148,33 +155,17 @@ class Calibration:
         sharing: Literal["copies", "serial", "together"] = "copies",
         time: str | None = None,
     ) -> None:
+        own = {"window": window, "weights": weights, "start_values": start_values, "start_time": start_time, "time": time}
+        experiments, parameters = collected(data, outputs, parameters, inputs, **own)
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
             if not isinstance(parameter, Parameter):
                 raise TypeError(
                     f"parameters must be a list of pydfo.Parameter(name, start, lower, upper), not of {_options.show(parameter)}"
                 )
-        pairs = pairs_of_columns("outputs", outputs)
-        driven = pairs_of_columns("inputs", inputs)
-        named = None if time is None else _options.choice("time", time)
-        table = _data.read(data, [column for _, column in pairs + driven], named)
-        span = None
-        if window is not None:
-            if np.shape(window) != (2,):
-                raise ValueError(f"window must be two times, not {_options.show(window)}")
-            span = (_options.number("window", window[0]), _options.number("window", window[1]))
-        experiment = ExperimentFields(
-            path=table.path,
-            columns=table.columns,
-            left_out=table.left_out,
-            time=named,
-            outputs=weighted(pairs, weights),
-            inputs=driven,
-            start_values=_options.pairs("start_values", start_values),
-            window=span,
+        settings = Settings(
             kind=_options.choice("kind", getattr(model, "kind", "auto") if kind is None else kind),
-            start_time=_options.optional_number("start_time", start_time),
-            timeout=_options.optional_number("timeout", timeout),
+            max_time=_options.optional_number("max_time", max_time),
             relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
             solver=_options.solver(solver),
             step_size=_options.optional_number("step_size", step_size),
@@ -184,12 +175,14 @@ class Calibration:
             sharing=_options.choice("sharing", sharing),
         )
         self._model = path_of(model)
+        self._opened: OpenOptions | None = getattr(model, "_opened", None)
         opened = getattr(model, "_fmu", None)
         source = opened if isinstance(opened, _core.Fmu) else self._model
-        self._native = _core.Calibration(source, experiment, list(self._parameters))
+        self._native = _core.Calibration(source, experiments, settings, list(self._parameters))
         for warning in self._native.warnings():
             warnings.warn(warning, CalibrationWarning, stacklevel=3)
-        given = set(self.names).union(start_values or ())
+        given = {parameter.name for parameter in self._parameters}
+        given.update(name for experiment in experiments for name, _ in experiment.start_values)
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
             warnings.warn(
                 f"values set in an FMUModel do not count in a calibration: {_options.listed(forgotten)}; give them as "
@@ -200,18 +193,23 @@ class Calibration:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters, in the order of every vector of values."""
+        """The parameters, as they were given."""
         return self._parameters
 
     @property
     def names(self) -> list[str]:
-        """Names of the parameters."""
-        return [parameter.name for parameter in self._parameters]
+        """Names of the entries of ``x``: the parameters in their order, a local one once per experiment (``T0[run1]``)."""
+        return self._native.names()
+
+    @property
+    def experiments(self) -> list[str]:
+        """Names of the experiments."""
+        return self._native.experiments()
 
     @property
     def start(self) -> FloatArray:
         """Start values of the parameters, shape (n,)."""
-        return np.array([parameter.start for parameter in self._parameters])
+        return np.array(self._native.start())
 
     @property
     def n_residuals(self) -> int:
@@ -238,13 +236,13 @@ class Calibration:
         return None if entries is None else [Raced(*entry) for entry in entries]
 
     def _values(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
-        if x is None:
-            return [parameter.start for parameter in self._parameters]
-        if isinstance(x, Mapping):
-            for name in x:
-                if name not in self.names:
-                    raise BadCalibrationError(f"there is no parameter '{name}'; there are: {', '.join(self.names)}")
-            return [_options.number(p.name, x.get(p.name, p.start)) for p in self._parameters]
+        if x is None or isinstance(x, Mapping):
+            values = dict(zip(self.names, self._native.start()))
+            for name, value in (x or {}).items():
+                if name not in values:
+                    raise BadCalibrationError(f"there is no parameter '{name}'; there are: {', '.join(values)}")
+                values[name] = _options.number(name, value)
+            return list(values.values())
         return [float(value) for value in _options.vector("x", x)]
 
     def cost(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> float:
@@ -279,8 +277,8 @@ class Calibration:
         Returns
         -------
         ndarray, shape (n_residuals,)
-            Output by output in the order given, each in the order of time, missing values left out: always the same length
-            and order.
+            Experiment by experiment, output by output in the order given, each in the order of time, missing values left
+            out: always the same length and order.
 
         Raises
         ------
@@ -291,7 +289,7 @@ class Calibration:
 
     def simulate(
         self, x: npt.ArrayLike | Mapping[str, float] | None = None, times: npt.ArrayLike | None = None
-    ) -> dict[str, FloatArray]:
+    ) -> dict[str, Any]:
         """Simulates once.
 
         Parameters
@@ -304,7 +302,8 @@ class Calibration:
         Returns
         -------
         dict of str to ndarray
-            ``"time"`` and the compared outputs by their names in the model.
+            ``"time"`` and the compared outputs by their names in the model. With several experiments: a dict of such
+            by their names.
 
         Raises
         ------
@@ -312,25 +311,30 @@ class Calibration:
             As `cost`.
         """
         rows = None if times is None else _options.vector("times", times).tolist()
-        return self._native.simulate(self._values(x), rows)
+        return self._by_experiment(self._native.simulate(self._values(x), rows))
 
-    def measurements(self) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """What was measured, as it was read: by output, its times in s and its values, missing ones left out."""
-        time, columns = self._native.measurements()
-        return {variable: (time[~np.isnan(v)], v[~np.isnan(v)]) for variable, _, v in columns}
+    def measurements(self) -> dict[str, Any]:
+        """What was measured, as it was read: by output, its times in s and its values, missing ones left out. With several
+        experiments: a dict of such by their names."""
+        return self._by_experiment(
+            [{v: (time[~np.isnan(y)], y[~np.isnan(y)]) for v, y in columns} for time, columns in self._native.measurements()]
+        )
+
+    def _by_experiment(self, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+        return found[0] if len(found) == 1 else dict(zip(self.experiments, found))
 
     @explained
     def fit(
         self,
         method: str = "auto",
         workers: SupportsIndex | None = None,
-        x_tol: float = 1e-4,
-        f_tol: float = 1e-4,
+        x_tol: float | None = None,
+        f_tol: float | None = None,
         max_evaluations: SupportsFloat | None = None,
         max_iterations: SupportsFloat | None = None,
         max_time: SupportsFloat | None = None,
         target: SupportsFloat | None = None,
-        stop: Literal["any", "all"] = "all",
+        stop: Literal["any", "all"] | None = None,
         batch: str = "auto",
         disp: bool = False,
         callback: Callback | None = None,
@@ -352,11 +356,11 @@ class Calibration:
             "ga".
         workers : int, optional
             Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.
-        x_tol : float
-            Tolerance of the x test: extent of the simplex in units of the parameters' sizes (see `Parameter`). For a log
+        x_tol : float, optional
+            Tolerance of the x test (default 1e-4): extent of the simplex in units of the parameters' sizes (see `Parameter`). For a log
             scale: of the logarithm.
-        f_tol : float
-            Tolerance of the f test: difference between the worst and the best vertex as a fraction of the best cost.
+        f_tol : float, optional
+            Tolerance of the f test (default 1e-4): difference between the worst and the best vertex as a fraction of the best cost.
         max_evaluations, max_iterations : int, optional
             Exact limits of the search: simulations (those of `Fit.n_checks` come after it) and iterations.
         max_time : float, optional
@@ -364,8 +368,8 @@ class Calibration:
         target : float, optional
             End the fit with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
             at once with it and comes after it counts as speculative.
-        stop : {"all", "any"}
-            Whether both tests must hold, or one ends the fit.
+        stop : {"all", "any"}, optional
+            Whether both tests must hold (the default), or one ends the fit.
         batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`.
         disp : bool
@@ -417,7 +421,7 @@ class Calibration:
             Calibration.fit,
             _options.method_name(method, [p.kind for p in self._parameters if not p.fixed]),
             own,
-            len(self._parameters),
+            len(self.names),
             _options.Limits.check(
                 ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
             ),
@@ -425,7 +429,6 @@ class Calibration:
             rng=rng,
             checkpoint=checkpoint,
             resume=resume,
-            defaults=_DEFAULTS,
         )
         begin = self._values(start)
         printer = Printer(self.names)
@@ -456,11 +459,26 @@ class Calibration:
             raise AttributeError(f"{name} cannot be changed: make another Calibration({name}=...)")
         super().__setattr__(name, value)
 
-    def __reduce__(self) -> NoReturn:
-        raise TypeError(
-            "a Calibration (and a Fit, which holds it) cannot be pickled, because it holds a loaded model: make it in each process, "
-            "or let fit(workers=...) do several simulations at once; of a Fit keep x, fun and the like"
-        )
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (type(self), self._native.state(), self._parameters, self._opened)
 
     def __repr__(self) -> str:
         return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_residuals} measurements>"
+
+
+def _restore(
+    of: type[Calibration], state: bytes, parameters: tuple[Parameter, ...], opened: OpenOptions | None
+) -> Calibration:
+    """A pickled calibration."""
+    path, content = _core.Calibration.model_of(state)
+    try:
+        fmu = _core.Fmu(path, opened)
+    except FileNotFoundError:
+        what = f"the model of a pickled Calibration (SHA-256 of its content: {content}) is not where it was"
+        raise FileNotFoundError(errno.ENOENT, what, os.fspath(path)) from None
+    calibration = of.__new__(of)
+    calibration._parameters = parameters
+    calibration._model = os.fspath(path)
+    calibration._opened = opened
+    calibration._native = _core.Calibration.restore(state, fmu)
+    return calibration

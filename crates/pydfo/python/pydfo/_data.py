@@ -26,7 +26,7 @@ class Table:
 
     #: A CSV file, or None.
     path: str | None
-    #: The columns in memory: the times first, in the unit that their name says, then those needed.
+    #: The columns in memory: the times first, in the unit in their name, then those needed.
     columns: Columns
     #: Names of the other columns.
     left_out: list[str]

@@ -1,4 +1,4 @@
-"""What an FMU says about itself: the model description."""
+"""The model description of an FMU."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class DisplayUnit:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit; `base` is None where the file does not say how it is made of SI units."""
+    """A unit; `base` is None where the file does not define it in SI units."""
 
     name: str
     base: BaseUnit | None
@@ -149,7 +149,7 @@ class Quirk:
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of a model. What its type definition says is already filled in.
+    """A variable of a model. Attributes of its type definition are filled in.
 
     Attributes
     ----------
@@ -184,8 +184,6 @@ class Variable:
     reinit : bool
         A state that events may set anew.
     can_handle_multiple_set_per_time_instant : bool
-    extents : list of int
-        Of an array (FMI 3.0), with structural parameters at their start values; empty for a single value.
     interval_variability : str or None
         Of a clock (FMI 3.0), who knows when it ticks: "constant", "fixed", "tunable", "changing", "countdown", "triggered".
     line : int
@@ -216,7 +214,6 @@ class Variable:
     derivative: str | None
     reinit: bool
     can_handle_multiple_set_per_time_instant: bool
-    extents: list[int]
     interval_variability: str | None
     line: int
 
@@ -233,10 +230,7 @@ class Variables(Mapping[str, Variable]):
             nearest = self._fmu.nearest(name) if isinstance(name, str) else []
             hint = f"; did you mean {', '.join(nearest)}?" if nearest else ""
             raise UnknownVariableError(f'the model has no variable "{name}"{hint}')
-        fields = self._fmu.variable(index)
-        for several in ("shape", "dimensions", "aliases"):
-            fields[several] = tuple(fields[several])
-        return Variable(**fields)
+        return Variable(**self._fmu.variable(index))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._fmu.names())
@@ -252,7 +246,7 @@ class Variables(Mapping[str, Variable]):
 
 
 class Description:
-    """What an FMU says about itself; reading it runs no code of the FMU.
+    """The model description of an FMU; reading it runs no code of the FMU.
 
     Attributes
     ----------
@@ -309,7 +303,7 @@ class Description:
 
     @cached_property
     def states(self) -> list[str | None]:
-        """Names of the continuous states in their order; None where the file does not tell."""
+        """Names of the continuous states in their order; None where the file does not name them."""
         return self._fmu.state_names()
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Who calls the objective: somebody's executor or map, or the objective itself with all points at once.
+"""How the objective is called: by an executor or a map, or with all points at once.
 
 Each function here takes the points of a batch, shape (S, n), their cutoffs, shape (S,), and a function that says whether
 the run is to end; it returns for each point a cost, `Above`, the exception that was raised, or Ellipsis for a point that
@@ -44,7 +44,7 @@ def takes_cutoff(fun: Callable[..., Any]) -> bool:
     try:
         parameter = inspect.signature(fun).parameters.get("cutoff")
     except (TypeError, ValueError):
-        # Compiled functions may not say what they take.
+        # Compiled functions may have no signature.
         return False
     return parameter is not None and parameter.kind is inspect.Parameter.KEYWORD_ONLY
 

@@ -1,20 +1,66 @@
-"""What a `Calibration` is told about a recording, brought into the form that the native code reads."""
+"""A recording and how the model is to reproduce it: `Experiment`."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, SupportsFloat
+
+import numpy as np
 
 from . import _data, _options
 from ._errors import BadCalibrationError
+from ._keywords import explained
+
+Names = Mapping[str, str] | Sequence[str] | str
 
 
-@dataclass(frozen=True)
-class ExperimentFields:
-    """A recording and how it is simulated, as the native code reads it."""
+@dataclass(frozen=True, init=False, repr=False)
+class Experiment:
+    """A recording of the machine, and how the model is to reproduce it: for a `Calibration` with several of them.
 
+    Parameters
+    ----------
+    data : path, dict of arrays, DataFrame or structured array
+        The recording, as `Calibration` takes it.
+    outputs : dict of str to str, or list of str
+        Which output of the model was measured by which column.
+    inputs : dict of str to str, or list of str, optional
+        Which input of the model is driven by which column.
+    window : (float, float), optional
+        Only measurements at times in this interval count, in s.
+    weights : dict of str to float, or sequence of float, optional
+        Per output, what its residuals are multiplied with.
+    start_values : dict, optional
+        Values of other parameters and start values of variables in this experiment, by name; of a local parameter, where
+        its search starts here.
+    start_time : float, optional
+        Where the simulation starts, in s.
+    time : str, optional
+        Name of the column of times, where it is not ``time``.
+    name : str, optional
+        Its name, in those of local parameters as well (``T0[cold]``); default: "run1", "run2" and so on.
+
+    Raises
+    ------
+    OSError, ValueError, TypeError
+        As `Calibration`.
+
+    Examples
+    --------
+    >>> from pydfo import Calibration, Parameter, example_fmu
+    >>> runs = [
+    ...     Experiment({"time": [0.0, 1.0], "x": [1.0, 0.14]}, ["x"], name="a"),
+    ...     Experiment({"time": [0.0, 1.0], "x": [3.0, 0.41]}, ["x"], start_values={"x": 2.0}, name="b"),
+    ... ]
+    >>> parameters = [Parameter("k", 1.0, 0.1, 10.0), Parameter("x", 1.0, 0.1, 10.0, local=True)]
+    >>> calibration = Calibration(example_fmu("dahlquist"), runs, parameters)
+    >>> dict(zip(calibration.names, calibration.start.tolist()))
+    {'k': 1.0, 'x[a]': 1.0, 'x[b]': 2.0}
+    """
+
+    name: str | None
     path: str | None
     columns: _data.Columns
     left_out: list[str]
@@ -23,9 +69,55 @@ class ExperimentFields:
     inputs: list[tuple[str, str]]
     start_values: list[tuple[str, Any]]
     window: tuple[float, float] | None
-    kind: str
     start_time: float | None
-    timeout: float | None
+
+    @explained
+    def __init__(
+        self,
+        data: Any,
+        outputs: Names,
+        inputs: Names | None = None,
+        *,
+        window: tuple[float, float] | None = None,
+        weights: Mapping[str, float] | Sequence[float] | None = None,
+        start_values: Mapping[str, Any] | None = None,
+        start_time: SupportsFloat | None = None,
+        time: str | None = None,
+        name: str | None = None,
+    ) -> None:
+        pairs = pairs_of_columns("outputs", outputs)
+        driven = pairs_of_columns("inputs", inputs)
+        named = None if time is None else _options.choice("time", time)
+        table = _data.read(data, [column for _, column in pairs + driven], named)
+        span = None
+        if window is not None:
+            if np.shape(window) != (2,):
+                raise ValueError(f"window must be two times, not {_options.show(window)}")
+            span = (_options.number("window", window[0]), _options.number("window", window[1]))
+        put = object.__setattr__
+        put(self, "name", None if name is None else _options.choice("name", name))
+        put(self, "path", table.path)
+        put(self, "columns", table.columns)
+        put(self, "left_out", table.left_out)
+        put(self, "time", named)
+        put(self, "outputs", weighted(pairs, weights))
+        put(self, "inputs", driven)
+        put(self, "start_values", _options.pairs("start_values", start_values))
+        put(self, "window", span)
+        put(self, "start_time", _options.optional_number("start_time", start_time))
+
+    def __repr__(self) -> str:
+        source = self.path if self.path is not None else f"{len(self.columns[0][1])} rows"
+        outputs = ", ".join(variable for variable, _, _ in self.outputs)
+        return f"<Experiment{'' if self.name is None else ' ' + self.name}: {outputs} from {source}>"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How simulations are made, as the native code reads it."""
+
+    kind: str
+    max_time: float | None
     relative_tolerance: float | None
     solver: str
     step_size: float | None
@@ -33,6 +125,25 @@ class ExperimentFields:
     input_derivatives: bool
     chattering: str
     sharing: str
+
+
+def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:
+    """The experiments and the parameters of a calibration, from its arguments: one recording with what belongs to it, or
+    experiments, which the parameters follow."""
+    experiments = [data] if isinstance(data, Experiment) else data
+    if isinstance(experiments, (list, tuple)) and experiments and all(isinstance(one, Experiment) for one in experiments):
+        if parameters is None:
+            outputs, parameters = None, outputs
+        given = {"outputs": outputs, "inputs": inputs, **own}
+        if misplaced := [name for name, value in given.items() if value is not None]:
+            raise TypeError(f"{', '.join(misplaced)}: with experiments this is an argument of Experiment, given for each")
+    elif outputs is None:
+        raise TypeError("Calibration() needs the argument 'outputs'")
+    else:
+        experiments = [Experiment(data, outputs, inputs, **own)]
+    if parameters is None:
+        raise TypeError("Calibration() needs the argument 'parameters'")
+    return list(experiments), parameters
 
 
 def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> list[tuple[str, str]]:
@@ -51,7 +162,7 @@ def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str |
 def weighted(
     outputs: list[tuple[str, str]], weights: Mapping[str, float] | Sequence[float] | None
 ) -> list[tuple[str, str, float]]:
-    """Pairs of output and column with their weights: 1 where nothing is said."""
+    """Pairs of output and column with their weights: 1 where there is none."""
     if weights is None:
         return [(variable, column, 1.0) for variable, column in outputs]
     if isinstance(weights, Mapping):

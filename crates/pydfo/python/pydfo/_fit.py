@@ -63,6 +63,7 @@ class Fit(OptimizeResult):
         self.stats = None if counts is None else SimulationStats(**counts)
         if "at_bound" not in vars(self):
             # Interrupted twice.
+            self.start_cost: float | None = None
             self.at_bound: dict[str, str] = {}
             self.without_effect: list[str] = []
             self.n_checks = 0
@@ -71,11 +72,6 @@ class Fit(OptimizeResult):
         self.start = start
         self.solver = solver
         self.race = calibration.race
-        self.start_cost: float | None = None
-        if result.trace is not None:
-            at_start = np.flatnonzero((result.trace.x == start).all(axis=1) & np.isfinite(result.trace.fun))
-            if len(at_start) > 0:
-                self.start_cost = float(result.trace.fun[at_start[0]])
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -90,17 +86,14 @@ class Fit(OptimizeResult):
     @property
     def rms(self) -> float:
         """Root of the mean squared weighted residual at the fitted values."""
-        return self._rms(self.fun)
+        return self._calibration._native.rms(self.fun)
 
     @property
     def start_rms(self) -> float | None:
         """Root of the mean squared weighted residual at the start."""
-        return None if self.start_cost is None else self._rms(self.start_cost)
+        return None if self.start_cost is None else self._calibration._native.rms(self.start_cost)
 
-    def _rms(self, cost: float) -> float:
-        return float(np.sqrt(cost / self._calibration.n_residuals))
-
-    def simulate(self, x: npt.ArrayLike | None = None, times: npt.ArrayLike | None = None) -> dict[str, FloatArray]:
+    def simulate(self, x: npt.ArrayLike | None = None, times: npt.ArrayLike | None = None) -> dict[str, Any]:
         """Simulates at the fitted values; see `Calibration.simulate`.
 
         Parameters
@@ -113,7 +106,8 @@ class Fit(OptimizeResult):
         Returns
         -------
         dict of str to ndarray
-            ``"time"`` and the compared outputs by their names in the model.
+            ``"time"`` and the compared outputs by their names in the model. With several experiments: a dict of such
+            by their names.
         """
         return self._calibration.simulate(self.x if x is None else x, times)
 
@@ -127,7 +121,7 @@ class Fit(OptimizeResult):
         Returns
         -------
         matplotlib.figure.Figure
-            One column per output. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
+            One column per output of each experiment. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""`fmin`: the paper's door, minimising a Python function."""
+"""`fmin`: minimises a Python function, with the signature of the tool of the paper."""
 
 from __future__ import annotations
 
@@ -29,9 +29,6 @@ Callback = Callable[[Progress], Any]
 
 #: The numbers that the tool of the paper has for its methods.
 _NUMBERS: dict[int, str] = {1: "nelder-mead", 2: "barrier", 3: "de-classic", 4: "ga"}
-
-#: What holds where ``options`` says nothing: tolerances as the paper has them.
-_DEFAULTS: dict[str, Any] = {"tolerances": "absolute"}
 
 
 def _algorithm(alg: int | str | None) -> str:
@@ -224,13 +221,15 @@ def fmin(
     )
     if method in ("nelder-mead", "barrier"):
         own.setdefault("coefficients", "standard")
+    # As the paper has them.
+    own.setdefault("tolerances", "absolute")
     if nbr_cores is not None and workers is not None:
         raise ValueError("nbr_cores and workers are two names for one argument: give one of them")
     name, given = ("nbr_cores", nbr_cores) if workers is None else ("workers", workers)
     batches, count = _evaluate.shared_out(func, name, given, 1)
     limits = _options.Limits.check(("max_fevals", max_fevals), ("max_iters", max_iters), max_time, target)
     if limits.max_evaluations is None:
-        # No limit is what the user said; the optimiser's own defaults shall not step in.
+        # The user asked for no limit: the optimiser's own does not apply.
         limits = replace(limits, unlimited=True)
     _options.tell_of_checkpoint(checkpoint, resume, own)
     built = _options.build(
@@ -243,7 +242,6 @@ def fmin(
         rng=rng,
         checkpoint=checkpoint,
         resume=resume,
-        defaults=_DEFAULTS,
     )
     listeners: list[Callback] = []
     if debug:
@@ -290,14 +288,14 @@ def fmin(
 
 
 def _size(start: npt.NDArray[np.float64] | None, *bounds: Any) -> int:
-    """How many parameters there are: the start point says it, else the longest of the bounds."""
+    """How many parameters there are: the length of the start point, else of the longest of the bounds."""
     if start is not None:
         return len(start)
     return max(1, *(1 if b is None else np.size(b) for b in bounds))
 
 
 def combine(listeners: list[Callback]) -> Callback | None:
-    """One listener that tells all of them; True from any of them ends the run."""
+    """One listener that calls all of them; True from any of them ends the run."""
     if not listeners:
         return None
 

@@ -33,7 +33,7 @@ class Function:
 
 
 def normalize(given: Any, inputs: list[str]) -> tuple[list[Table], list[Function]]:
-    """Tables and functions from the argument ``input``; `inputs` are the names of the model's inputs."""
+    """Tables and functions from the argument ``inputs`` of a simulation; `inputs` are the names of the model's inputs."""
     if given is None:
         return [], []
     if isinstance(given, Mapping):
@@ -52,7 +52,7 @@ def normalize(given: Any, inputs: list[str]) -> tuple[list[Table], list[Function
     if isinstance(given, (tuple, list)) and len(given) == 2 and isinstance(given[0], (str, Sequence, np.ndarray)):
         return _pair(given[0], given[1])
     raise TypeError(
-        "input must be a dict or a DataFrame with 'time', a structured array, a function, (names, matrix) or "
+        "inputs must be a dict or a DataFrame with 'time', a structured array, a function, (names, matrix) or "
         f"(names, function), not {type(given).__name__}"
     )
 
@@ -81,7 +81,7 @@ def _frame(given: Any) -> Table:
 
 
 def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Table:
-    """Times in s: those of the column "time", with the unit that its name says."""
+    """The columns of a table; times are those of the column "time", converted to s from the unit in its name."""
     try:
         at, (numerator, denominator) = _core.find_time(list(names))
     except ValueError as e:

@@ -1,10 +1,11 @@
-"""What is said about keywords and options that there are not: what they are called here."""
+"""Keywords: messages for unknown ones, words of other tools, arguments that were positional."""
 
 from __future__ import annotations
 
 import difflib
 import functools
 import inspect
+import warnings
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final, ParamSpec, TypeVar
 
@@ -25,7 +26,7 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     "rtol": ("rtol", "relative_tolerance"),
     **dict.fromkeys(("tol", "tolerance"), ("relative_tolerance", "rtol", "x_tol and f_tol")),
     **dict.fromkeys(("seed", "random_state"), ("rng",)),
-    **dict.fromkeys(("maxtime", "time_limit"), ("max_time", "timeout")),
+    **dict.fromkeys(("maxtime", "time_limit", "timeout"), ("max_time",)),
     "adaptive": ('options={"coefficients": "adaptive"}',),
     "popsize": ("population",),
     "mutation": ("weight",),
@@ -95,18 +96,62 @@ def argument_names(function: Callable[..., Any]) -> list[str]:
 
 
 def explained(function: Callable[P, R]) -> Callable[P, R]:
-    """A function whose TypeError about an unknown keyword says what it is called here."""
-    known = frozenset(inspect.signature(function).parameters)
+    """A function whose TypeError for an unknown keyword names the one that is meant."""
+    return also_called()(function)
 
-    @functools.wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not known.issuperset(kwargs):
-            name = next(name for name in kwargs if name not in known)
-            owner = function.__qualname__.removesuffix(".__init__")
-            raise TypeError(f"{owner}() has no argument {name!r}{_hint(name, argument_names(function))}")
-        return function(*args, **kwargs)
 
-    return call
+def also_called(**others: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """As `explained`, for a function that takes some keywords by the words of other tools, too: those words, and what they
+    stand for."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        names = list(inspect.signature(function).parameters)
+        known = frozenset(names)
+
+        def translated(n_positional: int, given: dict[str, Any]) -> dict[str, Any]:
+            for other in others.keys() & given.keys():
+                name, value = others[other], given.pop(other)
+                if name not in given and name not in names[:n_positional]:
+                    given[name] = value
+                elif value is not None:
+                    raise ValueError(f"{name} and {other} mean the same; give one of them")
+            if not known.issuperset(given):
+                name = next(name for name in given if name not in known)
+                owner = function.__qualname__.removesuffix(".__init__")
+                raise TypeError(f"{owner}() has no argument {name!r}{_hint(name, argument_names(function))}")
+            return given
+
+        @functools.wraps(function)
+        def call(*args: Any, **kwargs: Any) -> R:
+            if not known.issuperset(kwargs):
+                kwargs = translated(len(args), kwargs)
+            return function(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+def positional_until(count: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """A function that still takes its keyword-only arguments by position, after `count` positional ones, but warns."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        names = list(inspect.signature(function).parameters)
+
+        @functools.wraps(function)
+        def call(*args: Any, **kwargs: Any) -> R:
+            if count < len(args) <= len(names):
+                moved = dict(zip(names[count:], args[count:]))
+                what = f"{function.__name__}(): arguments after {names[count - 1]} by position"
+                warnings.warn(f"{what} are deprecated: write {', '.join(f'{n}=...' for n in moved)}", DeprecationWarning, stacklevel=2)
+                if twice := moved.keys() & kwargs.keys():
+                    raise TypeError(f"{function.__name__}() got multiple values for argument '{min(twice)}'")
+                args, kwargs = args[:count], {**moved, **kwargs}
+            return function(*args, **kwargs)
+
+        return call
+
+    return decorate
 
 
 def check_options(options: Collection[str], function: Callable[..., Any]) -> None:

@@ -5,26 +5,25 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Literal, SupportsFloat, SupportsIndex
+from typing import Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _core, _evaluate, _options
 from ._fmin import Callback, check_callback, listen
-from ._keywords import explained
+from ._keywords import explained, positional_until
 from ._result import OptimizeResult
 
 _log = logging.getLogger("pydfo")
 
-#: What holds where ``options`` says nothing.
-DEFAULTS: Final[Mapping[str, Any]] = {"x_tol": 1e-6, "f_tol": 1e-6, "stop": "all", "tolerances": "relative"}
 
-
+@positional_until(2)
 @explained
 def minimize(
     fun: Callable[..., Any],
     x0: npt.ArrayLike | None = None,
+    *,
     bounds: Any = None,
     method: str = "auto",
     args: Any = (),
@@ -211,6 +210,5 @@ def describe(
         rng=rng,
         checkpoint=checkpoint,
         resume=resume,
-        defaults=DEFAULTS,
     )
     return start, lower.tolist(), upper.tolist(), built

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from . import _core, _inputs, _options
 from ._description import Description
 from ._files import OpenOptions, PathLike, size_limit
-from ._keywords import explained
+from ._keywords import also_called, explained
 from ._trajectory import SimulationResult
 
 _log = _logging.getLogger("pydfo")
@@ -25,7 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class Request(NamedTuple):
-    """What a simulation is told, as the native code reads it, in this order; None leaves it to the model."""
+    """The options of a simulation, as the native code reads them, in this order; None: the default of the model."""
 
     start_time: float | None
     final_time: float | None
@@ -41,7 +41,7 @@ class Request(NamedTuple):
     solver: str
     step_size: float | None
     max_step: float | None
-    timeout: float | None
+    max_time: float | None
     record_events: bool
     input_derivatives: bool
     chattering: str
@@ -49,58 +49,6 @@ class Request(NamedTuple):
 
 LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug", "all")
 """PyFMI's levels of logging, by their numbers."""
-
-
-@explained
-def load_fmu(
-    path: PathLike,
-    kind: str = "auto",
-    log_level: int | str | None = None,
-    *,
-    logging: bool = False,
-    deepbind: bool = False,
-    lazy: bool = False,
-    tool_is_present: bool = False,
-    max_description_bytes: int | None = None,
-    max_elements: int | None = None,
-) -> FMUModel:
-    """Opens an FMU: the same as `FMUModel`, which see.
-
-    Parameters
-    ----------
-    path : path
-        An ``.fmu`` file or an unpacked folder.
-    kind : {"auto", "ME", "CS"}
-        How to run it.
-    log_level : int or str, optional
-        Which lines of the FMU's log are shown.
-    logging : bool
-        The FMU is asked to log.
-    deepbind, lazy, tool_is_present : bool
-        How its library is loaded, and that the tool it needs is there.
-    max_description_bytes, max_elements : int, optional
-        How large its description may be.
-
-    Returns
-    -------
-    FMUModel
-
-    Raises
-    ------
-    OSError, FmuError, ValueError
-        As `FMUModel`.
-    """
-    return FMUModel(
-        path,
-        kind,
-        log_level,
-        logging=logging,
-        deepbind=deepbind,
-        lazy=lazy,
-        tool_is_present=tool_is_present,
-        max_description_bytes=max_description_bytes,
-        max_elements=max_elements,
-    )
 
 
 def _log_level(level: int | str | None) -> int:
@@ -197,7 +145,7 @@ class FMUModel:
     ) -> None:
         if not isinstance(kind, str):
             raise TypeError(f"kind must be a string, not {kind!r}")
-        options = OpenOptions(
+        self._opened = OpenOptions(
             log_level=_log_level(log_level),
             logging=_options.flag("logging", logging),
             show_log=log_level is not None,
@@ -207,7 +155,7 @@ class FMUModel:
             max_description_bytes=size_limit("max_description_bytes", max_description_bytes),
             max_elements=size_limit("max_elements", max_elements),
         )
-        self._fmu = _core.Fmu(path, options)
+        self._fmu = _core.Fmu(path, self._opened)
         self._kind = self._fmu.check_runnable(kind)
         self._model = _core.Model(self._fmu, self._kind)
 
@@ -246,7 +194,7 @@ class FMUModel:
 
     @cached_property
     def description(self) -> Description:
-        """What the FMU says about itself."""
+        """The model description."""
         return Description(self._fmu)
 
     def get(self, name: str | Iterable[str]) -> Any:
@@ -313,15 +261,14 @@ class FMUModel:
         """Forgets all values set and the last simulation."""
         self._model.reset()
 
-    @explained
+    @also_called(stop_time="final_time", input="inputs", output="outputs", timeout="max_time")
     def simulate(
         self,
         start_time: SupportsFloat | None = None,
         final_time: SupportsFloat | None = None,
         *,
-        stop_time: SupportsFloat | None = None,
-        input: object = None,
-        output: str | Iterable[str] | None = None,
+        inputs: object = None,
+        outputs: str | Iterable[str] | None = None,
         times: npt.ArrayLike | None = None,
         output_interval: SupportsFloat | None = None,
         ncp: SupportsFloat | None = None,
@@ -331,7 +278,7 @@ class FMUModel:
         solver: str = "auto",
         step_size: SupportsFloat | None = None,
         max_step: SupportsFloat | None = None,
-        timeout: SupportsFloat | None = None,
+        max_time: SupportsFloat | None = None,
         record_events: bool = False,
         chattering: Literal["error", "warn", "slide"] = "error",
         input_derivatives: bool = True,
@@ -354,11 +301,9 @@ class FMUModel:
         start_time : float, optional
             Default: that of the model's default experiment, else 0.
         final_time : float, optional
-            Default: that of the default experiment, else the last of `times`.
-        stop_time : float, optional
-            The same as `final_time`.
-        input : optional
-            What drives the inputs:
+            Default: that of the default experiment, else the last of `times`. Also called `stop_time`.
+        inputs : optional
+            What drives the inputs (also called `input`):
 
             - a dict of arrays with "time", or a DataFrame with a column or an index "time", or a structured array (in a
               dict, a number is a constant);
@@ -369,9 +314,9 @@ class FMUModel:
             jump. Jumps are events, and a step ends at every row where the slope changes: no pulse is too short to be seen.
             Functions can drive continuous Real inputs and should be smooth. Of a triggered clock (FMI 3.0) the rows that hold
             True are its ticks; a clock with an interval that can be deactivated leaves its ticks out where it holds False.
-        output : str or iterable of str, optional
+        outputs : str or iterable of str, optional
             Variables to record: names, elements of arrays (``name[2,1]``, counted from 1), patterns (``*`` stands for any
-            characters, ``?`` for one), or "all". Default: the outputs and the states; where a model declares neither
+            characters, ``?`` for one), or "all". Also called `output`. Default: the outputs and the states; where a model declares neither
             (FMI 1.0), all variables that change.
         times : array_like, optional
             The times of the rows, ascending. A time listed twice gives the limit from the left, then the value after the
@@ -396,8 +341,8 @@ class FMUModel:
             communication step; default: that of the default experiment, else the distance of the rows.
         max_step : float, optional
             Largest step of the other methods.
-        timeout : float, optional
-            Limit of wall-clock time in s; it acts between calls into the FMU.
+        max_time : float, optional
+            Limit of wall-clock time in s; it acts between calls into the FMU. Also called `timeout`.
         record_events : bool
             Add rows for both sides of every event.
         chattering : {"error", "warn", "slide"}
@@ -429,17 +374,13 @@ class FMUModel:
         FmuError
             The FMU cannot be loaded or built.
         SimulationError
-            The simulation failed or took longer than `timeout`; with ``status``, ``time`` and ``log``.
+            The simulation failed or took longer than `max_time`; with ``status``, ``time`` and ``log``.
         Interrupted
             Ctrl-C (a KeyboardInterrupt).
         Exception
             Whatever an input function raises comes out as it is.
         """
-        if stop_time is not None:
-            if final_time is not None:
-                raise ValueError("final_time and stop_time mean the same; give one of them")
-            final_time = stop_time
-        tables, functions = _inputs.normalize(input, self.description.inputs) if input is not None else ([], [])
+        tables, functions = _inputs.normalize(inputs, self.description.inputs) if inputs is not None else ([], [])
         request = Request(
             start_time=_options.optional_number("start_time", start_time),
             final_time=_options.optional_number("final_time", final_time),
@@ -448,14 +389,14 @@ class FMUModel:
             ncp=_options.limit("ncp", ncp, 1),
             start_values=_options.pairs("start_values", start_values),
             clock_intervals=_intervals(clock_intervals),
-            outputs=self._outputs(output),
+            outputs=self._outputs(outputs),
             tables=tables,
             functions=functions,
             relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
             solver=_options.solver(solver),
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
-            timeout=_options.optional_number("timeout", timeout),
+            max_time=_options.optional_number("max_time", max_time),
             record_events=_options.flag("record_events", record_events),
             input_derivatives=_options.flag("input_derivatives", input_derivatives),
             chattering=_options.choice("chattering", chattering),
@@ -465,13 +406,13 @@ class FMUModel:
             _log.warning("simulate: %d times a hundred events hardly advanced time", result.stats.chattering)
         return result
 
-    def _outputs(self, output: str | Iterable[str] | None) -> list[str] | None:
-        if output is None:
+    def _outputs(self, outputs: str | Iterable[str] | None) -> list[str] | None:
+        if outputs is None:
             return None
-        return [output] if isinstance(output, str) else _options.names("output", output)
+        return [outputs] if isinstance(outputs, str) else _options.names("outputs", outputs)
 
     def _names_set(self) -> list[str]:
-        """Names of the variables that were set; none while or after nobody may ask."""
+        """Names of the variables that were set; none while it simulates and after it was closed."""
         try:
             return self._model.names_set()
         except (RuntimeError, ValueError):
@@ -493,6 +434,10 @@ class FMUModel:
         d = self.description
         closed = ", closed" if self._model.closed else ""
         return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} {self.kind}, {d.n_states} states, {str(self.path)!r}{closed}>"
+
+
+load_fmu = FMUModel
+"""PyFMI's name for opening an FMU."""
 
 
 def _intervals(

@@ -37,7 +37,7 @@ class Asked(NamedTuple):
 
 
 class Above(NamedTuple):
-    """What to tell of a point whose evaluation was given up because its cost exceeds the cutoff that came with it.
+    """The value of a point whose evaluation was given up because its cost exceeds the cutoff that came with it.
 
     It never counts as a cost. A method decides just as it would have with the cost itself.
 

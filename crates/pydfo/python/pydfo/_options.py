@@ -1,4 +1,4 @@
-"""What may be chosen about a run, checked on the way to the native code."""
+"""The options of a run, checked on the way to the native code."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ LATER = ("least-squares", "quadratic-model", "cma-es", "multistart", "pattern-se
 
 @dataclass(frozen=True)
 class Options:
-    """The options of a run, as the native code reads them; None is no limit."""
+    """The options of a run, as the native code reads them; None is no limit, or the default."""
 
     method: str
     method_options: dict[str, Any]
-    x_tol: float
-    f_tol: float
-    stop: str
-    tolerances: str
+    x_tol: float | None
+    f_tol: float | None
+    stop: str | None
+    tolerances: str | None
     max_evaluations: int | None
     max_iterations: int | None
     max_time: float | None
@@ -77,10 +77,6 @@ class Options:
     known_problem: str | None = None
     problem: str | None = None
     unlimited: bool = False
-
-
-#: A limit of time beyond this, in s, is none: 30 million years.
-ENDLESS = 1e15
 
 
 @dataclass(frozen=True)
@@ -103,11 +99,10 @@ class Limits:
         target: SupportsFloat | None,
     ) -> Limits:
         """Checks four limits; the first two come with the names under which the user knows them."""
-        seconds = optional_number("max_time", max_time)
         return cls(
             max_evaluations=limit(*evaluations, 1),
             max_iterations=limit(*iterations, 0),
-            max_time=None if seconds is not None and seconds > ENDLESS else seconds,
+            max_time=optional_number("max_time", max_time),
             target=optional_number("target", target),
         )
 
@@ -123,7 +118,6 @@ def build(
     rng: int | np.random.Generator | None,
     checkpoint: str | os.PathLike[str] | None,
     resume: str,
-    defaults: Mapping[str, Any],
 ) -> Options:
     """What the user of the function `of` chose about a run over `n` parameters. What is not the method's own is taken out of
     `options`."""
@@ -131,10 +125,11 @@ def build(
     _keywords.check_options(own, of)
 
     def take(name: str) -> Any:
-        return own.pop(name, defaults.get(name))
+        return own.pop(name, None)
 
-    x_tol, f_tol = number("x_tol", take("x_tol")), number("f_tol", take("f_tol"))
-    stop, tolerances = choice("stop", take("stop")), choice("tolerances", take("tolerances"))
+    x_tol, f_tol = (optional_number(name, take(name)) for name in ("x_tol", "f_tol"))
+    stop, tolerances = (None if own.get(name) is None else choice(name, own[name]) for name in ("stop", "tolerances"))
+    own = {name: value for name, value in own.items() if name not in ("stop", "tolerances")}
     cache, trace_limit = limit("cache", take("cache"), 0), limit("trace_limit", take("trace_limit"), 1)
     scale, kinds = per_parameter("scale", take("scale"), n), per_parameter("kinds", take("kinds"), n)
     nominal = take("nominal")
@@ -146,8 +141,6 @@ def build(
     if own.get("initial_simplex") is not None:
         vertices, steps = simplex(own["initial_simplex"], n)
         own["initial_simplex"] = vertices if steps is None else steps
-    if isinstance(own.get("resolution"), np.ndarray):
-        own["resolution"] = own["resolution"].tolist()
     return Options(
         method=method_name(method, kinds),
         method_options=own,
@@ -177,7 +170,7 @@ def build(
 
 
 def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:
-    """Says that a run goes on from a file that nothing binds to the function that is minimised."""
+    """Logs that a run goes on from a file that nothing binds to the function that is minimised."""
     if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None or not os.path.isfile(checkpoint):
         return
     _log.warning(
@@ -260,7 +253,7 @@ def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str
 
 def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]:
     """Lower and upper bounds from what SciPy takes: a sequence of pairs (None: no bound), or an object with ``lb`` and
-    ``ub``. Without a start point they say how many parameters there are."""
+    ``ub``. Without a start point their number is that of the parameters."""
     if bounds is None:
         if n is None:
             raise ValueError("x0 is needed: the point to start from (methods that sample a box need at least bounds)")

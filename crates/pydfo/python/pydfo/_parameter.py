@@ -36,6 +36,9 @@ class Parameter:
         (integers) or "ga" (both).
     fixed : bool
         Hold the parameter at `start`.
+    local : bool
+        Each experiment has a value of its own, ``T0[run1]``, ``T0[run2]``, instead of one for all. Where the `start_values` of an
+        `Experiment` name the parameter, its search starts there.
 
     Raises
     ------
@@ -57,6 +60,7 @@ class Parameter:
     nominal: float | None
     kind: str
     fixed: bool
+    local: bool
 
     @explained
     def __init__(
@@ -70,6 +74,7 @@ class Parameter:
         nominal: float | None = None,
         kind: Literal["continuous", "integer", "categorical"] = "continuous",
         fixed: bool = False,
+        local: bool = False,
     ) -> None:
         put = object.__setattr__
         put(self, "name", choice("name", name))
@@ -80,6 +85,7 @@ class Parameter:
         put(self, "nominal", optional_number("nominal", nominal))
         put(self, "kind", choice("kind", kind))
         put(self, "fixed", flag("fixed", fixed))
+        put(self, "local", flag("local", local))
         _core.check_parameter(self)
 
     def __repr__(self) -> str:
@@ -94,4 +100,6 @@ class Parameter:
             said.append(f"kind={self.kind!r}")
         if self.fixed:
             said.append("fixed=True")
+        if self.local:
+            said.append("local=True")
         return f"Parameter({', '.join(said)})"

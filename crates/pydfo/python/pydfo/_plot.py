@@ -28,7 +28,7 @@ _log = logging.getLogger("pydfo")
 
 
 def pyplot() -> Any:
-    """``matplotlib.pyplot``, or an error that says how to get it."""
+    """``matplotlib.pyplot``, or an error with the command that installs it."""
     try:
         import matplotlib.pyplot as plt
     except ImportError as e:
@@ -37,7 +37,7 @@ def pyplot() -> Any:
 
 
 def _is_live(figure: Figure) -> bool:
-    """Whether somebody watches a window."""
+    """Whether the figure is shown in a window."""
     return getattr(figure.canvas, "required_interactive_framework", None) is not None
 
 
@@ -63,7 +63,7 @@ class SimplexWalk:
         self._closed = True
 
     def __call__(self, progress: Progress) -> None:
-        """Takes in the simplex or the population of one iteration, and shows it if somebody watches."""
+        """Takes in the simplex or the population of one iteration, and draws it if the figure is shown in a window."""
         shape = progress.final_simplex or progress.final_population
         if shape is None:
             return
@@ -148,18 +148,24 @@ def convergence(result: OptimizeResult) -> Figure:
 def fit(fit: Fit, calibration: Calibration) -> Figure:
     """Measurements, the response at the start and the fitted one per output; below, the residuals of both."""
     plt = pyplot()
-    measured = calibration.measurements()
+    native = calibration._native
+    titles = native.experiments() if len(native.experiments()) > 1 else [""]
+    columns = [
+        (k, name, time[~np.isnan(values)], values[~np.isnan(values)])
+        for k, (time, outputs) in enumerate(native.measurements())
+        for name, values in outputs
+    ]
     figure: Figure
     figure, axes = plt.subplots(
-        2, len(measured), sharex="col", squeeze=False, figsize=(6.4 * len(measured), 6.0), height_ratios=[2, 1],
+        2, len(columns), sharex="col", squeeze=False, figsize=(6.4 * len(columns), 6.0), height_ratios=[2, 1],
         layout="constrained",
     )
-    start = _response(calibration, fit.start)
-    fitted = _response(calibration, fit.x)
-    for column, (name, (time, values)) in enumerate(measured.items()):
+    starts = [_response(calibration, fit.start, k) for k in range(len(titles))]
+    fits = [_response(calibration, fit.x, k) for k in range(len(titles))]
+    for column, (k, name, time, values) in enumerate(columns):
         upper, lower = axes[0, column], axes[1, column]
         upper.plot(time, values, ".", color="0.6", markersize=3, label="measured")
-        for response, colour, style, label in ((start, "tab:orange", "--", "start"), (fitted, "tab:blue", "-", "fitted")):
+        for response, colour, style, label in ((starts[k], "tab:orange", "--", "start"), (fits[k], "tab:blue", "-", "fitted")):
             if response is None:
                 continue
             curve, at_measured = response
@@ -170,6 +176,7 @@ def fit(fit: Fit, calibration: Calibration) -> Figure:
             residual = at_measured[name][rows] - values[np.searchsorted(time, times)]
             rms = float(np.sqrt(np.mean(residual**2)))
             lower.plot(times, residual, style, color=colour, linewidth=0.8, label=f"{label}: RMS {rms:.4g}")
+        upper.set_title(titles[k])
         upper.set_ylabel(name)
         upper.legend(loc="best", fontsize="small")
         lower.axhline(0.0, color="0.3", linewidth=0.5)
@@ -181,14 +188,15 @@ def fit(fit: Fit, calibration: Calibration) -> Figure:
     return figure
 
 
-def _response(calibration: Calibration, x: FloatArray) -> tuple[dict[str, FloatArray], dict[str, FloatArray]] | None:
-    """A smooth curve and the values at the measured times; None if the simulation fails at `x`."""
+def _response(calibration: Calibration, x: FloatArray, k: int) -> tuple[dict[str, FloatArray], dict[str, FloatArray]] | None:
+    """A smooth curve of experiment `k` and the values at its measured times; None if the simulation fails at `x`."""
+    simulate = calibration._native.simulate
     try:
-        at_measured = calibration.simulate(x)
+        at_measured = simulate(x.tolist(), experiment=k)[0]
         time = at_measured["time"]
         if len(time) < 2:
             return at_measured, at_measured
-        return calibration.simulate(x, np.linspace(time[0], time[-1], CURVE_POINTS)), at_measured
+        return simulate(x.tolist(), np.linspace(time[0], time[-1], CURVE_POINTS).tolist(), k)[0], at_measured
     except SimulationError as e:
         _log.warning("nothing to draw at %s: %s", x, e)
         return None

@@ -1,4 +1,4 @@
-"""Progress: what a run tells while it goes, and the lines printed from it."""
+"""Progress of a run after each iteration, and the lines printed from it."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
             options["coefficients"] = "adaptive"
         arguments = {name: options.pop(name) for name in _ARGUMENTS & options.keys()}
         result = minimize(
-            fun, x0, bounds, method, args, callback=_as_scipy_calls(callback), options=options, **arguments
+            fun, x0, bounds=bounds, method=method, args=args, callback=_as_scipy_calls(callback), options=options, **arguments
         )
         if display:
             print(result)
@@ -110,7 +110,7 @@ def _result_class() -> Any:
 
 
 def _as_scipy_calls(callback: Callable[..., Any] | None) -> Callable[[Progress], Any] | None:
-    """SciPy tells the point alone, unless the one parameter is called ``intermediate_result``."""
+    """SciPy passes the point alone, unless the one parameter is called ``intermediate_result``."""
     if callback is None:
         return None
     try:

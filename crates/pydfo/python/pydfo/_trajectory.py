@@ -124,7 +124,7 @@ class SimulationResult(Mapping[str, Column]):
         self.left_limit = left
         self.termination = termination
         self.end_time = end_time
-        # Made into what they are shown as when somebody looks: that takes as long as a short simulation.
+        # Converted at the first access: that takes as long as a short simulation.
         self._event_times, self._event_kinds, self._stats = event_times, event_kinds, stats
         self._tick_times, self._tick_clocks = tick_times, tick_clocks
         self._names, self._type_names, self._unit_names = names, types, units
@@ -194,7 +194,7 @@ class SimulationResult(Mapping[str, Column]):
         hint = f"; did you mean {', '.join(nearest)}?" if nearest else "."
         names = list(self._columns)
         shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-        return f'"{name}" was not recorded{hint} Recorded are {shown}; simulate(output=[...]) chooses'
+        return f'"{name}" was not recorded{hint} Recorded are {shown}; simulate(outputs=[...]) chooses'
 
     def keys(self) -> KeysView[str]:
         """The names of the variables, "time" first; those of arrays without their elements."""

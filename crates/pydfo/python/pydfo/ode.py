@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _options
-from ._keywords import explained
+from ._keywords import also_called
 from ._trajectory import SimulationStats
 
 __all__ = ["DenseOutput", "OdeResult", "solve"]
@@ -51,7 +51,7 @@ class _Problem:
     chattering: str
     max_steps: int | None
     max_events: int | None
-    timeout: float | None
+    max_time: float | None
 
 
 class DenseOutput:
@@ -174,7 +174,7 @@ class OdeResult:
         return f"<OdeResult: {self.message} t = {self.end_time}, {n} states at {m} times, nfev = {self.nfev}>"
 
 
-@explained
+@also_called(timeout="max_time")
 def solve(
     rhs: Callable[..., npt.ArrayLike],
     t_span: Sequence[SupportsFloat],
@@ -198,7 +198,7 @@ def solve(
     chattering: Literal["error", "warn", "slide"] = "error",
     max_steps: SupportsFloat | None = None,
     max_events: SupportsFloat | None = None,
-    timeout: SupportsFloat | None = None,
+    max_time: SupportsFloat | None = None,
 ) -> OdeResult:
     """Integrate ``y' = rhs(t, y)``, or ``mass @ y' = rhs(t, y)``, with events that may change the state.
 
@@ -273,8 +273,8 @@ def solve(
         they came from; with "slide" a hundred bounces within 1e-4 of the span are too many.
     max_steps, max_events : int, optional
         Limits.
-    timeout : float, optional
-        Limit of wall-clock time in s, looked at between calls of the functions.
+    max_time : float, optional
+        Limit of wall-clock time in s, looked at between calls of the functions (also called `timeout`).
 
     Returns
     -------
@@ -351,7 +351,7 @@ def solve(
         chattering=_options.choice("chattering", chattering),
         max_steps=_options.limit("max_steps", max_steps, 0),
         max_events=_options.limit("max_events", max_events, 0),
-        timeout=_options.optional_number("timeout", timeout),
+        max_time=_options.optional_number("max_time", max_time),
     )
     result = _core.solve(problem)
     if result.stats.chattering and chattering == "warn":

@@ -1,11 +1,10 @@
 //! Threads with large stacks that native work is handed to; idle ones wait for the next piece, which is faster than
 //! starting one for each simulation of a few microseconds.
 
-use crate::interrupt::lock;
 use std::io;
 use std::process;
-use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::{Mutex, MutexGuard};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -22,7 +21,7 @@ const AWAKE: Duration = Duration::from_micros(250);
 /// Looks between two readings of the clock, each of which offers the core to others.
 const LOOKS: u32 = 16;
 
-/// A piece of work. It returns what is to be done once its thread waits for more: tell somebody that it is done.
+/// A piece of work. It returns what is to be done once its thread waits for more: the announcement that it is done.
 pub(crate) type Work = Box<dyn FnOnce() -> Box<dyn FnOnce()> + Send>;
 
 struct Helper {
@@ -86,4 +85,9 @@ pub(crate) fn soon<T>(queue: &Receiver<T>) -> Result<T, TryRecvError> {
         }
         thread::yield_now();
     }
+}
+
+/// A poisoned lock is no reason to fail: what we keep under locks is whole at every instant.
+pub(crate) fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|e| e.into_inner())
 }

@@ -1,40 +1,11 @@
-//! Measured series: CSV files and in-memory columns, irregular times, missing values.
+//! CSV files as tables, as spreadsheets and data loggers write them.
 
+use super::table::{Column, Data, two_signs};
+use super::time_column::TimeColumn;
 use crate::error::CalibrationError;
-use crate::time_column::{TimeColumn, listed};
-use ode::Number;
-use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::io::Read;
-use std::ops::Range;
 use std::path::Path;
-
-/// A table of recorded series over one time column.
-///
-/// Times ascend; a time may stand twice (an input jumps there), never three times. A missing value is NaN.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Data {
-    source: String,
-    time_name: String,
-    time: Vec<f64>,
-    columns: Vec<Column>,
-    /// Names of columns that were left out.
-    left_out: Vec<String>,
-}
-
-#[derive(Debug, Clone, PartialEq)]
-struct Column {
-    name: String,
-    values: Vec<f64>,
-    /// The first cell that is no number.
-    text: Option<Cell>,
-    /// The first numbers with a comma and with a point.
-    comma: Option<Cell>,
-    point: Option<Cell>,
-}
-
-/// A cell of a file: its line, counted from 1, and its text.
-type Cell = (usize, String);
 
 /// Spellings of a missing value in a CSV file; compared without regard to case.
 const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
@@ -156,193 +127,6 @@ impl Data {
         time.values.iter_mut().for_each(|t| *t = time_column.seconds(*t));
         Self::new(source.to_owned(), time.name, time.values, columns, |row| format!("line {}", lines[row]))
     }
-
-    /// A table from columns in memory, one of which holds the times: the column `time` as in a
-    /// [CSV file](Self::from_csv), or the one that is named here.
-    ///
-    /// # Errors
-    /// No column of times, columns of different length, times that are not finite or not ascending.
-    pub fn from_table(
-        columns: impl IntoIterator<Item = (String, Vec<f64>)>,
-        time: Option<&str>,
-    ) -> Result<Self, CalibrationError> {
-        let mut columns: Vec<(String, Vec<f64>)> = columns.into_iter().collect();
-        let found = TimeColumn::find(columns.iter().map(|(name, _)| name.as_str()), time);
-        let found =
-            found.map_err(|message| CalibrationError::Data { source_name: "data".to_owned(), message })?;
-        let (name, mut times) = columns.remove(found.index);
-        times.iter_mut().for_each(|t| *t = found.seconds(*t));
-        let columns = columns.into_iter().map(|(name, values)| Column::new(name, values)).collect();
-        Self::new("data".to_owned(), name, times, columns, |row| format!("row {row}"))
-    }
-
-    /// Names of columns that the recording has, and this table has not: a [warning](crate::SetupWarning) may concern them.
-    #[must_use]
-    pub fn left_out(mut self, names: impl IntoIterator<Item = String>) -> Self {
-        self.left_out.extend(names);
-        self
-    }
-
-    /// Names of all columns beside the time, those left out last.
-    pub(crate) fn all_names(&self) -> impl Iterator<Item = &str> + Clone {
-        self.names().chain(self.left_out.iter().map(String::as_str))
-    }
-
-    /// The distance of the times: the median.
-    pub(crate) fn sampling_interval(&self) -> Option<f64> {
-        sampling_interval(&self.time)
-    }
-
-    /// A table from columns in memory; all as long as `time`.
-    ///
-    /// # Errors
-    /// Columns of another length, times that are not finite or not ascending.
-    pub fn from_columns(
-        time: Vec<f64>,
-        columns: impl IntoIterator<Item = (String, Vec<f64>)>,
-    ) -> Result<Self, CalibrationError> {
-        let columns = columns.into_iter().map(|(name, values)| Column::new(name, values)).collect();
-        Self::new("data".to_owned(), "time".to_owned(), time, columns, |row| format!("row {row}"))
-    }
-
-    fn new(
-        source: String,
-        time_name: String,
-        time: Vec<f64>,
-        columns: Vec<Column>,
-        place: impl Fn(usize) -> String,
-    ) -> Result<Self, CalibrationError> {
-        let bad = |message: String| Err(CalibrationError::Data { source_name: source.clone(), message });
-        if time.is_empty() {
-            return bad("there are no rows".to_owned());
-        }
-        for column in &columns {
-            if column.values.len() != time.len() {
-                return bad(format!(
-                    "column '{}' has {} values, '{time_name}' has {}",
-                    column.name,
-                    column.values.len(),
-                    time.len()
-                ));
-            }
-        }
-        for (i, t) in time.iter().enumerate() {
-            if !t.is_finite() {
-                return bad(format!("time {} at {} is not finite", Number(*t), place(i)));
-            }
-            if i > 0 && *t < time[i - 1] {
-                return bad(format!(
-                    "time {} at {} comes after {}: times must ascend",
-                    Number(*t),
-                    place(i),
-                    Number(time[i - 1])
-                ));
-            }
-            if i > 1 && *t == time[i - 2] {
-                return bad(format!("time {} at {} stands there for the third time", Number(*t), place(i)));
-            }
-        }
-        Ok(Self { source, time_name, time, columns, left_out: Vec::new() })
-    }
-
-    /// Where the table comes from, as errors name it.
-    pub fn source(&self) -> &str {
-        &self.source
-    }
-
-    /// A hash of the names and values: of the content, wherever it came from.
-    pub(crate) fn hash(&self) -> String {
-        let mut hasher = Sha256::new();
-        let columns = self.columns.iter().map(|c| (&c.name, &c.values));
-        for (name, values) in std::iter::once((&self.time_name, &self.time)).chain(columns) {
-            hasher.update((name.len() as u64).to_le_bytes());
-            hasher.update(name);
-            hasher.update((values.len() as u64).to_le_bytes());
-            values.iter().for_each(|v| hasher.update(v.to_bits().to_le_bytes()));
-        }
-        hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
-    }
-
-    /// The times.
-    pub fn time(&self) -> &[f64] {
-        &self.time
-    }
-
-    /// Names of the columns beside the time, in their order.
-    pub fn names(&self) -> impl Iterator<Item = &str> + Clone {
-        self.columns.iter().map(|c| c.name.as_str())
-    }
-
-    /// A column by name, with NaN for missing values.
-    ///
-    /// # Errors
-    /// No such column (the message lists those there are), a cell that is no number, an infinite value.
-    pub fn column(&self, name: &str) -> Result<&[f64], CalibrationError> {
-        if name == self.time_name {
-            return Ok(&self.time);
-        }
-        let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
-        let mut named = self.columns.iter().filter(|c| c.name == name);
-        let column = named.next().ok_or_else(|| {
-            bad(format!("there is no column '{name}'; there are: {}", listed(self.all_names())))
-        })?;
-        if named.next().is_some() {
-            return Err(bad(format!("two columns are named '{name}'")));
-        }
-        if let Some((line, text)) = &column.text {
-            return Err(bad(format!(
-                "'{text}' in column '{name}', line {line}, is not a number; missing values are empty cells, NaN, NA, N/A \
-                 or null"
-            )));
-        }
-        if let Some(message) = two_signs(&self.columns, column) {
-            return Err(bad(message));
-        }
-        if let Some(row) = column.values.iter().position(|v| v.is_infinite()) {
-            return Err(bad(format!("column '{name}' is infinite at time {}", self.time[row])));
-        }
-        Ok(&column.values)
-    }
-
-    /// The rows of a column that was measured: at least one value, and no time with two of them.
-    ///
-    /// # Errors
-    /// As [`column`](Self::column), all values missing, two values at one time.
-    ///
-    /// # Panics
-    /// If `rows` reaches beyond the table.
-    pub(crate) fn measured(&self, name: &str, rows: Range<usize>) -> Result<&[f64], CalibrationError> {
-        let values = &self.column(name)?[rows.clone()];
-        let time = &self.time[rows];
-        let bad = |message: String| Err(CalibrationError::Data { source_name: self.source.clone(), message });
-        if values.iter().all(|v| v.is_nan()) {
-            return bad(format!(
-                "all {} values of column '{name}' from time {} to {} are missing",
-                values.len(),
-                time[0],
-                time[time.len() - 1]
-            ));
-        }
-        let twice = (1..values.len())
-            .find(|&i| time[i] == time[i - 1] && !values[i].is_nan() && !values[i - 1].is_nan());
-        if let Some(i) = twice {
-            return bad(format!(
-                "column '{name}' has two measurements at time {}: {} and {}",
-                Number(time[i]),
-                Number(values[i - 1]),
-                Number(values[i])
-            ));
-        }
-        Ok(values)
-    }
-}
-
-/// The distance of ascending times from each other: the median, without times that stand twice.
-pub(crate) fn sampling_interval(times: &[f64]) -> Option<f64> {
-    let mut distances: Vec<f64> =
-        times.windows(2).map(|pair| pair[1] - pair[0]).filter(|d| *d > 0.0).collect();
-    let middle = distances.len().checked_sub(1)? / 2;
-    Some(*distances.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// UTF-8, UTF-16 with a byte order mark, else Windows-1252 (which reads Latin 1 too): what spreadsheets write.
@@ -379,10 +163,6 @@ fn number(cell: &str, delimiter: u8) -> Option<f64> {
 }
 
 impl Column {
-    fn new(name: String, values: Vec<f64>) -> Self {
-        Self { name, values, text: None, comma: None, point: None }
-    }
-
     fn push(&mut self, cell: &str, line: usize, delimiter: u8) {
         let number = number(cell, delimiter);
         let first = match number {
@@ -395,23 +175,6 @@ impl Column {
         }
         self.values.push(number.unwrap_or(f64::NAN));
     }
-}
-
-/// Why the numbers of a column cannot be told: some in the file have a comma, others a point, and one of the two may
-/// separate thousands.
-fn two_signs(all: &[Column], column: &Column) -> Option<String> {
-    let first = |mark: fn(&Column) -> Option<&Cell>| {
-        let own = std::iter::once(column).chain(all.iter().filter(|c| c.text.is_none()));
-        own.into_iter().find_map(|c| mark(c).map(|cell| (&c.name, cell)))
-    };
-    let (commas, (line, comma)) = first(|c| c.comma.as_ref())?;
-    let (points, (other, point)) = first(|c| c.point.as_ref())?;
-    (column.comma.is_some() || column.point.is_some()).then(|| {
-        format!(
-            "'{comma}' in column '{commas}', line {line}, has a comma and '{point}' in column '{points}', line {other}, a \
-             point: write all numbers with one decimal sign and without separators of thousands"
-        )
-    })
 }
 
 #[cfg(test)]

@@ -1,0 +1,78 @@
+//! Why there is no cost at a point.
+
+use dfo::FailureKind;
+use fmi::FmiError;
+use fmi::platform::without_private_folders;
+use ode::ErrorKind;
+
+/// Why there is no cost at a point.
+pub(crate) enum NoCost {
+    /// The cost is strictly above the cutoff.
+    Above,
+    /// The run is being ended.
+    Cancelled,
+    /// No simulation can be made any more, here or at other points.
+    Over(Box<FmiError>),
+    /// The simulation failed: its kind, a reason that is the same for all failures of that sort, one with all details, and the
+    /// error of the model, if it is one.
+    Failed { kind: FailureKind, reason: String, message: String, source: Option<Box<FmiError>> },
+}
+
+impl NoCost {
+    /// A failure that is not one of the model.
+    pub(crate) fn failed(kind: FailureKind, reason: String) -> Self {
+        Self::Failed { kind, message: reason.clone(), reason, source: None }
+    }
+
+    /// The same with the name of the experiment.
+    pub(crate) fn in_experiment(mut self, name: &str) -> Self {
+        if let Self::Failed { reason, message, .. } = &mut self {
+            *reason = format!("{name}: {reason}");
+            *message = format!("{name}: {message}");
+        }
+        self
+    }
+
+    /// Whether an evaluation has failed because of earlier ones, and is to be made again.
+    pub(crate) fn is_by_history(&self) -> bool {
+        matches!(self, Self::Failed { source: Some(error), .. } if matches!(**error, FmiError::FailedByHistory { .. }))
+    }
+}
+
+/// Sorts a failed simulation: its kind, and a reason that is the same for all failures of that sort.
+impl From<FmiError> for NoCost {
+    fn from(error: FmiError) -> Self {
+        if matches!(error, FmiError::NoCopy { .. }) {
+            return NoCost::Over(Box::new(error));
+        }
+        let mut kind = FailureKind::Error;
+        let reason = match &error {
+            FmiError::Simulation(e) => match &e.kind {
+                ErrorKind::Cancelled => return NoCost::Cancelled,
+                ErrorKind::Model(inner) => {
+                    inner.downcast_ref().map_or_else(|| inner.to_string(), call_reason)
+                }
+                other => {
+                    if matches!(other, ErrorKind::TimedOut(_)) {
+                        kind = FailureKind::TimedOut;
+                    }
+                    other.summary()
+                }
+            },
+            other => call_reason(other),
+        };
+        let reason = without_private_folders(&reason);
+        NoCost::Failed { kind, reason, message: error.to_string(), source: Some(Box::new(error)) }
+    }
+}
+
+/// A failed call without the time at which it happened, with the first line the FMU logged about it.
+fn call_reason(error: &FmiError) -> String {
+    match error {
+        FmiError::Call(failure) => {
+            let line = failure.log.first().map(|line| format!(": {line}")).unwrap_or_default();
+            format!("{} returned {}{line}", failure.call, failure.status)
+        }
+        other => other.to_string(),
+    }
+}

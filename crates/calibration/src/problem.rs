@@ -1,0 +1,127 @@
+//! What is fitted to what, as plain data: it can be stored, and sent to other processes.
+
+use crate::error::CalibrationError;
+use crate::experiment::{Experiment, SimulationSettings};
+use crate::parameter::Parameter;
+use crate::warning::{SetupWarning, ignored_nominals, unused_columns};
+use fmi::{FmiError, Fmu, ModelDescription};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The file of a model and what it contains.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModelFile {
+    /// An absolute path: an `.fmu` file or an unpacked folder.
+    pub path: PathBuf,
+    /// SHA-256 of its content, in hexadecimal.
+    pub content_hash: String,
+}
+
+/// Parameters, and the terms of the cost that they are fitted to. It holds its recordings by value and its model by the name and
+/// the hash of a file; [`Calibration::from_problem`](crate::Calibration::from_problem) makes it one that can be evaluated.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Problem {
+    /// The model.
+    pub model: ModelFile,
+    /// What is fitted, as the user named it: a [local](Parameter::local) parameter stands here once.
+    pub parameters: Vec<Parameter>,
+    /// The terms of the cost, in the order of their residuals.
+    pub experiments: Vec<Experiment>,
+    /// How simulations are made.
+    pub settings: SimulationSettings,
+}
+
+/// A value that a fit varies: an entry of `x`.
+#[derive(Debug, Clone)]
+pub(crate) struct Element {
+    pub(crate) parameter: Parameter,
+    /// The only experiment that it belongs to; `None`: all.
+    pub(crate) experiment: Option<usize>,
+}
+
+impl ModelFile {
+    /// The file of an opened model.
+    ///
+    /// # Errors
+    /// The file cannot be read any more.
+    pub fn of(fmu: &Fmu) -> Result<Self, FmiError> {
+        let path = std::path::absolute(fmu.path()).unwrap_or_else(|_| fmu.path().to_owned());
+        Ok(Self { path, content_hash: fmu.content_hash()?.to_owned() })
+    }
+
+    /// Checks that a model has this content.
+    ///
+    /// # Errors
+    /// [`CalibrationError::OtherModel`] names both hashes.
+    pub fn check(&self, fmu: &Fmu) -> Result<(), CalibrationError> {
+        let found = fmu.content_hash()?;
+        if found == self.content_hash {
+            return Ok(());
+        }
+        let (expected, found) = (self.content_hash.clone(), found.to_owned());
+        Err(CalibrationError::OtherModel { path: fmu.path().to_owned(), expected, found })
+    }
+}
+
+impl Problem {
+    /// The names of the experiments: as given, else `run1`, `run2` and so on.
+    pub fn experiment_names(&self) -> Vec<String> {
+        let name = |(k, e): (usize, &Experiment)| e.name.clone().unwrap_or_else(|| format!("run{}", k + 1));
+        self.experiments.iter().enumerate().map(name).collect()
+    }
+
+    /// The entries of `x`: the parameters in their order, a local one once per experiment in its place.
+    pub(crate) fn elements(&self) -> Result<Vec<Element>, CalibrationError> {
+        let names = self.experiment_names();
+        let mut elements: Vec<Element> = Vec::with_capacity(self.parameters.len());
+        for parameter in &self.parameters {
+            if !parameter.is_local() {
+                elements.push(Element { parameter: parameter.clone(), experiment: None });
+                continue;
+            }
+            for (k, (name, experiment)) in names.iter().zip(&self.experiments).enumerate() {
+                let given = experiment.start_values.iter().find(|(given, _)| given == parameter.variable());
+                let start = given.map(|(_, value)| {
+                    value.as_number().ok_or_else(|| CalibrationError::Parameter {
+                        name: parameter.name().to_owned(),
+                        message: format!("its start value in {name} is {value}, not a number"),
+                    })
+                });
+                let parameter = parameter.in_experiment(name, start.transpose()?);
+                elements.push(Element { parameter, experiment: Some(k) });
+            }
+        }
+        elements.iter().try_for_each(|element| element.parameter.check())?;
+        Ok(elements)
+    }
+
+    /// Checks what can be checked with the description of the model; what is in doubt comes back.
+    pub(crate) fn check(
+        &self,
+        description: &ModelDescription,
+    ) -> Result<Vec<SetupWarning>, CalibrationError> {
+        if self.parameters.is_empty() {
+            return Err(CalibrationError::Setup("there is no parameter to fit".to_owned()));
+        }
+        if self.experiments.is_empty() {
+            return Err(CalibrationError::Setup("there is no experiment to fit to".to_owned()));
+        }
+        for (i, parameter) in self.parameters.iter().enumerate() {
+            if self.parameters[..i].iter().any(|p| p.name() == parameter.name()) {
+                let name = parameter.name().to_owned();
+                return Err(CalibrationError::Parameter { name, message: "is given twice".to_owned() });
+            }
+        }
+        let names = self.experiment_names();
+        if let Some(twice) = (1..names.len()).find(|&k| names[..k].contains(&names[k])) {
+            return Err(CalibrationError::Setup(format!("two experiments are named '{}'", names[twice])));
+        }
+        let mut warnings = Vec::new();
+        for experiment in &self.experiments {
+            experiment.check_start_values(description, &self.parameters)?;
+            warnings.extend(unused_columns(description, experiment));
+        }
+        warnings.extend(ignored_nominals(&self.parameters));
+        Ok(warnings)
+    }
+}

@@ -1,0 +1,162 @@
+//! Problems with several experiments and outputs: one order of the sum, parameters in their order, stored problems, cancellation.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::{
+    Calibration, CalibrationBuilder, CalibrationError, Data, Experiment, FitOptions, Parameter, Problem,
+};
+use dfo::{Answer, Limits, Objective, Outcome, Query, RunOptions, Want};
+use fmi::{Fmu, example_fmu};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+fn open(name: &str) -> Fmu {
+    Fmu::open(example_fmu(name).unwrap()).unwrap()
+}
+
+/// Two outputs of a pendulum at uneven times, twice, with numbers of such sizes that sums in another order differ.
+fn furuta() -> Calibration {
+    let experiment = |shift: f64| {
+        let time: Vec<f64> = (0..40).map(|k| 0.05 * f64::from(k) + 0.003 * f64::from(k % 3)).collect();
+        let phi = time.iter().map(|t| (3.0 * t + shift).sin()).collect();
+        let theta = time.iter().map(|t| if *t < 0.7 { f64::NAN } else { 0.01 * (5.0 * t).cos() }).collect();
+        let data = [("phi", phi), ("theta", theta)].map(|(name, values)| (name.to_owned(), values));
+        Experiment::new(Data::from_columns(time, data).unwrap())
+            .output("armJoint.phi", "phi")
+            .weighted_output("pendulumJoint.phi", "theta", 0.3)
+    };
+    Calibration::builder(open("furuta"))
+        .experiment(experiment(0.0))
+        .experiment(experiment(0.4))
+        .parameter(Parameter::new("armFriction", 0.012).bounds(0.0, 0.022))
+        .parameter(Parameter::new("pendulumFriction", 0.002).bounds(0.0, 0.012))
+        .build()
+        .unwrap()
+}
+
+/// x' = -k x from two starts, with rates of their own.
+fn decays() -> CalibrationBuilder {
+    let time: Vec<f64> = (0..11).map(|i| 0.1 * f64::from(i)).collect();
+    let recording = |x0: f64, k: f64| {
+        let x = time.iter().map(|t| x0 * (-k * t).exp()).collect();
+        Experiment::new(Data::from_columns(time.clone(), [("x".to_owned(), x)]).unwrap()).output("x", "x")
+    };
+    Calibration::builder(open("dahlquist"))
+        .experiment(recording(1.0, 2.0).named("slow").start_value("k", 1.5))
+        .experiment(recording(3.0, 4.0))
+        .parameter(Parameter::new("k", 3.0).bounds(0.1, 10.0).local(true))
+        .parameter(Parameter::new("x", 1.0).bounds(0.1, 10.0).local(true))
+}
+
+fn sum(residuals: &[f64]) -> f64 {
+    residuals.iter().fold(0.0, |sum, r| sum + r * r)
+}
+
+#[test]
+fn the_cost_has_the_same_bits_on_every_path() {
+    let calibration = furuta();
+    let x = [0.0113, 0.0021];
+    let residuals = calibration.residuals(&x).unwrap();
+    let cost = calibration.cost(&x).unwrap();
+    assert_eq!(cost.to_bits(), sum(&residuals).to_bits());
+    assert_ne!(cost.to_bits(), sum(&residuals.iter().rev().copied().collect::<Vec<_>>()).to_bits());
+
+    let ask = |want, cutoff| {
+        let mut answer = Answer::default();
+        calibration.evaluate(&x, &Query::new(0, 0, cutoff).want(want), &mut answer);
+        answer
+    };
+    for (want, cutoff) in [(Want::Cost, f64::INFINITY), (Want::Cost, cost), (Want::Residuals, f64::INFINITY)]
+    {
+        let answer = ask(want, cutoff);
+        assert_eq!(answer.outcome, Outcome::Value(cost));
+        let expected = if want == Want::Residuals { &residuals[..] } else { &[] };
+        assert_eq!(answer.residuals, expected);
+    }
+    // Above it is what is strictly above, by however little.
+    let below = f64::from_bits(cost.to_bits() - 1);
+    assert_eq!(ask(Want::Cost, below).outcome, Outcome::Above(below));
+
+    let mut found = Vec::new();
+    for (workers, cutoffs) in [(1, true), (1, false), (3, true)] {
+        let limits = Limits { max_evaluations: Some(40), ..Limits::default() };
+        let run = RunOptions { limits, workers: Some(workers), ..FitOptions::default_run() };
+        let fit = calibration.fit(FitOptions { cutoffs, ..run.into() }).unwrap();
+        assert_eq!(fit.cost.to_bits(), calibration.cost(&fit.x).unwrap().to_bits());
+        assert_eq!(fit.cost.to_bits(), sum(&calibration.residuals(&fit.x).unwrap()).to_bits());
+        for entry in fit.report.trace.iter() {
+            if let Outcome::Value(cost) = entry.outcome {
+                assert_eq!(cost.to_bits(), calibration.cost(entry.x).unwrap().to_bits());
+            }
+        }
+        found.push((fit.x, fit.cost));
+    }
+    assert!(found.iter().all(|one| *one == found[0]));
+}
+
+#[test]
+fn local_parameters_stand_in_their_place_once_per_experiment() {
+    let calibration = decays().build().unwrap();
+    let names: Vec<&str> = calibration.parameters().iter().map(Parameter::name).collect();
+    assert_eq!(names, ["k[slow]", "k[run2]", "x[slow]", "x[run2]"]);
+    assert_eq!(calibration.start(), [1.5, 3.0, 1.0, 1.0]);
+    assert!(calibration.cost(&[2.0, 4.0, 1.0, 3.0]).unwrap() < 1e-8);
+    // The second experiment does not see the first entry.
+    let residuals = |x: [f64; 4]| calibration.residuals(&x).unwrap();
+    let (one, other) = (residuals([2.0, 4.0, 1.0, 3.0]), residuals([1.0, 4.0, 1.0, 3.0]));
+    assert!(one[1..11] != other[1..11] && one[11..] == other[11..]);
+    let rows = calibration.simulate(&[2.0, 4.0, 1.0, 3.0], None).unwrap();
+    assert!((rows[1].columns[0][10] - 3.0 * (-4.0f64).exp()).abs() < 1e-4);
+
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    for (found, expected) in fit.x.iter().zip([2.0, 4.0, 1.0, 3.0]) {
+        assert!((found - expected).abs() < 1e-2 * expected, "{fit}");
+    }
+    assert_eq!(fit.names, names);
+
+    let shared = Parameter::new("lambda", 1.0).local(true);
+    let e = decays().parameter(shared).build().unwrap_err().to_string();
+    assert!(e.contains("lambda"), "{e}");
+}
+
+#[test]
+fn experiments_are_told_apart() {
+    let twice = decays().experiment(
+        Experiment::new(Data::from_columns(vec![0.0], [("x".to_owned(), vec![1.0])]).unwrap())
+            .output("x", "x")
+            .named("slow"),
+    );
+    let e = twice.build().unwrap_err().to_string();
+    assert_eq!(e, "two experiments are named 'slow'");
+    let outside = decays().parameter(Parameter::new("k", 1.0)).build().unwrap_err().to_string();
+    assert!(outside.contains("'k': is given twice"), "{outside}");
+}
+
+#[test]
+fn a_problem_survives_a_file() {
+    let calibration = decays().build().unwrap();
+    let mut bytes = Vec::new();
+    ciborium::into_writer(calibration.problem(), &mut bytes).unwrap();
+    let problem: Problem = ciborium::from_reader(&bytes[..]).unwrap();
+    assert_eq!(&problem, calibration.problem());
+    let again = Calibration::from_problem(open("dahlquist"), problem.clone()).unwrap();
+    again.set_solver(calibration.solver().unwrap().clone()).unwrap();
+    let x = [2.1, 3.9, 1.0, 3.1];
+    assert_eq!(again.cost(&x).unwrap().to_bits(), calibration.cost(&x).unwrap().to_bits());
+
+    let other = open("van_der_pol");
+    let found = other.content_hash().unwrap().to_owned();
+    let e = Calibration::from_problem(other, problem).unwrap_err().to_string();
+    assert!(e.contains(&calibration.problem().model.content_hash) && e.contains(&found), "{e}");
+}
+
+#[test]
+fn a_fit_can_be_cancelled_while_its_solver_is_chosen() {
+    let calibration = furuta();
+    let by_flag = FitOptions { cancel: Some(Arc::new(AtomicBool::new(true))), ..FitOptions::default() };
+    let by_poll = FitOptions { poll: Some(Box::new(|| true)), ..FitOptions::default() };
+    for options in [by_flag, by_poll] {
+        assert!(matches!(calibration.fit(options), Err(CalibrationError::Cancelled)));
+        assert_eq!(calibration.known_solver(), None);
+    }
+}

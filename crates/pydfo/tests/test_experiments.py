@@ -1,0 +1,155 @@
+"""Several recordings in one calibration, and calibrations that go through a pickle."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import pickle
+import shutil
+
+import numpy as np
+import pytest
+
+import pydfo
+from pydfo import Calibration, Experiment, FMUModel, Parameter, example_fmu
+
+TIME = np.linspace(0.0, 1.0, 11)
+SHARED = Parameter("k", 1.0, 0.1, 10.0)
+LOCAL = Parameter("x", 1.0, 0.1, 10.0, local=True)
+
+
+def decay(x0, k=2.0):
+    return {"time": TIME, "y": x0 * np.exp(-k * TIME)}
+
+
+def two(parameters=(SHARED, LOCAL), **more):
+    runs = [
+        Experiment(decay(1.5), {"x": "y"}, name="cold"),
+        Experiment(decay(3.0), {"x": "y"}, start_values={"x": 2.5}, weights=[0.5], window=(0.0, 0.55)),
+    ]
+    return Calibration(example_fmu("dahlquist"), runs, parameters, **more)
+
+
+def test_shared_and_local_parameters_are_fitted_to_both():
+    calibration = two()
+    assert calibration.experiments == ["cold", "run2"]
+    assert calibration.names == ["k", "x[cold]", "x[run2]"]
+    np.testing.assert_array_equal(calibration.start, [1.0, 1.0, 2.5])
+    assert calibration.n_residuals == 11 + 6
+    fit = calibration.fit()
+    np.testing.assert_allclose(fit.x, [2.0, 1.5, 3.0], rtol=1e-3)
+    assert fit.parameters == dict(zip(calibration.names, fit.x))
+    assert "x[run2]" in repr(fit) and fit.start_cost == calibration.cost()
+    np.testing.assert_allclose(fit.rms, np.sqrt(fit.cost / 17), rtol=1e-14)
+    np.testing.assert_allclose(fit.start_rms, np.sqrt(fit.start_cost / 17), rtol=1e-14)
+    # By name, those left out at their starts.
+    assert calibration.cost({"x[cold]": 1.4}) == calibration.cost([1.0, 1.4, 2.5])
+    with pytest.raises(ValueError, match=r"no parameter 'x'; there are: k, x\[cold\], x\[run2\]"):
+        calibration.cost({"x": 1.4})
+
+
+def test_residuals_and_rows_are_those_of_each_alone():
+    calibration = two()
+    x = [1.9, 1.4, 2.9]
+    first = Calibration(example_fmu("dahlquist"), decay(1.5), {"x": "y"}, [SHARED, Parameter("x", 1.0)])
+    second = Calibration(
+        example_fmu("dahlquist"), decay(3.0), {"x": "y"}, [SHARED, Parameter("x", 1.0)], weights=[0.5], window=(0.0, 0.55)
+    )
+    alone = [first.residuals(x[:2]), second.residuals([x[0], x[2]])]
+    np.testing.assert_array_equal(calibration.residuals(x), np.concatenate(alone))
+    rows = calibration.simulate(x)
+    np.testing.assert_array_equal(rows["cold"]["x"], first.simulate(x[:2])["x"])
+    assert len(rows["run2"]["time"]) == 6
+    measured = calibration.measurements()
+    np.testing.assert_array_equal(measured["run2"]["x"][1], decay(3.0)["y"])
+
+
+@pytest.mark.parametrize("make", [two, lambda: Calibration(example_fmu("dahlquist"), decay(1.0), {"x": "y"}, [SHARED])])
+def test_the_cost_is_the_sum_of_the_squares_in_their_order(make):
+    calibration = make()
+    for x in (calibration.start, 1.3 * calibration.start):
+        # NumPy adds by pairs: running sums add from the first to the last.
+        assert calibration.cost(x) == np.cumsum(calibration.residuals(x) ** 2)[-1]
+    fit = calibration.fit(max_evaluations=60)
+    assert fit.cost == calibration.cost(fit.x) == np.cumsum(fit.residuals() ** 2)[-1]
+
+
+def test_each_experiment_has_a_column_per_output_in_the_plot():
+    pytest.importorskip("matplotlib").use("Agg")
+    figure = two().fit(max_evaluations=30).plot()
+    assert len(figure.axes) == 4
+    assert [axes.get_title() for axes in figure.axes[:2]] == ["cold", "run2"]
+
+
+def test_inputs_belong_to_their_experiment():
+    time = np.linspace(0.0, 30.0, 31)
+    model = FMUModel(example_fmu("quad_tank"))
+    runs = []
+    for level in (5.0, 6.0):
+        inputs = {"u1": np.full(31, level), "u2": np.full(31, 5.0)}
+        truth = model.simulate(0, 30, times=time, inputs={"time": time, **inputs}, outputs=["qt.x1"])
+        runs.append(Experiment({"time": time, **inputs, "x1": truth["qt.x1"]}, {"qt.x1": "x1"}, ["u1", "u2"]))
+    truth = model.get("qt.a1")
+    calibration = Calibration(example_fmu("quad_tank"), runs, Parameter("qt.a1", 0.9 * truth, 0.5 * truth, 2.0 * truth))
+    assert calibration.names == ["qt.a1"]
+    np.testing.assert_allclose(calibration.fit().x, [truth], rtol=1e-3)
+
+
+def test_failures_name_the_experiment():
+    runs = [Experiment(decay(1.0), {"x": "y"}), Experiment(decay(1.0), {"x": "y"}, name="late", start_values={"x": 1e308})]
+    with pytest.raises(pydfo.SimulationError, match="late: "):
+        Calibration(example_fmu("dahlquist"), runs, [SHARED]).cost([-10.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "said"),
+    [
+        (([Experiment(decay(1.0), {"x": "y"})], ["x"], [SHARED]), TypeError, "outputs: with experiments .* given for each"),
+        (([Experiment(decay(1.0), {"x": "y"}, name="a")] * 2, [SHARED]), ValueError, "two experiments are named 'a'"),
+        ((decay(1.0), {"x": "y"}), TypeError, "needs the argument 'parameters'"),
+        ((decay(1.0),), TypeError, "needs the argument 'outputs'"),
+        (([Experiment(decay(1.0), {"x": "y"}, start_values={"x": 20.0})], [LOCAL]), ValueError, r"'x\[run1\]': start 20 is outside"),
+        (([Experiment(decay(1.0), {"x": "y"}, start_values={"k": 2.0})], [SHARED]), ValueError, "'k': it is fitted, and start_values"),
+    ],
+)
+def test_what_does_not_fit_together_says_so(arguments, kind, said):
+    with pytest.raises(kind, match=said):
+        Calibration(example_fmu("dahlquist"), *arguments)
+
+
+# --- Pickles ------------------------------------------------------------------------------------------------------------
+
+
+def cost_elsewhere(calibration, x):
+    return calibration.cost(x), calibration.solver
+
+
+def test_calibrations_and_fits_survive_pickles_and_copies():
+    calibration = two()
+    fit = calibration.fit(max_evaluations=40)
+    for again in (pickle.loads(pickle.dumps(fit)), copy.deepcopy(fit)):
+        assert list(again.x) == list(fit.x) and again.cost == fit.cost and again.race == fit.race
+        np.testing.assert_array_equal(again.residuals(), fit.residuals())
+        assert repr(again) == repr(fit)
+    again = pickle.loads(pickle.dumps(calibration))
+    assert (again.names, again.parameters, again.solver) == (calibration.names, calibration.parameters, calibration.solver)
+    assert again.race == calibration.race
+    more = again.fit(max_evaluations=40)
+    assert list(more.x) == list(fit.x)
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(cost_elsewhere, (calibration, fit.x)) == (fit.cost, fit.solver)
+
+
+def test_a_pickle_holds_the_data_and_names_the_model(tmp_path):
+    model, data = tmp_path / "model.fmu", tmp_path / "data.csv"
+    shutil.copy(example_fmu("dahlquist"), model)
+    data.write_text("time,x\n0,1\n0.5,0.4\n")
+    stored = pickle.dumps(Calibration(FMUModel(model, tool_is_present=True), data, ["x"], [SHARED]))
+    data.unlink()
+    assert pickle.loads(stored).cost([2.0]) > 0.0
+    shutil.copy(example_fmu("van_der_pol"), model)
+    with pytest.raises(ValueError, match=r"model.fmu has changed: .* content [0-9a-f]{64}, now it is [0-9a-f]{64}"):
+        pickle.loads(stored)
+    model.unlink()
+    with pytest.raises(FileNotFoundError, match=r"content: [0-9a-f]{64}\) is not where it was.*model.fmu"):
+        pickle.loads(stored)
