@@ -35,7 +35,7 @@ LAYERS = {
         archive
         description
         source sys
-        open_options examples
+        open_options
         fmu
         fmu_cache instance
         simulation

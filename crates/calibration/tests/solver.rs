@@ -6,7 +6,8 @@ use calibration::{
     Calibration, CalibrationError, Data, Experiment, FitOptions, Parameter, SimulationSettings,
 };
 use dfo::{Checkpoint, Limits, Resume, RunOptions};
-use fmi::{Fmu, Inputs, SimulateOptions, example_fmu};
+use example_models::example_fmu;
+use fmi::{Fmu, Inputs, SimulateOptions};
 use ode::{Method, Verdict};
 
 const TRUE: [(&str, f64); 2] = [("C1", 2500.0), ("C2", 9000.0)];

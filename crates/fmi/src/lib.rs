@@ -9,7 +9,6 @@
 //! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
 //! - `instance/`: the phases of an instance as types, its values
 //! - `fmu`, `fmu_cache`, `open_options`: an opened FMU: its file, its description, its library
-//! - `examples/`: the bundled models
 //! - `source/`: source-code FMUs: build, compiler, cache, pack
 //! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
 //! - `description/`: what `modelDescription.xml` says, whatever the version
@@ -26,7 +25,6 @@ pub mod archive;
 mod cancel;
 pub mod description;
 pub mod error;
-mod examples;
 mod fmu;
 mod fmu_cache;
 mod instance;
@@ -45,7 +43,6 @@ pub use archive::{Archive, ArchiveLimits};
 pub use cancel::Cancel;
 pub use description::{DescriptionLimits, ModelDescription, Variable};
 pub use error::{CallFailure, EntryProblem, FmiError, LogLine, Status};
-pub use examples::{ExampleKind, example_fmu, example_fmu_as, example_names};
 pub use fmu::{Fmu, Kind};
 pub use fmu_cache::FmuCache;
 pub use instance::{
@@ -61,6 +58,6 @@ pub use simulation::{
     DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, Sharing, SimulateOptions,
     SimulationPlan, Tick, Trajectory, ValueColumn,
 };
-pub use source::{build_library, clear_caches, pack, pack_unless};
+pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};
 pub use sys::{InterfaceKind, LoaderOptions};
 pub use value::Value;

@@ -199,12 +199,13 @@ fn honest_failures_are_left_alone() {
 /// An input function that is not finite says nothing about the model, whichever run it is.
 #[test]
 fn runs_that_an_input_function_ends_are_not_compared() {
-    use fmi::{ExampleKind, Inputs, Kind};
+    use example_models::ExampleKind;
+    use fmi::{Inputs, Kind};
     for (kind, example) in [
         (Kind::CoSimulation, ExampleKind::Fmi2CoSimulation),
         (Kind::ModelExchange, ExampleKind::Fmi2ModelExchange),
     ] {
-        let fmu = Fmu::open(fmi::example_fmu_as("quad_tank", example).unwrap()).unwrap();
+        let fmu = Fmu::open(example_models::example_fmu_as("quad_tank", example).unwrap()).unwrap();
         for before in 0..6 {
             let mut session = Session::of_kind(fmu.clone(), kind);
             let options = |ends: bool| {

@@ -222,7 +222,7 @@ fn before_a_simulation_calculated_values_come_from_the_initialization() {
 
 #[test]
 fn an_unchanged_file_is_opened_once() {
-    let path = fmi::example_fmu("dahlquist").unwrap();
+    let path = example_models::example_fmu("dahlquist").unwrap();
     let cache = FmuCache::new(2);
     let first = cache.open(&path).unwrap();
     let second = cache.open(&path).unwrap();
@@ -234,7 +234,7 @@ fn an_unchanged_file_is_opened_once() {
     std::fs::copy(&path, &copy).unwrap();
     let before = cache.open(&copy).unwrap();
     assert!(before.is_same(&first) && before.path() == copy && first.path() == path);
-    std::fs::copy(fmi::example_fmu("stair").unwrap(), &copy).unwrap();
+    std::fs::copy(example_models::example_fmu("stair").unwrap(), &copy).unwrap();
     let after = cache.open(&copy).unwrap();
     assert_eq!(after.description().model_name, "Stair");
     // The old one stays usable.
@@ -253,11 +253,11 @@ fn an_unchanged_file_is_opened_once() {
 
 #[test]
 fn all_examples_open_and_run() {
-    for name in fmi::example_names() {
-        let fmu = Fmu::open(fmi::example_fmu(name).unwrap()).unwrap();
+    for name in example_models::example_names() {
+        let fmu = Fmu::open(example_models::example_fmu(name).unwrap()).unwrap();
         fmu.simulate(&SimulateOptions::new().final_time(0.5)).unwrap();
     }
-    assert!(fmi::example_fmu("furutta").unwrap_err().to_string().contains("furuta"));
+    assert!(example_models::example_fmu("furutta").unwrap_err().to_string().contains("furuta"));
 }
 
 #[test]
@@ -273,7 +273,7 @@ fn many_simulations_leave_nothing_behind() {
 #[test]
 fn an_fmu_without_a_binary_is_compiled_from_its_sources() {
     let folder = tempfile::tempdir().unwrap();
-    let models = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    let models = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../example-models/models");
     let sources = folder.path().join("sources");
     std::fs::create_dir(&sources).unwrap();
     std::fs::copy(models.join("dahlquist/modelDescription.xml"), folder.path().join("modelDescription.xml"))

@@ -5,7 +5,7 @@
 
 mod support;
 
-use fmi::ExampleKind::{Fmi1ModelExchange, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3};
+use example_models::ExampleKind::{Fmi1ModelExchange, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3};
 use fmi::ode::Ignore;
 use fmi::{
     ArchiveLimits, ContinuousTime, EventMode, FmiError, Fmu, FmuCache, Inputs, Instance, InstanceOptions,
@@ -178,8 +178,11 @@ fn names_are_those_of_the_model() {
         assert!(new_plan(SimulateOptions::new().outputs([name])).is_err(), "{name:?}");
         assert!(matches!(trajectory.get(name), Err(FmiError::NotInResult { .. })));
         assert!(matches!(trajectory.final_value(name), Err(FmiError::NotInResult { .. })));
-        assert!(matches!(fmi::example_fmu(name), Err(FmiError::UnknownExample { .. })));
-        assert!(matches!(fmi::example_fmu_as(name, Fmi2CoSimulation), Err(FmiError::UnknownExample { .. })));
+        assert!(matches!(example_models::example_fmu(name), Err(FmiError::BadSetting { .. })));
+        assert!(matches!(
+            example_models::example_fmu_as(name, Fmi2CoSimulation),
+            Err(FmiError::BadSetting { .. })
+        ));
     }
 }
 

@@ -348,14 +348,6 @@ pub enum FmiError {
         /// The names in the result.
         present: String,
     },
-    /// There is no bundled example of this name.
-    #[error("there is no example \"{name}\"; there are: {known}")]
-    UnknownExample {
-        /// The name.
-        name: String,
-        /// The names that exist.
-        known: String,
-    },
     /// The folder cannot be packed into an FMU.
     #[error("cannot pack {}: {reason}", folder.display())]
     CannotPack {

@@ -88,7 +88,7 @@ mod tests {
 
     #[test]
     fn places_of_states_that_nobody_holds_are_used_again() {
-        let fmu = crate::Fmu::open(crate::example_fmu("dahlquist").unwrap()).unwrap();
+        let fmu = crate::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
         let options = InstanceOptions::default();
         let (core, _lease) = fmu.instantiate_by_hand(InterfaceKind::ModelExchange, &options).unwrap();
         let mut raw = core.raw;
