@@ -15,10 +15,10 @@
 //! - `archive/`: the files of an FMU
 //! - `platform/`, `log`, `cancel`, `error/`, `value`: operating systems and files, the log of an instance, ending early, errors, types of variables
 //!
-//! A right-hand side passes five of them on its way from the stepper to the FMU: `derivatives` of the system
+//! A right-hand side passes four functions on its way from the stepper to the FMU: `derivatives` of the system
 //! (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call means for the run),
-//! `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths, floating-point mode), that of the binding
-//! (`sys/binding.rs`: version of FMI), the C function.
+//! `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths, floating-point mode), the C function, whose
+//! pointer stands in a table that is the same for all versions of FMI: none of the calls between is dynamic.
 #![deny(unsafe_code)]
 
 pub mod archive;
@@ -47,8 +47,7 @@ pub use fmu::{Fmu, Kind};
 pub use fmu_cache::FmuCache;
 pub use instance::{
     CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, MAX_EVENT_ITERATIONS,
-    ModelExchange, Phase, Readable, Reconfiguration, SavedState, SerializedState, StepMode, StepOutcome,
-    Terminated,
+    ModelExchange, Phase, Readable, Reconfiguration, Running, SavedState, StepMode, StepOutcome, Terminated,
 };
 pub use ode;
 pub use open_options::{LogOptions, OpenOptions};
@@ -59,5 +58,5 @@ pub use simulation::{
     SimulationPlan, Tick, Trajectory, ValueColumn,
 };
 pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};
-pub use sys::{InterfaceKind, LoaderOptions};
+pub use sys::{ElementDependency, InterfaceKind, LoaderOptions};
 pub use value::Value;

@@ -3,7 +3,8 @@
 
 use crate::{files, fmu_error, values};
 use fmi::description::{
-    BaseUnit, Capabilities, Dimension, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit,
+    BaseUnit, Capabilities, Dimension, DisplayUnit, EnumerationItem, Interface, Terminal, TypeDefinition,
+    Unit,
 };
 use fmi::{
     DescriptionLimits, InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions,
@@ -12,7 +13,7 @@ use fmi::{
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
-use pyo3::types::{PyList, PyString};
+use pyo3::types::{PyDict, PyList, PyString};
 use std::path::{Path, PathBuf};
 
 /// `pydfo._model.OpenOptions`, field by field.
@@ -20,6 +21,7 @@ use std::path::{Path, PathBuf};
 struct OpenFields {
     log_level: u8,
     logging: bool,
+    log_categories: Vec<String>,
     show_log: bool,
     deepbind: bool,
     lazy: bool,
@@ -45,10 +47,37 @@ impl From<OpenFields> for OpenOptions {
             },
             loader: LoaderOptions { deepbind: fields.deepbind, lazy: fields.lazy },
             tool_is_present: fields.tool_is_present,
-            logging: LogOptions { asked: fields.logging, filter, shown: fields.show_log },
+            logging: LogOptions {
+                asked: fields.logging,
+                categories: fields.log_categories,
+                filter,
+                shown: fields.show_log,
+            },
             ..OpenOptions::default()
         }
     }
+}
+
+fn list_of_terminals<'py>(py: Python<'py>, terminals: &[Terminal]) -> PyResult<Bound<'py, PyList>> {
+    let list = PyList::empty(py);
+    for terminal in terminals {
+        let fields = PyDict::new(py);
+        fields.set_item("name", &terminal.name)?;
+        fields.set_item("matching_rule", &terminal.matching_rule)?;
+        fields.set_item("kind", &terminal.kind)?;
+        fields.set_item("description", &terminal.description)?;
+        let members = PyDict::new(py);
+        for member in &terminal.members {
+            members.set_item(&member.variable, &member.kind)?;
+        }
+        fields.set_item("members", members)?;
+        let streams = terminal.stream_members.iter().map(|m| (&m.inflow_variable, &m.outflow_variable));
+        fields.set_item("streams", streams.collect::<Vec<_>>())?;
+        fields.set_item("terminals", list_of_terminals(py, &terminal.terminals)?)?;
+        fields.set_item("icon", terminal.icon.as_ref().and_then(|icon| icon.file.as_ref()))?;
+        list.append(fields)?;
+    }
+    Ok(list)
 }
 
 fn interface(kind: &str) -> InterfaceKind {
@@ -128,9 +157,13 @@ impl Fmu {
 
     /// Names of the states in the order of the state vector; None where the file does not tell.
     fn state_names(&self) -> Vec<Option<&str>> {
-        let description = self.description();
-        let derivatives = description.structure.derivatives.iter().map(|u| &description.variables[u.index]);
-        derivatives.map(|v| v.derivative.map(|state| description.variables[state].name.as_str())).collect()
+        self.description().state_names()
+    }
+
+    /// The terminals, each with those inside of it.
+    fn terminals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let terminals = py.detach(|| self.fmu.terminals()).map_err(|e| fmu_error::raise(py, &e))?;
+        list_of_terminals(py, &terminals)
     }
 
     /// Names of the variables of a causality.
