@@ -6,7 +6,8 @@
 #![allow(clippy::print_stdout)]
 
 use fmufit::calibration::{Calibration, Data, Experiment, FitOptions, Parameter, Scale};
-use fmufit::fmi::{Fmu, Inputs, SimulateOptions, example_fmu};
+use fmufit::example_models::example_fmu;
+use fmufit::fmi::{Fmu, Inputs, SimulateOptions};
 use std::error::Error;
 
 /// Parameter, its true value, where the fit starts.

@@ -5,7 +5,8 @@
 #![allow(clippy::print_stdout)]
 
 use fmufit::calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
-use fmufit::fmi::{Fmu, example_fmu};
+use fmufit::example_models::example_fmu;
+use fmufit::fmi::Fmu;
 use std::path::Path;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

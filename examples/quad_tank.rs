@@ -6,7 +6,8 @@
 #![allow(clippy::print_stdout)]
 
 use fmufit::calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
-use fmufit::fmi::{Fmu, example_fmu};
+use fmufit::example_models::example_fmu;
+use fmufit::fmi::Fmu;
 use std::error::Error;
 use std::path::Path;
 

@@ -5,6 +5,7 @@
 
 pub use calibration;
 pub use dfo;
+pub use example_models;
 pub use fmi;
 pub use ode;
 

@@ -47,7 +47,7 @@ LAYERS = {
         archive
         description
         source sys
-        open_options examples
+        open_options
         fmu
         fmu_cache instance
         simulation

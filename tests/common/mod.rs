@@ -3,7 +3,8 @@
 #![allow(clippy::unwrap_used)]
 
 use fmufit::calibration::Data;
-use fmufit::fmi::{Fmu, example_fmu};
+use fmufit::example_models::example_fmu;
+use fmufit::fmi::Fmu;
 use std::path::PathBuf;
 
 /// A bundled model.

@@ -39,7 +39,7 @@ pub struct Calibration {
 /// // x' = -k x, recorded at four instants of a decay with k = 2
 /// let t = vec![0.0, 0.5, 1.0, 1.5];
 /// let x = t.iter().map(|t: &f64| (-2.0 * t).exp()).collect();
-/// let fmu = fmi::Fmu::open(fmi::example_fmu("dahlquist")?)?;
+/// let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist")?)?;
 /// let calibration = Calibration::builder(fmu)
 ///     .experiment(Experiment::new(Data::from_columns(t, [("x".to_owned(), x)])?).output("x", "x"))
 ///     .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))

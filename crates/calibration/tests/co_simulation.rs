@@ -3,7 +3,8 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
-use fmi::{ExampleKind, Fmu, example_fmu_as};
+use example_models::{ExampleKind, example_fmu_as};
+use fmi::Fmu;
 
 #[test]
 fn a_decay_is_fitted_in_every_version() {

@@ -6,7 +6,8 @@ use calibration::{
     Calibration, CalibrationBuilder, CalibrationError, Data, Experiment, FitOptions, Parameter, Problem,
 };
 use dfo::{Answer, Limits, Objective, Outcome, Query, RunOptions, Want};
-use fmi::{Fmu, example_fmu};
+use example_models::example_fmu;
+use fmi::Fmu;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 

@@ -8,7 +8,8 @@ use calibration::{
     BoundSide, Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter, SetupWarning,
 };
 use dfo::{DifferentialEvolution, Limits, RunOptions};
-use fmi::{Fmu, example_fmu};
+use example_models::example_fmu;
+use fmi::Fmu;
 
 fn times(n: u32) -> Vec<f64> {
     (0..n).map(|k| 0.1 * f64::from(k)).collect()

@@ -7,7 +7,8 @@ use calibration::{
     Verdict,
 };
 use dfo::{Checkpoint, Limits, Resume, RunOptions};
-use fmi::{Fmu, Inputs, SimulateOptions, example_fmu};
+use example_models::example_fmu;
+use fmi::{Fmu, Inputs, SimulateOptions};
 use ode::Method;
 
 const TRUE: [(&str, f64); 2] = [("C1", 2500.0), ("C2", 9000.0)];

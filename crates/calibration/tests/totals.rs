@@ -4,7 +4,8 @@
 
 use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
 use dfo::{Limits, RunOptions};
-use fmi::{Fmu, example_fmu};
+use example_models::example_fmu;
+use fmi::Fmu;
 use ode::{Method, Stats};
 
 /// A ball that bounces, measured at four instants; with less and less restitution it stops bouncing earlier.

@@ -3,7 +3,8 @@
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
-use fmi::{Fmu, example_fmu, platform};
+use example_models::example_fmu;
+use fmi::{Fmu, platform};
 use std::path::Path;
 use std::process::Command;
 use std::time::Instant;

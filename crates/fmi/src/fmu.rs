@@ -2,7 +2,9 @@
 
 use crate::archive::{Archive, Part};
 use crate::cancel::Cancel;
-use crate::description::{Interface, ModelDescription, Quirk, QuirkKind, Variable, VariableKind};
+use crate::description::{
+    Interface, ModelDescription, Quirk, QuirkKind, TERMINALS, Terminal, Variable, VariableKind, terminals,
+};
 use crate::error::FmiError;
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
@@ -173,6 +175,18 @@ impl Fmu {
         }
     }
 
+    /// The terminals of the model (`terminalsAndIcons/terminalsAndIcons.xml`), read now; none where it has no such file. Their
+    /// members are names of variables, which need not be there.
+    ///
+    /// # Errors
+    /// [`FmiError::Description`] with a line for a file that is none; those of reading.
+    pub fn terminals(&self) -> Result<Vec<Terminal>, FmiError> {
+        let limits = &self.inner.options.description;
+        let name = format!("terminalsAndIcons/{TERMINALS}");
+        let bytes = self.inner.archive.read(&name, limits.bytes, &Cancel::default())?;
+        bytes.map_or(Ok(Vec::new()), |bytes| terminals(&bytes, limits))
+    }
+
     /// The path it was opened by.
     pub fn path(&self) -> &Path {
         &self.path
@@ -201,8 +215,8 @@ impl Fmu {
     }
 
     /// What is done with the log.
-    pub(crate) fn logging(&self) -> LogOptions {
-        self.inner.options.logging
+    pub(crate) fn logging(&self) -> &LogOptions {
+        &self.inner.options.logging
     }
 
     /// The level at which lines of its log go to the program's logger.
@@ -361,7 +375,24 @@ impl Fmu {
     pub(crate) fn load(&self, from: LoadFrom<'_>, kind: InterfaceKind) -> Result<Library, FmiError> {
         let interface = self.check_interface(kind)?;
         let version = &self.description().fmi_version;
-        Library::open(from, version, kind, &interface.model_identifier, &self.inner.options.loader)
+        let library =
+            Library::open(from, version, kind, &interface.model_identifier, &self.inner.options.loader)?;
+        // Versions of the library that differ after the second number speak the same language.
+        let numbers = |text: &str| {
+            text.split(|c: char| !c.is_ascii_digit()).take(2).map(str::to_owned).collect::<Vec<_>>()
+        };
+        let described = &version.text;
+        match library.version_text() {
+            Some(found) if numbers(&found) != numbers(described) => self.note_quirk(
+                QuirkKind::Promise,
+                format!(
+                    "the description follows FMI {described}, the library says \"{}\"",
+                    found.escape_debug()
+                ),
+            ),
+            _ => {}
+        }
+        Ok(library)
     }
 
     /// Says the path the user knows instead of that of the private folder, and why there is nothing to build either.

@@ -9,24 +9,22 @@
 //! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
 //! - `instance/`: the phases of an instance as types, its values
 //! - `fmu`, `fmu_cache`, `open_options`: an opened FMU: its file, its description, its library
-//! - `examples/`: the bundled models
 //! - `source/`: source-code FMUs: build, compiler, cache, pack
 //! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
 //! - `description/`: what `modelDescription.xml` says, whatever the version
 //! - `archive/`: the files of an FMU
 //! - `platform/`, `log`, `cancel`, `error/`, `value`: operating systems and files, the log of an instance, ending early, errors, types of variables
 //!
-//! A right-hand side passes five of them on its way from the stepper to the FMU: `derivatives` of the system
+//! A right-hand side passes four functions on its way from the stepper to the FMU: `derivatives` of the system
 //! (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call means for the run),
-//! `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths, floating-point mode), that of the binding
-//! (`sys/binding.rs`: version of FMI), the C function.
+//! `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths, floating-point mode), the C function, whose
+//! pointer stands in a table that is the same for all versions of FMI: none of the calls between is dynamic.
 #![deny(unsafe_code)]
 
 pub mod archive;
 mod cancel;
 pub mod description;
 pub mod error;
-mod examples;
 mod fmu;
 mod fmu_cache;
 mod instance;
@@ -45,13 +43,11 @@ pub use archive::{Archive, ArchiveLimits};
 pub use cancel::Cancel;
 pub use description::{DescriptionLimits, ModelDescription, Variable};
 pub use error::{CallFailure, EntryProblem, FmiError, LogLine, Status};
-pub use examples::{ExampleKind, example_fmu, example_fmu_as, example_names};
 pub use fmu::{Fmu, Kind};
 pub use fmu_cache::FmuCache;
 pub use instance::{
     CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, MAX_EVENT_ITERATIONS,
-    ModelExchange, Phase, Readable, Reconfiguration, SavedState, SerializedState, StepMode, StepOutcome,
-    Terminated,
+    ModelExchange, Phase, Readable, Reconfiguration, Running, SavedState, StepMode, StepOutcome, Terminated,
 };
 pub use ode;
 pub use open_options::{LogOptions, OpenOptions};
@@ -61,6 +57,6 @@ pub use simulation::{
     DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, Sharing, SimulateOptions,
     SimulationPlan, Tick, Trajectory, ValueColumn,
 };
-pub use source::{build_library, clear_caches, pack, pack_unless};
-pub use sys::{InterfaceKind, LoaderOptions};
+pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};
+pub use sys::{ElementDependency, InterfaceKind, LoaderOptions};
 pub use value::Value;

@@ -50,12 +50,18 @@ fn is_error(status: Status) -> bool {
 #[derive(Debug)]
 pub(crate) struct Lines {
     pub(crate) kept: VecDeque<LogLine>,
+    /// Of which lines with the status ok are kept; empty: of all.
+    pub(crate) categories: Vec<String>,
     dropped: u64,
 }
 
 impl Lines {
     /// Adds a line; when full, the oldest gives its place and its buffers.
     pub(crate) fn push(&mut self, status: Status, category: &[u8], text: &[u8]) {
+        let is_asked = |asked: &String| asked.as_bytes() == category;
+        if status == Status::Ok && !self.categories.is_empty() && !self.categories.iter().any(is_asked) {
+            return;
+        }
         let mut line = if self.kept.len() >= LINES {
             self.dropped += 1;
             self.kept.pop_front()
@@ -102,7 +108,11 @@ pub(crate) struct Log {
 impl Log {
     pub(crate) fn new(filter: LogFilter) -> Self {
         Self {
-            lines: Mutex::new(Lines { kept: VecDeque::with_capacity(LINES), dropped: 0 }),
+            lines: Mutex::new(Lines {
+                kept: VecDeque::with_capacity(LINES),
+                categories: Vec::new(),
+                dropped: 0,
+            }),
             filter: AtomicU8::new(filter as u8),
             credit: AtomicI32::new(BURST),
             refused: AtomicU64::new(0),

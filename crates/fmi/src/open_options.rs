@@ -49,10 +49,12 @@ impl Default for OpenOptions {
 
 /// What is done with the log of an FMU. Its lines are kept per instance, not for ever, and the last of them are part of
 /// every error.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
 pub struct LogOptions {
     /// The FMU is asked to log. FMUs log what they think important without being asked, too.
     pub asked: bool,
+    /// Of which categories, by their names; none: of all (see [`Instance::log_categories`](crate::Instance::log_categories)).
+    pub categories: Vec<String>,
     /// Which lines are kept.
     pub filter: LogFilter,
     /// Lines go to the program's logger at the level `info`, after the run that they are of; else at `debug`.

@@ -6,7 +6,7 @@ use crate::fmu::{Fmu, Kind};
 use crate::instance::assignments::{check_settable_at_start, convert};
 use crate::reuse::Simulator;
 use crate::simulation::SimulateOptions;
-use crate::simulation::parameters::{Place, Starts, element_value};
+use crate::simulation::parameters::{Starts, VariableElement, element_value};
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::trajectory::Trajectory;
 use std::ops::ControlFlow;
@@ -62,7 +62,8 @@ impl Session {
         let fmu = self.fmu.clone();
         let description = fmu.description();
         let structure = self.structure();
-        let Place { variable: index, element } = Place::of_name(description, &structure, name)?;
+        let VariableElement { variable: index, element } =
+            VariableElement::of_name(description, &structure, name)?;
         let variable = &description.variables[index];
         check_settable_at_start(variable)?;
         let value = match (element, value.into()) {
@@ -118,8 +119,8 @@ impl Session {
     /// # Errors
     /// Unknown name; the model cannot be initialized.
     pub fn get(&mut self, name: &str) -> Result<Value, FmiError> {
-        let Place { variable: index, element } =
-            Place::of_name(self.fmu.description(), &self.structure(), name)?;
+        let VariableElement { variable: index, element } =
+            VariableElement::of_name(self.fmu.description(), &self.structure(), name)?;
         let set = |values: &[(usize, Value)]| {
             let value = values.iter().find(|(i, _)| *i == index).map(|(_, v)| v.clone());
             value.map(|value| element_value(value, element))
@@ -149,7 +150,7 @@ impl Session {
     pub fn extents(&self, name: &str) -> Result<Vec<usize>, FmiError> {
         let description = self.fmu.description();
         let structure = self.structure();
-        let place = Place::of_name(description, &structure, name)?;
+        let place = VariableElement::of_name(description, &structure, name)?;
         Ok(match place.element {
             Some(_) => Vec::new(),
             None => structure.extents(description, &description.variables[place.variable]),

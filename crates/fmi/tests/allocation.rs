@@ -4,8 +4,9 @@
 
 mod support;
 
+use example_models::ExampleKind;
 use fmi::ode::{Ignore, Observer, Sample};
-use fmi::{ExampleKind, Fmu, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Value};
+use fmi::{Fmu, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Value};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use support::{arrays, fixture, model, model_as};

@@ -4,9 +4,10 @@
 
 mod support;
 
+use example_models::ExampleKind;
 use fmi::ode::{ErrorKind, Ignore, Side, Termination};
 use fmi::{
-    ExampleKind, FmiError, Fmu, Inputs, InstanceOptions, InterfaceKind, Kind, Pool, Reuse, SimulateOptions,
+    FmiError, Fmu, Inputs, InstanceOptions, InterfaceKind, Kind, Pool, Reuse, SimulateOptions,
     SimulationPlan, Simulator, Status, Trajectory,
 };
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use support::{Folder, MODELS, evil_with, model_as};
 
 /// FMI 2.0 co-simulation, steps of any length.
 fn slave(name: &str) -> Fmu {
-    Fmu::open(fmi::example_fmu_as(name, ExampleKind::Fmi2CoSimulation).unwrap()).unwrap()
+    Fmu::open(example_models::example_fmu_as(name, ExampleKind::Fmi2CoSimulation).unwrap()).unwrap()
 }
 
 /// The same with steps of one length only.
@@ -46,7 +47,8 @@ fn bits(t: &Trajectory) -> Vec<u64> {
 fn all_examples_agree_with_model_exchange() {
     for (name, end) in MODELS {
         let options = SimulateOptions::new().final_time(end).ncp(97).relative_tolerance(1e-9);
-        let truth = Fmu::open(fmi::example_fmu(name).unwrap()).unwrap().simulate(&options).unwrap();
+        let truth =
+            Fmu::open(example_models::example_fmu(name).unwrap()).unwrap().simulate(&options).unwrap();
         let found = slave(name).simulate(&options).unwrap();
         assert_eq!((&found.names, &found.time), (&truth.names, &truth.time), "{name}");
         assert!(found.events.is_empty() && found.sides == truth.sides);

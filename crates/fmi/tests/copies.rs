@@ -287,7 +287,7 @@ fn waiting_for_a_copy_can_be_cancelled() {
 #[cfg(target_os = "linux")]
 #[test]
 fn copies_are_used_again_by_who_opens_the_fmu_next() {
-    let path = fmi::example_fmu("stair").unwrap();
+    let path = example_models::example_fmu("stair").unwrap();
     let mapped = || {
         let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
         let files = maps
@@ -339,7 +339,7 @@ fn there_is_one_instance_in_a_copy() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_copy_that_lies_in_a_pool_is_lent_to_another_pool() {
-    let fmu = Fmu::open(fmi::example_fmu("van_der_pol").unwrap()).unwrap();
+    let fmu = Fmu::open(example_models::example_fmu("van_der_pol").unwrap()).unwrap();
     let pools: Vec<Pool> = (0..5)
         .map(|i| {
             let options = SimulateOptions::new().final_time(1.0 + f64::from(i)).ncp(2).parameters(["mu"]);

@@ -142,7 +142,7 @@ fn a_copy_that_can_be_instantiated_so_often_is_followed_by_another() {
 fn a_failure_that_depends_on_earlier_runs_is_none() {
     for fault in ["FAILING_START", "FAILING_LATE"] {
         for status in ["fmi2Error", "fmi2Fatal", "fmi2Discard"] {
-            let folder = evil(&[&format!("{fault}={status}"), "ODD_RUN=runs>=7"]);
+            let folder = evil(&[&format!("{fault}={status}"), "ODD_RUN=runs>=9"]);
             let fmu = folder.open();
             let mut simulator = simulator(&fmu);
             let truth = simulator.trajectory(&[1.0]).unwrap().columns;
@@ -158,7 +158,7 @@ fn a_failure_that_depends_on_earlier_runs_is_none() {
 /// Whoever watches a run that fails so is told to make it again.
 #[test]
 fn an_observer_sees_no_run_twice() {
-    let folder = evil(&["FAILING_LATE=fmi2Error", "ODD_RUN=runs>=7"]);
+    let folder = evil(&["FAILING_LATE=fmi2Error", "ODD_RUN=runs>=9"]);
     let mut simulator = simulator(&folder.open());
     let mut failures =
         (1..20).filter_map(|run| simulator.run(&[1.0], &mut Ignore).err().map(|error| (run, error)));
@@ -199,12 +199,13 @@ fn honest_failures_are_left_alone() {
 /// An input function that is not finite says nothing about the model, whichever run it is.
 #[test]
 fn runs_that_an_input_function_ends_are_not_compared() {
-    use fmi::{ExampleKind, Inputs, Kind};
+    use example_models::ExampleKind;
+    use fmi::{Inputs, Kind};
     for (kind, example) in [
         (Kind::CoSimulation, ExampleKind::Fmi2CoSimulation),
         (Kind::ModelExchange, ExampleKind::Fmi2ModelExchange),
     ] {
-        let fmu = Fmu::open(fmi::example_fmu_as("quad_tank", example).unwrap()).unwrap();
+        let fmu = Fmu::open(example_models::example_fmu_as("quad_tank", example).unwrap()).unwrap();
         for before in 0..6 {
             let mut session = Session::of_kind(fmu.clone(), kind);
             let options = |ends: bool| {

@@ -13,7 +13,7 @@ use zip_bytes::{Entry, zip};
 
 /// Files of a bundled example as entries of an archive.
 fn example_entries() -> Vec<Entry> {
-    let fmu = Fmu::open(fmi::example_fmu("dahlquist").unwrap()).unwrap();
+    let fmu = Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
     let root = fmu.root().unwrap();
     let mut entries = Vec::new();
     let mut folders = vec![root.clone()];

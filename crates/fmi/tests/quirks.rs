@@ -241,13 +241,18 @@ fn nominals_that_make_no_sense_are_corrected() {
 
 #[test]
 fn an_alias_given_twice_is_named_by_both_names() {
-    let folder = support::model_as("switched_input", fmi::ExampleKind::Fmi2ModelExchange, &[], |xml| {
-        let place = "</ModelVariables>";
-        let alias = "<ScalarVariable name=\"also\" valueReference=\"6\" causality=\"input\" variability=\"continuous\">\
+    let folder = support::model_as(
+        "switched_input",
+        example_models::ExampleKind::Fmi2ModelExchange,
+        &[],
+        |xml| {
+            let place = "</ModelVariables>";
+            let alias = "<ScalarVariable name=\"also\" valueReference=\"6\" causality=\"input\" variability=\"continuous\">\
                      <Real start=\"0\"/></ScalarVariable>";
-        assert!(xml.contains("name=\"u\" valueReference=\"6\""));
-        xml.replace(place, &format!("{alias}{place}"))
-    });
+            assert!(xml.contains("name=\"u\" valueReference=\"6\""));
+            xml.replace(place, &format!("{alias}{place}"))
+        },
+    );
     let inputs = fmi::Inputs::new().function("u", |t| t).function("also", |t| t);
     let error = folder.open().simulate(&SimulateOptions::new().inputs(inputs)).unwrap_err().to_string();
     assert!(error.contains("input also: it is the same variable as u, which is given too"), "{error}");

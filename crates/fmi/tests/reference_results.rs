@@ -12,7 +12,7 @@ use std::path::PathBuf;
 fn models(ours: &str, theirs: &str) -> Vec<Fmu> {
     let folder = std::env::var_os("FMUFIT_REFERENCE_FMUS").map(PathBuf::from);
     let built = folder.map(|folder| folder.join(format!("{theirs}.fmu"))).filter(|path| path.is_file());
-    let paths = std::iter::once(fmi::example_fmu(ours).unwrap()).chain(built);
+    let paths = std::iter::once(example_models::example_fmu(ours).unwrap()).chain(built);
     paths.map(|path| Fmu::open(path).unwrap()).collect()
 }
 

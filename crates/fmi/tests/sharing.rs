@@ -320,7 +320,7 @@ fn after_fatal_the_next_run_has_another_copy() {
 
 #[test]
 fn copies_help_all_versions() {
-    use fmi::ExampleKind::{Fmi1CoSimulation, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3};
+    use example_models::ExampleKind::{Fmi1CoSimulation, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3};
     for (version, kind) in [
         (Fmi1CoSimulation, Kind::Auto),
         (Fmi2CoSimulation, Kind::Auto),

@@ -4,10 +4,9 @@
 
 mod support;
 
+use example_models::ExampleKind;
 use fmi::ode::{self, Ignore, Method, Side, Termination};
-use fmi::{
-    ExampleKind, FmiError, Fmu, Inputs, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Trajectory,
-};
+use fmi::{FmiError, Fmu, Inputs, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Trajectory};
 use std::sync::Arc;
 use support::{evil_with, model, model_as};
 

@@ -110,7 +110,7 @@ fn builds_once_per_content() {
 
 /// A bundled model as an FMU of sources only.
 fn bundled(root: &Path) {
-    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../example-models/models");
     fs::create_dir(root.join("sources")).unwrap();
     fs::copy(models.join("dahlquist/modelDescription.xml"), root.join("modelDescription.xml")).unwrap();
     fs::copy(models.join("dahlquist/model.c"), root.join("sources/model.c")).unwrap();

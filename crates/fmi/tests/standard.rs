@@ -4,10 +4,10 @@
 
 mod support;
 
+use example_models::ExampleKind;
 use fmi::ode::{Ignore, Method};
 use fmi::{
-    ExampleKind, FmiError, Fmu, Inputs, InstanceOptions, SimulateOptions, SimulationPlan, Simulator,
-    Trajectory, Value,
+    FmiError, Fmu, Inputs, InstanceOptions, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value,
 };
 use std::sync::Arc;
 use support::{evil, evil_with, faulty, fixture_with};
@@ -113,7 +113,8 @@ fn rows_are_read_before_the_inputs_of_the_next_step_are_set() {
 #[test]
 fn derivatives_of_inputs_are_told_unless_they_are_not_wanted() {
     let fmu =
-        Fmu::open(fmi::example_fmu_as("switched_input", ExampleKind::Fmi2CoSimulation).unwrap()).unwrap();
+        Fmu::open(example_models::example_fmu_as("switched_input", ExampleKind::Fmi2CoSimulation).unwrap())
+            .unwrap();
     let inputs = Inputs::new().function("u", |t| 0.3 * t);
     let options = SimulateOptions::new().final_time(2.0).ncp(8).outputs(["y"]).inputs(inputs);
     let last = |options: SimulateOptions| fmu.simulate(&options).unwrap().final_value("y").unwrap().unwrap();

@@ -2,7 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use fmi::{ExampleKind, Fmu, Inputs, SimulateOptions, SimulationPlan, Simulator, example_fmu_as};
+use example_models::{ExampleKind, example_fmu_as};
+use fmi::{Fmu, Inputs, SimulateOptions, SimulationPlan, Simulator};
 use ode::Ignore;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -4,16 +4,16 @@
 
 mod support;
 
+use example_models::ExampleKind;
 use fmi::ode::{Method, Termination};
 use fmi::{
-    ExampleKind, FmiError, Fmu, Inputs, Kind, Pool, Reuse, Session, SimulateOptions, SimulationPlan,
-    Trajectory, Value,
+    FmiError, Fmu, Inputs, Kind, Pool, Reuse, Session, SimulateOptions, SimulationPlan, Trajectory, Value,
 };
 use std::sync::Arc;
 use support::MODELS;
 
 fn open(name: &str, kind: ExampleKind) -> Fmu {
-    Fmu::open(fmi::example_fmu_as(name, kind).unwrap()).unwrap()
+    Fmu::open(example_models::example_fmu_as(name, kind).unwrap()).unwrap()
 }
 
 fn truth(name: &str, options: &SimulateOptions) -> Trajectory {

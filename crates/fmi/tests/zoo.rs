@@ -5,7 +5,7 @@
 
 mod support;
 
-use fmi::ExampleKind::{
+use example_models::ExampleKind::{
     self, Fmi1CoSimulation, Fmi1ModelExchange, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3,
 };
 use fmi::ode::{ErrorKind, Ignore, Report, Termination};

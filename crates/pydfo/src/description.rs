@@ -2,7 +2,9 @@
 //! their classes.
 
 use crate::{files, fmu_error, values};
-use fmi::description::{BaseUnit, Dimension, DisplayUnit, EnumerationItem, Interface, TypeDefinition, Unit};
+use fmi::description::{
+    BaseUnit, Dimension, DisplayUnit, EnumerationItem, Interface, Terminal, TypeDefinition, Unit,
+};
 use fmi::{
     DescriptionLimits, InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions,
     Reuse, Variable,
@@ -18,6 +20,7 @@ use std::path::{Path, PathBuf};
 struct OpenFields {
     log_level: u8,
     logging: bool,
+    log_categories: Vec<String>,
     show_log: bool,
     deepbind: bool,
     lazy: bool,
@@ -43,7 +46,12 @@ impl From<OpenFields> for OpenOptions {
             },
             loader: LoaderOptions { deepbind: fields.deepbind, lazy: fields.lazy },
             tool_is_present: fields.tool_is_present,
-            logging: LogOptions { asked: fields.logging, filter, shown: fields.show_log },
+            logging: LogOptions {
+                asked: fields.logging,
+                categories: fields.log_categories,
+                filter,
+                shown: fields.show_log,
+            },
             ..OpenOptions::default()
         }
     }
@@ -57,6 +65,24 @@ macro_rules! dict {
         $($(dict.set_item($name, $value)?;)+)?
         dict
     }};
+}
+
+fn list_of_terminals<'py>(py: Python<'py>, terminals: &[Terminal]) -> PyResult<Bound<'py, PyList>> {
+    let list = PyList::empty(py);
+    for terminal in terminals {
+        let members = PyDict::new(py);
+        for member in &terminal.members {
+            members.set_item(&member.variable, &member.kind)?;
+        }
+        let streams = terminal.stream_members.iter().map(|m| (&m.inflow_variable, &m.outflow_variable));
+        list.append(dict!(py; terminal => name, matching_rule, kind, description;
+            "members": members,
+            "streams": streams.collect::<Vec<_>>(),
+            "terminals": list_of_terminals(py, &terminal.terminals)?,
+            "icon": terminal.icon.as_ref().and_then(|icon| icon.file.as_ref()),
+        ))?;
+    }
+    Ok(list)
 }
 
 fn interface(kind: &str) -> InterfaceKind {
@@ -148,9 +174,13 @@ impl Fmu {
 
     /// Names of the states in the order of the state vector; None where the file does not tell.
     fn state_names(&self) -> Vec<Option<&str>> {
-        let description = self.description();
-        let derivatives = description.structure.derivatives.iter().map(|u| &description.variables[u.index]);
-        derivatives.map(|v| v.derivative.map(|state| description.variables[state].name.as_str())).collect()
+        self.description().state_names()
+    }
+
+    /// The terminals, each with those inside of it.
+    fn terminals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let terminals = py.detach(|| self.fmu.terminals()).map_err(|e| fmu_error::raise(py, &e))?;
+        list_of_terminals(py, &terminals)
     }
 
     /// Names of the variables of a causality.

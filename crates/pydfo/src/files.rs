@@ -2,7 +2,8 @@
 
 use crate::interrupt::Watch;
 use crate::{fmu_error, logs};
-use fmi::{Cancel, ExampleKind, FmiError, FmuCache, OpenOptions};
+use example_models::ExampleKind;
+use fmi::{Cancel, FmiError, FmuCache, OpenOptions};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -74,7 +75,7 @@ pub(crate) fn example_fmu(py: Python<'_>, name: &str, version: &str, kind: &str)
             return Err(PyValueError::new_err(problem));
         }
     };
-    let path = py.detach(|| fmi::example_fmu_as(name, kind));
+    let path = py.detach(|| example_models::example_fmu_as(name, kind));
     logs::pass_on(py)?;
     path.map_err(|e| fmu_error::raise(py, &e))
 }
@@ -82,7 +83,7 @@ pub(crate) fn example_fmu(py: Python<'_>, name: &str, version: &str, kind: &str)
 /// Names of the bundled models.
 #[pyfunction]
 pub(crate) fn example_names() -> Vec<&'static str> {
-    fmi::example_names().collect()
+    example_models::example_names().collect()
 }
 
 /// Removes built libraries and packed examples from the disk, and forgets the FMUs that were kept open.

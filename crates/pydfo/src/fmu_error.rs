@@ -30,8 +30,7 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
         | FmiError::NotAnOutput { .. }
         | FmiError::BadInput { .. }
         | FmiError::BadSetting { .. }
-        | FmiError::Options(_)
-        | FmiError::UnknownExample { .. } => BadModelValueError::new_err(message),
+        | FmiError::Options(_) => BadModelValueError::new_err(message),
         FmiError::Call(failure) => simulation(py, error, message, failure.time),
         FmiError::EventIteration { time, .. } => simulation(py, error, message, Some(*time)),
         FmiError::Simulation(inner) if matches!(inner.kind, ode::ErrorKind::TooLargeForDense { .. }) => {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import zipfile
 from collections.abc import Mapping
 
 import fmus
@@ -137,3 +139,22 @@ def test_100_000_variables(tmp_path):
     assert model.get(["a.v[5]", "a.v[6]"]) == [3.0, 6.0]
     with pytest.raises(KeyError, match=r"did you mean a\.v\[9999\]|did you mean a\.v"):
         model.get("a.v[999999]")
+
+
+def test_terminals(tmp_path):
+    assert read_description(example_fmu("dahlquist")).terminals == []
+    path = tmp_path / "terminals.fmu"
+    shutil.copy(example_fmu("dahlquist"), path)
+    member = '<TerminalMemberVariable variableName="x" variableKind="signal"/>'
+    streams = '<TerminalStreamMemberVariable inStreamVariableName="a" outStreamVariableName="b"/>'
+    inner = f'<Terminal name="pin" matchingRule="plug">{member}{streams}<TerminalGraphicalRepresentation iconBaseName="p"/></Terminal>'
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(
+            "terminalsAndIcons/terminalsAndIcons.xml",
+            f'<fmiTerminalsAndIcons><Terminals><Terminal name="bus" matchingRule="bus">{inner}</Terminal></Terminals>'
+            "</fmiTerminalsAndIcons>",
+        )
+    (bus,) = read_description(path).terminals
+    assert (bus.name, bus.matching_rule, bus.kind, bus.members) == ("bus", "bus", None, {})
+    (pin,) = bus.terminals
+    assert (pin.members, pin.streams, pin.icon) == ({"x": "signal"}, [("a", "b")], "p")

@@ -45,6 +45,17 @@ def test_levels_are_those_of_pyfmi():
             FMUModel(path, log_level=level)
 
 
+def test_categories_of_the_log_are_chosen_by_name(caplog):
+    messages = [line.getMessage() for line in shown(caplog, log_level=7, logging=["logEvents"])]
+    assert messages and messages == [line.getMessage() for line in shown(caplog, log_level=7, logging=True)]
+    assert shown(caplog, log_level=7, logging=("logStatusError",)) == []
+    with pytest.raises(ValueError, match='no log category "logAll"; there are: logEvents, logStatusDiscard, logStatusError'):
+        load_fmu(example_fmu("dahlquist"), logging=["logAll"]).simulate(final_time=1)
+    for bad in ([], [1], "logEvents", 2):
+        with pytest.raises(TypeError, match="logging"):
+            load_fmu(example_fmu("dahlquist"), logging=bad)
+
+
 def test_a_model_keeps_the_options_it_was_opened_with(tmp_path):
     kind = ("modelIdentifier=", 'needsExecutionTool="true" modelIdentifier=')
     path = fmus.changed("dahlquist", tmp_path / "tool.fmu", kind)

@@ -21,7 +21,7 @@ pub(crate) fn faulty(defines: &[&str]) -> tempfile::TempDir {
         .arg(place.join("evil.so"))
         .args(defines.iter().map(|define| format!("-D{define}")))
         .arg("-I")
-        .arg(source.join("models/frontend"))
+        .arg(source.join("../example-models/models/frontend"))
         .arg(source.join("tests/evil/evil.c"))
         .arg("-lm")
         .status()

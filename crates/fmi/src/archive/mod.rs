@@ -24,7 +24,7 @@ use crate::error::{EntryProblem, FmiError};
 use crate::platform::{FileIdentity, LIBRARY_EXTENSION, file_identity};
 use packed::Packed;
 use std::fs::File;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -137,16 +137,29 @@ impl Archive {
 
     /// The bytes of `modelDescription.xml`.
     pub(crate) fn description(&self, limit: u64, cancel: &Cancel) -> Result<Vec<u8>, FmiError> {
+        let path = || match &self.content {
+            Content::Packed(packed) => packed.path(),
+            Content::Folder(folder) => &folder.root,
+        };
+        let bytes = self.read(MODEL_DESCRIPTION, limit, cancel)?;
+        bytes.ok_or_else(|| FmiError::NoModelDescription { path: path().to_owned(), hint: None })
+    }
+
+    /// The bytes of a file, no more than `limit` (of an unpacked folder: one more); `None` if there is none of this name.
+    pub(crate) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>, FmiError> {
         match &self.content {
-            Content::Packed(packed) => packed.read(MODEL_DESCRIPTION, limit, cancel),
+            Content::Packed(packed) => packed.read(name, limit, cancel),
             Content::Folder(Folder { root, .. }) => {
-                let path = root.join(MODEL_DESCRIPTION);
-                let file = File::open(&path).map_err(FmiError::io("open", &path))?;
+                let path = root.join(name);
+                let file = match File::open(&path) {
+                    Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+                    file => file.map_err(FmiError::io("open", &path))?,
+                };
                 let mut bytes = Vec::new();
                 file.take(limit.saturating_add(1))
                     .read_to_end(&mut bytes)
                     .map_err(FmiError::io("read", &path))?;
-                Ok(bytes)
+                Ok(Some(bytes))
             }
         }
     }

@@ -119,17 +119,20 @@ impl Packed {
         Ok(hashing.finish())
     }
 
-    /// The bytes of a file at the root of the archive, if it is not larger than `limit`.
-    pub(super) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Vec<u8>, FmiError> {
+    /// The archive.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The bytes of a file, if it is not larger than `limit`; `None` if there is none of this name.
+    pub(super) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>, FmiError> {
         let is_meant = |entry: &&Listed| entry.name == name && !entry.is_folder;
-        let Some(entry) = self.entries.iter().find(is_meant) else {
-            return Err(FmiError::NoModelDescription { path: self.path.clone(), hint: None });
-        };
+        let Some(entry) = self.entries.iter().find(is_meant) else { return Ok(None) };
         if entry.size > limit {
             let problem = EntryProblem::TooLarge { found: entry.size, limit };
             return Err(refused(&self.path, name, problem));
         }
-        self.source(cancel).read(entry)
+        self.source(cancel).read(entry).map(Some)
     }
 
     /// The folder to which `part` of the archive has been unpacked, now or before.

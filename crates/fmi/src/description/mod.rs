@@ -1,4 +1,4 @@
-//! The model description: what `modelDescription.xml` says, in house types that do not depend on the FMI version.
+//! The model description: what `modelDescription.xml` says, in types of ours that do not depend on the FMI version.
 
 mod checks;
 mod clock;
@@ -10,6 +10,7 @@ mod parse;
 mod quirks;
 mod read;
 mod structure;
+mod terminals;
 mod unit;
 mod variable;
 mod version;
@@ -21,6 +22,7 @@ pub use model::{
     Capabilities, DefaultExperiment, DependencyKind, Interface, LogCategory, ModelDescription,
     ModelStructure, Quirk, QuirkKind, Unknown,
 };
+pub use terminals::{StreamMember, Terminal, TerminalIcon, TerminalMember};
 pub use unit::{BaseUnit, DisplayUnit, Unit};
 pub use variable::{
     Alias, Causality, Dimension, EnumerationItem, Initial, TypeDefinition, Variability, Variable,
@@ -31,4 +33,4 @@ pub use version::FmiVersion;
 
 pub(crate) use structure::Structure;
 
-pub(crate) use parse::{BUILD_DESCRIPTION, BuildSet, build_sets};
+pub(crate) use parse::{BUILD_DESCRIPTION, BuildSet, TERMINALS, build_sets, terminals};

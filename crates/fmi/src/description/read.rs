@@ -55,6 +55,13 @@ impl ModelDescription {
         Structure::default().states(self)
     }
 
+    /// Names of the variables that are continuous states, in the order of the state vector; `None` where the file does not tell.
+    /// Empty for FMI 1.0, where the FMU tells them when it runs ([`Instance::state_names`](crate::Instance::state_names)).
+    pub fn state_names(&self) -> Vec<Option<&str>> {
+        let derivatives = self.structure.derivatives.iter().map(|unknown| &self.variables[unknown.index]);
+        derivatives.map(|v| v.derivative.map(|state| self.variables[state].name.as_str())).collect()
+    }
+
     /// Extents of an array, with structural parameters at their start values; empty for a single value.
     pub fn extents(&self, variable: &Variable) -> Vec<usize> {
         Structure::default().extents(self, variable)

@@ -209,38 +209,37 @@ impl Initial {
     }
 }
 
-impl fmt::Display for Causality {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Causality::Parameter => "parameter",
-            Causality::StructuralParameter => "structuralParameter",
-            Causality::CalculatedParameter => "calculatedParameter",
-            Causality::Input => "input",
-            Causality::Output => "output",
-            Causality::Local => "local",
-            Causality::Independent => "independent",
-        })
-    }
-}
+/// The words of the standard for the values of a type.
+macro_rules! words {
+    ($type:ident { $($variant:ident = $word:literal),+ }) => {
+        impl $type {
+            /// All values, by the standard's words.
+            pub(super) const WORDS: &[(&str, $type)] = &[$(($word, $type::$variant)),+];
+        }
 
-impl fmt::Display for Variability {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Variability::Constant => "constant",
-            Variability::Fixed => "fixed",
-            Variability::Tunable => "tunable",
-            Variability::Discrete => "discrete",
-            Variability::Continuous => "continuous",
-        })
-    }
+        impl fmt::Display for $type {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(match self {
+                    $($type::$variant => $word),+
+                })
+            }
+        }
+    };
 }
-
-impl fmt::Display for Initial {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Initial::Exact => "exact",
-            Initial::Approx => "approx",
-            Initial::Calculated => "calculated",
-        })
-    }
-}
+words!(Causality {
+    Parameter = "parameter",
+    StructuralParameter = "structuralParameter",
+    CalculatedParameter = "calculatedParameter",
+    Input = "input",
+    Output = "output",
+    Local = "local",
+    Independent = "independent"
+});
+words!(Variability {
+    Constant = "constant",
+    Fixed = "fixed",
+    Tunable = "tunable",
+    Discrete = "discrete",
+    Continuous = "continuous"
+});
+words!(Initial { Exact = "exact", Approx = "approx", Calculated = "calculated" });

@@ -1,5 +1,6 @@
 //! What can go wrong with an FMU: one error type that names the place and the numbers.
 
+use super::entry_problem::EntryProblem;
 use super::failure::CallFailure;
 use crate::value::{Value, VariableKind};
 use ode::Number;
@@ -348,14 +349,6 @@ pub enum FmiError {
         /// The names in the result.
         present: String,
     },
-    /// There is no bundled example of this name.
-    #[error("there is no example \"{name}\"; there are: {known}")]
-    UnknownExample {
-        /// The name.
-        name: String,
-        /// The names that exist.
-        known: String,
-    },
     /// The folder cannot be packed into an FMU.
     #[error("cannot pack {}: {reason}", folder.display())]
     CannotPack {
@@ -364,104 +357,6 @@ pub enum FmiError {
         /// Why not.
         reason: String,
     },
-}
-
-/// What is wrong with one entry of an archive.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum EntryProblem {
-    /// The name is empty or has an empty component.
-    #[error("has an empty name or an empty folder name in it")]
-    EmptyName,
-    /// `..` or `.` as a component.
-    #[error("leads out of the archive (\"..\" or \".\" in its path)")]
-    Traversal,
-    /// Starts with `/` or a drive letter.
-    #[error("has an absolute path")]
-    Absolute,
-    /// Holds a backslash, a colon or a control character (NUL included).
-    #[error("has the character {0:?} in its name")]
-    ForbiddenCharacter(char),
-    /// The name or one of its components is longer than file systems take.
-    #[error("has a name of {found} bytes, more than the limit of {limit}")]
-    NameTooLong {
-        /// Bytes of the name or component.
-        found: usize,
-        /// Bytes allowed.
-        limit: usize,
-    },
-    /// More folders within folders than allowed.
-    #[error("lies more than {limit} folders deep")]
-    TooDeep {
-        /// Components allowed.
-        limit: usize,
-    },
-    /// A folder that has contents of its own.
-    #[error("is a folder with {0} bytes of data")]
-    FolderWithData(u64),
-    /// A device name reserved on Windows, or a component ending in a dot or a space.
-    #[error("has a name that is not a file name on every system")]
-    ReservedName,
-    /// Neither a file nor a folder: symbolic link, device, pipe or socket.
-    #[error("is a {0}, not a file")]
-    NotAFile(&'static str),
-    /// Encrypted.
-    #[error("is encrypted")]
-    Encrypted,
-    /// A compression method other than stored and deflate.
-    #[error("is compressed with method {0}; FMUs use 0 (stored) and 8 (deflate)")]
-    Compression(u16),
-    /// Two entries of the same name with different contents.
-    #[error("occurs twice, with different contents")]
-    Duplicate,
-    /// Two entries whose names differ in case only.
-    #[error("differs from \"{0}\" in upper and lower case only")]
-    CaseDuplicate(String),
-    /// A file where another entry needs a folder, or the other way round.
-    #[error("makes \"{0}\" both a file and a folder")]
-    FileAndFolder(String),
-    /// The data overlap those of another entry.
-    #[error("shares bytes {start}..{end} of the archive with \"{other}\"")]
-    Overlap {
-        /// First shared byte.
-        start: u64,
-        /// One behind the last.
-        end: u64,
-        /// The other entry.
-        other: String,
-    },
-    /// The local header and the central directory disagree.
-    #[error("is described differently in its local header: {0}")]
-    HeaderMismatch(String),
-    /// Inflates to another size than the directory says.
-    #[error("inflates to {found} bytes{}, its header says {declared}", if *.found > *.declared { " or more" } else { "" })]
-    WrongSize {
-        /// Bytes counted (counting stops behind the declared size).
-        found: u64,
-        /// Bytes declared.
-        declared: u64,
-    },
-    /// Larger than the limit for one file.
-    #[error("has {found} bytes, more than the limit of {limit}")]
-    TooLarge {
-        /// Bytes declared.
-        found: u64,
-        /// Bytes allowed.
-        limit: u64,
-    },
-    /// Inflates too much to be honest.
-    #[error("would inflate from {compressed} to {size} bytes, more than {limit} times")]
-    Ratio {
-        /// Compressed bytes.
-        compressed: u64,
-        /// Bytes declared.
-        size: u64,
-        /// Factor allowed.
-        limit: u64,
-    },
-    /// The compressed data are damaged (bad stream, wrong checksum, truncated).
-    #[error("is damaged: {0}")]
-    Damaged(String),
 }
 
 /// Width of a type of integers.

@@ -124,11 +124,14 @@ pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<()
     }
 }
 
-/// Refuses what event mode does not let be set: all but inputs and tunable parameters.
-pub(crate) fn check_settable_in_event_mode(variable: &Variable) -> Result<(), FmiError> {
+/// Refuses all but inputs and tunable parameters, which can be set in event mode and between communication points.
+pub(crate) fn check_settable_when_discrete(
+    variable: &Variable,
+    reason: &'static str,
+) -> Result<(), FmiError> {
     match (variable.causality, variable.variability) {
         (Causality::Input, _) | (Causality::Parameter, Variability::Tunable) => Ok(()),
-        _ => Err(not_settable(variable, "in event mode only inputs and tunable parameters can be set")),
+        _ => Err(not_settable(variable, reason)),
     }
 }
 
@@ -137,14 +140,6 @@ pub(crate) fn check_settable_in_continuous_time(variable: &Variable) -> Result<(
     match (variable.causality, variable.variability) {
         (Causality::Input, Variability::Continuous) => Ok(()),
         _ => Err(not_settable(variable, "in continuous-time mode only continuous inputs can be set")),
-    }
-}
-
-/// Refuses what cannot be set between communication points: all but inputs and tunable parameters.
-pub(crate) fn check_settable_in_step_mode(variable: &Variable) -> Result<(), FmiError> {
-    match (variable.causality, variable.variability) {
-        (Causality::Input, _) | (Causality::Parameter, Variability::Tunable) => Ok(()),
-        _ => Err(not_settable(variable, "between steps only inputs and tunable parameters can be set")),
     }
 }
 
@@ -235,9 +230,9 @@ impl Assignments {
             }
             (VariableKind::Binary, Value::Binary(bytes)) => self.binaries.1.push(bytes.clone()),
             _ => {
-                let lane = integer_codec::lane(kind, value).ok_or_else(|| out_of_range(variable, value))?;
+                let word = integer_codec::word(kind, value).ok_or_else(|| out_of_range(variable, value))?;
                 let group = self.packed.iter_mut().find(|(known, ..)| *known == kind);
-                group.into_iter().for_each(|(_, _, lanes)| lanes.push(lane));
+                group.into_iter().for_each(|(_, _, words)| words.push(word));
             }
         }
         Ok(())

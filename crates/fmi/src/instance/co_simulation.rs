@@ -58,7 +58,7 @@ impl Core {
 impl Core {
     /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model ends the
     /// simulation.
-    pub(crate) fn settle(
+    pub(crate) fn run_event_mode(
         &mut self,
         time: f64,
         events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome, FmiError>,
@@ -94,8 +94,11 @@ impl Instance<Initialization, CoSimulation> {
             self.step_to(RawInstance::exit_initialization)?;
         let core = instance.core();
         let time = core.raw.time().unwrap_or(0.0);
-        let outcome =
-            if core.raw.has_event_mode() { core.settle(time, events)? } else { EventOutcome::default() };
+        let outcome = if core.raw.has_event_mode() {
+            core.run_event_mode(time, events)?
+        } else {
+            EventOutcome::default()
+        };
         Ok((instance, outcome))
     }
 }
@@ -116,7 +119,7 @@ impl Instance<StepMode, CoSimulation> {
     pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome, FmiError> {
         let core = self.core();
         core.call(RawInstance::enter_event_mode)?;
-        core.settle(time, just_events)
+        core.run_event_mode(time, just_events)
     }
 
     /// Sets the first derivatives of real inputs with respect to time, for the next step.

@@ -6,6 +6,7 @@ use crate::description::{ModelDescription, Structure, Value, Variable, VariableK
 use crate::error::{CallFailure, FmiError, Status};
 use crate::fmu::Fmu;
 use crate::sys::{Fault, RawInstance, Sizes};
+use std::ffi::CString;
 use std::fmt::Debug;
 
 /// A copy of the library in use, which keeps a record of the variables that were ever set in it.
@@ -76,13 +77,30 @@ impl Core {
         FmiError::Call(Box::new(failure))
     }
 
+    /// Switches logging on, of these categories (of all, if there are none), or off.
+    pub(crate) fn set_logging(&mut self, on: bool, categories: &[String]) -> Result<(), FmiError> {
+        let model = self.fmu.description();
+        let known = || model.log_categories.iter().map(|category| &category.name);
+        // FMI 1.0 has no list of them.
+        let is_unknown = |name: &&String| model.fmi_version.major > 1 && !known().any(|known| known == *name);
+        if let Some(name) = categories.iter().find(is_unknown) {
+            let known: Vec<&str> = known().map(String::as_str).collect();
+            let problem = format!("there is no log category \"{name}\"; there are: {}", known.join(", "));
+            return Err(FmiError::BadSetting { problem });
+        }
+        self.raw.keep_log_categories(categories);
+        let names: Vec<CString> =
+            categories.iter().filter_map(|name| CString::new(name.as_str()).ok()).collect();
+        self.call(|raw| raw.set_debug_logging(on, &names))
+    }
+
     /// Sets values, one call per type.
     pub(crate) fn apply(&mut self, values: &Assignments) -> Result<(), FmiError> {
         let Assignments { reals, packed, strings, binaries } = values;
         self.set_reals(&reals.0, &reals.1)?;
-        for (kind, references, lanes) in packed {
+        for (kind, references, words) in packed {
             self.raw
-                .set_packed(*kind, references, lanes)
+                .set_packed(*kind, references, words)
                 .map_err(|fault| self.error_about(fault, references, |other| other == *kind))?;
         }
         if !strings.0.is_empty() {
@@ -199,7 +217,7 @@ impl Core {
                 let mut values = vec![0; n];
                 let read = self.raw.get_packed(kind, &references, &mut values);
                 read.map(|()| {
-                    values.into_iter().map(|lane| integer_codec::value(kind, lane)).collect::<Vec<Value>>()
+                    values.into_iter().map(|word| integer_codec::value(kind, word)).collect::<Vec<Value>>()
                 })
             }
         };

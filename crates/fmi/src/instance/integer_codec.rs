@@ -1,31 +1,31 @@
-//! Numbers other than 64-bit floating point on their way to and from FMUs: all of them travel in lanes of 64 bits.
+//! Numbers other than 64-bit floating point on their way to and from FMUs: all of them travel in words of 64 bits.
 //!
 //! Integers keep their sign, `UInt64` its bits, Booleans and clocks are 0 and 1, `Float32` travels as the bits of the
 //! equal `f64`.
 
 use crate::description::{Value, Variable, VariableKind};
 
-/// A lane as a number.
-pub(crate) fn number(kind: VariableKind, lane: i64) -> f64 {
+/// A word as a number.
+pub(crate) fn number(kind: VariableKind, word: i64) -> f64 {
     match kind {
-        VariableKind::Float32 => f64::from_bits(lane as u64),
-        VariableKind::UInt64 => lane as u64 as f64,
-        _ => lane as f64,
+        VariableKind::Float32 => f64::from_bits(word as u64),
+        VariableKind::UInt64 => word as u64 as f64,
+        _ => word as f64,
     }
 }
 
-/// A lane as a value.
-pub(crate) fn value(kind: VariableKind, lane: i64) -> Value {
+/// A word as a value.
+pub(crate) fn value(kind: VariableKind, word: i64) -> Value {
     match kind {
-        VariableKind::Float32 => Value::Real(f64::from_bits(lane as u64)),
-        VariableKind::UInt64 => Value::Integer((lane as u64).into()),
-        VariableKind::Boolean | VariableKind::Clock => Value::Boolean(lane != 0),
-        _ => Value::Integer(lane.into()),
+        VariableKind::Float32 => Value::Real(f64::from_bits(word as u64)),
+        VariableKind::UInt64 => Value::Integer((word as u64).into()),
+        VariableKind::Boolean | VariableKind::Clock => Value::Boolean(word != 0),
+        _ => Value::Integer(word.into()),
     }
 }
 
-/// The lane of a value that has the type of its variable; `None` if it does not fit.
-pub(crate) fn lane(kind: VariableKind, value: &Value) -> Option<i64> {
+/// The word of a value that has the type of its variable; `None` if it does not fit.
+pub(crate) fn word(kind: VariableKind, value: &Value) -> Option<i64> {
     match (kind, value) {
         (VariableKind::Float32, Value::Real(x)) => Some(single(*x).to_bits() as i64),
         (VariableKind::Boolean | VariableKind::Clock, Value::Boolean(b)) => Some(i64::from(*b)),
@@ -37,19 +37,19 @@ pub(crate) fn lane(kind: VariableKind, value: &Value) -> Option<i64> {
     }
 }
 
-/// The lane of a number; `None` if it is none of the type.
-pub(crate) fn lane_of_number(kind: VariableKind, x: f64) -> Option<i64> {
+/// The word of a number; `None` if it is none of the type.
+pub(crate) fn word_of_number(kind: VariableKind, x: f64) -> Option<i64> {
     match kind {
         VariableKind::Float32 => Some(single(x).to_bits() as i64),
         VariableKind::Boolean | VariableKind::Clock => (x == 0.0 || x == 1.0).then_some(i64::from(x != 0.0)),
-        kind => whole(x).and_then(|i| lane(kind, &Value::Integer(i))),
+        kind => whole(x).and_then(|i| word(kind, &Value::Integer(i))),
     }
 }
 
 /// Whether a number is a value of a variable.
 pub(crate) fn is_of(variable: &Variable, x: f64) -> bool {
     let fits = |(least, most): (i128, i128)| whole(x).is_some_and(|i| (least..=most).contains(&i));
-    lane_of_number(variable.kind, x).is_some() && variable.integer_range().is_none_or(fits)
+    word_of_number(variable.kind, x).is_some() && variable.integer_range().is_none_or(fits)
 }
 
 /// The nearest number of single precision.
@@ -78,22 +78,22 @@ mod tests {
             (VariableKind::Boolean, Value::Boolean(true)),
             (VariableKind::Float32, Value::Real(0.5)),
         ] {
-            assert_eq!(lane(kind, &given).map(|lane| value(kind, lane)), Some(given));
+            assert_eq!(word(kind, &given).map(|word| value(kind, word)), Some(given));
         }
         assert_eq!(number(VariableKind::UInt64, -1), 18446744073709551615.0);
         assert_eq!(
-            number(VariableKind::Float32, lane_of_number(VariableKind::Float32, 0.1).unwrap()),
+            number(VariableKind::Float32, word_of_number(VariableKind::Float32, 0.1).unwrap()),
             f64::from(0.1f32)
         );
     }
 
     #[test]
     fn what_is_out_of_range_has_no_lane() {
-        assert_eq!(lane(VariableKind::Int8, &Value::Integer(128)), None);
-        assert_eq!(lane(VariableKind::UInt8, &Value::Integer(-1)), None);
-        assert_eq!(lane(VariableKind::UInt64, &Value::Integer(1 << 64)), None);
-        assert_eq!(lane_of_number(VariableKind::Integer, 1.5), None);
-        assert_eq!(lane_of_number(VariableKind::Integer, f64::NAN), None);
-        assert_eq!(lane_of_number(VariableKind::Boolean, 2.0), None);
+        assert_eq!(word(VariableKind::Int8, &Value::Integer(128)), None);
+        assert_eq!(word(VariableKind::UInt8, &Value::Integer(-1)), None);
+        assert_eq!(word(VariableKind::UInt64, &Value::Integer(1 << 64)), None);
+        assert_eq!(word_of_number(VariableKind::Integer, 1.5), None);
+        assert_eq!(word_of_number(VariableKind::Integer, f64::NAN), None);
+        assert_eq!(word_of_number(VariableKind::Boolean, 2.0), None);
     }
 }

@@ -15,5 +15,5 @@ pub(crate) use core::{Core, SetRecord};
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use phases::{
     CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, ModelExchange, Phase,
-    Readable, Reconfiguration, SavedState, SerializedState, StepMode, Terminated,
+    Readable, Reconfiguration, Running, SavedState, StepMode, Terminated,
 };

@@ -1,7 +1,7 @@
 //! The two running modes of model exchange: event mode with its iteration, and continuous-time mode.
 
 use super::core::Core;
-use super::phases::{ContinuousTime, EventMode, Instance, Terminated};
+use super::phases::{ContinuousTime, EventMode, Instance, Readable, Running, Terminated};
 use crate::error::FmiError;
 use crate::sys::{EventInfo, RawInstance};
 use ode::EventOutcome;
@@ -51,16 +51,46 @@ impl Core {
     }
 }
 
-impl<P> Instance<P> {
-    fn states(&mut self, states: &mut [f64]) -> Result<(), FmiError> {
+impl<P: Readable> Instance<P> {
+    /// Names of the continuous states, in the order of the state vector; `None` for those that are no variables. In FMI 1.0 the FMU is asked (`fmiGetStateValueReferences`), and may answer otherwise
+    /// after an event; in the others the description says it.
+    ///
+    /// # Errors
+    /// The FMU refuses, or has no such function.
+    pub fn state_names(&mut self) -> Result<Vec<Option<String>>, FmiError> {
+        let fmu = self.fmu().clone();
+        if fmu.description().fmi_version.major > 1 {
+            let names = fmu.description().state_names().into_iter();
+            return Ok(names.map(|name| name.map(str::to_owned)).collect());
+        }
+        let references = self.core().call(RawInstance::state_references)?;
+        let name = |reference| fmu.real_variable(reference).map(|variable| variable.name.clone());
+        Ok(references.into_iter().map(name).collect())
+    }
+}
+
+impl<P: Running> Instance<P> {
+    /// Reads the continuous states.
+    ///
+    /// # Errors
+    /// The slice has not the length of the state vector; the FMU refuses.
+    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<(), FmiError> {
         self.core().call(|raw| raw.get_continuous_states(states))
     }
 
-    fn indicators(&mut self, indicators: &mut [f64]) -> Result<(), FmiError> {
+    /// Computes the event indicators.
+    ///
+    /// # Errors
+    /// The slice has not as many elements as there are indicators; the FMU refuses.
+    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<(), FmiError> {
         self.core().call(|raw| raw.get_event_indicators(indicators))
     }
 
-    fn terminated(self) -> Result<Instance<Terminated>, FmiError> {
+    /// Ends the simulation.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn terminate(self) -> Result<Instance<Terminated>, FmiError> {
         self.step_to(RawInstance::terminate)
     }
 }
@@ -73,22 +103,6 @@ impl Instance<EventMode> {
     pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome, FmiError> {
         let time = self.core().raw.time().unwrap_or(0.0);
         self.core().iterate_events(time, 0.0, limit)
-    }
-
-    /// Reads the continuous states.
-    ///
-    /// # Errors
-    /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<(), FmiError> {
-        self.states(states)
-    }
-
-    /// Reads the event indicators.
-    ///
-    /// # Errors
-    /// The slice has not as many elements as there are indicators; the FMU refuses.
-    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<(), FmiError> {
-        self.indicators(indicators)
     }
 
     /// Reads the nominal values of the states as the FMU gives them.
@@ -105,14 +119,6 @@ impl Instance<EventMode> {
     /// The FMU refuses.
     pub fn enter_continuous_time(self) -> Result<Instance<ContinuousTime>, FmiError> {
         self.step_to(RawInstance::enter_continuous_time_mode)
-    }
-
-    /// Ends the simulation.
-    ///
-    /// # Errors
-    /// The FMU refuses.
-    pub fn terminate(self) -> Result<Instance<Terminated>, FmiError> {
-        self.terminated()
     }
 }
 
@@ -131,14 +137,6 @@ impl Instance<ContinuousTime> {
     /// The slice has not the length of the state vector; the FMU refuses.
     pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<(), FmiError> {
         self.core().call(|raw| raw.set_continuous_states(states))
-    }
-
-    /// Reads the continuous states.
-    ///
-    /// # Errors
-    /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<(), FmiError> {
-        self.states(states)
     }
 
     /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs stay as they are.
@@ -162,14 +160,6 @@ impl Instance<ContinuousTime> {
         self.core().call(|raw| raw.get_derivatives(derivatives))
     }
 
-    /// Computes the event indicators.
-    ///
-    /// # Errors
-    /// The slice has not as many elements as there are indicators; the FMU refuses.
-    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<(), FmiError> {
-        self.indicators(indicators)
-    }
-
     /// Says that a step has been completed, and that the instance will not be taken back behind it. Returns whether the
     /// model wants to enter event mode, and whether it wants to end the simulation.
     ///
@@ -185,13 +175,5 @@ impl Instance<ContinuousTime> {
     /// The FMU refuses.
     pub fn enter_event_mode(self) -> Result<Instance<EventMode>, FmiError> {
         self.step_to(RawInstance::enter_event_mode)
-    }
-
-    /// Ends the simulation.
-    ///
-    /// # Errors
-    /// The FMU refuses.
-    pub fn terminate(self) -> Result<Instance<Terminated>, FmiError> {
-        self.terminated()
     }
 }

@@ -5,7 +5,7 @@ use super::core::{Core, SetRecord, expand_references};
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::{FmiError, LogLine};
 use crate::fmu::Fmu;
-use crate::sys::{Experiment, Fault, RawInstance, SavedSlot};
+use crate::sys::{ElementDependency, Experiment, Fault, RawInstance, SavedSlot};
 use std::marker::PhantomData;
 
 /// A live instance of an FMU in the phase `P`, for model exchange or co-simulation.
@@ -51,6 +51,12 @@ impl Readable for StepMode {}
 impl Readable for Reconfiguration {}
 impl Readable for Terminated {}
 
+/// A mode of model exchange after the initialization.
+pub trait Running: Readable {}
+
+impl Running for EventMode {}
+impl Running for ContinuousTime {}
+
 mod sealed {
     /// Keeps the list of phases complete.
     pub trait Sealed {}
@@ -90,9 +96,15 @@ macro_rules! phase {
 }
 phase!(Instantiated, |v| assignments::check_settable_at_start(v));
 phase!(Initialization, |v| assignments::check_settable_in_initialization(v));
-phase!(EventMode, |v| assignments::check_settable_in_event_mode(v));
+phase!(EventMode, |v| assignments::check_settable_when_discrete(
+    v,
+    "in event mode only inputs and tunable parameters can be set"
+));
 phase!(ContinuousTime, |v| assignments::check_settable_in_continuous_time(v));
-phase!(StepMode, |v| assignments::check_settable_in_step_mode(v));
+phase!(StepMode, |v| assignments::check_settable_when_discrete(
+    v,
+    "between steps only inputs and tunable parameters can be set"
+));
 impl sealed::Sealed for Reconfiguration {}
 impl Phase for Reconfiguration {
     fn check_settable(variable: &Variable) -> Result<(), FmiError> {
@@ -113,26 +125,6 @@ pub struct SavedState {
     phase: &'static str,
     /// The structural parameters are part of the state, and with them the sizes of the arrays.
     structure: Structure,
-}
-
-/// The bytes of a saved state, for any instance of the same kind of the same FMU. Only [`Instance::serialize`] makes them: FMUs read
-/// them without looking.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SerializedState {
-    bytes: Vec<u8>,
-    /// Hash of the FMU's content.
-    fmu: String,
-    /// The way of running it.
-    kind: &'static str,
-    phase: &'static str,
-    structure: Structure,
-}
-
-impl SerializedState {
-    /// The bytes.
-    pub fn as_bytes(&self) -> &[u8] {
-        &self.bytes
-    }
 }
 
 /// The last part of the type's name.
@@ -197,12 +189,23 @@ impl<P, K> Instance<P, K> {
         }
     }
 
-    /// Switches the FMU's logging on or off.
+    /// Switches the FMU's logging on or off, of all categories.
     ///
     /// # Errors
     /// The FMU refuses, or has no such function.
     pub fn set_logging(&mut self, on: bool) -> Result<(), FmiError> {
-        self.core.call(|raw| raw.set_debug_logging(on))
+        self.core.set_logging(on, &[])
+    }
+
+    /// Switches the FMU's logging on for these categories, by their names in
+    /// [`ModelDescription::log_categories`](crate::ModelDescription::log_categories); lines of others are kept only if their
+    /// status is not ok. FMI 1.0 knows no categories in advance: the FMU logs all, and any name will do.
+    ///
+    /// # Errors
+    /// [`FmiError::BadSetting`] for a category that the description does not have; the FMU refuses, or has no such function.
+    pub fn log_categories<S: AsRef<str>>(&mut self, categories: &[S]) -> Result<(), FmiError> {
+        let categories: Vec<String> = categories.iter().map(|name| name.as_ref().to_owned()).collect();
+        self.core.set_logging(true, &categories)
     }
 
     /// Saves the complete state of the instance.
@@ -212,30 +215,6 @@ impl<P, K> Instance<P, K> {
     pub fn save_state(&mut self) -> Result<SavedState, FmiError> {
         let slot = self.core.call(RawInstance::save_state)?;
         Ok(SavedState { slot, phase: phase_name::<P>(), structure: self.core.structure.clone() })
-    }
-
-    /// The bytes of a saved state.
-    ///
-    /// # Errors
-    /// [`FmiError::ForeignState`] for a state of another instance; the FMU cannot, or refuses.
-    pub fn serialize(&mut self, state: &SavedState) -> Result<SerializedState, FmiError> {
-        self.check_own(state)?;
-        let bytes = self.core.call(|raw| raw.serialize(&state.slot))?;
-        let fmu = self.core.fmu.content_hash()?.to_owned();
-        let (kind, structure) = (std::any::type_name::<K>(), state.structure.clone());
-        Ok(SerializedState { bytes, fmu, kind, phase: state.phase, structure })
-    }
-
-    /// Makes a saved state of bytes that an instance of the same FMU has written.
-    ///
-    /// # Errors
-    /// [`FmiError::ForeignState`] for a state of another FMU, or of the other kind of instance; the FMU cannot, or refuses.
-    pub fn deserialize(&mut self, state: &SerializedState) -> Result<SavedState, FmiError> {
-        if state.fmu != self.core.fmu.content_hash()? || state.kind != std::any::type_name::<K>() {
-            return Err(FmiError::ForeignState);
-        }
-        let slot = self.core.call(|raw| raw.deserialize(&state.bytes))?;
-        Ok(SavedState { slot, phase: state.phase, structure: state.structure.clone() })
     }
 
     fn check_own(&self, state: &SavedState) -> Result<(), FmiError> {
@@ -281,7 +260,8 @@ impl<P: Readable, K> Instance<P, K> {
             .map_err(|fault| self.core.error_about(fault, references, |kind| kind == VariableKind::Real))
     }
 
-    /// The derivative of `unknowns` in the direction `seed` of the space of `knowns` (value references of reals).
+    /// The derivative of `unknowns` in the direction `seed` of the space of `knowns` (value references of reals; an array has as
+    /// many elements in `seed` or `sensitivity` as it has values).
     ///
     /// # Errors
     /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or refuses.
@@ -295,6 +275,33 @@ impl<P: Readable, K> Instance<P, K> {
         self.core.check_reals("directional_derivative", unknowns, sensitivity.len())?;
         self.core.check_reals("directional_derivative", knowns, seed.len())?;
         self.core.call(|raw| raw.directional_derivative(unknowns, knowns, seed, sensitivity))
+    }
+
+    /// The derivative of the sum of `unknowns`, weighted with `seed`, with respect to each of `knowns` (FMI 3.0: the product of
+    /// `seed` with the Jacobian, from the left).
+    ///
+    /// # Errors
+    /// As [`directional_derivative`](Self::directional_derivative).
+    pub fn adjoint_derivative(
+        &mut self,
+        unknowns: &[u32],
+        knowns: &[u32],
+        seed: &[f64],
+        sensitivity: &mut [f64],
+    ) -> Result<(), FmiError> {
+        self.core.check_reals("adjoint_derivative", unknowns, seed.len())?;
+        self.core.check_reals("adjoint_derivative", knowns, sensitivity.len())?;
+        self.core.call(|raw| raw.adjoint_derivative(unknowns, knowns, seed, sensitivity))
+    }
+
+    /// What a variable depends on with the present structural parameters, element by element (FMI 3.0).
+    ///
+    /// # Errors
+    /// There is no such variable; the FMU cannot, refuses, or names a kind of dependency that the standard does not know.
+    pub fn variable_dependencies(&mut self, name: &str) -> Result<Vec<ElementDependency>, FmiError> {
+        let index = assignments::resolve(self.core.fmu.description(), name)?;
+        let reference = self.core.fmu.description().variables[index].value_reference;
+        self.core.call(|raw| raw.variable_dependencies(reference))
     }
 }
 
@@ -368,7 +375,7 @@ impl<K> Instance<Instantiated, K> {
         let experiment = Experiment { tolerance: relative_tolerance, start: start_time, stop: stop_time };
         self.core.check_sizes()?;
         self.core.call(|raw| raw.setup_experiment(&experiment))?;
-        self.step_to(|raw| raw.enter_initialization(&experiment))
+        self.step_to(RawInstance::enter_initialization)
     }
 }
 

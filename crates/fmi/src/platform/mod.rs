@@ -2,11 +2,13 @@
 //! libraries, what tells one file from another, memory that is left.
 
 mod binary;
+mod find_binary;
 mod loaded_file;
 pub(crate) mod memory;
 mod system;
 
 pub(crate) use binary::check_length;
 pub use binary::{BinaryFormat, BinaryHeader, Machine};
+pub use find_binary::{FoundBinary, find_binary};
 pub(crate) use loaded_file::Shared;
 pub use system::*;

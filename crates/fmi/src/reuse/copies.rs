@@ -1,7 +1,7 @@
 //! A loaded copy of an FMU's library: a loaded file with static variables of its own, its idle instances, and the record of
 //! what was ever set in it. Most copies cannot be unloaded, so they are kept and used again.
 
-use super::source::Home;
+use super::source::FolderOwner;
 use crate::error::FmiError;
 use crate::open_options::LogOptions;
 use crate::sys::{InterfaceKind, Library, LoadFrom, RawInstance};
@@ -24,7 +24,7 @@ pub(crate) struct LoadedCopy {
     history: Mutex<History>,
     retired: AtomicBool,
     /// Last: a library that is unloaded is forgotten by its file.
-    home: Mutex<Option<Home>>,
+    folder_owner: Mutex<Option<FolderOwner>>,
 }
 
 /// The runs made in a copy so far.
@@ -56,7 +56,7 @@ impl std::fmt::Debug for LoadedCopy {
 
 impl LoadedCopy {
     /// A copy that was just loaded from `library.path()`.
-    pub(super) fn new(library: Library, kind: InterfaceKind, home: Option<Home>) -> Self {
+    pub(super) fn new(library: Library, kind: InterfaceKind, folder_owner: Option<FolderOwner>) -> Self {
         let path = library.path().to_owned();
         let copy = Self {
             path,
@@ -65,7 +65,7 @@ impl LoadedCopy {
             record: Mutex::default(),
             history: Mutex::default(),
             retired: AtomicBool::new(false),
-            home: Mutex::new(home),
+            folder_owner: Mutex::new(folder_owner),
         };
         *lock(&copy.tables[kind as usize]) = Some(Arc::new(library));
         copy
@@ -134,24 +134,24 @@ impl LoadedCopy {
 
     /// An instance that was used before, to be reset before use. Those of the other kind are freed: in some libraries the
     /// instance made last is the only one that is right.
-    pub(crate) fn take_idle(&self, kind: InterfaceKind, logging: LogOptions) -> Option<RawInstance> {
+    pub(crate) fn take_idle(&self, kind: InterfaceKind, logging: &LogOptions) -> Option<RawInstance> {
         let mut idle = lock(&self.idle);
-        let wanted = (kind, logging);
-        let place = idle.iter().rposition(|(known, _)| *known == wanted);
+        let is_wanted = |known: &(InterfaceKind, LogOptions)| known.0 == kind && known.1 == *logging;
+        let place = idle.iter().rposition(|(known, _)| is_wanted(known));
         let raw = place.map(|place| idle.remove(place).1);
-        let others: Vec<_> = idle.extract_if(.., |(known, _)| *known != wanted).collect();
+        let others: Vec<_> = idle.extract_if(.., |(known, _)| !is_wanted(known)).collect();
         drop(idle);
         drop(others);
         raw
     }
 
     /// Keeps an instance for later; frees another one if there are many.
-    pub(crate) fn put_idle(&self, kind: InterfaceKind, logging: LogOptions, raw: RawInstance) {
+    pub(crate) fn put_idle(&self, kind: InterfaceKind, logging: &LogOptions, raw: RawInstance) {
         if raw.is_dead() {
             return;
         }
         let mut idle = lock(&self.idle);
-        idle.push(((kind, logging), raw));
+        idle.push(((kind, logging.clone()), raw));
         let surplus = (idle.len() > MAX_IDLE).then(|| idle.remove(0));
         drop(idle);
         drop(surplus);
@@ -164,14 +164,14 @@ impl LoadedCopy {
     }
 
     /// Lets the folder go. What is loaded stays.
-    pub(super) fn leave_home(&self) {
-        let home = lock(&self.home).take();
-        drop(home);
+    pub(super) fn release_folder(&self) {
+        let folder_owner = lock(&self.folder_owner).take();
+        drop(folder_owner);
     }
 
-    /// What keeps the folder on the disk; `None` after [`leave_home`](Self::leave_home).
-    pub(super) fn home(&self) -> MutexGuard<'_, Option<Home>> {
-        lock(&self.home)
+    /// What keeps the folder on the disk; `None` after [`release_folder`](Self::release_folder).
+    pub(super) fn folder_owner(&self) -> MutexGuard<'_, Option<FolderOwner>> {
+        lock(&self.folder_owner)
     }
 }
 

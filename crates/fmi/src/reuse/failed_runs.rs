@@ -5,7 +5,7 @@
 
 use super::history::{Polled, is_from_outside};
 use super::runner::Runner;
-use super::verdict::Sort;
+use super::verdict::FailureKind;
 use crate::error::FmiError;
 use ode::Observer;
 use std::sync::Arc;
@@ -22,30 +22,33 @@ impl Runner {
     ) -> bool {
         let Some(store) = self.lease.as_ref().map(|lease| Arc::clone(lease.store())) else { return false };
         let kind = self.plan.kind;
-        if is_from_outside(error) || !self.has_past() || !store.verdicts.note_failure(kind, Sort::of(error)) {
+        if is_from_outside(error)
+            || !self.may_compare()
+            || !store.verdict(kind).failures.note(FailureKind::of(error))
+        {
             return false;
         }
-        let before = store.verdicts.n_found(kind);
+        let before = store.verdict(kind).n_found;
         let compared = self.make_again(parameters, observer);
-        self.come_back();
+        self.return_to_copy();
         if let Err(error) = compared {
             log::info!(
                 "{}: a failed simulation could not be made again: {error}",
                 self.plan.fmu().path().display()
             );
         }
-        store.verdicts.n_found(kind) > before
+        store.verdict(kind).n_found > before
     }
 
     fn make_again(&mut self, parameters: &[f64], observer: &mut dyn Observer) -> Result<(), FmiError> {
         let took = self.began.elapsed();
-        let Some(is_elsewhere) = self.go_elsewhere()? else { return Ok(()) };
+        let Some(is_other_copy) = self.use_other_copy()? else { return Ok(()) };
         let (plan, wants_steps) = (Arc::clone(&self.plan), observer.wants_steps());
         let mut poll = || observer.poll();
         let mut polled = Polled::new(&plan, wants_steps, &mut poll).at_least(2 * took);
         match self.digest_of(parameters, &mut polled) {
             Some((fresh, false)) if !polled.is_late => {
-                self.find_cause((&fresh, false), is_elsewhere, parameters, &mut polled)
+                self.find_cause((&fresh, false), is_other_copy, parameters, &mut polled)
             }
             _ => Ok(()),
         }

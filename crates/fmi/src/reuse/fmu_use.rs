@@ -1,7 +1,7 @@
 //! What the simulations of an FMU keep with it while it is open: the loaded copies of its library, what showed in runs.
 
+use super::copy_use::CopyRequest;
 use super::instantiate::NO_EVENT_MODE;
-use super::loans::CopyRequest;
 use super::source::{Key, Source};
 use super::store::CopyStore;
 use super::verdict::Reuse;
@@ -50,7 +50,7 @@ impl Fmu {
     /// [`ModelDescription::quirks`](crate::ModelDescription::quirks).
     pub fn quirks_seen(&self) -> Vec<Quirk> {
         let store = self.known_store(InterfaceKind::CoSimulation);
-        let refused = store.is_some_and(|store| store.verdicts.is_event_mode_refused());
+        let refused = store.is_some_and(|store| store.verdict(InterfaceKind::CoSimulation).no_event_mode);
         let quirk = || Quirk { kind: QuirkKind::Promise, message: NO_EVENT_MODE.to_owned(), line: 0 };
         let mut seen = self.noted_quirks();
         seen.extend(refused.then(quirk));
@@ -70,7 +70,7 @@ impl Fmu {
     ) -> Result<(), FmiError> {
         self.archive().renew_resources()?;
         store.set_private_resources();
-        store.verdicts.set_history(kind, Reuse::Reload);
+        store.verdict(kind).set_history(Reuse::Reload);
         let root = self.running_root()?;
         let name = file.strip_prefix(&root).unwrap_or(file).display();
         let message = format!(
@@ -83,7 +83,7 @@ impl Fmu {
 
     /// Notes that simulations depend on earlier ones: from now on each is begun by `reuse`.
     pub(crate) fn note_history(&self, kind: InterfaceKind, reuse: Reuse) -> Result<(), FmiError> {
-        self.store(kind)?.verdicts.set_history(kind, reuse);
+        self.store(kind)?.verdict(kind).set_history(reuse);
         let way = match reuse {
             Reuse::Reload => "a newly loaded copy of the library",
             _ => "a new instance",
@@ -98,7 +98,7 @@ impl Fmu {
 
     /// Notes that simulations in newly loaded copies differ.
     pub(crate) fn note_not_reproducible(&self, kind: InterfaceKind) -> Result<(), FmiError> {
-        self.store(kind)?.verdicts.set_not_reproducible(kind);
+        self.store(kind)?.verdict(kind).not_reproducible = true;
         let message = "two simulations in newly loaded copies of the library differ: no result can be reproduced (unless what it keeps \
              in the C library or in files is disturbed by other simulations at the same time: then sharing = serial helps)";
         self.note_quirk(QuirkKind::Promise, message);
@@ -108,7 +108,7 @@ impl Fmu {
     /// How often a simulation was found to depend on earlier ones (see [`quirks_seen`](Self::quirks_seen)): each time, a safer
     /// way of bringing instances back was taken from then on, and results from before may be wrong.
     pub fn n_history_findings(&self, kind: InterfaceKind) -> u64 {
-        self.known_store(kind).map_or(0, |store| store.verdicts.n_found(kind))
+        self.known_store(kind).map_or(0, |store| store.verdict(kind).n_found)
     }
 
     /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends early when
@@ -121,9 +121,7 @@ impl Fmu {
         let store = self.store_unless(kind, cancel)?;
         let open = |from: LoadFrom<'_>| self.load(from, kind);
         store
-            .lend(&CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open }, &mut || {
-                false
-            })?;
+            .lend(&CopyRequest { kind, sharing: Sharing::Copies, owner: None, open: &open }, &mut || false)?;
         Ok(())
     }
 
@@ -134,7 +132,7 @@ impl Fmu {
 
     /// How instances are reset; `None` before it was tried.
     pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
-        self.known_store(kind)?.verdicts.reuse(kind)
+        self.known_store(kind)?.verdict(kind).reuse
     }
 
     /// How simulations that run in parallel share the process where nothing is asked for: with copies of the library, or one at
@@ -186,7 +184,7 @@ impl Fmu {
                 (Key::File(identity.place(&library), identity.clone(), loader), Some(identity))
             }
         };
-        let source = Source { library, root, identity, home: Some(Arc::clone(archive) as _) };
+        let source = Source { library, root, identity, folder_owner: Some(Arc::clone(archive) as _) };
         let store = slot.insert(StoreUse::new(key, source));
         Ok(Arc::clone(store))
     }
@@ -238,7 +236,7 @@ impl Drop for StoreUse {
         drop(state);
         for copy in &idle {
             copy.free_idle();
-            copy.leave_home();
+            copy.release_folder();
         }
         drop(source);
     }

@@ -7,9 +7,9 @@
 //! N-th run, the run after one with certain values) is found with a probability, not for certain: between two looks a result may
 //! depend on what ran before.
 
-use super::loans::CopyRequest;
-use super::past::{Aside, Past};
-use super::runner::{Runner, Tenancy};
+use super::copy_use::CopyRequest;
+use super::earlier_run::{EarlierRun, PreviousCopy};
+use super::runner::{Runner, SharedRunner};
 use super::store::{CopyLease, CopyStore};
 use super::verdict::Reuse;
 use crate::error::FmiError;
@@ -81,33 +81,33 @@ impl Runner {
     ///
     /// # Errors
     /// There is no new instance to be had.
-    pub(crate) fn look_back(
+    pub(crate) fn compare_if_due(
         &mut self,
         parameters: &[f64],
         observer: &mut dyn Observer,
-    ) -> Result<Option<Past>, FmiError> {
+    ) -> Result<Option<EarlierRun>, FmiError> {
         let is_due = self.lease.as_ref().is_some_and(|lease| lease.copy().note_run(self.plan.signature));
-        if !is_due || !self.has_past() {
+        if !is_due || !self.may_compare() {
             return Ok(None);
         }
-        self.look_back_now(parameters, observer)
+        self.compare_now(parameters, observer)
     }
 
     /// Whether the present copy was used, and it is known how runs in it begin, and not known that they differ anyway.
-    pub(super) fn has_past(&self) -> bool {
+    pub(super) fn may_compare(&self) -> bool {
         self.lease.as_ref().is_some_and(|lease| {
             lease.copy().is_used()
-                && lease.store().verdicts.reuse(self.plan.kind) != Some(Reuse::Reload)
-                && !lease.store().verdicts.is_not_reproducible(self.plan.kind)
+                && !lease.store().verdict(self.plan.kind).not_reproducible
+                && lease.store().verdict(self.plan.kind).reuse != Some(Reuse::Reload)
         })
     }
 
     #[cold]
-    fn look_back_now(
+    fn compare_now(
         &mut self,
         parameters: &[f64],
         observer: &mut dyn Observer,
-    ) -> Result<Option<Past>, FmiError> {
+    ) -> Result<Option<EarlierRun>, FmiError> {
         let wants_steps = observer.wants_steps();
         let mut poll = || observer.poll();
         let mut polled = Polled::new(&self.plan, wants_steps, &mut poll);
@@ -117,17 +117,17 @@ impl Runner {
         let store = fmu.store(plan.kind)?;
         if let Some(file) = store.written_resource() {
             fmu.note_written_resource(&store, plan.kind, &file)?;
-            self.settle_in(Some(observer))?;
+            self.ensure_copy(Some(observer))?;
             return Ok(None);
         }
-        let is_elsewhere = self.go_elsewhere()?;
-        Ok(is_elsewhere.map(|is_elsewhere| Past { digest, is_stopped, wants_steps, is_elsewhere }))
+        let is_other_copy = self.use_other_copy()?;
+        Ok(is_other_copy.map(|is_other_copy| EarlierRun { digest, is_stopped, wants_steps, is_other_copy }))
     }
 
     /// Goes to a new copy for one run (`true`), or takes a new instance in this one where there is none to be had and that makes a
     /// difference; `None`: neither.
-    pub(super) fn go_elsewhere(&mut self) -> Result<Option<bool>, FmiError> {
-        if self.step_aside() {
+    pub(super) fn use_other_copy(&mut self) -> Result<Option<bool>, FmiError> {
+        if self.leave_copy() {
             self.prepare()?;
             return Ok(Some(true));
         }
@@ -140,12 +140,12 @@ impl Runner {
     }
 
     /// Goes to a new copy for one run; `false`: there is none to be had.
-    fn step_aside(&mut self) -> bool {
+    fn leave_copy(&mut self) -> bool {
         let Some(other) = self.new_copy() else { return false };
         let instance = self.engine.running().retire();
         let lease = self.lease.replace(other);
         self.prepared = None;
-        self.aside = lease.map(|lease| Aside { instance, lease });
+        self.previous = lease.map(|lease| PreviousCopy { instance, lease });
         true
     }
 
@@ -166,11 +166,11 @@ impl Runner {
     ///
     /// # Errors
     /// The library cannot be found any more.
-    pub(crate) fn settle_in_new(&mut self) -> Result<bool, FmiError> {
+    pub(crate) fn ensure_new_copy(&mut self) -> Result<bool, FmiError> {
         let kind = self.plan.kind;
         let store = self.plan.fmu().store(kind)?;
         let is_known =
-            store.verdicts.reuse(kind) == Some(Reuse::Reload) || store.verdicts.is_not_reproducible(kind);
+            store.verdict(kind).reuse == Some(Reuse::Reload) || store.verdict(kind).not_reproducible;
         if is_known || self.lease.is_some() {
             return Ok(false);
         }
@@ -181,11 +181,11 @@ impl Runner {
     }
 
     /// Goes back to the copy that was left for one run, if there is one.
-    pub(crate) fn come_back(&mut self) {
-        let Some(aside) = self.aside.take() else { return };
+    pub(crate) fn return_to_copy(&mut self) {
+        let Some(aside) = self.previous.take() else { return };
         self.fresh = None;
         drop(self.engine.running().retire());
-        let Aside { instance, lease } = aside;
+        let PreviousCopy { instance, lease } = aside;
         if let Some(other) = self.lease.replace(lease) {
             other.retire();
         }
@@ -230,20 +230,20 @@ impl Runner {
     /// There is no further copy or instance to be had.
     pub(crate) fn judge(
         &mut self,
-        past: &Past,
+        earlier: &EarlierRun,
         outcome: &Result<Report, FmiError>,
         parameters: &[f64],
         observer: &mut dyn Observer,
     ) -> Result<(), FmiError> {
         let fresh = self.end_digest(outcome);
         if is_ended_from_outside(outcome)
-            || past.digest.agrees(&fresh, (past.is_stopped, is_stopped(outcome)))
+            || earlier.digest.agrees(&fresh, (earlier.is_stopped, is_stopped(outcome)))
         {
             return Ok(());
         }
         let mut poll = || observer.poll();
-        let mut polled = Polled::new(&self.plan, past.wants_steps, &mut poll);
-        self.find_cause((&fresh, is_stopped(outcome)), past.is_elsewhere, parameters, &mut polled)
+        let mut polled = Polled::new(&self.plan, earlier.wants_steps, &mut poll);
+        self.find_cause((&fresh, is_stopped(outcome)), earlier.is_other_copy, parameters, &mut polled)
     }
 
     /// A run differs from the same one in a new copy, or by a new instance: finds out what helps.
@@ -251,12 +251,12 @@ impl Runner {
     pub(super) fn find_cause(
         &mut self,
         (fresh, stopped): (&Digest, bool),
-        is_elsewhere: bool,
+        is_other_copy: bool,
         parameters: &[f64],
         observer: &mut Polled<'_>,
     ) -> Result<(), FmiError> {
         let (plan, fmu) = (Arc::clone(&self.plan), self.plan.fmu().clone());
-        if !is_elsewhere {
+        if !is_other_copy {
             return fmu.note_history(plan.kind, Reuse::Reinstantiate);
         }
         if let Some(lease) = self.new_copy() {
@@ -267,7 +267,7 @@ impl Runner {
                 return fmu.note_not_reproducible(plan.kind);
             }
         }
-        let Some(Aside { instance, lease }) = self.aside.take() else { return Ok(()) };
+        let Some(PreviousCopy { instance, lease }) = self.previous.take() else { return Ok(()) };
         // A new instance is enough where the state is that of the old one: with that the run differs once more, with a new one in the
         // same copy it does not.
         let reuse = match instance {
@@ -296,22 +296,22 @@ impl Runner {
         parameters: &[f64],
         cancelled: &dyn Fn() -> bool,
     ) -> Result<bool, FmiError> {
-        self.settle_in(None)?;
-        if !self.has_past() {
+        self.ensure_copy(None)?;
+        if !self.may_compare() {
             return Ok(false);
         }
         let Some(store) = self.lease.as_ref().map(|lease| Arc::clone(lease.store())) else {
             return Ok(false);
         };
-        let before = store.verdicts.n_found(self.plan.kind);
+        let before = store.verdict(self.plan.kind).n_found;
         let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let plan = Arc::clone(&self.plan);
         let mut observer = Polled::new(&plan, false, &mut poll);
-        if let Some(past) = self.look_back_now(parameters, &mut observer)? {
+        if let Some(earlier) = self.compare_now(parameters, &mut observer)? {
             observer.begin();
-            self.run_here(Some(past), parameters, &mut observer)?;
+            self.run_here(Some(earlier), parameters, &mut observer)?;
         }
-        Ok(store.verdicts.n_found(self.plan.kind) > before)
+        Ok(store.verdict(self.plan.kind).n_found > before)
     }
 }
 
@@ -323,8 +323,8 @@ fn digest_in(
     parameters: &[f64],
     observer: &mut Polled<'_>,
 ) -> Result<(Option<(Digest, bool)>, CopyLease), FmiError> {
-    let tenancy = Tenancy::new(Arc::clone(plan))?;
-    let mut runner = tenancy.enter();
+    let shared = SharedRunner::new(Arc::clone(plan))?;
+    let mut runner = shared.enter();
     lease.copy().free_idle();
     runner.lease = Some(lease);
     runner.prepare()?;

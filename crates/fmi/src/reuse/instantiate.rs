@@ -1,7 +1,7 @@
 //! Instances of an FMU, made in a loaded copy of its library.
 
 use super::copies::LoadedCopy;
-use super::loans::CopyRequest;
+use super::copy_use::CopyRequest;
 use super::store::CopyLease;
 use super::unset::set_again;
 use crate::description::Variable;
@@ -26,6 +26,8 @@ pub struct InstanceOptions {
     pub name: Option<String>,
     /// Ask the FMU to log. FMUs log what they think important without being asked, too.
     pub logging: bool,
+    /// Of which categories, by their names; none: of all (see [`Instance::log_categories`]).
+    pub log_categories: Vec<String>,
     /// Which lines of the log are kept (see [`Instance::log`]); an FMU that goes on logging is held to four lines
     /// for each point of time, step and event iteration, besides its errors, and the rest is counted.
     pub log_filter: LogFilter,
@@ -72,7 +74,7 @@ impl Fmu {
         let store = self.store(kind)?;
         self.running_root()?;
         let open = |from: LoadFrom<'_>| self.load(from, kind);
-        let request = CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open };
+        let request = CopyRequest { kind, sharing: Sharing::Copies, owner: None, open: &open };
         let is_new = |copy: &LoadedCopy| copy.record().keys().is_empty();
         let make = |lease: CopyLease| -> Result<_, FmiError> {
             lease.copy().free_idle();
@@ -102,8 +104,13 @@ impl Fmu {
         library: &Arc<Library>,
         kind: InterfaceKind,
     ) -> Result<RawInstance, FmiError> {
-        let LogOptions { asked, filter, .. } = self.logging();
-        let options = InstanceOptions { logging: asked, log_filter: filter, ..InstanceOptions::default() };
+        let LogOptions { asked, categories, filter, .. } = self.logging();
+        let options = InstanceOptions {
+            logging: *asked,
+            log_categories: categories.clone(),
+            log_filter: *filter,
+            ..InstanceOptions::default()
+        };
         self.instantiate_in(library, kind, &options)
     }
 
@@ -130,7 +137,7 @@ impl Fmu {
             guid: &guid,
             resources: &resources,
             kind,
-            event_mode: interface.capabilities.uses_event_mode() && !store.verdicts.is_event_mode_refused(),
+            event_mode: interface.capabilities.uses_event_mode() && !store.verdict(kind).no_event_mode,
             early_return: interface.capabilities.may_return_early(),
             visible: options.visible,
             logging: options.logging,
@@ -139,14 +146,27 @@ impl Fmu {
         let sizes = Sizes { states: description.n_states(), indicators: description.n_event_indicators };
         let refusal = match RawInstance::new(library, &request, sizes) {
             Err(FmiError::Call(refusal)) if request.event_mode => FmiError::Call(refusal),
-            outcome => return outcome,
+            outcome => return self.with_log_categories(outcome?, options),
         };
         // Some models promise an event mode that they do not have.
         request.event_mode = false;
         let raw = RawInstance::new(library, &request, sizes).map_err(|_| refusal)?;
-        store.verdicts.refuse_event_mode();
+        store.verdict(kind).no_event_mode = true;
         log::warn!("{}: {NO_EVENT_MODE}", description.model_name);
-        Ok(raw)
+        self.with_log_categories(raw, options)
+    }
+
+    fn with_log_categories(
+        &self,
+        raw: RawInstance,
+        options: &InstanceOptions,
+    ) -> Result<RawInstance, FmiError> {
+        if !options.logging || options.log_categories.is_empty() {
+            return Ok(raw);
+        }
+        let mut core = Core::new(raw, self.clone());
+        core.set_logging(true, &options.log_categories)?;
+        Ok(core.raw)
     }
 }
 

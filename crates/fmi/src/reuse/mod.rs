@@ -2,17 +2,17 @@
 //! set in them, ways of resetting and their check, simulators and pools of them.
 
 mod copies;
+mod copy_use;
+mod earlier_run;
 mod failed_runs;
 mod files;
 mod fmu_use;
 mod history;
 mod instantiate;
 mod linkage;
-mod loans;
-mod past;
 mod pool;
 mod probe;
-mod renewal;
+mod reset;
 mod runner;
 mod simulator;
 mod source;

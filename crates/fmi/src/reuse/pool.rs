@@ -32,7 +32,7 @@ struct State {
     written: Option<PathBuf>,
 }
 
-/// A simulator on loan; it goes back to its pool on drop. Meanwhile it keeps its copy of the library, and the values of
+/// A simulator that is lent; it goes back to its pool on drop. Meanwhile it keeps its copy of the library, and the values of
 /// its last run.
 #[derive(Debug)]
 pub struct Lease<'a> {
@@ -150,7 +150,7 @@ impl Pool {
     /// The FMU cannot be loaded.
     pub fn simulator_in_new_copy(&self) -> Result<Option<Simulator>, FmiError> {
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
-        let is_there = simulator.runner().settle_in_new()?;
+        let is_there = simulator.runner().ensure_new_copy()?;
         Ok(is_there.then_some(simulator))
     }
 
@@ -180,7 +180,7 @@ impl Pool {
         let model = &fmu.description().model_name;
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
         let mut runner = simulator.runner();
-        runner.settle_in(None)?;
+        runner.ensure_copy(None)?;
         let examined = self.examine(&mut runner);
         let store = fmu.store(self.plan.kind())?;
         state.written = store.written_resource();

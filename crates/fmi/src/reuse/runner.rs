@@ -1,7 +1,7 @@
 //! What a simulator has while it has a loaded copy of the library: an instance, the way of resetting it, buffers.
 
-use super::loans::{CopyRequest, Eviction, Tenant};
-use super::past::{Aside, Past};
+use super::copy_use::{CopyOwner, CopyRequest, Release};
+use super::earlier_run::{EarlierRun, PreviousCopy};
 use super::store::CopyLease;
 use super::verdict::Reuse;
 use crate::description::{Value, Variable};
@@ -30,15 +30,15 @@ pub(crate) struct Runner {
     pub(crate) began: Instant,
     sharing: Sharing,
     /// Itself, for those who need its copy.
-    tenant: Weak<Tenancy>,
+    owner: Weak<SharedRunner>,
     /// The copy was needed for another owner.
-    evicted: bool,
+    is_released: bool,
     /// Its runs are those with which others are compared: they are not looked into themselves.
     pub(crate) is_trial: bool,
     /// What is set in the present copy besides the settings of the plan.
     pub(crate) prepared: Option<Prepared>,
     /// The copy that it goes back to, after a run in another one.
-    pub(crate) aside: Option<Aside>,
+    pub(crate) previous: Option<PreviousCopy>,
     /// Given back after the instances.
     pub(crate) lease: Option<CopyLease>,
 }
@@ -54,23 +54,23 @@ pub(crate) struct Prepared {
 
 /// A runner that can be asked to give its copy up.
 #[derive(Debug)]
-pub(crate) struct Tenancy {
+pub(crate) struct SharedRunner {
     runner: Mutex<Runner>,
     /// The copy is kept between runs.
     pinned: AtomicBool,
     /// It lies in a pool: nobody asks for the values of its last run.
-    dormant: AtomicBool,
+    in_pool: AtomicBool,
     /// The thread that uses it, or has pinned it.
     user: Mutex<Option<ThreadId>>,
 }
 
 /// Use of a runner by one thread; waiting owners look again when it is over.
-pub(crate) struct Inside<'a> {
-    tenancy: &'a Tenancy,
+pub(crate) struct RunnerGuard<'a> {
+    shared: &'a SharedRunner,
     runner: Option<MutexGuard<'a, Runner>>,
 }
 
-impl Tenancy {
+impl SharedRunner {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Result<Arc<Self>, FmiError> {
         let engine = Engine::new(&plan)?;
         // The flag is one per loaded copy.
@@ -85,7 +85,7 @@ impl Tenancy {
         } else {
             plan.sharing
         };
-        Ok(Arc::new_cyclic(|tenant| Self {
+        Ok(Arc::new_cyclic(|owner| Self {
             runner: Mutex::new(Runner {
                 plan,
                 engine,
@@ -93,22 +93,22 @@ impl Tenancy {
                 buffers: ReadBackBuffers::default(),
                 began: Instant::now(),
                 sharing,
-                tenant: Weak::clone(tenant),
-                evicted: false,
+                owner: Weak::clone(owner),
+                is_released: false,
                 is_trial: false,
                 prepared: None,
-                aside: None,
+                previous: None,
                 lease: None,
             }),
             pinned: AtomicBool::new(false),
-            dormant: AtomicBool::new(false),
+            in_pool: AtomicBool::new(false),
             user: Mutex::new(None),
         }))
     }
 
     /// Keeps the copy between runs, or lets others have it, to whom its values mean nothing.
     pub(crate) fn pin(&self, pinned: bool) {
-        self.dormant.store(!pinned, Ordering::Release);
+        self.in_pool.store(!pinned, Ordering::Release);
         *self.user() = pinned.then(|| std::thread::current().id());
         self.pinned.store(pinned, Ordering::Release);
         if !pinned {
@@ -117,10 +117,10 @@ impl Tenancy {
     }
 
     /// Uses the runner.
-    pub(crate) fn enter(&self) -> Inside<'_> {
+    pub(crate) fn enter(&self) -> RunnerGuard<'_> {
         let runner = self.runner.lock().unwrap_or_else(PoisonError::into_inner);
         *self.user() = Some(std::thread::current().id());
-        Inside { tenancy: self, runner: Some(runner) }
+        RunnerGuard { shared: self, runner: Some(runner) }
     }
 
     fn user(&self) -> MutexGuard<'_, Option<ThreadId>> {
@@ -128,8 +128,8 @@ impl Tenancy {
     }
 
     /// Waiting or kept: kept if this thread would wait for itself.
-    fn waits(&self) -> Eviction {
-        if *self.user() == Some(std::thread::current().id()) { Eviction::Kept } else { Eviction::Busy }
+    fn waits(&self) -> Release {
+        if *self.user() == Some(std::thread::current().id()) { Release::Kept } else { Release::Busy }
     }
 
     fn notify(&self) {
@@ -142,8 +142,8 @@ impl Tenancy {
     }
 }
 
-impl Tenant for Tenancy {
-    fn evict(&self) -> Eviction {
+impl CopyOwner for SharedRunner {
+    fn release(&self) -> Release {
         let mut runner = match self.runner.try_lock() {
             Ok(runner) => runner,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
@@ -152,17 +152,17 @@ impl Tenant for Tenancy {
         if self.pinned.load(Ordering::Acquire) {
             return self.waits();
         }
-        runner.give_up();
-        runner.evicted = true;
-        Eviction::Done
+        runner.release_copy();
+        runner.is_released = true;
+        Release::Done
     }
 
-    fn is_dormant(&self) -> bool {
-        self.dormant.load(Ordering::Acquire)
+    fn is_in_pool(&self) -> bool {
+        self.in_pool.load(Ordering::Acquire)
     }
 }
 
-impl std::ops::Deref for Inside<'_> {
+impl std::ops::Deref for RunnerGuard<'_> {
     type Target = Runner;
 
     fn deref(&self) -> &Runner {
@@ -173,7 +173,7 @@ impl std::ops::Deref for Inside<'_> {
     }
 }
 
-impl std::ops::DerefMut for Inside<'_> {
+impl std::ops::DerefMut for RunnerGuard<'_> {
     fn deref_mut(&mut self) -> &mut Runner {
         match &mut self.runner {
             Some(runner) => runner,
@@ -182,12 +182,12 @@ impl std::ops::DerefMut for Inside<'_> {
     }
 }
 
-impl Drop for Inside<'_> {
+impl Drop for RunnerGuard<'_> {
     fn drop(&mut self) {
         let Some(runner) = self.runner.take() else { return };
         let store = runner.lease.as_ref().map(|lease| Arc::clone(lease.store()));
-        if !self.tenancy.pinned.load(Ordering::Acquire) {
-            *self.tenancy.user() = None;
+        if !self.shared.pinned.load(Ordering::Acquire) {
+            *self.shared.user() = None;
         }
         drop(runner);
         if let Some(store) = store {
@@ -205,7 +205,7 @@ impl Runner {
     /// How instances are reset, as far as is known for what is set in this copy.
     pub(crate) fn reuse(&self) -> Option<Reuse> {
         let lease = self.lease.as_ref()?;
-        lease.store().verdicts.reuse_for(self.plan.kind, self.settings())
+        lease.store().verdict(self.plan.kind).reuse_for(self.settings())
     }
 
     fn settings(&self) -> &Arc<[Setting]> {
@@ -218,7 +218,7 @@ impl Runner {
             return;
         }
         let Some(lease) = &self.lease else { return };
-        lease.store().verdicts.set_reuse(self.plan.kind, reuse, self.settings());
+        lease.store().verdict(self.plan.kind).set_reuse(reuse, self.settings());
     }
 
     /// Whether instances may be brought back by a saved state, as far as is known. Not in co-simulation: some models abort
@@ -228,13 +228,13 @@ impl Runner {
         let interface = self.plan.fmu().check_interface(self.plan.kind);
         self.plan.kind == InterfaceKind::ModelExchange
             && interface.is_ok_and(|interface| interface.capabilities.can_get_and_set_state)
-            && self.lease.as_ref().is_some_and(|lease| lease.store().verdicts.may_restore(self.plan.kind))
+            && self.lease.as_ref().is_some_and(|lease| !lease.store().verdict(self.plan.kind).no_restore)
     }
 
     /// Saved states were found not to bring instances back.
     pub(crate) fn refuse_restore(&self) {
         if let Some(lease) = &self.lease {
-            lease.store().verdicts.refuse_restore(self.plan.kind);
+            lease.store().verdict(self.plan.kind).refuse_restore();
         }
     }
 
@@ -242,15 +242,15 @@ impl Runner {
     ///
     /// # Errors
     /// The library cannot be loaded; there is no copy to be had; `observer` or the plan has cancelled the simulation.
-    pub(crate) fn settle_in(&mut self, observer: Option<&mut dyn Observer>) -> Result<(), FmiError> {
-        self.come_back();
+    pub(crate) fn ensure_copy(&mut self, observer: Option<&mut dyn Observer>) -> Result<(), FmiError> {
+        self.return_to_copy();
         let is_over = |lease: &CopyLease| {
             lease.is_fatal() || (lease.copy().is_used() && self.reuse() == Some(Reuse::Reload))
         };
         if self.lease.as_ref().is_none_or(is_over) {
-            self.give_up();
+            self.release_copy();
             self.lease = Some(self.lend(observer)?);
-            self.evicted = false;
+            self.is_released = false;
         }
         self.prepare()
     }
@@ -294,13 +294,13 @@ impl Runner {
         &self,
         open: &'a dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
     ) -> CopyRequest<'a> {
-        let tenant: Weak<dyn Tenant> = self.tenant.clone();
-        CopyRequest { kind: self.plan.kind, sharing: self.sharing, tenant: Some(tenant), open }
+        let owner: Weak<dyn CopyOwner> = self.owner.clone();
+        CopyRequest { kind: self.plan.kind, sharing: self.sharing, owner: Some(owner), open }
     }
 
     /// Gives the copy back, with the instance for whoever needs one next.
-    pub(crate) fn give_up(&mut self) {
-        self.come_back();
+    pub(crate) fn release_copy(&mut self) {
+        self.return_to_copy();
         let raw = self.fresh.take().or_else(|| self.engine.running().retire());
         let keeps = self.reuse() < Some(Reuse::Reinstantiate);
         self.prepared = None;
@@ -319,14 +319,14 @@ impl Runner {
         parameters: &[f64],
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
-        self.settle_in(Some(&mut *observer))?;
+        self.ensure_copy(Some(&mut *observer))?;
         if self.is_trial {
             return self.run_here(None, parameters, observer);
         }
-        let past = self.look_back(parameters, observer)?;
-        let may_blame_past = past.is_none() && self.is_copy_used();
-        match self.run_here(past, parameters, observer) {
-            Err(error) if may_blame_past && self.fails_by_history(&error, parameters, observer) => {
+        let earlier = self.compare_if_due(parameters, observer)?;
+        let may_depend_on_earlier = earlier.is_none() && self.is_copy_used();
+        match self.run_here(earlier, parameters, observer) {
+            Err(error) if may_depend_on_earlier && self.fails_by_history(&error, parameters, observer) => {
                 Err(FmiError::FailedByHistory { library: self.plan.fmu().path().to_owned() })
             }
             outcome => outcome,
@@ -341,27 +341,27 @@ impl Runner {
     /// The run itself, in the present copy; compared with what the same run has shown in another one.
     pub(crate) fn run_here(
         &mut self,
-        past: Option<Past>,
+        earlier: Option<EarlierRun>,
         parameters: &[f64],
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
         let _environment = CallEnvironment::enter();
         if let Err(error) = self.start(parameters) {
             let outcome = Err(error);
-            if let Some(past) = past {
-                self.judge(&past, &outcome, parameters, observer)?;
+            if let Some(earlier) = earlier {
+                self.judge(&earlier, &outcome, parameters, observer)?;
             }
             return outcome;
         }
         let starting = self.began.elapsed().as_secs_f64();
-        if past.is_some() {
+        if earlier.is_some() {
             self.engine.running().begin_digest(Digest::with_way());
         }
         let mut outcome = self.engine.run(&self.plan, None, observer);
         let input_functions = self.engine.running().seconds_in_input_functions();
         self.engine.running().pass_log_on();
-        if let Some(past) = past {
-            self.judge(&past, &outcome, parameters, observer)?;
+        if let Some(earlier) = earlier {
+            self.judge(&earlier, &outcome, parameters, observer)?;
         }
         let stats = match &mut outcome {
             Ok(report) => &mut report.stats,
@@ -376,18 +376,18 @@ impl Runner {
     }
 
     pub(super) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
-        if self.evicted {
+        if self.is_released {
             return Err(FmiError::Disturbed { library: self.plan.fmu().path().to_owned() });
         }
         self.engine.value(variable)
     }
 
     pub(super) fn initialize_only(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
-        self.settle_in(None)?;
-        let may_blame_past = self.is_copy_used();
+        self.ensure_copy(None)?;
+        let may_depend_on_earlier = self.is_copy_used();
         match self.initialize_here(parameters) {
-            Err(error) if may_blame_past && self.fails_by_history(&error, parameters, &mut Ignore) => {
-                self.settle_in(None)?;
+            Err(error) if may_depend_on_earlier && self.fails_by_history(&error, parameters, &mut Ignore) => {
+                self.ensure_copy(None)?;
                 self.initialize_here(parameters)
             }
             outcome => outcome,
@@ -397,7 +397,7 @@ impl Runner {
     fn initialize_here(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         let _environment = CallEnvironment::enter();
         self.start(parameters)?;
-        self.engine.settle()
+        self.engine.run_initial_events()
     }
 
     /// Initializes a new instance, or one that was reset and has the values it was given.
@@ -406,7 +406,7 @@ impl Runner {
         let (instance, is_used) = match self.fresh_instance(parameters) {
             // The last run's instance could not be ended or reset, which is nothing of this run's.
             Err(_) if self.is_fatal() => {
-                self.settle_in(None)?;
+                self.ensure_copy(None)?;
                 self.fresh_instance(parameters)?
             }
             outcome => outcome?,
@@ -456,7 +456,7 @@ impl Runner {
                 drop(used);
                 Ok((self.new_instance()?, false))
             }
-            Some(reuse) => self.renew_or_replace(used, reuse),
+            Some(reuse) => self.reset_or_replace(used, reuse),
             // Made when nobody thought of using it again.
             None if self.may_restore() && !used.has_origin() => {
                 drop(used);
@@ -474,6 +474,6 @@ impl Runner {
 
 impl Drop for Runner {
     fn drop(&mut self) {
-        self.give_up();
+        self.release_copy();
     }
 }

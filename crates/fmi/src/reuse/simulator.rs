@@ -1,9 +1,9 @@
 //! One worker's simulator: a plan, a live instance, a driver and buffers, run as often as one likes.
 
-use super::runner::{Inside, Tenancy};
+use super::runner::{RunnerGuard, SharedRunner};
 use crate::description::Value;
 use crate::error::FmiError;
-use crate::simulation::parameters::{Place, element_value};
+use crate::simulation::parameters::{VariableElement, element_value};
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::trajectory::{Recorder, Trajectory};
 use ode::{Observer, Report};
@@ -32,7 +32,7 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub struct Simulator {
     plan: Arc<SimulationPlan>,
-    tenancy: Arc<Tenancy>,
+    shared: Arc<SharedRunner>,
     /// Calls come from one thread at a time.
     _not_sync: PhantomData<Cell<()>>,
 }
@@ -43,18 +43,18 @@ impl Simulator {
     /// # Errors
     /// Options of the method that cannot be used.
     pub fn new(plan: Arc<SimulationPlan>) -> Result<Self, FmiError> {
-        let tenancy = Tenancy::new(Arc::clone(&plan))?;
-        Ok(Self { plan, tenancy, _not_sync: PhantomData })
+        let shared = SharedRunner::new(Arc::clone(&plan))?;
+        Ok(Self { plan, shared, _not_sync: PhantomData })
     }
 
     /// Uses what runs the plan.
-    pub(crate) fn runner(&mut self) -> Inside<'_> {
-        self.tenancy.enter()
+    pub(crate) fn runner(&mut self) -> RunnerGuard<'_> {
+        self.shared.enter()
     }
 
     /// Keeps its copy of the library between runs, or lets others have it.
     pub(crate) fn pin(&mut self, pinned: bool) {
-        self.tenancy.pin(pinned);
+        self.shared.pin(pinned);
     }
 
     /// The plan.
@@ -121,7 +121,7 @@ impl Simulator {
     pub fn value(&mut self, name: &str) -> Result<Value, FmiError> {
         let plan = Arc::clone(&self.plan);
         let description = plan.fmu().description();
-        let place = Place::of_name(description, plan.structure(), name)?;
+        let place = VariableElement::of_name(description, plan.structure(), name)?;
         let value = self.runner().value(&description.variables[place.variable])?;
         Ok(element_value(value, place.element))
     }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// What keeps the folder of a copy on the disk.
-pub(super) type Home = Arc<dyn Any + Send + Sync>;
+pub(super) type FolderOwner = Arc<dyn Any + Send + Sync>;
 
 /// What tells one library from another.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -29,7 +29,7 @@ pub(crate) struct Source {
     /// What the file was when it was found, where it could be written over.
     pub(crate) identity: Option<FileIdentity>,
     /// Keeps the folder on the disk.
-    pub(crate) home: Option<Home>,
+    pub(crate) folder_owner: Option<FolderOwner>,
 }
 
 impl Source {

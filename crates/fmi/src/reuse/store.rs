@@ -5,16 +5,16 @@
 //! idle instances and the folders.
 
 use super::copies::{Defaults, LoadedCopy};
+use super::copy_use::{CopyInUse, CopyOwner, CopyRequest, Release, State};
 use super::files;
 use super::linkage::Linkage;
-use super::loans::{CopyRequest, Eviction, Loan, State, Tenant};
 use super::source::Source;
-use super::verdict::{Reuse, Verdicts};
+use super::verdict::{Reuse, Verdict};
 use crate::archive::Snapshot;
 use crate::error::FmiError;
 use crate::platform::check_length;
 use crate::simulation::Sharing;
-use crate::sys::{Library, LoadFrom};
+use crate::sys::{InterfaceKind, Library, LoadFrom};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
@@ -36,7 +36,7 @@ pub(crate) struct CopyStore {
     /// Copies have resources of their own: the model writes into them.
     private_resources: AtomicBool,
     /// What is known about resetting its instances.
-    pub(crate) verdicts: Verdicts,
+    verdicts: [Mutex<Verdict>; 2],
     /// What new instances answer for the variables that were ever set.
     defaults: Mutex<Defaults>,
 }
@@ -58,15 +58,15 @@ impl Drop for Waiting<'_> {
 }
 
 /// What is to be done about a request.
-enum Move {
+enum Action {
     Use(Arc<LoadedCopy>, u64, Source),
     Make {
         original: bool,
         source: Source,
     },
     /// Ask those who would not miss theirs before a further copy is made.
-    Ask(Vec<Option<Weak<dyn Tenant>>>),
-    Free(Vec<Option<Weak<dyn Tenant>>>),
+    Ask(Vec<Option<Weak<dyn CopyOwner>>>),
+    Free(Vec<Option<Weak<dyn CopyOwner>>>),
 }
 
 impl CopyStore {
@@ -78,13 +78,18 @@ impl CopyStore {
             linkage: OnceLock::new(),
             resources: OnceLock::new(),
             private_resources: AtomicBool::new(false),
-            verdicts: Verdicts::default(),
+            verdicts: Default::default(),
             defaults: Mutex::default(),
         }
     }
 
     pub(super) fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What is known about bringing back one kind of its instances.
+    pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, Verdict> {
+        self.verdicts[kind as usize].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Lends a copy that nobody uses, or a new one. Where there are to be no more, takes one from an owner that is between
@@ -98,33 +103,33 @@ impl CopyStore {
         request: &CopyRequest<'_>,
         wait: &mut dyn FnMut() -> bool,
     ) -> Result<Option<CopyLease>, FmiError> {
-        let mut asked_dormant = false;
+        let mut asked_pooled = false;
         loop {
             let seen = self.state().changes;
-            match self.next_move(request, asked_dormant) {
-                Move::Use(copy, id, source) => {
-                    return self.entrust(copy, id, request, &source).map(Some);
+            match self.next_action(request, asked_pooled) {
+                Action::Use(copy, id, source) => {
+                    return self.make_lease(copy, id, request, &source).map(Some);
                 }
-                Move::Make { original, source } => {
+                Action::Make { original, source } => {
                     let made = self.make(original, &source, request);
                     self.made(original, request, made)?;
                 }
-                Move::Ask(holders) => {
-                    let mut tenants = holders.iter().flatten().filter_map(Weak::upgrade);
-                    asked_dormant =
-                        !tenants.any(|tenant| tenant.is_dormant() && tenant.evict() == Eviction::Done);
+                Action::Ask(holders) => {
+                    let mut owners = holders.iter().flatten().filter_map(Weak::upgrade);
+                    asked_pooled =
+                        !owners.any(|owner| owner.is_in_pool() && owner.release() == Release::Done);
                 }
-                Move::Free(holders) => {
+                Action::Free(holders) => {
                     let _waiting = Waiting::new(&self.waiting);
                     let asked = holders.iter().map(|holder| match holder {
-                        None => Eviction::Kept,
-                        Some(tenant) => tenant.upgrade().map_or(Eviction::Done, |tenant| tenant.evict()),
+                        None => Release::Kept,
+                        Some(owner) => owner.upgrade().map_or(Release::Done, |owner| owner.release()),
                     });
-                    let asked: Vec<Eviction> = asked.collect();
-                    if asked.contains(&Eviction::Done) {
+                    let asked: Vec<Release> = asked.collect();
+                    if asked.contains(&Release::Done) {
                         continue;
                     }
-                    if !asked.is_empty() && !asked.contains(&Eviction::Busy) {
+                    if !asked.is_empty() && !asked.contains(&Release::Busy) {
                         return Err(self.nothing_free());
                     }
                     let unchanged = |state: &mut State| state.changes == seen;
@@ -151,9 +156,9 @@ impl CopyStore {
         let source = state.source.clone()?;
         if let Some(place) = state.idle.iter().rposition(|copy| fits(copy)) {
             let copy = state.idle.remove(place);
-            let id = state.loan(&copy, request);
+            let id = state.note_use(&copy, request);
             drop(state);
-            return self.entrust(copy, id, request, &source).ok();
+            return self.make_lease(copy, id, request, &source).ok();
         }
         if state.refused.is_some() || request.sharing != Sharing::Copies {
             return None;
@@ -169,24 +174,24 @@ impl CopyStore {
         let mut state = self.state();
         let place = state.idle.iter().rposition(|copy| fits(copy))?;
         let copy = state.idle.remove(place);
-        let id = state.loan(&copy, request);
+        let id = state.note_use(&copy, request);
         drop(state);
-        self.entrust(copy, id, request, &source).ok()
+        self.make_lease(copy, id, request, &source).ok()
     }
 
-    fn next_move(&self, request: &CopyRequest<'_>, asked_dormant: bool) -> Move {
+    fn next_action(&self, request: &CopyRequest<'_>, asked_pooled: bool) -> Action {
         let source = self.state().source.clone();
         // Read from the file before anything of it is run, and before the lock: it takes a while.
         let reason = source.as_ref().and_then(|source| self.shared_state(source)).map(str::to_owned);
         if let Some(source) = &source {
             self.resources.get_or_init(|| Snapshot::of(&source.root.join("resources")));
         }
-        let needs_new = reason.is_none() && self.verdicts.reuse(request.kind) == Some(Reuse::Reload);
+        let needs_new = reason.is_none() && self.verdict(request.kind).reuse == Some(Reuse::Reload);
         if needs_new {
             self.discard_used();
         }
         let mut state = self.state();
-        let Some(source) = source else { return Move::Free(Vec::new()) };
+        let Some(source) = source else { return Action::Free(Vec::new()) };
         if let Some(reason) = reason
             && state.one_at_a_time.is_none()
         {
@@ -195,42 +200,44 @@ impl CopyStore {
         }
         let all = state.one_at_a_time.is_some() && request.sharing != Sharing::Together;
         let serial = request.sharing == Sharing::Serial;
-        let conflicts = |loan: &&Loan| all || (serial && loan.sharing == Sharing::Serial);
-        let holders = |loans: &mut dyn Iterator<Item = &Loan>| -> Vec<_> {
-            loans.flat_map(|loan| loan.holders.iter().map(|(_, tenant)| tenant.clone())).collect()
+        let conflicts = |in_use: &&CopyInUse| all || (serial && in_use.sharing == Sharing::Serial);
+        let holders = |in_use: &mut dyn Iterator<Item = &CopyInUse>| -> Vec<_> {
+            in_use.flat_map(|in_use| in_use.holders.iter().map(|(_, owner)| owner.clone())).collect()
         };
         if request.sharing == Sharing::Together
-            && let Some(loan) =
-                state.loans.iter().find(|loan| loan.sharing == Sharing::Together && !loan.copy.is_fatal())
+            && let Some(in_use) = state
+                .in_use
+                .iter()
+                .find(|in_use| in_use.sharing == Sharing::Together && !in_use.copy.is_fatal())
         {
-            let copy = Arc::clone(&loan.copy);
-            return Move::Use(Arc::clone(&copy), state.loan(&copy, request), source);
+            let copy = Arc::clone(&in_use.copy);
+            return Action::Use(Arc::clone(&copy), state.note_use(&copy, request), source);
         }
-        let occupied = holders(&mut state.loans.iter().filter(conflicts));
+        let occupied = holders(&mut state.in_use.iter().filter(conflicts));
         if !occupied.is_empty() || (state.making > 0 && (all || (serial && state.making_serial))) {
-            return Move::Free(occupied);
+            return Action::Free(occupied);
         }
         // Somebody may just have given a used one back.
         if let Some(place) = state.idle.iter().rposition(|copy| !needs_new || !copy.is_used()) {
             let copy = state.idle.remove(place);
-            let id = state.loan(&copy, request);
-            return Move::Use(copy, id, source);
+            let id = state.note_use(&copy, request);
+            return Action::Use(copy, id, source);
         }
-        let nothing_there = state.loans.is_empty() && state.making == 0;
+        let nothing_there = state.in_use.is_empty() && state.making == 0;
         let may_make = !state.original_taken
             || (state.refused.is_none() && state.one_at_a_time.is_none())
             || nothing_there;
-        if may_make && state.original_taken && !asked_dormant {
-            return Move::Ask(holders(&mut state.loans.iter()));
+        if may_make && state.original_taken && !asked_pooled {
+            return Action::Ask(holders(&mut state.in_use.iter()));
         }
         if may_make {
             let original = !std::mem::replace(&mut state.original_taken, true);
             state.making += 1;
             state.making_serial |= serial;
-            return Move::Make { original, source };
+            return Action::Make { original, source };
         }
-        let all = holders(&mut state.loans.iter());
-        Move::Free(all)
+        let all = holders(&mut state.in_use.iter());
+        Action::Free(all)
     }
 
     /// Gives up the idle copies that were used: their state is not that of a new one.
@@ -250,7 +257,7 @@ impl CopyStore {
         if original {
             self.linkage(source).siblings.iter().try_for_each(|sibling| check_length(sibling))?;
             let library = (request.open)(LoadFrom::File(&source.library))?;
-            return Ok(LoadedCopy::new(library, request.kind, source.home.clone()));
+            return Ok(LoadedCopy::new(library, request.kind, source.folder_owner.clone()));
         }
         if let Some(reason) = self.shared_state(source) {
             // What is left is unusable.
@@ -281,7 +288,7 @@ impl CopyStore {
                 Err(error)
             }
             Err(error) => {
-                let nothing_there = state.loans.is_empty() && state.idle.is_empty() && state.making == 0;
+                let nothing_there = state.in_use.is_empty() && state.idle.is_empty() && state.making == 0;
                 let reason = match error {
                     FmiError::NoCopy { reason, .. } => reason,
                     error => format!("no further copy of the library can be loaded: {error}"),
@@ -291,7 +298,7 @@ impl CopyStore {
                     log::warn!("{}: {reason}", library.unwrap_or_default());
                 }
                 state.refused = Some(reason.clone());
-                state.n_refused = state.loans.len();
+                state.n_refused = state.in_use.len();
                 let library = state.source.as_ref().map(|source| source.library.clone()).unwrap_or_default();
                 if nothing_there {
                     let reason = format!("those that were loaded have answered fatal, and {reason}");
@@ -307,14 +314,14 @@ impl CopyStore {
     }
 
     /// Makes the lease of a copy that is lent already.
-    fn entrust(
+    fn make_lease(
         self: &Arc<Self>,
         copy: Arc<LoadedCopy>,
         id: u64,
         request: &CopyRequest<'_>,
         source: &Source,
     ) -> Result<CopyLease, FmiError> {
-        self.settle(&copy, source);
+        self.ensure_folder(&copy, source);
         match copy.library(request.kind, request.open) {
             Ok(library) => Ok(CopyLease { store: Arc::clone(self), copy, library, id }),
             Err(error) => {
@@ -325,13 +332,13 @@ impl CopyStore {
     }
 
     /// Makes sure that a copy has its folder, as far as the library could miss it.
-    fn settle(&self, copy: &LoadedCopy, source: &Source) {
-        let mut home = copy.home();
-        if home.is_some() || copy.path() == source.library || !files::has_company(source) {
+    fn ensure_folder(&self, copy: &LoadedCopy, source: &Source) {
+        let mut folder_owner = copy.folder_owner();
+        if folder_owner.is_some() || copy.path() == source.library || !files::has_company(source) {
             return;
         }
         match files::restore(copy.path(), source) {
-            Ok(folder) => *home = Some(Arc::new(folder)),
+            Ok(folder) => *folder_owner = Some(Arc::new(folder)),
             Err(error) => {
                 log::warn!("the folder of a loaded library has gone and cannot be made again: {error}")
             }
@@ -341,17 +348,17 @@ impl CopyStore {
     /// Takes a copy back; after `Fatal` it is left alone for good.
     pub(super) fn give_back(&self, copy: &Arc<LoadedCopy>, id: u64) {
         let mut state = self.state();
-        let place = state.loans.iter().position(|loan| Arc::ptr_eq(&loan.copy, copy));
+        let place = state.in_use.iter().position(|in_use| Arc::ptr_eq(&in_use.copy, copy));
         let mut surplus = None;
         if let Some(place) = place {
-            state.loans[place].holders.retain(|(known, _)| *known != id);
-            if state.loans[place].holders.is_empty() {
-                let loan = state.loans.swap_remove(place);
+            state.in_use[place].holders.retain(|(known, _)| *known != id);
+            if state.in_use[place].holders.is_empty() {
+                let in_use = state.in_use.swap_remove(place);
                 if !copy.is_fatal() && !copy.is_retired() {
-                    state.idle.push(loan.copy);
+                    state.idle.push(in_use.copy);
                     surplus = state.surplus();
                 }
-                if state.loans.len() < state.n_refused / 2 {
+                if state.in_use.len() < state.n_refused / 2 {
                     // What was used up is free again.
                     state.refused = None;
                 }
@@ -364,7 +371,7 @@ impl CopyStore {
                 surplus.unload_when_unused();
                 self.state().idle.retain(|copy| !Arc::ptr_eq(copy, &surplus));
             } else {
-                surplus.leave_home();
+                surplus.release_folder();
             }
         }
         self.notify();
@@ -453,14 +460,14 @@ impl std::fmt::Debug for CopyStore {
         let state = self.state();
         f.debug_struct("CopyStore")
             .field("idle", &state.idle.len())
-            .field("lent", &state.loans.len())
+            .field("lent", &state.in_use.len())
             .field("one_at_a_time", &state.one_at_a_time)
             .field("refused", &state.refused)
             .finish_non_exhaustive()
     }
 }
 
-/// A loaded copy on loan to one owner, for as long as it has instances; given back on drop, after them.
+/// A loaded copy lent to one owner, for as long as it has instances; given back on drop, after them.
 pub(crate) struct CopyLease {
     store: Arc<CopyStore>,
     library: Arc<Library>,

@@ -6,6 +6,7 @@ use super::verdict::Reuse;
 use crate::error::FmiError;
 use crate::simulation::parameters::StartValues;
 use crate::simulation::plan::SimulationPlan;
+use crate::sys::RawInstance;
 use ode::{Ignore, Observer, Sample};
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -25,6 +26,39 @@ pub(crate) struct Trial<'a> {
     truth: Probe,
 }
 
+impl Runner {
+    /// Checks by the first steps of some runs how instances are brought back to their start, and returns an instance to use; and
+    /// whether it was used before.
+    pub(crate) fn check_reuse(
+        &mut self,
+        used: RawInstance,
+        parameters: &[f64],
+    ) -> Result<(RawInstance, bool), FmiError> {
+        // One at a time: the FMU may not allow two.
+        drop(used);
+        let plan = Arc::clone(&self.plan);
+        let examined = Trial::with_steps(&plan, parameters, Some(PROBE_STEPS), self)
+            .and_then(|trial| trial.map_or(Ok(None), |trial| trial.reuse(self)));
+        self.began = Instant::now();
+        if self.is_fatal() {
+            // At the other values, perhaps; another check could end so, too.
+            self.set_reuse(Reuse::Reinstantiate);
+            self.ensure_copy(None)?;
+            return Ok((self.new_instance()?, false));
+        }
+        if let Some(reuse) = examined? {
+            self.set_reuse(reuse);
+        }
+        match (self.engine.running().retire(), self.reuse()) {
+            (Some(used), Some(reuse)) if reuse < Reuse::Reinstantiate => self.reset_or_replace(used, reuse),
+            (used, _) => {
+                drop(used);
+                Ok((self.new_instance()?, false))
+            }
+        }
+    }
+}
+
 impl<'a> Trial<'a> {
     /// The run on a new instance. `None`: the model cannot be started with `base`, or the run was not over in time, and
     /// there is nothing to compare.
@@ -37,13 +71,32 @@ impl<'a> Trial<'a> {
         runner: &mut Runner,
     ) -> Result<Option<Self>, FmiError> {
         let mut clock = Clock { end: Instant::now() + LONG, over: false };
-        let mut truth = runner.probe_new(&plan.values.start, base, None, &mut clock)?;
-        let steps = clock.over.then_some(PROBE_STEPS);
-        if clock.over {
-            truth = runner.probe_new(&plan.values.start, base, steps, &mut Ignore)?;
+        let truth = runner.probe_new(&plan.values.start, base, None, &mut clock)?;
+        match clock.over {
+            true => Self::with_steps(plan, base, Some(PROBE_STEPS), runner),
+            false => Ok(Self::with_truth(plan, base, None, truth)),
         }
+    }
+
+    /// The same with so many steps at most.
+    fn with_steps(
+        plan: &'a Arc<SimulationPlan>,
+        base: &'a [f64],
+        steps: Option<u64>,
+        runner: &mut Runner,
+    ) -> Result<Option<Self>, FmiError> {
+        let truth = runner.probe_new(&plan.values.start, base, steps, &mut Ignore)?;
+        Ok(Self::with_truth(plan, base, steps, truth))
+    }
+
+    fn with_truth(
+        plan: &'a Arc<SimulationPlan>,
+        base: &'a [f64],
+        steps: Option<u64>,
+        truth: Probe,
+    ) -> Option<Self> {
         let others = plan.values.others(plan.fmu().description(), base);
-        Ok(matches!(truth, Probe::Digest(_)).then_some(Self { plan, base, others, steps, truth }))
+        matches!(truth, Probe::Digest(_)).then_some(Self { plan, base, others, steps, truth })
     }
 
     /// The first way of bringing an instance back to its beginning that passes; `None`: the runs say nothing, for they fail or a time
@@ -77,7 +130,8 @@ impl<'a> Trial<'a> {
         let others = (&self.others.0, &self.others.1[..]);
         let other_truth = runner.probe_new(others.0, others.1, short, &mut Ignore)?;
         let first = runner.probe_first(reuse, self.base, self.steps)?;
-        if first == Probe::TimedOut || other_truth == Probe::TimedOut {
+        // What cannot be started on a new instance any more says nothing of the old ones: an input function may have ended.
+        if matches!(first, Probe::TimedOut | Probe::Nothing) || other_truth == Probe::TimedOut {
             return Ok(None);
         }
         if first != self.truth {

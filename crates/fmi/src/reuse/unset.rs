@@ -3,7 +3,7 @@
 //! value or to what a new instance answers in which nothing was set.
 
 use super::copies::{Defaults, SetKey};
-use super::loans::CopyRequest;
+use super::copy_use::CopyRequest;
 use super::runner::{Prepared, Runner};
 use super::store::{CopyLease, CopyStore};
 use crate::description::{Causality, QuirkKind, Structure, Variable};
@@ -36,7 +36,7 @@ impl Runner {
         let store = fmu.store(plan.kind)?;
         let other = store.lend_if_free(&self.request(&open), |copy| !copy.record().has_any(&without));
         if let Some(other) = other {
-            self.give_up();
+            self.release_copy();
             self.lease = Some(other);
             self.prepare_in_copy()?;
             return Ok(());
@@ -77,7 +77,7 @@ impl Runner {
         if !unknown.is_empty() {
             let fmu = plan.fmu();
             let open = |from: LoadFrom<'_>| fmu.load(from, plan.kind);
-            let request = CopyRequest { tenant: None, ..self.request(&open) };
+            let request = CopyRequest { owner: None, ..self.request(&open) };
             learn(fmu, &store, &request, &unknown);
         }
         let (values, without) = unset_values(plan.fmu(), plan.structure(), &unset, &store.defaults());
@@ -117,7 +117,7 @@ pub(crate) fn set_again(core: &mut Core, kind: InterfaceKind, lease: &CopyLease)
         recorded.iter().filter(|key| !store.defaults().contains_key(*key)).copied().collect();
     if !unknown.is_empty() {
         let open = |from: LoadFrom<'_>| fmu.load(from, kind);
-        let request = CopyRequest { kind, sharing: Sharing::Copies, tenant: None, open: &open };
+        let request = CopyRequest { kind, sharing: Sharing::Copies, owner: None, open: &open };
         learn(&fmu, store, &request, &unknown);
     }
     let (unset, without) = unset_values(&fmu, &Structure::default(), &recorded, &store.defaults());
@@ -193,7 +193,7 @@ fn initialized(fmu: &Fmu, kind: InterfaceKind, library: &Arc<Library>) -> Result
     let start = fmu.description().default_experiment.start_time.unwrap_or(0.0);
     let experiment = Experiment { tolerance: None, start, stop: None };
     core.call(|raw| raw.setup_experiment(&experiment))?;
-    core.call(|raw| raw.enter_initialization(&experiment))?;
+    core.call(RawInstance::enter_initialization)?;
     if fmu.description().fmi_version.major < 2 {
         core.call(RawInstance::exit_initialization)?;
     }

@@ -113,50 +113,50 @@ impl Column {
 pub(crate) struct HeldColumn {
     /// The values, or where these may be more than a double can hold, numbers that stand for them.
     pub(crate) column: Column,
-    lanes: Option<Arc<[i64]>>,
+    words: Option<Arc<[i64]>>,
 }
 
 impl From<Column> for HeldColumn {
     fn from(column: Column) -> Self {
-        Self { column, lanes: None }
+        Self { column, words: None }
     }
 }
 
 impl HeldColumn {
-    /// The column of lanes, one for each time.
-    pub(crate) fn of_lanes(times: &Arc<[f64]>, lanes: &[i64]) -> Self {
+    /// The column of words, one for each time.
+    pub(crate) fn of_words(times: &Arc<[f64]>, words: &[i64]) -> Self {
         let mut numbers: HashMap<i64, f64> = HashMap::new();
         let mut known: Vec<i64> = Vec::new();
-        let values = lanes.iter().map(|lane| {
-            *numbers.entry(*lane).or_insert_with(|| {
-                known.push(*lane);
+        let values = words.iter().map(|word| {
+            *numbers.entry(*word).or_insert_with(|| {
+                known.push(*word);
                 (known.len() - 1) as f64
             })
         });
         let column = Column { values: values.collect(), times: Arc::clone(times) };
-        Self { column, lanes: Some(known.into()) }
+        Self { column, words: Some(known.into()) }
     }
 
     /// The column of a variable of this kind that has the opposite values.
     pub(crate) fn negated(self, kind: VariableKind) -> Self {
-        let Self { column, lanes } = self;
-        match (lanes, kind) {
-            (Some(lanes), _) => {
-                Self { column, lanes: Some(lanes.iter().map(|lane| lane.wrapping_neg()).collect()) }
+        let Self { column, words } = self;
+        match (words, kind) {
+            (Some(words), _) => {
+                Self { column, words: Some(words.iter().map(|word| word.wrapping_neg()).collect()) }
             }
             (None, VariableKind::Boolean) => column.flipped().into(),
             (None, _) => column.times(-1.0).into(),
         }
     }
 
-    /// The lane from `t` on, of a variable of this kind.
-    pub(crate) fn lane(&self, kind: VariableKind, t: f64) -> i64 {
+    /// The word from `t` on, of a variable of this kind.
+    pub(crate) fn word(&self, kind: VariableKind, t: f64) -> i64 {
         let value = self.column.held(t);
-        let lane = match &self.lanes {
-            Some(lanes) => lanes.get(value as usize).copied(),
-            None => integer_codec::lane_of_number(kind, value),
+        let word = match &self.words {
+            Some(words) => words.get(value as usize).copied(),
+            None => integer_codec::word_of_number(kind, value),
         };
-        lane.unwrap_or_default()
+        word.unwrap_or_default()
     }
 }
 

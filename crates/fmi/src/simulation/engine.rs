@@ -51,9 +51,9 @@ impl Engine {
     }
 
     /// Lets the initial events happen, where they are not part of the initialization.
-    pub(crate) fn settle(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn run_initial_events(&mut self) -> Result<(), FmiError> {
         match self {
-            Engine::Integrated { system, .. } => system.settle(),
+            Engine::Integrated { system, .. } => system.run_initial_events(),
             Engine::Stepping(_) => Ok(()),
         }
     }

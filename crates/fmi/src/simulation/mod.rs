@@ -6,6 +6,7 @@ mod co_simulation;
 mod column;
 pub(crate) mod digest;
 pub(crate) mod engine;
+mod grid;
 mod inputs;
 mod model_exchange;
 mod no_effect;

@@ -106,7 +106,7 @@ impl System {
     }
 
     /// Lets the initial events happen, for those who only want initial values.
-    pub(crate) fn settle(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn run_initial_events(&mut self) -> Result<(), FmiError> {
         let mut states = vec![0.0; self.running.plan.n_states];
         let start = self.running.plan.start;
         match self.start(start, &mut states) {
@@ -282,7 +282,7 @@ impl System {
         let recorded = &plan.outputs().clocks;
         let settled = current
             .in_event_mode()
-            .and_then(|core| clocks.settle(&plan.clocks, core, t, (recorded, buffers)));
+            .and_then(|core| clocks.iterate_events(&plan.clocks, core, t, (recorded, buffers)));
         match settled {
             Ok((outcome, announced)) => {
                 self.announced = announced;

@@ -9,12 +9,12 @@ use std::collections::HashMap;
 
 /// A variable, or one element of it (counted from 0, the last index varying fastest).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Place {
+pub(crate) struct VariableElement {
     pub(crate) variable: usize,
     pub(crate) element: Option<usize>,
 }
 
-impl Place {
+impl VariableElement {
     /// What a name stands for: a variable, or `name[2,1]`, counted from 1.
     ///
     /// # Errors
@@ -36,8 +36,8 @@ impl Place {
     }
 
     /// Whether the two have a value in common: aliases have the same reference.
-    pub(crate) fn overlaps(self, other: Place, description: &ModelDescription) -> bool {
-        let reference = |place: Place| {
+    pub(crate) fn overlaps(self, other: VariableElement, description: &ModelDescription) -> bool {
+        let reference = |place: VariableElement| {
             let variable = &description.variables[place.variable];
             (variable.kind, variable.value_reference)
         };

@@ -8,23 +8,25 @@ use std::time::{Duration, SystemTime};
 use std::{fs, io};
 
 /// Folder of built libraries, one folder for each key inside.
-const LIBRARIES: &str = "libraries";
+pub(super) const LIBRARIES: &str = "libraries";
+/// Folder of packed FMUs, one folder for each key inside.
+pub(super) const PACKED: &str = "packed";
 /// Folders that belong to the caches, and nothing else in the cache folder does.
-const SUBFOLDERS: &[&str] = &[LIBRARIES, "examples"];
+const SUBFOLDERS: &[&str] = &[LIBRARIES, PACKED];
 /// File whose time is that of the last use.
 const USED: &str = "used";
 /// What is unfinished starts with this.
 const UNFINISHED: &str = ".unfinished-";
 
 /// Bounds of the libraries kept.
-const MOST_ENTRIES: usize = 64;
+const MOST_ENTRIES: usize = 256;
 const MOST_BYTES: u64 = 512 << 20;
 /// Age at which what is unfinished was left behind by a process that died.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
 /// A subfolder of the cache folder, made if it is not there; if none can be made where caches belong, one in the
 /// folder for temporary files.
-pub(crate) fn folder(name: &str) -> Result<PathBuf, FmiError> {
+fn folder(name: &str) -> Result<PathBuf, FmiError> {
     if let Some(usual) = platform::cache_folder().map(|folder| folder.join(name)) {
         let Err(error) = prepare(&usual) else { return Ok(usual) };
         log::warn!("no cache in {}: {error}", usual.display());
@@ -44,44 +46,45 @@ fn prepare(folder: &Path) -> io::Result<()> {
     platform::keep_others_out(folder, own.as_file())
 }
 
-/// The library `file_name` kept under `key`, made by `make` (which writes to the path it is given) if it is not
+/// The file `file_name` kept under `key` in a subfolder, made by `make` (which writes to the path it is given) if it is not
 /// there. Two processes that make the same one at once both succeed, and one result is kept.
 pub(super) fn get_or_make(
+    subfolder: &str,
     key: &str,
     file_name: &str,
     make: impl FnOnce(&Path) -> Result<(), FmiError>,
 ) -> Result<PathBuf, FmiError> {
-    let libraries = folder(LIBRARIES)?;
-    let kept = libraries.join(key);
-    let library = kept.join(file_name);
-    if library.is_file() {
-        touch(&library);
-        return Ok(library);
+    let folder = folder(subfolder)?;
+    let kept = folder.join(key);
+    let file = kept.join(file_name);
+    if file.is_file() {
+        touch(&file);
+        return Ok(file);
     }
     let unfinished = tempfile::Builder::new()
         .prefix(UNFINISHED)
-        .tempdir_in(&libraries)
-        .map_err(FmiError::io("create a folder in", &libraries))?;
+        .tempdir_in(&folder)
+        .map_err(FmiError::io("create a folder in", &folder))?;
     make(&unfinished.path().join(file_name))?;
     match fs::rename(unfinished.path(), &kept) {
         Ok(()) => {
             let _ = unfinished.keep(); // moved away: nothing to remove
         }
-        Err(_) if library.is_file() => {} // somebody else was faster
+        Err(_) if file.is_file() => {} // somebody else was faster
         Err(error) => return Err(FmiError::io("create", kept)(error)),
     }
-    evict(&libraries, &kept, MOST_ENTRIES, MOST_BYTES);
-    Ok(library)
+    evict(&folder, &kept, MOST_ENTRIES, MOST_BYTES);
+    Ok(file)
 }
 
-/// Marks as used just now, in a file beside it: a library that changes its time looks as if it had been written over.
+/// Marks a file as used just now, in another one beside it: a library that changes its time looks as if it had been written over.
 /// That it may fail (a cache that can only be read) does no harm.
-fn touch(library: &Path) {
-    let mark = library.with_file_name(USED);
+fn touch(kept: &Path) {
+    let mark = kept.with_file_name(USED);
     let file = fs::File::options().create(true).append(true).open(mark);
     let touched = file.and_then(|file| file.set_modified(SystemTime::now()));
     if let Err(error) = touched {
-        log::debug!("{} not marked as used: {error}", library.display());
+        log::debug!("{} not marked as used: {error}", kept.display());
     }
 }
 
@@ -146,7 +149,7 @@ fn remove(path: &Path) {
     }
 }
 
-/// Removes everything this library keeps between runs: built libraries and packed example models. What another thread or
+/// Removes everything this library keeps between runs: built libraries and packed FMUs. What another thread or
 /// process is making at this moment is left to it.
 ///
 /// # Errors

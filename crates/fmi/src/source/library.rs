@@ -20,7 +20,7 @@ pub(crate) const COMPILE_TIME: Duration = Duration::from_secs(300);
 ///   `sources/`. Compiler options in an FMU are ignored.
 ///
 /// The library is kept in a cache folder (`FMUFIT_CACHE`, else where the system keeps caches of a user) by content,
-/// compiler and options; the oldest go when there are more than 64 or 512 MiB of them.
+/// compiler and options; the oldest go when there are more than 256 or 512 MiB of them.
 ///
 /// The headers of FMI 2.0 and 3.0 are found where the FMU does not bring them. The compiler is ended after five minutes.
 ///
@@ -50,7 +50,7 @@ pub(crate) fn build_unchanged(
     let compiler = Compiler::find(&interface.model_identifier, &patience)?;
     let key = recipe.key(&compiler, content_hash);
     let file_name = format!("{}.{}", interface.model_identifier, crate::platform::LIBRARY_EXTENSION);
-    cache::get_or_make(&key, &file_name, |target| {
+    cache::get_or_make(cache::LIBRARIES, &key, &file_name, |target| {
         recipe.build(&compiler, target, &patience)?;
         check()
     })

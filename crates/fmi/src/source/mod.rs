@@ -9,7 +9,6 @@ mod pack;
 
 pub use cache::clear_caches;
 
-pub(crate) use cache::folder as cache_folder;
 pub use library::build_library;
 pub(crate) use library::{COMPILE_TIME, build_unchanged};
-pub use pack::{pack, pack_unless};
+pub use pack::{pack, pack_texts, pack_unless};

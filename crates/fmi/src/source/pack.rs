@@ -1,7 +1,8 @@
 //! Packing a folder into an `.fmu`: everything in it, and a library for this platform built from its sources.
 
+use super::cache;
 use super::library::{COMPILE_TIME, build_unchanged};
-use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, files_below};
+use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, files_below, hash_of_texts};
 use crate::cancel::Cancel;
 use crate::description::{DescriptionLimits, Interface, ModelDescription};
 use crate::error::FmiError;
@@ -53,6 +54,29 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<(), Fmi
     check_result(unfinished.path(), &source, folder)?;
     unfinished.persist(out).map_err(|error| FmiError::io("write", out)(error.error))?;
     Ok(())
+}
+
+/// Path of an `.fmu` named `file_name` with these files (paths inside of it, and texts), packed as by [`pack`] at the first call
+/// and kept in the cache folder until [`clear_caches`](crate::clear_caches): other texts get another place. As with libraries,
+/// those used longest ago go when there are many.
+///
+/// # Errors
+/// Those of [`pack`]; the system refuses to write.
+pub fn pack_texts(file_name: &str, files: &[(String, String)]) -> Result<PathBuf, FmiError> {
+    let platform = [env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH];
+    let texts = files.iter().flat_map(|(name, text)| [name.as_str(), text]);
+    let hash = hash_of_texts(texts.chain(platform));
+    cache::get_or_make(cache::PACKED, &hash, file_name, |target| {
+        let folder = target.with_extension("unpacked");
+        for (name, text) in files {
+            let path = folder.join(name);
+            let parent = path.parent().unwrap_or(&folder);
+            fs::create_dir_all(parent).map_err(FmiError::io("create", parent))?;
+            fs::write(&path, text).map_err(FmiError::io("write", path))?;
+        }
+        pack(&folder, target)?;
+        fs::remove_dir_all(&folder).map_err(FmiError::io("remove", folder))
+    })
 }
 
 /// All files of the folder by the names they get, without `out` itself if it lies there.

@@ -25,12 +25,14 @@ pub(super) struct Callbacks {
     /// What a version of the standard needs besides, at an address that does not change.
     keep: OnceLock<Arc<dyn Any + Send + Sync>>,
     log: Arc<Log>,
+    /// Messages go to the instance that is called on their thread (FMI 1.0).
+    by_thread: bool,
 }
 
 impl Callbacks {
-    pub(super) fn new(filter: LogFilter) -> Self {
+    pub(super) fn new(filter: LogFilter, by_thread: bool) -> Self {
         let log = Arc::new(Log::new(filter));
-        Self { environment: Arc::new(Environment::new(&log)), keep: OnceLock::new(), log }
+        Self { environment: Arc::new(Environment::new(&log)), keep: OnceLock::new(), log, by_thread }
     }
 
     pub(super) fn environment(&self) -> &Environment {
@@ -39,6 +41,12 @@ impl Callbacks {
 
     pub(super) fn log(&self) -> &Log {
         &self.log
+    }
+
+    /// What has to live while the instance is called.
+    pub(super) fn enter(&self) -> Option<Current> {
+        // SAFETY: the environment is kept until the component is gone (invariant 3).
+        self.by_thread.then(|| unsafe { Current::set(&raw const *self.environment) })
     }
 
     /// What the version keeps, made if there is nothing yet.
@@ -51,6 +59,7 @@ impl Callbacks {
     /// For another instance.
     pub(super) fn renew(&self, filter: LogFilter) {
         self.log.filter.store(filter as u8, Ordering::Relaxed);
+        self.log.lines().categories.clear();
         self.log.clear();
     }
 

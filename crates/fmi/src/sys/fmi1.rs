@@ -1,25 +1,19 @@
 //! The functions of an FMI 1.0 library (Model Exchange 1.0, chapter 2; Co-Simulation 1.0, chapter 3), bound by name.
 //!
-//! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks; a component here is therefore a
-//! box around the FMU's, with what has to be remembered between calls. Names carry the model identifier as prefix.
+//! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks. Names carry the model identifier as
+//! prefix.
 
-use super::binding::Binding;
-use super::call::{Call, Values};
-use super::callbacks::{Callbacks, Current, Environment, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
-use super::functions::{
-    Interface, LifeFunctions, PointFunctions, StepFunctions, Table, ValueFunctions, call, model, optional,
-    table,
-};
-use super::symbols::Symbols;
-use super::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri, status};
-use crate::description::VariableKind;
+use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
+use super::function::{Answer, call};
+use super::functions::Functions;
+use super::symbols::{Symbols, table};
+use super::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri};
+use super::version::{Step, Version};
 use crate::error::{FmiError, Status};
 use std::ffi::{c_char, c_int, c_void};
 
 /// `fmiBoolean`.
-type Boolean = c_char;
-/// `fmiComponent`.
-type Slave = *mut c_void;
+pub(super) type Boolean = c_char;
 type Logger = unsafe extern "C" fn(*mut c_void, *const c_char, c_int, *const c_char, *const c_char, ...);
 type StepFinished = unsafe extern "C" fn(*mut c_void, c_int);
 
@@ -57,7 +51,7 @@ struct RawEventInfo {
 }
 
 impl RawEventInfo {
-    fn in_house_words(&self) -> EventInfo {
+    fn info(&self) -> EventInfo {
         EventInfo {
             new_discrete_states_needed: self.iteration_converged == 0,
             terminate: self.terminate_simulation != 0,
@@ -69,7 +63,8 @@ impl RawEventInfo {
     }
 }
 
-type InstantiateModel = unsafe extern "C" fn(*const c_char, *const c_char, ModelCallbacks, Boolean) -> Slave;
+type InstantiateModel =
+    unsafe extern "C" fn(*const c_char, *const c_char, ModelCallbacks, Boolean) -> Component;
 type InstantiateSlave = unsafe extern "C" fn(
     *const c_char,
     *const c_char,
@@ -80,57 +75,46 @@ type InstantiateSlave = unsafe extern "C" fn(
     Boolean,
     SlaveCallbacks,
     Boolean,
-) -> Slave;
-type SetDebugLogging = unsafe extern "C" fn(Slave, Boolean) -> c_int;
-type CompletedStep = unsafe extern "C" fn(Slave, *mut Boolean) -> c_int;
-type Initialize = unsafe extern "C" fn(Slave, Boolean, f64, *mut RawEventInfo) -> c_int;
-type EventUpdate = unsafe extern "C" fn(Slave, Boolean, *mut RawEventInfo) -> c_int;
-type InitializeSlave = unsafe extern "C" fn(Slave, f64, Boolean, f64) -> c_int;
-type DoStep = unsafe extern "C" fn(Slave, f64, f64, Boolean) -> c_int;
+) -> Component;
+type SetDebugLogging = unsafe extern "C" fn(Component, Boolean) -> c_int;
+type CompletedStep = unsafe extern "C" fn(Component, *mut Boolean) -> c_int;
+type Initialize = unsafe extern "C" fn(Component, Boolean, f64, *mut RawEventInfo) -> c_int;
+type EventUpdate = unsafe extern "C" fn(Component, Boolean, *mut RawEventInfo) -> c_int;
+type InitializeSlave = unsafe extern "C" fn(Component, f64, Boolean, f64) -> c_int;
+type DoStep = unsafe extern "C" fn(Component, f64, f64, Boolean) -> c_int;
+
+table! {
+    /// The functions of one library whose types are those of FMI 1.0, for both interfaces.
+    struct Common {
+        set_debug_logging: SetDebugLogging = optional "fmiSetDebugLogging";
+    }
+}
+
+table! {
+    /// For model exchange.
+    struct ModelExchange {
+        instantiate: InstantiateModel = required "fmiInstantiateModel";
+        initialize: Initialize = required "fmiInitialize";
+        completed_integrator_step: CompletedStep = required "fmiCompletedIntegratorStep";
+        event_update: EventUpdate = required "fmiEventUpdate";
+    }
+}
+
+table! {
+    /// For co-simulation.
+    struct CoSimulation {
+        instantiate: InstantiateSlave = required "fmiInstantiateSlave";
+        initialize: InitializeSlave = required "fmiInitializeSlave";
+        do_step: DoStep = required "fmiDoStep";
+    }
+}
 
 /// The functions of one library.
 pub(super) struct Fmi1 {
     kind: InterfaceKind,
-    life: LifeFunctions,
-    values: ValueFunctions<Boolean>,
-    set_debug_logging: Option<SetDebugLogging>,
-    interface: Interface<ModelExchange, CoSimulation>,
-}
-
-table! {
-    /// Model exchange.
-    struct ModelExchange {
-        required {
-            instantiate: InstantiateModel = Call::Instantiate;
-            initialize: Initialize = Call::ExitInitialization;
-            completed_integrator_step: CompletedStep = Call::CompletedIntegratorStep;
-            event_update: EventUpdate = Call::NewDiscreteStates;
-        }
-        optional {}
-    }
-}
-
-table! {
-    /// Co-simulation.
-    struct CoSimulation {
-        required {
-            instantiate: InstantiateSlave = Call::Instantiate;
-            initialize: InitializeSlave = Call::ExitInitialization;
-            do_step: DoStep = Call::DoStep;
-        }
-        optional {}
-    }
-}
-
-/// What a component is here.
-struct Boxed {
-    slave: Slave,
-    environment: *const Environment,
-    experiment: Experiment,
-    /// What the initialization said about events; told at the first event iteration.
-    announced: Option<EventInfo>,
-    /// The step under way is a new one, not one tried again.
-    made_progress: bool,
+    common: Common,
+    model_exchange: ModelExchange,
+    co_simulation: CoSimulation,
 }
 
 impl Fmi1 {
@@ -138,235 +122,102 @@ impl Fmi1 {
     ///
     /// # Safety
     /// The library follows FMI 1.0: a symbol of a name has the type the standard gives it.
-    pub(super) unsafe fn load(
-        symbols: &Symbols<'_>,
-        kind: InterfaceKind,
-        model_identifier: &str,
-    ) -> Result<Self, FmiError> {
-        let symbols = &symbols.with_prefix(model_identifier);
-        let name = |call| name(kind, call);
+    pub(super) unsafe fn load(symbols: &Symbols<'_>, kind: InterfaceKind) -> Result<Self, FmiError> {
         // SAFETY: the caller vouches for the library, and the names are those of FMI 1.0.
         unsafe {
             Ok(Self {
-                interface: Interface::load(symbols, kind, name)?,
                 kind,
-                life: LifeFunctions::load(symbols, name)?,
-                values: ValueFunctions::load(symbols, name)?,
-                set_debug_logging: symbols.optional(name(Call::SetDebugLogging)),
+                common: Common::load(symbols)?,
+                model_exchange: ModelExchange::load(&symbols.used(kind == InterfaceKind::ModelExchange))?,
+                co_simulation: CoSimulation::load(&symbols.used(kind == InterfaceKind::CoSimulation))?,
             })
         }
     }
 }
 
-impl Boxed {
-    /// The box behind a component.
-    ///
-    /// # Safety
-    /// The component was made by [`Fmi1::instantiate`](Binding::instantiate) and is not freed; no other reference to
-    /// the box is alive (calls on one component do not overlap).
-    unsafe fn of<'a>(component: Component) -> &'a mut Boxed {
-        // SAFETY: `instantiate` made it of a box of this type.
-        unsafe { &mut *component.cast() }
-    }
-
-    /// The FMU's component, with its messages going to this instance while the guard lives.
-    fn enter(&self) -> (Slave, Current) {
-        // SAFETY: the environment is kept until the component is gone (invariant 3).
-        (self.slave, unsafe { Current::set(self.environment) })
-    }
-}
-
-/// Enters the component and does something with the FMU's own.
-macro_rules! within {
-    ($component:expr, |$slave:ident| $body:expr) => {{
-        // SAFETY: the caller's promises are those of the trait.
-        let ($slave, _current) = unsafe { Boxed::of($component) }.enter();
-        $body
-    }};
-}
-
-/// The standard's names.
-pub(super) fn name(kind: InterfaceKind, call: Call) -> &'static str {
-    let of = |me, cs| if kind == InterfaceKind::ModelExchange { me } else { cs };
-    match call {
-        Call::Instantiate => of("fmiInstantiateModel", "fmiInstantiateSlave"),
-        Call::SetDebugLogging => "fmiSetDebugLogging",
-        Call::EnterInitialization => of("fmiSetTime", "fmiInitializeSlave"),
-        Call::ExitInitialization => of("fmiInitialize", "fmiInitializeSlave"),
-        Call::Terminate => of("fmiTerminate", "fmiTerminateSlave"),
-        Call::Reset if kind == InterfaceKind::CoSimulation => "fmiResetSlave",
-        Call::Get(VariableKind::Real) => "fmiGetReal",
-        Call::Get(VariableKind::Boolean) => "fmiGetBoolean",
-        Call::Get(VariableKind::String) => "fmiGetString",
-        Call::Get(_) => "fmiGetInteger",
-        Call::Set(VariableKind::Real) => "fmiSetReal",
-        Call::Set(VariableKind::Boolean) => "fmiSetBoolean",
-        Call::Set(VariableKind::String) => "fmiSetString",
-        Call::Set(_) => "fmiSetInteger",
-        Call::NewDiscreteStates => "fmiEventUpdate",
-        Call::CompletedIntegratorStep => "fmiCompletedIntegratorStep",
-        Call::SetTime => "fmiSetTime",
-        Call::SetContinuousStates => "fmiSetContinuousStates",
-        Call::GetContinuousStates => "fmiGetContinuousStates",
-        Call::GetDerivatives => "fmiGetDerivatives",
-        Call::GetEventIndicators => "fmiGetEventIndicators",
-        Call::GetNominals => "fmiGetNominalContinuousStates",
-        Call::DoStep => "fmiDoStep",
-        Call::StepStatus => "fmiGetStatus",
-        Call::CancelStep => "fmiCancelStep",
-        Call::SetInputDerivatives => "fmiSetRealInputDerivatives",
-        Call::FreeInstance => of("fmiFreeModelInstance", "fmiFreeSlaveInstance"),
-        Call::StepRealStatus => "fmiGetRealStatus",
-        Call::GetOutputDerivatives => "fmiGetRealOutputDerivatives",
-        other => other.in_brackets(),
-    }
-}
-
-impl Binding for Fmi1 {
-    fn name(&self, call: Call) -> &'static str {
-        name(self.kind, call)
-    }
-
-    unsafe fn enter(&self, component: Component) -> (Component, Option<Current>) {
-        // SAFETY: the caller's promises are those of the trait.
-        let (slave, current) = unsafe { Boxed::of(component) }.enter();
-        (slave, Some(current))
-    }
-
-    fn life(&self) -> &LifeFunctions {
-        &self.life
-    }
-
-    fn values(&self) -> &dyn Values {
-        &self.values
-    }
-
-    fn point(&self) -> Option<&PointFunctions> {
-        self.interface.point()
-    }
-
-    fn steps(&self) -> Option<&StepFunctions> {
-        self.interface.steps()
-    }
-
-    unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> Component {
-        let environment = callbacks.environment();
-        // SAFETY: the caller keeps the environment until the component is gone.
-        let current = unsafe { Current::set(environment) };
-        let slave = match &self.interface {
-            // SAFETY: the strings end in NUL; the callbacks are passed by value.
-            Interface::ModelExchange(functions, _) => unsafe {
-                (functions.instantiate)(
-                    request.name.as_ptr(),
-                    request.guid.as_ptr(),
-                    CALLBACKS,
-                    request.logging.into(),
-                )
-            },
-            Interface::CoSimulation(functions, _) => {
+impl Version for Fmi1 {
+    unsafe fn instantiate(&self, request: &Request<'_>, _: &Callbacks) -> (Component, &'static str) {
+        let (name, guid, logging) = (request.name.as_ptr(), request.guid.as_ptr(), request.logging.into());
+        // SAFETY: the strings end in NUL; the callbacks are passed by value, and lead to the environment of the thread.
+        match self.kind {
+            InterfaceKind::ModelExchange => (self.model_exchange.instantiate)
+                .make(|instantiate| unsafe { instantiate(name, guid, CALLBACKS, logging) }),
+            InterfaceKind::CoSimulation => self.co_simulation.instantiate.make(|instantiate| {
                 // The location is that of the unpacked FMU, above its resources.
-                let root = request.resources.parent().unwrap_or(request.resources);
-                let location = file_uri(root);
+                let root = file_uri(request.resources.parent().unwrap_or(request.resources));
+                let (location, mime_type) = (root.as_ptr(), c"application/x-fmu-sharedlibrary".as_ptr());
+                let callbacks = SlaveCallbacks { common: CALLBACKS, step_finished: None };
+                let visible = request.visible.into();
                 // SAFETY: as above.
-                unsafe {
-                    (functions.instantiate)(
-                        request.name.as_ptr(),
-                        request.guid.as_ptr(),
-                        location.as_ptr(),
-                        c"application/x-fmu-sharedlibrary".as_ptr(),
-                        0.0,
-                        request.visible.into(),
-                        0,
-                        SlaveCallbacks { common: CALLBACKS, step_finished: None },
-                        request.logging.into(),
-                    )
-                }
-            }
-        };
-        drop(current);
-        if slave.is_null() {
-            return slave;
-        }
-        let boxed = Boxed {
-            slave,
-            environment: std::ptr::from_ref(environment),
-            experiment: Experiment::default(),
-            announced: None,
-            made_progress: true,
-        };
-        Box::into_raw(Box::new(boxed)).cast()
-    }
-
-    unsafe fn free_instance(&self, component: Component) {
-        // SAFETY: the box was made by `instantiate` and is given up here, once.
-        let boxed = unsafe { Box::from_raw(component.cast::<Boxed>()) };
-        let (slave, _current) = boxed.enter();
-        // SAFETY: the FMU's component is alive, and gone after this.
-        unsafe { (self.life.free)(slave) }
-    }
-
-    unsafe fn set_debug_logging(&self, component: Component, on: bool) -> Status {
-        within!(component, |slave| optional!(self.set_debug_logging, slave, on.into()))
-    }
-
-    unsafe fn enter_initialization(&self, component: Component, experiment: &Experiment) -> Status {
-        // SAFETY: the caller's promises are those of the trait.
-        unsafe { Boxed::of(component) }.experiment = *experiment;
-        match self.interface.point() {
-            Some(point) => within!(component, |slave| call!(point.set_time, slave, experiment.start)),
-            None => Status::Ok,
+                unsafe { instantiate(name, guid, location, mime_type, 0.0, visible, 0, callbacks, logging) }
+            }),
         }
     }
 
-    unsafe fn exit_initialization(&self, component: Component) -> Status {
-        // SAFETY: the caller's promises are those of the trait.
-        let Experiment { tolerance, start, stop } = unsafe { Boxed::of(component) }.experiment;
-        match &self.interface {
-            Interface::ModelExchange(functions, _) => {
+    unsafe fn set_debug_logging(&self, component: Component, on: bool, _: &[*const c_char]) -> Answer {
+        call!(self.common.set_debug_logging, component, on.into())
+    }
+
+    /// Model exchange begins with the time; co-simulation has no mode of its own for the initialization.
+    unsafe fn enter_initialization(
+        &self,
+        functions: &Functions,
+        component: Component,
+        experiment: &Experiment,
+    ) -> Answer {
+        match self.kind {
+            InterfaceKind::ModelExchange => call!(functions.point.set_time, component, experiment.start),
+            InterfaceKind::CoSimulation => Answer { function: "fmiInitializeSlave", status: Status::Ok },
+        }
+    }
+
+    unsafe fn exit_initialization(
+        &self,
+        _: &Functions,
+        component: Component,
+        experiment: &Experiment,
+        announced: &mut Option<EventInfo>,
+    ) -> Answer {
+        let Experiment { tolerance, start, stop } = *experiment;
+        match self.kind {
+            InterfaceKind::ModelExchange => {
                 let mut info = RawEventInfo::default();
-                let is_controlled = tolerance.is_some().into();
-                let tolerance = tolerance.unwrap_or(0.0);
-                let status = within!(component, |slave| {
-                    call!(functions.initialize, slave, is_controlled, tolerance, &raw mut info)
-                });
-                // SAFETY: as above.
-                unsafe { Boxed::of(component) }.announced = Some(info.in_house_words());
-                status
+                let (is_controlled, tolerance) = (tolerance.is_some().into(), tolerance.unwrap_or(0.0));
+                let answer =
+                    call!(self.model_exchange.initialize, component, is_controlled, tolerance, &raw mut info);
+                *announced = Some(info.info());
+                answer
             }
-            Interface::CoSimulation(functions, _) => {
-                let (is_defined, stop) = (stop.is_some().into(), stop.unwrap_or(0.0));
-                within!(component, |slave| call!(functions.initialize, slave, start, is_defined, stop))
+            InterfaceKind::CoSimulation => {
+                call!(
+                    self.co_simulation.initialize,
+                    component,
+                    start,
+                    stop.is_some().into(),
+                    stop.unwrap_or(0.0)
+                )
             }
         }
     }
 
-    unsafe fn reset(&self, component: Component) -> Status {
-        // SAFETY: the caller's promises are those of the trait.
-        unsafe { Boxed::of(component) }.made_progress = true;
-        within!(component, |slave| optional!(self.life.reset, slave))
+    unsafe fn directional_derivative(
+        &self,
+        _: Component,
+        _: &[u32],
+        _: &[u32],
+        _: &[f64],
+        _: &mut [f64],
+    ) -> Answer {
+        Answer { function: "(directional derivatives)", status: Status::Missing }
     }
 
-    /// There is no event mode: events happen in `fmiEventUpdate`.
-    unsafe fn enter_event_mode(&self, _: Component) -> Status {
-        Status::Ok
-    }
-
-    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Status {
-        // SAFETY: the caller's promises are those of the trait.
-        if let Some(announced) = unsafe { Boxed::of(component) }.announced.take() {
-            *info = announced;
-            return Status::Ok;
-        }
+    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Answer {
         let mut raw = RawEventInfo::default();
         // fmiFalse: the FMU iterates by itself and returns when it is done. That is what every other importer asks for;
         // one that returns before is asked again.
-        let status = within!(component, |slave| model!(self, event_update, slave, 0, &raw mut raw));
-        *info = raw.in_house_words();
-        status
-    }
-
-    unsafe fn enter_continuous_time_mode(&self, _: Component) -> Status {
-        Status::Ok
+        let answer = call!(self.model_exchange.event_update, component, 0, &raw mut raw);
+        *info = raw.info();
+        answer
     }
 
     unsafe fn completed_integrator_step(
@@ -375,34 +226,31 @@ impl Binding for Fmi1 {
         _: bool,
         event: &mut bool,
         terminate: &mut bool,
-    ) -> Status {
+    ) -> Answer {
         let mut raw: Boolean = 0;
-        let status = within!(component, |slave| model!(self, completed_integrator_step, slave, &raw mut raw));
-        *event = raw != 0;
-        *terminate = false;
-        status
+        let answer = call!(self.model_exchange.completed_integrator_step, component, &raw mut raw);
+        (*event, *terminate) = (raw != 0, false);
+        answer
     }
 
     unsafe fn do_step(
         &self,
+        functions: &Functions,
         component: Component,
-        (time, step): (f64, f64),
-        _: bool,
+        step: Step,
         info: &mut StepInfo,
-    ) -> Status {
-        let Interface::CoSimulation(functions, steps) = &self.interface else { return Status::Missing };
-        // SAFETY: the caller's promises are those of the trait.
-        let new_step = unsafe { Boxed::of(component) }.made_progress;
-        let status = within!(component, |slave| {
-            let status = call!(functions.do_step, slave, time, step, new_step.into());
-            // SAFETY: the same.
-            unsafe { steps.explain(slave, status, info) };
-            status
-        });
-        // A step of which nothing was computed will be tried again.
-        let stuck = status == Status::Discard && !info.reached.is_some_and(|reached| reached > time);
-        // SAFETY: the same.
-        unsafe { Boxed::of(component) }.made_progress = !stuck;
-        status
+    ) -> Answer {
+        let answer = call!(self.co_simulation.do_step, component, step.time, step.size, step.is_new.into());
+        // SAFETY: as for this call.
+        unsafe { functions.steps.explain(component, answer.status, info) };
+        answer
+    }
+
+    fn step_function(&self) -> &'static str {
+        self.co_simulation.do_step.name
     }
 }
+
+/// The names in its tables.
+#[cfg(test)]
+pub(super) const NAMES: [&[&[&str]]; 3] = [Common::NAMES, ModelExchange::NAMES, CoSimulation::NAMES];

@@ -1,20 +1,16 @@
 //! The functions of an FMI 2.0 library (FMI 2.0.x, sections 2.1, 3.2 and 4.2), bound by name.
 
-use super::binding::Binding;
-use super::call::{Call, Values};
 use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi2_log, fmufit_free};
-use super::functions::{
-    Interface, LifeFunctions, Plain, PointFunctions, StateFunctions, StepFunctions, Table, ValueFunctions,
-    call, model, optional, table,
-};
-use super::symbols::Symbols;
-use super::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri, status};
-use crate::description::VariableKind;
-use crate::error::{FmiError, Status};
+use super::function::{Answer, call};
+use super::functions::{Functions, Plain};
+use super::symbols::{Symbols, table};
+use super::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri};
+use super::version::{Step, Version};
+use crate::error::FmiError;
 use std::ffi::{c_char, c_int, c_void};
 
 /// `fmi2Boolean`.
-type Boolean = c_int;
+pub(super) type Boolean = c_int;
 /// `fmi2Type`.
 const MODEL_EXCHANGE: c_int = 0;
 const CO_SIMULATION: c_int = 1;
@@ -59,7 +55,6 @@ type Instantiate = unsafe extern "C" fn(
     Boolean,
     Boolean,
 ) -> Component;
-type SetupExperiment = unsafe extern "C" fn(Component, Boolean, f64, f64, Boolean, f64) -> c_int;
 type SetDebugLogging = unsafe extern "C" fn(Component, Boolean, usize, *const *const c_char) -> c_int;
 type DirectionalDerivative =
     unsafe extern "C" fn(Component, *const u32, usize, *const u32, usize, *const f64, *mut f64) -> c_int;
@@ -67,53 +62,37 @@ type NewDiscreteStates = unsafe extern "C" fn(Component, *mut RawEventInfo) -> c
 type CompletedStep = unsafe extern "C" fn(Component, Boolean, *mut Boolean, *mut Boolean) -> c_int;
 type DoStep = unsafe extern "C" fn(Component, f64, f64, Boolean) -> c_int;
 
+table! {
+    /// The functions of one library whose types are those of FMI 2.0, for both interfaces. What may be missing is optional in
+    /// the standard, or FMUs that leave it out are known and can be used all the same.
+    struct Common {
+        instantiate: Instantiate = required "fmi2Instantiate";
+        set_debug_logging: SetDebugLogging = optional "fmi2SetDebugLogging";
+        enter_initialization: Plain = required "fmi2EnterInitializationMode";
+        directional_derivative: DirectionalDerivative = optional "fmi2GetDirectionalDerivative";
+    }
+}
+
+table! {
+    /// For model exchange.
+    struct ModelExchange {
+        new_discrete_states: NewDiscreteStates = required "fmi2NewDiscreteStates";
+        completed_integrator_step: CompletedStep = required "fmi2CompletedIntegratorStep";
+    }
+}
+
+table! {
+    /// For co-simulation.
+    struct CoSimulation {
+        do_step: DoStep = required "fmi2DoStep";
+    }
+}
+
 /// The functions of one library.
 pub(super) struct Fmi2 {
     common: Common,
-    life: LifeFunctions,
-    values: ValueFunctions<Boolean>,
-    states: StateFunctions,
-    interface: Interface<ModelExchange, CoSimulation>,
-}
-
-table! {
-    /// What both interfaces have. What may be missing is optional in the standard, or FMUs that leave it out are known
-    /// and can be used all the same.
-    struct Common {
-        required {
-            instantiate: Instantiate = Call::Instantiate;
-            setup_experiment: SetupExperiment = Call::SetupExperiment;
-            enter_initialization_mode: Plain = Call::EnterInitialization;
-            exit_initialization_mode: Plain = Call::ExitInitialization;
-        }
-        optional {
-            set_debug_logging: SetDebugLogging = Call::SetDebugLogging;
-            directional_derivative: DirectionalDerivative = Call::DirectionalDerivative;
-        }
-    }
-}
-
-table! {
-    /// Model exchange.
-    struct ModelExchange {
-        required {
-            enter_event_mode: Plain = Call::EnterEventMode;
-            new_discrete_states: NewDiscreteStates = Call::NewDiscreteStates;
-            enter_continuous_time_mode: Plain = Call::EnterContinuousTimeMode;
-            completed_integrator_step: CompletedStep = Call::CompletedIntegratorStep;
-        }
-        optional {}
-    }
-}
-
-table! {
-    /// Co-simulation.
-    struct CoSimulation {
-        required {
-            do_step: DoStep = Call::DoStep;
-        }
-        optional {}
-    }
+    model_exchange: ModelExchange,
+    co_simulation: CoSimulation,
 }
 
 impl Fmi2 {
@@ -125,89 +104,16 @@ impl Fmi2 {
         // SAFETY: the caller vouches for the library, and the names are those of FMI 2.0.
         unsafe {
             Ok(Self {
-                interface: Interface::load(symbols, kind, name)?,
-                common: Common::load(symbols, name)?,
-                life: LifeFunctions::load(symbols, name)?,
-                values: ValueFunctions::load(symbols, name)?,
-                states: StateFunctions::load(symbols, name)?,
+                common: Common::load(symbols)?,
+                model_exchange: ModelExchange::load(&symbols.used(kind == InterfaceKind::ModelExchange))?,
+                co_simulation: CoSimulation::load(&symbols.used(kind == InterfaceKind::CoSimulation))?,
             })
         }
     }
 }
 
-/// The standard's names.
-pub(super) fn name(call: Call) -> &'static str {
-    match call {
-        Call::Instantiate => "fmi2Instantiate",
-        Call::SetDebugLogging => "fmi2SetDebugLogging",
-        Call::SetupExperiment => "fmi2SetupExperiment",
-        Call::EnterInitialization => "fmi2EnterInitializationMode",
-        Call::ExitInitialization => "fmi2ExitInitializationMode",
-        Call::Terminate => "fmi2Terminate",
-        Call::Reset => "fmi2Reset",
-        Call::Get(VariableKind::Real) => "fmi2GetReal",
-        Call::Get(VariableKind::Boolean) => "fmi2GetBoolean",
-        Call::Get(VariableKind::String) => "fmi2GetString",
-        Call::Get(_) => "fmi2GetInteger",
-        Call::Set(VariableKind::Real) => "fmi2SetReal",
-        Call::Set(VariableKind::Boolean) => "fmi2SetBoolean",
-        Call::Set(VariableKind::String) => "fmi2SetString",
-        Call::Set(_) => "fmi2SetInteger",
-        Call::GetOutputDerivatives => "fmi2GetRealOutputDerivatives",
-        Call::SaveState => "fmi2GetFMUstate",
-        Call::RestoreState => "fmi2SetFMUstate",
-        Call::SerializedSize => "fmi2SerializedFMUstateSize",
-        Call::Serialize => "fmi2SerializeFMUstate",
-        Call::Deserialize => "fmi2DeSerializeFMUstate",
-        Call::DirectionalDerivative => "fmi2GetDirectionalDerivative",
-        Call::EnterEventMode => "fmi2EnterEventMode",
-        Call::NewDiscreteStates => "fmi2NewDiscreteStates",
-        Call::EnterContinuousTimeMode => "fmi2EnterContinuousTimeMode",
-        Call::CompletedIntegratorStep => "fmi2CompletedIntegratorStep",
-        Call::SetTime => "fmi2SetTime",
-        Call::SetContinuousStates => "fmi2SetContinuousStates",
-        Call::GetContinuousStates => "fmi2GetContinuousStates",
-        Call::GetDerivatives => "fmi2GetDerivatives",
-        Call::GetEventIndicators => "fmi2GetEventIndicators",
-        Call::GetNominals => "fmi2GetNominalsOfContinuousStates",
-        Call::DoStep => "fmi2DoStep",
-        Call::StepStatus => "fmi2GetStatus",
-        Call::CancelStep => "fmi2CancelStep",
-        Call::SetInputDerivatives => "fmi2SetRealInputDerivatives",
-        Call::FreeInstance => "fmi2FreeInstance",
-        Call::FreeState => "fmi2FreeFMUstate",
-        Call::StepRealStatus => "fmi2GetRealStatus",
-        Call::StepBooleanStatus => "fmi2GetBooleanStatus",
-        other => other.in_brackets(),
-    }
-}
-
-impl Binding for Fmi2 {
-    fn name(&self, call: Call) -> &'static str {
-        name(call)
-    }
-
-    fn life(&self) -> &LifeFunctions {
-        &self.life
-    }
-
-    fn values(&self) -> &dyn Values {
-        &self.values
-    }
-
-    fn point(&self) -> Option<&PointFunctions> {
-        self.interface.point()
-    }
-
-    fn states(&self) -> Option<&StateFunctions> {
-        Some(&self.states)
-    }
-
-    fn steps(&self) -> Option<&StepFunctions> {
-        self.interface.steps()
-    }
-
-    unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> Component {
+impl Version for Fmi2 {
+    unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> (Component, &'static str) {
         let functions = callbacks.keep(|environment| CallbackFunctions {
             logger: fmufit_fmi2_log,
             allocate_memory: fmufit_allocate,
@@ -216,43 +122,33 @@ impl Binding for Fmi2 {
             component_environment: std::ptr::from_ref(environment).cast_mut().cast(),
         });
         let resources = file_uri(request.resources);
+        let kind = if request.kind == InterfaceKind::ModelExchange { MODEL_EXCHANGE } else { CO_SIMULATION };
         // SAFETY: the strings end in NUL; the callbacks are on the heap and never freed.
-        unsafe {
-            (self.common.instantiate)(
+        self.common.instantiate.make(|instantiate| unsafe {
+            instantiate(
                 request.name.as_ptr(),
-                if request.kind == InterfaceKind::ModelExchange { MODEL_EXCHANGE } else { CO_SIMULATION },
+                kind,
                 request.guid.as_ptr(),
                 resources.as_ptr(),
                 functions,
                 request.visible.into(),
                 request.logging.into(),
             )
-        }
+        })
     }
 
-    unsafe fn set_debug_logging(&self, component: Component, on: bool) -> Status {
-        optional!(self.common.set_debug_logging, component, on.into(), 0, std::ptr::null())
+    unsafe fn set_debug_logging(
+        &self,
+        component: Component,
+        on: bool,
+        categories: &[*const c_char],
+    ) -> Answer {
+        let (list, n) = (categories.as_ptr(), categories.len());
+        call!(self.common.set_debug_logging, component, on.into(), n, list)
     }
 
-    unsafe fn setup_experiment(&self, component: Component, experiment: &Experiment) -> Status {
-        let Experiment { tolerance, start, stop } = *experiment;
-        call!(
-            self.common.setup_experiment,
-            component,
-            tolerance.is_some().into(),
-            tolerance.unwrap_or(0.0),
-            start,
-            stop.is_some().into(),
-            stop.unwrap_or(0.0)
-        )
-    }
-
-    unsafe fn enter_initialization(&self, component: Component, _: &Experiment) -> Status {
-        call!(self.common.enter_initialization_mode, component)
-    }
-
-    unsafe fn exit_initialization(&self, component: Component) -> Status {
-        call!(self.common.exit_initialization_mode, component)
+    unsafe fn enter_initialization(&self, _: &Functions, component: Component, _: &Experiment) -> Answer {
+        call!(self.common.enter_initialization, component)
     }
 
     unsafe fn directional_derivative(
@@ -262,8 +158,8 @@ impl Binding for Fmi2 {
         knowns: &[u32],
         seed: &[f64],
         sensitivity: &mut [f64],
-    ) -> Status {
-        optional!(
+    ) -> Answer {
+        call!(
             self.common.directional_derivative,
             component,
             unknowns.as_ptr(),
@@ -275,13 +171,9 @@ impl Binding for Fmi2 {
         )
     }
 
-    unsafe fn enter_event_mode(&self, component: Component) -> Status {
-        model!(self, enter_event_mode, component)
-    }
-
-    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Status {
+    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Answer {
         let mut raw = RawEventInfo::default();
-        let status = model!(self, new_discrete_states, component, &raw mut raw);
+        let answer = call!(self.model_exchange.new_discrete_states, component, &raw mut raw);
         *info = EventInfo {
             new_discrete_states_needed: raw.new_discrete_states_needed != 0,
             terminate: raw.terminate_simulation != 0,
@@ -289,11 +181,7 @@ impl Binding for Fmi2 {
             values_changed: raw.values_of_continuous_states_changed != 0,
             next_event_time: (raw.next_event_time_defined != 0).then_some(raw.next_event_time),
         };
-        status
-    }
-
-    unsafe fn enter_continuous_time_mode(&self, component: Component) -> Status {
-        model!(self, enter_continuous_time_mode, component)
+        answer
     }
 
     unsafe fn completed_integrator_step(
@@ -302,32 +190,38 @@ impl Binding for Fmi2 {
         no_set_state_prior: bool,
         event: &mut bool,
         terminate: &mut bool,
-    ) -> Status {
+    ) -> Answer {
         let (mut raw_event, mut raw_terminate): (Boolean, Boolean) = (0, 0);
-        let status = model!(
-            self,
-            completed_integrator_step,
+        let answer = call!(
+            self.model_exchange.completed_integrator_step,
             component,
             no_set_state_prior.into(),
             &raw mut raw_event,
             &raw mut raw_terminate
         );
-        *event = raw_event != 0;
-        *terminate = raw_terminate != 0;
-        status
+        (*event, *terminate) = (raw_event != 0, raw_terminate != 0);
+        answer
     }
 
     unsafe fn do_step(
         &self,
+        functions: &Functions,
         component: Component,
-        (time, step): (f64, f64),
-        no_set_state_prior: bool,
+        step: Step,
         info: &mut StepInfo,
-    ) -> Status {
-        let Interface::CoSimulation(functions, steps) = &self.interface else { return Status::Missing };
-        let status = call!(functions.do_step, component, time, step, no_set_state_prior.into());
+    ) -> Answer {
+        let Step { time, size, no_set_state_prior, .. } = step;
+        let answer = call!(self.co_simulation.do_step, component, time, size, no_set_state_prior.into());
         // SAFETY: as for this call.
-        unsafe { steps.explain(component, status, info) };
-        status
+        unsafe { functions.steps.explain(component, answer.status, info) };
+        answer
+    }
+
+    fn step_function(&self) -> &'static str {
+        self.co_simulation.do_step.name
     }
 }
+
+/// The names in its tables.
+#[cfg(test)]
+pub(super) const NAMES: [&[&[&str]]; 3] = [Common::NAMES, ModelExchange::NAMES, CoSimulation::NAMES];

@@ -1,250 +1,185 @@
-//! Functions that have one shape in several versions of the standard: their signatures, and tables of those that belong
-//! together. What they are called is for each version to say (see [`Binding::name`](super::binding::Binding::name)).
+//! The functions of an FMI library: tables that hold for each its type and, in the same row, its names in the standard; and
+//! those that have one type in all versions that know them.
+//!
+//! A row has one name, or one for each of FMI 1.0, 2.0, 3.0 (and co-simulation of FMI 1.0, where that is another one). An empty
+//! name stands for what a version does not ask for: calling it does nothing. A name in brackets says what a version does not
+//! offer.
 
-use super::call::{Call, Values};
-use super::packed::{self, Element};
-use super::symbols::Symbols;
-use super::types::{Component, InterfaceKind, StatePointer, StepInfo, status};
-use crate::description::VariableKind;
-use crate::error::{FmiError, Status};
+use super::function::{Answer, Function, call};
+use super::symbols::table;
+use super::types::{Component, StatePointer, StepInfo, status};
+use crate::error::Status;
 use std::ffi::{c_char, c_int};
 
 pub(super) type Plain = unsafe extern "C" fn(Component) -> c_int;
-pub(super) type Free = unsafe extern "C" fn(Component);
-pub(super) type SetTime = unsafe extern "C" fn(Component, f64) -> c_int;
+type SetTime = unsafe extern "C" fn(Component, f64) -> c_int;
+type Free = unsafe extern "C" fn(Component);
+pub(super) type Text = unsafe extern "C" fn() -> *const c_char;
+type SetupExperiment = unsafe extern "C" fn(Component, c_int, f64, f64, c_int, f64) -> c_int;
 pub(super) type GetVector = unsafe extern "C" fn(Component, *mut f64, usize) -> c_int;
-pub(super) type SetVector = unsafe extern "C" fn(Component, *const f64, usize) -> c_int;
-type GetState = unsafe extern "C" fn(Component, *mut StatePointer) -> c_int;
+type SetVector = unsafe extern "C" fn(Component, *const f64, usize) -> c_int;
+type GetReferences = unsafe extern "C" fn(Component, *mut u32, usize) -> c_int;
+type Count = unsafe extern "C" fn(Component, *mut usize) -> c_int;
+pub(super) type GetState = unsafe extern "C" fn(Component, *mut StatePointer) -> c_int;
 type SetState = unsafe extern "C" fn(Component, StatePointer) -> c_int;
-type StateSize = unsafe extern "C" fn(Component, StatePointer, *mut usize) -> c_int;
-/// FMI 2.0 says `char` for the bytes, FMI 3.0 `uint8_t`.
-type SerializeState = unsafe extern "C" fn(Component, StatePointer, *mut u8, usize) -> c_int;
-type DeserializeState = unsafe extern "C" fn(Component, *const u8, usize, *mut StatePointer) -> c_int;
-type Get<T> = unsafe extern "C" fn(Component, *const u32, usize, *mut T) -> c_int;
-type Set<T> = unsafe extern "C" fn(Component, *const u32, usize, *const T) -> c_int;
+pub(super) type Derivative = unsafe extern "C" fn(
+    Component,
+    *const u32,
+    usize,
+    *const u32,
+    usize,
+    *const f64,
+    usize,
+    *mut f64,
+    usize,
+) -> c_int;
+type CountDependencies = unsafe extern "C" fn(Component, u32, *mut usize) -> c_int;
+type Dependencies =
+    unsafe extern "C" fn(Component, u32, *mut usize, *mut u32, *mut usize, *mut c_int, usize) -> c_int;
+pub(super) type Get<T> = unsafe extern "C" fn(Component, *const u32, usize, *mut T) -> c_int;
+pub(super) type Set<T> = unsafe extern "C" fn(Component, *const u32, usize, *const T) -> c_int;
 type AskStatus<T> = unsafe extern "C" fn(Component, c_int, *mut T) -> c_int;
 type SetInputDerivatives =
     unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *const f64) -> c_int;
 type GetOutputDerivatives =
     unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *mut f64) -> c_int;
+type IntervalDecimal = unsafe extern "C" fn(Component, *const u32, usize, *mut f64, *mut c_int) -> c_int;
+type IntervalFraction =
+    unsafe extern "C" fn(Component, *const u32, usize, *mut u64, *mut u64, *mut c_int) -> c_int;
+type SetIntervalFraction =
+    unsafe extern "C" fn(Component, *const u32, usize, *const u64, *const u64) -> c_int;
+type ShiftFraction = unsafe extern "C" fn(Component, *const u32, usize, *mut u64, *mut u64) -> c_int;
+
+table! {
+    /// What both interfaces have.
+    pub(super) struct CommonFunctions {
+        get_version: Text = optional "fmiGetVersion" | "fmi2GetVersion" | "fmi3GetVersion";
+        get_types_platform: Text =
+            optional "fmiGetModelTypesPlatform" | "fmi2GetTypesPlatform" | "" | "fmiGetTypesPlatform";
+        free: Free = required
+            "fmiFreeModelInstance" | "fmi2FreeInstance" | "fmi3FreeInstance" | "fmiFreeSlaveInstance";
+        terminate: Plain = required "fmiTerminate" | "fmi2Terminate" | "fmi3Terminate" | "fmiTerminateSlave";
+        reset: Plain = optional "(reset)" | "fmi2Reset" | "fmi3Reset" | "fmiResetSlave";
+        setup_experiment: SetupExperiment = required "" | "fmi2SetupExperiment" | "";
+        exit_initialization: Plain =
+            required "" | "fmi2ExitInitializationMode" | "fmi3ExitInitializationMode";
+        enter_event_mode: Plain = optional "" | "fmi2EnterEventMode" | "fmi3EnterEventMode";
+        enter_configuration: Plain =
+            optional "(configuration mode)" | "(configuration mode)" | "fmi3EnterConfigurationMode";
+        exit_configuration: Plain =
+            optional "(configuration mode)" | "(configuration mode)" | "fmi3ExitConfigurationMode";
+        save_state: GetState = optional "(saved states)" | "fmi2GetFMUstate" | "fmi3GetFMUState";
+        restore_state: SetState = optional "(saved states)" | "fmi2SetFMUstate" | "fmi3SetFMUState";
+        free_state: GetState = optional "(saved states)" | "fmi2FreeFMUstate" | "fmi3FreeFMUState";
+        adjoint_derivative: Derivative =
+            optional "(adjoint derivatives)" | "(adjoint derivatives)" | "fmi3GetAdjointDerivative";
+        count_dependencies: CountDependencies = optional
+            "(variable dependencies)" | "(variable dependencies)" | "fmi3GetNumberOfVariableDependencies";
+        dependencies: Dependencies = optional
+            "(variable dependencies)" | "(variable dependencies)" | "fmi3GetVariableDependencies";
+        interval_decimal: IntervalDecimal = optional "(clocks)" | "(clocks)" | "fmi3GetIntervalDecimal";
+        interval_fraction: IntervalFraction = optional "(clocks)" | "(clocks)" | "fmi3GetIntervalFraction";
+        set_interval_decimal: Set<f64> = optional "(clocks)" | "(clocks)" | "fmi3SetIntervalDecimal";
+        set_interval_fraction: SetIntervalFraction =
+            optional "(clocks)" | "(clocks)" | "fmi3SetIntervalFraction";
+        shift_decimal: Get<f64> = optional "(clocks)" | "(clocks)" | "fmi3GetShiftDecimal";
+        shift_fraction: ShiftFraction = optional "(clocks)" | "(clocks)" | "fmi3GetShiftFraction";
+    }
+}
+
+table! {
+    /// Model exchange: a point, and what the model is there.
+    pub(super) struct PointFunctions {
+        set_time: SetTime = required "fmiSetTime" | "fmi2SetTime" | "fmi3SetTime";
+        set_continuous_states: SetVector = required
+            "fmiSetContinuousStates" | "fmi2SetContinuousStates" | "fmi3SetContinuousStates";
+        get_continuous_states: GetVector = required
+            "fmiGetContinuousStates" | "fmi2GetContinuousStates" | "fmi3GetContinuousStates";
+        get_derivatives: GetVector = required
+            "fmiGetDerivatives" | "fmi2GetDerivatives" | "fmi3GetContinuousStateDerivatives";
+        get_event_indicators: GetVector = required
+            "fmiGetEventIndicators" | "fmi2GetEventIndicators" | "fmi3GetEventIndicators";
+        get_nominals: GetVector = required
+            "fmiGetNominalContinuousStates" | "fmi2GetNominalsOfContinuousStates"
+            | "fmi3GetNominalsOfContinuousStates";
+        enter_continuous_time_mode: Plain =
+            required "" | "fmi2EnterContinuousTimeMode" | "fmi3EnterContinuousTimeMode";
+        get_state_references: GetReferences = optional
+            "fmiGetStateValueReferences" | "(value references of states)" | "(value references of states)";
+        count_states: Count = optional
+            "(number of states)" | "(number of states)" | "fmi3GetNumberOfContinuousStates";
+        count_indicators: Count = optional
+            "(number of indicators)" | "(number of indicators)" | "fmi3GetNumberOfEventIndicators";
+    }
+}
+
+table! {
+    /// Co-simulation: what goes with a communication step.
+    pub(super) struct StepFunctions {
+        enter_step_mode: Plain = optional "(step mode)" | "(step mode)" | "fmi3EnterStepMode";
+        cancel: Plain = optional "fmiCancelStep" | "fmi2CancelStep" | "(pending steps)";
+        get_status: AskStatus<c_int> = optional "fmiGetStatus" | "fmi2GetStatus" | "(pending steps)";
+        get_real_status: AskStatus<f64> =
+            optional "fmiGetRealStatus" | "fmi2GetRealStatus" | "(pending steps)";
+        get_boolean_status: AskStatus<c_int> =
+            optional "(pending steps)" | "fmi2GetBooleanStatus" | "(pending steps)";
+        set_input_derivatives: SetInputDerivatives = optional
+            "fmiSetRealInputDerivatives" | "fmi2SetRealInputDerivatives" | "(input derivatives)";
+        get_output_derivatives: GetOutputDerivatives = optional
+            "fmiGetRealOutputDerivatives" | "fmi2GetRealOutputDerivatives" | "(output derivatives)";
+    }
+}
+
+/// The functions that have one type in all versions that know them.
+pub(super) struct Functions {
+    pub(super) common: CommonFunctions,
+    pub(super) point: PointFunctions,
+    pub(super) steps: StepFunctions,
+}
+
+/// A directional or adjoint derivative of FMI 3.0.
+///
+/// # Safety
+/// As for the methods of [`Version`](super::version::Version).
+pub(super) unsafe fn derivative(
+    function: &Function<Derivative>,
+    component: Component,
+    unknowns: &[u32],
+    knowns: &[u32],
+    seed: &[f64],
+    sensitivity: &mut [f64],
+) -> Answer {
+    let (list, n) = (unknowns.as_ptr(), unknowns.len());
+    let (seed, n_seed) = (seed.as_ptr(), seed.len());
+    let (result, n_result) = (sensitivity.as_mut_ptr(), sensitivity.len());
+    call!(function, component, list, n, knowns.as_ptr(), knowns.len(), seed, n_seed, result, n_result)
+}
 
 /// `fmiStatusKind` and `fmi2StatusKind`.
 const DO_STEP_STATUS: c_int = 0;
 const LAST_SUCCESSFUL_TIME: c_int = 2;
 const TERMINATED: c_int = 3;
 
-/// Calls a function of the library.
-macro_rules! call {
-    ($function:expr, $($argument:expr),* $(,)?) => {
-        // SAFETY: the caller's promises are those of `Binding`.
-        status(unsafe { ($function)($($argument),*) })
-    };
-}
-pub(super) use call;
-
-/// Calls a function that the library may lack.
-macro_rules! optional {
-    ($function:expr, $($argument:expr),* $(,)?) => {
-        match $function {
-            Some(function) => call!(function, $($argument),*),
-            None => Status::Missing,
-        }
-    };
-}
-pub(super) use optional;
-
-/// Functions that belong together.
-pub(super) trait Table: Sized {
-    /// Looks them up under the names that a version has for the calls.
-    ///
-    /// # Errors
-    /// A function that must be there is missing.
-    ///
-    /// # Safety
-    /// The library follows the version of the standard whose names these are: a symbol of a name has the type the standard
-    /// gives it.
-    unsafe fn load(symbols: &Symbols<'_>, name: impl Fn(Call) -> &'static str) -> Result<Self, FmiError>;
-}
-
-/// No functions.
-impl Table for () {
-    unsafe fn load(_: &Symbols<'_>, _: impl Fn(Call) -> &'static str) -> Result<Self, FmiError> {
-        Ok(())
-    }
-}
-
-/// The functions of the interface by which a model is run: a version's own, and those that several versions share; `S` are
-/// the latter of co-simulation.
-pub(super) enum Interface<M, C, S = StepFunctions> {
-    ModelExchange(M, PointFunctions),
-    CoSimulation(C, S),
-}
-
-impl<M: Table, C: Table, S: Table> Interface<M, C, S> {
-    /// # Errors
-    /// A function that must be there is missing.
-    ///
-    /// # Safety
-    /// As for [`Table::load`].
-    pub(super) unsafe fn load(
-        symbols: &Symbols<'_>,
-        kind: InterfaceKind,
-        name: impl Fn(Call) -> &'static str,
-    ) -> Result<Self, FmiError> {
-        // SAFETY: handed on to the caller.
-        unsafe {
-            Ok(match kind {
-                InterfaceKind::ModelExchange => Interface::ModelExchange(
-                    Table::load(symbols, &name)?,
-                    PointFunctions::load(symbols, &name)?,
-                ),
-                InterfaceKind::CoSimulation => {
-                    Interface::CoSimulation(Table::load(symbols, &name)?, Table::load(symbols, &name)?)
-                }
-            })
-        }
-    }
-}
-
-impl<M, C, S> Interface<M, C, S> {
-    /// In model exchange.
-    pub(super) fn point(&self) -> Option<&PointFunctions> {
-        match self {
-            Interface::ModelExchange(_, point) => Some(point),
-            Interface::CoSimulation(..) => None,
-        }
-    }
-
-    /// In co-simulation.
-    pub(super) fn steps(&self) -> Option<&S> {
-        match self {
-            Interface::ModelExchange(..) => None,
-            Interface::CoSimulation(_, steps) => Some(steps),
-        }
-    }
-}
-
-/// Calls a function of a version's own model exchange.
-macro_rules! model {
-    ($self:ident, $function:ident, $($argument:expr),* $(,)?) => {
-        match &$self.interface {
-            Interface::ModelExchange(functions, _) => call!(functions.$function, $($argument),*),
-            Interface::CoSimulation(..) => Status::Missing,
-        }
-    };
-}
-pub(super) use model;
-
-/// A table of functions, and how it is filled.
-macro_rules! table {
-    (
-        $(#[$doc:meta])*
-        $vis:vis struct $name:ident {
-            required { $($required:ident: $needed:ty = $needed_call:expr;)* }
-            optional { $($optional:ident: $offered:ty = $offered_call:expr;)* }
-        }
-    ) => {
-        $(#[$doc])*
-        $vis struct $name {
-            $($vis $required: $needed,)*
-            $($vis $optional: Option<$offered>,)*
-        }
-
-        impl Table for $name {
-            unsafe fn load(
-                symbols: &Symbols<'_>,
-                name: impl Fn(Call) -> &'static str,
-            ) -> Result<Self, FmiError> {
-                // SAFETY: each call is paired with the signature of the standard; the caller vouches that the library
-                // does the same. The pointers stay valid while the `Library` that owns the table is open.
-                unsafe {
-                    Ok(Self {
-                        $($required: symbols.required(name($needed_call))?,)*
-                        $($optional: symbols.optional(name($offered_call)),)*
-                    })
-                }
-            }
-        }
-    };
-}
-pub(super) use table;
-
-table! {
-    /// The end of a life and the beginning of the next (all versions).
-    pub(super) struct LifeFunctions {
-        required {
-            free: Free = Call::FreeInstance;
-            terminate: Plain = Call::Terminate;
-        }
-        optional {
-            reset: Plain = Call::Reset;
-        }
-    }
-}
-
-table! {
-    /// Model exchange: a point, and what the model is there (all versions).
-    pub(super) struct PointFunctions {
-        required {
-            set_time: SetTime = Call::SetTime;
-            set_continuous_states: SetVector = Call::SetContinuousStates;
-            get_continuous_states: GetVector = Call::GetContinuousStates;
-            get_derivatives: GetVector = Call::GetDerivatives;
-            get_event_indicators: GetVector = Call::GetEventIndicators;
-            get_nominals: GetVector = Call::GetNominals;
-        }
-        optional {}
-    }
-}
-
-table! {
-    /// Saved states (FMI 2.0 and 3.0).
-    pub(super) struct StateFunctions {
-        required {}
-        optional {
-            save: GetState = Call::SaveState;
-            restore: SetState = Call::RestoreState;
-            free: GetState = Call::FreeState;
-            serialized_size: StateSize = Call::SerializedSize;
-            serialize: SerializeState = Call::Serialize;
-            deserialize: DeserializeState = Call::Deserialize;
-        }
-    }
-}
-
-table! {
-    /// What goes with a communication step (FMI 1.0 and 2.0).
-    pub(super) struct StepFunctions {
-        required {}
-        optional {
-            cancel: Plain = Call::CancelStep;
-            get_status: AskStatus<c_int> = Call::StepStatus;
-            get_real_status: AskStatus<f64> = Call::StepRealStatus;
-            get_boolean_status: AskStatus<c_int> = Call::StepBooleanStatus;
-            set_input_derivatives: SetInputDerivatives = Call::SetInputDerivatives;
-            get_output_derivatives: GetOutputDerivatives = Call::GetOutputDerivatives;
-        }
-    }
-}
-
 impl StepFunctions {
     /// How a pending step stands.
     ///
     /// # Safety
-    /// As for the methods of [`Binding`](super::binding::Binding).
-    pub(super) unsafe fn status(&self, component: Component, info: &mut StepInfo) -> Status {
+    /// As for the methods of [`Version`](super::version::Version).
+    pub(super) unsafe fn status(&self, component: Component, info: &mut StepInfo) -> Answer {
         let mut code = 0;
-        let asked = optional!(self.get_status, component, DO_STEP_STATUS, &raw mut code);
-        let status = if asked == Status::Ok { status(code) } else { asked };
+        let mut answer = call!(self.get_status, component, DO_STEP_STATUS, &raw mut code);
+        if answer.status == Status::Ok {
+            answer.status = status(code);
+        }
         // SAFETY: as for this call.
-        unsafe { self.explain(component, status, info) };
-        status
+        unsafe { self.explain(component, answer.status, info) };
+        answer
     }
 
     /// Asks what became of a step that was not completed.
     ///
     /// # Safety
-    /// As for the methods of [`Binding`](super::binding::Binding).
+    /// As for the methods of [`Version`](super::version::Version).
     pub(super) unsafe fn explain(&self, component: Component, status: Status, info: &mut StepInfo) {
         info.pending = status == Status::Pending;
         if status != Status::Discard {
@@ -252,115 +187,10 @@ impl StepFunctions {
         }
         let (mut reached, mut terminated) = (f64::NAN, 0);
         // Both questions may be answered with an error; then nothing is known.
-        let known = optional!(self.get_real_status, component, LAST_SUCCESSFUL_TIME, &raw mut reached);
+        let known = call!(self.get_real_status, component, LAST_SUCCESSFUL_TIME, &raw mut reached).status;
         info.reached = (known == Status::Ok && reached.is_finite()).then_some(reached);
-        let known = optional!(self.get_boolean_status, component, TERMINATED, &raw mut terminated);
+        let known = call!(self.get_boolean_status, component, TERMINATED, &raw mut terminated).status;
         info.terminate = known == Status::Ok && terminated != 0;
         info.may_have_ended = known != Status::Ok && info.reached.is_some();
-    }
-}
-
-/// Getters and setters of FMI 1.0 and 2.0, where a reference stands for one value; `B` is the version's Boolean.
-pub(super) struct ValueFunctions<B> {
-    get_real: Get<f64>,
-    set_real: Set<f64>,
-    get_integer: Option<Get<c_int>>,
-    set_integer: Option<Set<c_int>>,
-    get_boolean: Option<Get<B>>,
-    set_boolean: Option<Set<B>>,
-    get_string: Option<Get<*const c_char>>,
-    set_string: Option<Set<*const c_char>>,
-}
-
-/// What must be there are the functions for real variables; `B` must be the version's Boolean.
-impl<B: Element> Table for ValueFunctions<B> {
-    unsafe fn load(symbols: &Symbols<'_>, name: impl Fn(Call) -> &'static str) -> Result<Self, FmiError> {
-        let getter = |kind| name(Call::Get(kind));
-        let setter = |kind| name(Call::Set(kind));
-        // SAFETY: as for the tables above.
-        unsafe {
-            Ok(Self {
-                get_real: symbols.required(getter(VariableKind::Real))?,
-                set_real: symbols.required(setter(VariableKind::Real))?,
-                get_integer: symbols.optional(getter(VariableKind::Integer)),
-                set_integer: symbols.optional(setter(VariableKind::Integer)),
-                get_boolean: symbols.optional(getter(VariableKind::Boolean)),
-                set_boolean: symbols.optional(setter(VariableKind::Boolean)),
-                get_string: symbols.optional(getter(VariableKind::String)),
-                set_string: symbols.optional(setter(VariableKind::String)),
-            })
-        }
-    }
-}
-
-impl<B: Element> Values for ValueFunctions<B> {
-    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Status {
-        call!(self.get_real, component, references.as_ptr(), values.len(), values.as_mut_ptr())
-    }
-
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status {
-        call!(self.set_real, component, references.as_ptr(), values.len(), values.as_ptr())
-    }
-
-    unsafe fn get_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status {
-        let (list, n) = (references.as_ptr(), references.len());
-        match (kind, self.get_integer, self.get_boolean) {
-            (VariableKind::Integer | VariableKind::Enumeration, Some(function), _) => {
-                // SAFETY: the caller's promises; there are as many lanes as references.
-                status(packed::get::<c_int>(lanes, |values| unsafe { function(component, list, n, values) }))
-            }
-            (VariableKind::Boolean, _, Some(function)) => {
-                // SAFETY: the same.
-                let code = packed::get::<B>(lanes, |values| unsafe { function(component, list, n, values) });
-                packed::normalize(lanes);
-                status(code)
-            }
-            _ => Status::Missing,
-        }
-    }
-
-    unsafe fn set_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status {
-        let (list, n) = (references.as_ptr(), references.len());
-        match (kind, self.set_integer, self.set_boolean) {
-            (VariableKind::Integer | VariableKind::Enumeration, Some(function), _) => {
-                // SAFETY: the caller's promises; there are as many lanes as references.
-                status(packed::set::<c_int>(lanes, |values| unsafe { function(component, list, n, values) }))
-            }
-            (VariableKind::Boolean, _, Some(function)) => {
-                // SAFETY: the same.
-                status(packed::set::<B>(lanes, |values| unsafe { function(component, list, n, values) }))
-            }
-            _ => Status::Missing,
-        }
-    }
-
-    unsafe fn get_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &mut [*const c_char],
-    ) -> Status {
-        optional!(self.get_string, component, references.as_ptr(), values.len(), values.as_mut_ptr())
-    }
-
-    unsafe fn set_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &[*const c_char],
-    ) -> Status {
-        optional!(self.set_string, component, references.as_ptr(), values.len(), values.as_ptr())
     }
 }

@@ -1,26 +1,34 @@
 //! A loaded shared library of an FMU with its function table; what all users of the file share is in `platform/loaded_file.rs`.
 
-use super::binding::Binding;
 use super::callbacks::Callbacks;
 use super::environment::CallEnvironment;
+use super::function::Function;
+use super::functions::{CommonFunctions, Functions, PointFunctions, StepFunctions, Text};
 use super::platform::{self, Handle, LoaderOptions};
-use super::symbols::Symbols;
+use super::scalar_values::ScalarValues;
+use super::symbols::{Dialect, Symbols};
 use super::types::InterfaceKind;
+use super::version::{Values, Version};
 use super::{fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
 use crate::log::LogFilter;
 use crate::platform::{Shared, check_length};
+use std::ffi::CStr;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// An open library and the functions found in it.
 pub(crate) struct Library {
-    /// Holds pointers into `handle`, so it is declared, and dropped, before it.
-    binding: Box<dyn Binding>,
+    /// The tables hold pointers into `handle`, so they are declared, and dropped, before it.
+    pub(super) functions: Functions,
+    pub(super) values: Box<dyn Values>,
+    pub(super) version: Box<dyn Version>,
     shared: Arc<Shared>,
     path: PathBuf,
+    /// Messages go to the instance that is called on their thread (FMI 1.0).
+    logs_by_thread: bool,
     /// Callbacks of instances that are gone, which a thread of the FMU may still use.
     retired: Mutex<Vec<Callbacks>>,
     /// Last: closed, if at all, when the tables are gone (invariant 1).
@@ -64,16 +72,39 @@ impl Library {
                 (shared, handle, path)
             }
         };
-        let symbols = Symbols { handle: &handle, path, prefix: None };
-        // SAFETY: the description says that the library follows this version of the standard.
-        let binding: Box<dyn Binding> = unsafe {
-            match version.major {
-                1 => Box::new(fmi1::Fmi1::load(&symbols, kind, model_identifier)?),
-                2 => Box::new(fmi2::Fmi2::load(&symbols, kind)?),
-                _ => Box::new(fmi3::Fmi3::load(&symbols, kind)?),
-            }
+        let dialect = match (version.major, kind) {
+            (1, InterfaceKind::ModelExchange) => Dialect::Fmi1,
+            (1, InterfaceKind::CoSimulation) => Dialect::Fmi1Slave,
+            (2, _) => Dialect::Fmi2,
+            _ => Dialect::Fmi3,
         };
-        Ok(Self { binding, shared, path: path.to_owned(), retired: Mutex::default(), handle })
+        let prefix = (version.major == 1).then_some(model_identifier);
+        let symbols = Symbols { handle: &handle, path, prefix, dialect, is_unused: false };
+        // SAFETY: the description says that the library follows this version of the standard.
+        unsafe {
+            let (version, values): (Box<dyn Version>, Box<dyn Values>) = match dialect {
+                Dialect::Fmi1 | Dialect::Fmi1Slave => (
+                    Box::new(fmi1::Fmi1::load(&symbols, kind)?),
+                    Box::new(ScalarValues::<fmi1::Boolean>::load(&symbols)?),
+                ),
+                Dialect::Fmi2 => (
+                    Box::new(fmi2::Fmi2::load(&symbols, kind)?),
+                    Box::new(ScalarValues::<fmi2::Boolean>::load(&symbols)?),
+                ),
+                Dialect::Fmi3 => {
+                    (Box::new(fmi3::Fmi3::load(&symbols, kind)?), Box::new(fmi3::Fmi3Values::load(&symbols)?))
+                }
+            };
+            let functions = Functions {
+                common: CommonFunctions::load(&symbols)?,
+                point: PointFunctions::load(&symbols.used(kind == InterfaceKind::ModelExchange))?,
+                steps: StepFunctions::load(&symbols.used(kind == InterfaceKind::CoSimulation))?,
+            };
+            check_types(&functions.common, path)?;
+            let (path, retired) = (path.to_owned(), Mutex::default());
+            let logs_by_thread = prefix.is_some();
+            Ok(Self { functions, values, version, shared, path, logs_by_thread, retired, handle })
+        }
     }
 
     fn load(path: &Path, options: &LoaderOptions) -> Result<(Arc<Shared>, Arc<Handle>), FmiError> {
@@ -96,9 +127,9 @@ impl Library {
         Ok((shared, handle))
     }
 
-    /// The function table.
-    pub(super) fn binding(&self) -> &dyn Binding {
-        &*self.binding
+    /// The version of FMI that it says it follows, where it has the function for that.
+    pub(crate) fn version_text(&self) -> Option<String> {
+        text_of(&self.functions.common.get_version)
     }
 
     /// What all users of the library share.
@@ -109,7 +140,9 @@ impl Library {
     /// Callbacks for a new instance.
     pub(super) fn callbacks(&self, filter: LogFilter) -> Callbacks {
         let retired = self.retired.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        retired.inspect(|known| known.renew(filter)).unwrap_or_else(|| Callbacks::new(filter))
+        retired
+            .inspect(|known| known.renew(filter))
+            .unwrap_or_else(|| Callbacks::new(filter, self.logs_by_thread))
     }
 
     /// Takes the callbacks of an instance that is gone.
@@ -136,6 +169,32 @@ impl Drop for Library {
         // Those of a library that is unloaded are dropped: none of its code is left to use them.
         let closes = self.handle.closes() && Arc::strong_count(&self.handle) == 1;
         retired.drain(..).filter(|_| !closes).for_each(Callbacks::abandon);
+    }
+}
+
+/// Refuses a library whose types are those of another platform than that of the standard's headers (FMI 1.0 and 2.0): the calls
+/// would pass other types than it takes.
+fn check_types(functions: &CommonFunctions, path: &Path) -> Result<(), FmiError> {
+    match text_of(&functions.get_types_platform) {
+        Some(platform) if !["standard32", "default", ""].contains(&platform.as_str()) => {
+            let message = format!(
+                "its types are those of the platform \"{}\"; known are those of the standard's headers \
+                                   (standard32, default)",
+                platform.escape_debug()
+            );
+            Err(FmiError::LoadFailed { library: path.to_owned(), message })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// What a function answers that takes nothing and gives a text; `None` without the function.
+fn text_of(function: &Function<Text>) -> Option<String> {
+    let _environment = CallEnvironment::enter();
+    // SAFETY: such functions of the standard may be called at any time, and answer with a text that ends in NUL and stays.
+    unsafe {
+        let text = (function.pointer?)();
+        (!text.is_null()).then(|| CStr::from_ptr(text).to_string_lossy().into_owned())
     }
 }
 

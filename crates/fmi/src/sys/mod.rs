@@ -1,4 +1,4 @@
-//! The unsafe room: everything that touches foreign code or raw pointers, behind safe functions.
+//! Everything that touches foreign code or raw pointers, behind safe functions.
 //!
 //! # Invariants
 //!
@@ -16,8 +16,8 @@
 //! 4. **Lengths are checked in release builds.** Slices handed to an FMU together with a count have that count, and
 //!    vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at instantiation.
 //!    A mismatch is a typed error and the FMU is not called.
-//! 5. **The state machine of FMI is kept one floor up**: [`Instance`](crate::Instance) makes calls in a wrong phase
-//!    a compile-time error. This room relies on it for the FMU's sake, not for memory safety of its own.
+//! 5. **The state machine of FMI is kept one layer up**: [`Instance`](crate::Instance) makes calls in a wrong phase
+//!    a compile-time error. This module relies on it for the FMU's sake, not for memory safety of its own.
 //! 6. **After `Fatal` an instance is dead, and with it all others of its loaded copy of the library.** No function is called on any of
 //!    them again, not even the one that frees it (FMI 2.0.x, section 2.1.3: all instances are corrupted). What the FMU might still reach (callbacks, environment, library) is leaked.
 //! 7. **No panic crosses into C.** The sink of the logger catches unwinding; the rest of the callbacks are C.
@@ -26,38 +26,39 @@
 //! 9. **What an FMU (or the loading of it) changes in its thread or process** is undone: the floating-point mode after
 //!    every call, before any arithmetic of ours; the rest by [`CallEnvironment`].
 //! 10. **Buffers of small numbers** are handed out as what an FMU takes them for (`packed.rs`): never more elements than
-//!     there are lanes of 64 bits, and only types of which any bits are a value.
+//!     there are words of 64 bits, and only types of which any bits are a value.
 //!
-//! The versions of FMI stop here: [`Binding`] is one function table in house types, and `fmi1.rs`, `fmi2.rs` and
-//! `fmi3/` are the only files that know how a version spells it. What has one shape in several versions is bound once,
-//! in `functions.rs`. A further version is a further implementation and a line in `library.rs`.
+//! The versions of FMI stop here: what has one type in several versions stands in the tables of `functions.rs`, with its names;
+//! the rest is [`Version`](version::Version), in types of ours, and `fmi1.rs`, `fmi2.rs` and `fmi3/` are the only files that
+//! know how a version spells it. A further version is a column of the tables, a further implementation and a line in
+//! `library.rs`.
 #![allow(unsafe_code)]
 
-mod binding;
-mod call;
 mod callbacks;
 mod environment;
 mod fmi1;
 mod fmi2;
 mod fmi3;
+mod function;
 mod functions;
 mod library;
 mod packed;
 mod platform;
 mod raw_instance;
+mod scalar_values;
 mod symbols;
 mod types;
+mod version;
 
 pub(crate) use environment::{CallEnvironment, look_now_and_then};
 pub(crate) use library::{Library, LoadFrom};
 pub use platform::LoaderOptions;
 pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};
-pub use types::InterfaceKind;
+pub use types::{ElementDependency, InterfaceKind};
 pub(crate) use types::{EventInfo, Experiment, IntervalAnswer, Qualifier, Request, StepInfo};
 
 #[cfg(test)]
 mod tests {
-    use super::call::Call;
     use super::types::file_uri;
     use super::*;
     use std::path::Path;
@@ -91,90 +92,41 @@ mod tests {
 
     #[test]
     fn functions_are_called_what_the_standard_calls_them() {
-        use crate::description::VariableKind::{
-            Binary, Boolean, Clock, Enumeration, Float32, Int8, Int16, Int64, Integer, Real, String, UInt8,
-            UInt16, UInt32, UInt64,
-        };
-        let kinds = [
-            Real,
-            Float32,
-            Integer,
-            Int8,
-            Int16,
-            Int64,
-            UInt8,
-            UInt16,
-            UInt32,
-            UInt64,
-            Boolean,
-            String,
-            Binary,
-            Enumeration,
-            Clock,
+        use super::fmi3::Fmi3Values;
+        use super::functions::{CommonFunctions, PointFunctions, StepFunctions};
+        use super::scalar_values::ScalarValues;
+        let tables = [
+            CommonFunctions::NAMES,
+            PointFunctions::NAMES,
+            StepFunctions::NAMES,
+            ScalarValues::<u8>::NAMES,
+            Fmi3Values::NAMES,
+            fmi1::NAMES[0],
+            fmi1::NAMES[1],
+            fmi1::NAMES[2],
+            fmi2::NAMES[0],
+            fmi2::NAMES[1],
+            fmi2::NAMES[2],
+            fmi3::NAMES[0],
+            fmi3::NAMES[1],
+            fmi3::NAMES[2],
         ];
-        let mut calls = vec![
-            Call::Instantiate,
-            Call::SetDebugLogging,
-            Call::SetupExperiment,
-            Call::EnterInitialization,
-            Call::ExitInitialization,
-            Call::Terminate,
-            Call::Reset,
-            Call::FreeInstance,
-            Call::EnterConfiguration,
-            Call::ExitConfiguration,
-            Call::CountStates,
-            Call::CountIndicators,
-            Call::EnterStepMode,
-            Call::SaveState,
-            Call::RestoreState,
-            Call::FreeState,
-            Call::SerializedSize,
-            Call::Serialize,
-            Call::Deserialize,
-            Call::DirectionalDerivative,
-            Call::EnterEventMode,
-            Call::NewDiscreteStates,
-            Call::EnterContinuousTimeMode,
-            Call::CompletedIntegratorStep,
-            Call::SetTime,
-            Call::SetContinuousStates,
-            Call::GetContinuousStates,
-            Call::GetDerivatives,
-            Call::GetEventIndicators,
-            Call::GetNominals,
-            Call::DoStep,
-            Call::StepStatus,
-            Call::StepRealStatus,
-            Call::StepBooleanStatus,
-            Call::CancelStep,
-            Call::SetInputDerivatives,
-            Call::GetOutputDerivatives,
-        ];
-        calls.extend(kinds.into_iter().flat_map(|kind| [Call::Get(kind), Call::Set(kind)]));
-        calls.extend(
-            [false, true]
-                .into_iter()
-                .flat_map(|f| [Call::GetInterval(f), Call::GetShift(f), Call::SetInterval(f)]),
-        );
-        for kind in [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation] {
-            for call in &calls {
-                for (name, prefix, known) in [
-                    (fmi1::name(kind, *call), "fmi", FMI1),
-                    (fmi2::name(*call), "fmi2", FMI2),
-                    (fmi3::name(kind, *call), "fmi3", FMI3),
-                ] {
-                    let is_known = name
-                        .strip_prefix(prefix)
-                        .is_some_and(|name| known.split_whitespace().any(|known| known == name));
-                    assert!(is_known || name.starts_with('('), "{prefix}, {call:?}: {name}");
-                }
+        let is_one_of = |names: &str, name| names.split_whitespace().any(|known| known == name);
+        let mut n = 0;
+        for row in tables.into_iter().flatten() {
+            for (place, name) in row.iter().enumerate().filter(|(_, name)| name.starts_with('f')) {
+                // Rows of one name are those of one version.
+                let version = if row.len() == 1 { name.as_bytes()[3] - b'1' } else { place as u8 };
+                let known = match version {
+                    1 => name.strip_prefix("fmi2").is_some_and(|name| is_one_of(FMI2, name)),
+                    2 => name.strip_prefix("fmi3").is_some_and(|name| is_one_of(FMI3, name)),
+                    _ => name.strip_prefix("fmi").is_some_and(|name| is_one_of(FMI1, name)),
+                };
+                assert!(known, "{name}");
+                n += 1;
             }
         }
-        assert_eq!(
-            fmi1::name(InterfaceKind::CoSimulation, Call::GetOutputDerivatives),
-            "fmiGetRealOutputDerivatives"
-        );
+        assert!(n > 120, "{n}");
     }
 
     #[test]

@@ -1,42 +1,112 @@
-//! Symbols of a library, looked up while its tables are being made.
+//! Symbols of a library, looked up while its tables are being made; how a table is written.
 
+use super::function::Function;
 use super::platform::Handle;
 use crate::error::FmiError;
 use std::path::Path;
 
+/// Whose names for the functions a library has; the number is the place of a name in the row of a table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Dialect {
+    /// FMI 1.0, model exchange.
+    Fmi1,
+    Fmi2,
+    Fmi3,
+    /// FMI 1.0, co-simulation. Most of its names are those of model exchange.
+    Fmi1Slave,
+}
+
 /// Looks symbols up in a library while its tables are being made.
+#[derive(Clone, Copy)]
 pub(super) struct Symbols<'a> {
     pub(super) handle: &'a Handle,
     pub(super) path: &'a Path,
-    /// Before the names, up to an underscore.
+    /// Before the names, up to an underscore (FMI 1.0); where a name does not have it, as some tools export it, the plain
+    /// one is taken.
     pub(super) prefix: Option<&'a str>,
+    pub(super) dialect: Dialect,
+    /// Of the other interface: nothing is looked up.
+    pub(super) is_unused: bool,
 }
 
-impl<'a> Symbols<'a> {
-    /// The same library with a prefix before the names; where a name does not have it, as some tools export it, the plain
-    /// one is taken.
-    pub(super) fn with_prefix(&self, prefix: &'a str) -> Self {
-        Self { handle: self.handle, path: self.path, prefix: Some(prefix) }
+impl Symbols<'_> {
+    /// The same library for the functions of one interface, which is used or not.
+    pub(super) fn used(self, is_used: bool) -> Self {
+        Self { is_unused: !is_used, ..self }
     }
 
-    /// A function that must be there.
+    /// The name of a function: of one for each dialect, where co-simulation of FMI 1.0 may have that of model exchange; or
+    /// of a single one.
+    fn name(&self, names: &[&'static str]) -> &'static str {
+        let place = if names.len() == 1 { 0 } else { self.dialect as usize };
+        names.get(place).or(names.first()).copied().unwrap_or_default()
+    }
+
+    /// A function that must be there, unless the dialect has no name for it.
     ///
     /// # Safety
-    /// `T` is a function pointer type that fits the symbol, and is not called after the library is closed.
-    pub(super) unsafe fn required<T: Copy>(&self, name: &'static str) -> Result<T, FmiError> {
+    /// `F` is a function pointer type that fits the symbol, and is not called after the library is closed.
+    pub(super) unsafe fn required<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>, FmiError> {
         // SAFETY: handed on to the caller.
-        unsafe { self.optional(name) }
-            .ok_or_else(|| FmiError::MissingSymbol { library: self.path.to_owned(), symbol: name })
+        let function = unsafe { self.optional(names) }?;
+        if function.pointer.is_none() && !self.is_unused && is_symbol(function.name) {
+            return Err(FmiError::MissingSymbol { library: self.path.to_owned(), symbol: function.name });
+        }
+        Ok(function)
     }
 
     /// A function that may be missing.
     ///
     /// # Safety
     /// As for [`required`](Self::required).
-    pub(super) unsafe fn optional<T: Copy>(&self, name: &str) -> Option<T> {
+    pub(super) unsafe fn optional<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>, FmiError> {
+        let name = self.name(names);
         // SAFETY: handed on to the caller.
-        let find = |name: &str| unsafe { self.handle.get::<T>(name) }.ok().map(|symbol| *symbol);
-        let prefixed = self.prefix.and_then(|prefix| find(&format!("{prefix}_{name}")));
-        prefixed.or_else(|| find(name))
+        let find = |name: &str| unsafe { self.handle.get::<F>(name) }.ok().map(|symbol| *symbol);
+        let find_prefixed = || find(&format!("{}_{name}", self.prefix?));
+        let is_wanted = !self.is_unused && is_symbol(name);
+        let pointer = if is_wanted { find_prefixed().or_else(|| find(name)) } else { None };
+        Ok(Function { name, pointer })
     }
 }
+
+/// Whether a name in a table is that of a function.
+fn is_symbol(name: &str) -> bool {
+    !name.is_empty() && !name.starts_with('(')
+}
+
+/// A table of functions, and how it is filled.
+macro_rules! table {
+    (
+        $(#[$doc:meta])*
+        $vis:vis struct $table:ident $(<$generic:ident>)? {
+            $($(#[$row_doc:meta])* $row:ident: $type:ty = $need:ident $($name:literal)|+;)*
+        }
+    ) => {
+        $(#[$doc])*
+        $vis struct $table $(<$generic>)? {
+            $($(#[$row_doc])* $vis $row: $crate::sys::function::Function<$type>,)*
+        }
+
+        impl $(<$generic>)? $table $(<$generic>)? {
+            /// The names in its rows.
+            #[cfg(test)]
+            $vis const NAMES: &'static [&'static [&'static str]] = &[$(&[$($name),+]),*];
+
+            /// Looks the functions up.
+            ///
+            /// # Errors
+            /// A function that must be there is missing.
+            ///
+            /// # Safety
+            /// The library follows the version of the standard whose names these are: a symbol of a name has the type the
+            /// standard gives it.
+            $vis unsafe fn load(symbols: &$crate::sys::symbols::Symbols<'_>) -> Result<Self, $crate::FmiError> {
+                // SAFETY: each name stands beside the type of the standard; the caller vouches that the library does the
+                // same. The pointers stay valid while the `Library` that owns the table is open.
+                unsafe { Ok(Self { $($row: symbols.$need(&[$($name),+])?,)* }) }
+            }
+        }
+    };
+}
+pub(super) use table;

@@ -1,16 +1,40 @@
 //! What goes to an FMU and comes back, in types that do not depend on the version of FMI.
 
-use crate::description::Interval;
+use crate::description::{DependencyKind, Interval};
 use crate::error::Status;
 use crate::log::LogFilter;
 use std::ffi::{CStr, CString, c_void};
 use std::fmt;
 use std::path::Path;
 
-/// Pointer to a component of an FMU.
-pub(super) type Component = *mut c_void;
-/// Pointer to a saved state of a component.
-pub(super) type StatePointer = *mut c_void;
+/// `fmiComponent`, `fmi2Component`, `fmi3Instance`: what an FMU gives for a component and takes in all calls of it. Nothing of
+/// ours can be taken for one: they come from C only.
+#[repr(transparent)]
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Component(*mut c_void);
+
+impl Component {
+    pub(super) const NULL: Self = Self(std::ptr::null_mut());
+
+    /// Whether the FMU has made none.
+    pub(super) fn is_null(self) -> bool {
+        self.0.is_null()
+    }
+}
+
+/// `fmi2FMUstate`, `fmi3FMUState`: what an FMU gives for a saved state of a component.
+#[repr(transparent)]
+#[derive(Debug, Clone, Copy)]
+pub(super) struct StatePointer(*mut c_void);
+
+impl StatePointer {
+    /// No state yet.
+    pub(super) const NULL: Self = Self(std::ptr::null_mut());
+
+    pub(super) fn is_null(self) -> bool {
+        self.0.is_null()
+    }
+}
 
 /// The numbers of `fmiStatus`, which all versions share (1.0 for model exchange and 3.0 have no `Pending`).
 pub(super) fn status(code: std::ffi::c_int) -> Status {
@@ -106,6 +130,19 @@ pub(crate) struct StepInfo {
     pub(crate) event: bool,
     /// The step is still being computed.
     pub(crate) pending: bool,
+}
+
+/// An element of a variable that depends on an element of another one (FMI 3.0).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ElementDependency {
+    /// Position of the element in the array, counted from 0; `None`: all of it.
+    pub element: Option<usize>,
+    /// Value reference of the variable it depends on.
+    pub known: u32,
+    /// Position of the element of that one; `None`: all of it.
+    pub known_element: Option<usize>,
+    /// How it depends on it.
+    pub kind: DependencyKind,
 }
 
 /// What an instance is made with.

@@ -227,6 +227,44 @@ FMI3_EXPORT fmi3Status fmi3SetBinary(fmi3Instance i, const fmi3ValueReference r[
     return fmi3OK;
 }
 
+/* Of dx = u - k .* x with respect to x: a diagonal matrix, the same from both sides. */
+static fmi3Status along_diagonal(Model *m, unsigned unknown, unsigned known, const double in[], size_t n_in, double out[], size_t n_out) {
+    size_t j;
+    if (unknown != 3 || known != 2 || n_in != m->n || n_out != m->n) return fmi3Error;
+    for (j = 0; j < m->n; j++) out[j] = -m->k[j] * in[j];
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3GetDirectionalDerivative(fmi3Instance i, const fmi3ValueReference unknowns[], size_t nu,
+                                                    const fmi3ValueReference knowns[], size_t nk, const double seed[],
+                                                    size_t ns, double sensitivity[], size_t n) {
+    return nu == 1 && nk == 1 ? along_diagonal(i, unknowns[0], knowns[0], seed, ns, sensitivity, n) : fmi3Error;
+}
+FMI3_EXPORT fmi3Status fmi3GetAdjointDerivative(fmi3Instance i, const fmi3ValueReference unknowns[], size_t nu,
+                                                const fmi3ValueReference knowns[], size_t nk, const double seed[],
+                                                size_t ns, double sensitivity[], size_t n) {
+    return nu == 1 && nk == 1 ? along_diagonal(i, unknowns[0], knowns[0], seed, ns, sensitivity, n) : fmi3Error;
+}
+/* Each derivative on its state by a fixed factor, and on no element of the input u as far as the present run goes. */
+FMI3_EXPORT fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance i, fmi3ValueReference r, size_t *n) {
+    *n = r == 3 ? ((Model *)i)->n + 1 : 0;
+    return fmi3OK;
+}
+FMI3_EXPORT fmi3Status fmi3GetVariableDependencies(fmi3Instance i, fmi3ValueReference r, size_t elements[],
+                                                   fmi3ValueReference knowns[], size_t known_elements[], int kinds[],
+                                                   size_t n) {
+    size_t j;
+    if (r != 3 || n != ((Model *)i)->n + 1) return fmi3Error;
+    for (j = 0; j + 1 < n; j++) {
+        elements[j] = known_elements[j] = j + 1;
+        knowns[j] = 2;
+        kinds[j] = 2;
+    }
+    elements[j] = known_elements[j] = 0;
+    knowns[j] = 6;
+    kinds[j] = 0;
+    return fmi3OK;
+}
+
 FMI3_EXPORT fmi3Status fmi3EnterEventMode(fmi3Instance i) { (void)i; return fmi3OK; }
 FMI3_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance i, bool *a, bool *t, bool *nc, bool *vc, bool *d, double *next) {
     (void)i;

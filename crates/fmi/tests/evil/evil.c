@@ -96,8 +96,14 @@ static void *log_late(void *functions) {
 }
 #endif
 
-EXPORT const char *fmi2GetTypesPlatform(void) { return "default"; }
-EXPORT const char *fmi2GetVersion(void) { return "2.0"; }
+#ifndef TYPES_PLATFORM
+#define TYPES_PLATFORM "default"
+#endif
+#ifndef VERSION
+#define VERSION "2.0"
+#endif
+EXPORT const char *fmi2GetTypesPlatform(void) { return TYPES_PLATFORM; }
+EXPORT const char *fmi2GetVersion(void) { return VERSION; }
 
 EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                                      const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {

@@ -1,7 +1,8 @@
 //! FMUs for the tests: the bundled models, and small C sources with one fault each, compiled into temporary folders.
 #![allow(dead_code, clippy::unwrap_used)]
 
-use fmi::{ExampleKind, Fmu};
+use example_models::ExampleKind;
+use fmi::Fmu;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -22,6 +23,11 @@ fn here() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
+/// Where the bundled models are.
+pub(crate) fn models() -> PathBuf {
+    here().join("../example-models/models")
+}
+
 /// Compiles `sources` into the library of an unpacked FMU.
 fn compile(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&str]) {
     compile_with(root, identifier, sources, defines, &[]);
@@ -39,7 +45,7 @@ fn compile_with(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&
         .arg(&library)
         .args(defines.iter().map(|define| format!("-D{define}")))
         .arg("-I")
-        .arg(here().join("models/frontend"))
+        .arg(models().join("frontend"))
         .args(sources)
         .args(arguments)
         .arg("-lm")
@@ -66,9 +72,9 @@ impl Folder {
 /// One of the bundled models.
 pub(crate) fn model(name: &str) -> Folder {
     let folder = tempfile::tempdir().unwrap();
-    let model = here().join("models").join(name);
+    let model = models().join(name);
     std::fs::copy(model.join("modelDescription.xml"), folder.path().join("modelDescription.xml")).unwrap();
-    compile(folder.path(), name, &[model.join("model.c"), here().join("models/frontend/fmi2_me.c")], &[]);
+    compile(folder.path(), name, &[model.join("model.c"), models().join("frontend/fmi2_me.c")], &[]);
     Folder { folder }
 }
 
@@ -80,7 +86,7 @@ pub(crate) fn model_as(
     edit: impl FnOnce(String) -> String,
 ) -> Folder {
     let folder = tempfile::tempdir().unwrap();
-    let packed = Fmu::open(fmi::example_fmu_as(name, kind).unwrap()).unwrap();
+    let packed = Fmu::open(example_models::example_fmu_as(name, kind).unwrap()).unwrap();
     let xml = std::fs::read_to_string(packed.root().unwrap().join("modelDescription.xml")).unwrap();
     std::fs::write(folder.path().join("modelDescription.xml"), edit(xml)).unwrap();
     let mut sources: Vec<PathBuf> = std::fs::read_dir(packed.root().unwrap().join("sources"))
@@ -145,7 +151,7 @@ pub(crate) fn evil_with_sibling(faults: &[&str], name: &str) -> Folder {
 /// The equation with faults (`tests/evil/model.c`) with one of the bundled front ends.
 pub(crate) fn faulty(kind: ExampleKind, defines: &[&str]) -> Folder {
     let folder = tempfile::tempdir().unwrap();
-    let packed = Fmu::open(fmi::example_fmu_as("dahlquist", kind).unwrap()).unwrap();
+    let packed = Fmu::open(example_models::example_fmu_as("dahlquist", kind).unwrap()).unwrap();
     let xml = std::fs::read_to_string(packed.root().unwrap().join("modelDescription.xml")).unwrap();
     let xml = match kind {
         ExampleKind::Fmi3 => {

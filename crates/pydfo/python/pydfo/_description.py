@@ -245,6 +245,40 @@ class Variables(Mapping[str, Variable]):
         return f"<Variables: {len(self)}>"
 
 
+@dataclass(frozen=True)
+class Terminal:
+    """Variables of the model that are connected to those of another one together.
+
+    Attributes
+    ----------
+    name : str
+    matching_rule : str
+        How the members of two terminals are paired: "plug", "bus", "sequence", or a name with a domain.
+    kind, description : str or None
+    members : dict
+        From the name of each variable to how it is connected: "signal", "inflow", "outflow", or a name with a domain.
+    streams : list of tuple of str
+        Pairs of variables for what is transported with a flow: into the model, and out of it.
+    terminals : list of Terminal
+        Those inside of it.
+    icon : str or None
+        Name of its image in the folder ``terminalsAndIcons``.
+    """
+
+    name: str
+    matching_rule: str
+    kind: str | None
+    description: str | None
+    members: dict[str, str]
+    streams: list[tuple[str, str]]
+    terminals: list[Terminal]
+    icon: str | None
+
+
+def _terminal(fields: dict[str, Any]) -> Terminal:
+    return Terminal(**{**fields, "terminals": [_terminal(inner) for inner in fields["terminals"]]})
+
+
 class Description:
     """The model description of an FMU; reading it runs no code of the FMU.
 
@@ -305,6 +339,11 @@ class Description:
     def states(self) -> list[str | None]:
         """Names of the continuous states in their order; None where the file does not name them."""
         return self._fmu.state_names()
+
+    @cached_property
+    def terminals(self) -> list[Terminal]:
+        """The terminals of the model (``terminalsAndIcons.xml``); empty where it has none."""
+        return [_terminal(fields) for fields in self._fmu.terminals()]
 
     @cached_property
     def inputs(self) -> list[str]:

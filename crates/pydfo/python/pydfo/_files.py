@@ -22,6 +22,7 @@ class OpenOptions:
 
     log_level: int = 7
     logging: bool = False
+    log_categories: tuple[str, ...] = ()
     show_log: bool = False
     deepbind: bool = False
     lazy: bool = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging as _logging
 import operator
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -68,6 +68,15 @@ def _log_level(level: int | str | None) -> int:
     return number
 
 
+def _log_categories(logging: bool | Sequence[str]) -> tuple[str, ...]:
+    """The categories that are asked for by name."""
+    if not isinstance(logging, (list, tuple)):
+        return ()
+    if not logging or not all(isinstance(name, str) for name in logging):
+        raise TypeError(f"logging must be True, False or names of categories, not {_options.show(logging)}")
+    return tuple(logging)
+
+
 class FMUModel:
     """A model in an FMU (FMI 1.0, 2.0 or 3.0, model exchange or co-simulation).
 
@@ -94,8 +103,9 @@ class FMUModel:
         `logging` at the level INFO. The levels are PyFMI's: 0 "nothing", 1 "fatal", 2 "error" (both let errors of any kind
         pass), 3 "warning", 4 "info", 5 "verbose", 6 "debug", 7 "all" (all lines, with all four). Default: all lines are
         kept, the last of them are part of the message of every error, and none are shown.
-    logging : bool
-        The FMU is asked to log; FMUs log what they think important without being asked, too.
+    logging : bool or list of str
+        The FMU is asked to log; FMUs log what they think important without being asked, too. A list: of these categories
+        only (``description.log_categories`` has their names; FMI 1.0 has none in advance, and any will do).
     deepbind : bool
         Symbols of the FMU's library come before those of the process (RTLD_DEEPBIND, Linux): for libraries that would get a
         function of the same name of the host program instead of their own.
@@ -136,7 +146,7 @@ class FMUModel:
         kind: str = "auto",
         log_level: int | str | None = None,
         *,
-        logging: bool = False,
+        logging: bool | Sequence[str] = False,
         deepbind: bool = False,
         lazy: bool = False,
         tool_is_present: bool = False,
@@ -145,9 +155,11 @@ class FMUModel:
     ) -> None:
         if not isinstance(kind, str):
             raise TypeError(f"kind must be a string, not {kind!r}")
+        categories = _log_categories(logging)
         self._opened = OpenOptions(
             log_level=_log_level(log_level),
-            logging=_options.flag("logging", logging),
+            logging=bool(categories) or _options.flag("logging", logging),
+            log_categories=categories,
             show_log=log_level is not None,
             deepbind=_options.flag("deepbind", deepbind),
             lazy=_options.flag("lazy", lazy),

@@ -1,4 +1,4 @@
-//! Model descriptions of FMI 1.0, as far as the house types go: header, units, variables, experiment. Which
+//! Model descriptions of FMI 1.0, as far as the types of ours go: header, units, variables, experiment. Which
 //! variables are states stands in no file of FMI 1.0, so the model structure stays empty.
 
 use super::attributes::Attributes;
@@ -21,7 +21,7 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
     while let Some(element) = xml.child(root.level)? {
         match element.name() {
             "UnitDefinitions" => units(xml, &element, draft)?,
-            "TypeDefinitions" => type_definitions(xml, &element, draft)?,
+            "TypeDefinitions" => shared::scalar_types(xml, &element, draft)?,
             "DefaultExperiment" => shared::default_experiment(&element, draft)?,
             "ModelVariables" => variables(xml, &element, draft)?,
             "Implementation" => {
@@ -83,34 +83,6 @@ fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(
     Ok(())
 }
 
-fn kind(element: &str) -> Option<VariableKind> {
-    match element {
-        "Real" | "RealType" => Some(VariableKind::Real),
-        "Integer" | "IntegerType" => Some(VariableKind::Integer),
-        "Boolean" | "BooleanType" => Some(VariableKind::Boolean),
-        "String" | "StringType" => Some(VariableKind::String),
-        "Enumeration" | "EnumerationType" => Some(VariableKind::Enumeration),
-        _ => None,
-    }
-}
-
-fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        let outer = Attributes::of(&element)?;
-        while let Some(child) = xml.child(element.level)? {
-            let Some(kind) = kind(child.name()) else { continue };
-            let name = outer.required_text("name")?;
-            let mut found = shared::plain_type(name, outer.text("description"), kind);
-            shared::type_attributes(&Attributes::of(&child)?, &mut found, draft);
-            if kind == VariableKind::Enumeration {
-                found.items = shared::items(xml, &child, draft)?;
-            }
-            draft.budget.push(&mut draft.model.type_definitions, found);
-        }
-    }
-    Ok(())
-}
-
 fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
     while let Some(element) = xml.child(parent.level)? {
         if element.name() != "ScalarVariable" {
@@ -119,7 +91,7 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
         let attributes = Attributes::of(&element)?;
         let mut typed = None;
         while let Some(child) = xml.child(element.level)? {
-            if let Some(kind) = kind(child.name()) {
+            if let Some(kind) = shared::scalar_kind(child.name()) {
                 let mut variable = shared::plain_variable(&attributes, kind)?;
                 let fixed = values(&Attributes::of(&child)?, &mut variable, draft);
                 typed = Some((variable, fixed));

@@ -16,7 +16,7 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
             "ModelExchange" => draft.model.model_exchange = Some(interface(xml, &element, draft)?),
             "CoSimulation" => draft.model.co_simulation = Some(interface(xml, &element, draft)?),
             "UnitDefinitions" => shared::units(xml, &element, draft)?,
-            "TypeDefinitions" => type_definitions(xml, &element, draft)?,
+            "TypeDefinitions" => shared::scalar_types(xml, &element, draft)?,
             "LogCategories" => shared::log_categories(xml, &element, draft)?,
             "DefaultExperiment" => shared::default_experiment(&element, draft)?,
             "ModelVariables" => variables(xml, &element, draft)?,
@@ -47,44 +47,6 @@ fn interface(xml: &mut Xml<'_>, element: &Element<'_>, draft: &mut Draft) -> Res
     Ok(Interface { model_identifier, capabilities, source_files })
 }
 
-fn kind(element: &str) -> Option<VariableKind> {
-    match element {
-        "Real" => Some(VariableKind::Real),
-        "Integer" => Some(VariableKind::Integer),
-        "Boolean" => Some(VariableKind::Boolean),
-        "String" => Some(VariableKind::String),
-        "Enumeration" => Some(VariableKind::Enumeration),
-        _ => None,
-    }
-}
-
-fn type_definitions(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() != "SimpleType" {
-            continue;
-        }
-        let outer = Attributes::of(&element)?;
-        let name = outer.required_text("name")?;
-        let mut definition = None;
-        while let Some(child) = xml.child(element.level)? {
-            let Some(kind) = kind(child.name()) else { continue };
-            let mut found = shared::plain_type(name.clone(), outer.text("description"), kind);
-            shared::type_attributes(&Attributes::of(&child)?, &mut found, draft);
-            if kind == VariableKind::Enumeration {
-                found.items = shared::items(xml, &child, draft)?;
-            }
-            definition = Some(found);
-        }
-        match definition {
-            Some(definition) => draft.budget.push(&mut draft.model.type_definitions, definition),
-            None => draft.quirks.add(QuirkKind::Missing, element.line, || {
-                format!("type \"{name}\" does not say what it is; left out")
-            }),
-        }
-    }
-    Ok(())
-}
-
 fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
     while let Some(element) = xml.child(parent.level)? {
         if element.name() == "ScalarVariable" {
@@ -109,7 +71,7 @@ fn variable(
     let attributes = Attributes::of(element)?;
     let mut typed = None;
     while let Some(child) = xml.child(element.level)? {
-        let Some(kind) = kind(child.name()) else { continue };
+        let Some(kind) = shared::scalar_kind(child.name()) else { continue };
         if typed.is_some() {
             draft.quirks.add(QuirkKind::Element, child.line, || {
                 format!("a second type, <{}>, for one variable; ignored", child.name())

@@ -1,5 +1,5 @@
 //! Model descriptions of FMI 3.0 (specification 3.0.1, chapters 2.4, 3.3 and 4.3): all types of variables, arrays,
-//! aliases, clocks as variables. Scheduled execution has no house type: it is named and left out.
+//! aliases, clocks as variables. Scheduled execution has no type of ours: it is named and left out.
 
 use super::attributes::Attributes;
 use super::clocks::{ClockAttributes, Clocks};
@@ -69,7 +69,7 @@ fn interface(element: &Element<'_>, draft: &mut Draft) -> Result<Interface, FmiE
     })
 }
 
-/// The house type for an element like `<Float64>` or `<Float64Type>`.
+/// Our type for an element like `<Float64>` or `<Float64Type>`.
 fn kind(element: &str) -> Option<VariableKind> {
     Some(match element.strip_suffix("Type").unwrap_or(element) {
         "Float64" => VariableKind::Real,
@@ -104,8 +104,8 @@ fn type_definitions(
         };
         let attributes = Attributes::of(&element)?;
         let name = attributes.required_text("name")?;
-        let mut definition = shared::plain_type(name, attributes.text("description"), kind);
-        shared::type_attributes(&attributes, &mut definition, draft);
+        let description = attributes.text("description");
+        let mut definition = shared::type_definition(name, description, kind, &attributes, draft);
         if kind == VariableKind::Clock {
             let clock = ClockAttributes::of(&attributes, &mut draft.quirks);
             clocks.types.insert(definition.name.clone(), clock);

@@ -1,4 +1,4 @@
-//! From the bytes of `modelDescription.xml` to house types: one file per version of the standard, what they have
+//! From the bytes of `modelDescription.xml` to types of ours: one file per version of the standard, what they have
 //! in common in `shared.rs`.
 
 mod attributes;
@@ -9,6 +9,7 @@ mod fmi1;
 mod fmi2;
 mod fmi3;
 mod shared;
+mod terminals;
 mod xml;
 
 use super::draft::Draft;
@@ -25,6 +26,7 @@ use std::rc::Rc;
 use xml::{Element, Xml};
 
 pub(crate) use build_description::{BUILD_DESCRIPTION, BuildSet, build_sets};
+pub(crate) use terminals::{TERMINALS, terminals};
 
 /// Parses a document.
 pub(super) fn parse(

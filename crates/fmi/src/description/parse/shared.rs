@@ -11,27 +11,6 @@ use crate::description::variable::{
 use crate::error::FmiError;
 use crate::value::VariableKind;
 
-pub(super) const CAUSALITIES: &[(&str, Causality)] = &[
-    ("parameter", Causality::Parameter),
-    ("structuralParameter", Causality::StructuralParameter),
-    ("calculatedParameter", Causality::CalculatedParameter),
-    ("input", Causality::Input),
-    ("output", Causality::Output),
-    ("local", Causality::Local),
-    ("independent", Causality::Independent),
-];
-
-pub(super) const VARIABILITIES: &[(&str, Variability)] = &[
-    ("constant", Variability::Constant),
-    ("fixed", Variability::Fixed),
-    ("tunable", Variability::Tunable),
-    ("discrete", Variability::Discrete),
-    ("continuous", Variability::Continuous),
-];
-
-pub(super) const INITIALS: &[(&str, Initial)] =
-    &[("exact", Initial::Exact), ("approx", Initial::Approx), ("calculated", Initial::Calculated)];
-
 pub(super) const DEPENDENCY_KINDS: &[(&str, DependencyKind)] = &[
     ("dependent", DependencyKind::Dependent),
     ("constant", DependencyKind::Constant),
@@ -225,39 +204,73 @@ pub(super) fn items(
     Ok(items)
 }
 
-/// A type without any attributes.
-pub(super) fn plain_type(name: String, description: Option<String>, kind: VariableKind) -> TypeDefinition {
+/// A type with the attributes that say what values it has; without items.
+pub(super) fn type_definition(
+    name: String,
+    description: Option<String>,
+    kind: VariableKind,
+    attributes: &Attributes<'_>,
+    draft: &mut Draft,
+) -> TypeDefinition {
+    let quirks = &mut draft.quirks;
     TypeDefinition {
         name,
         description,
         kind,
-        quantity: None,
-        unit: None,
-        display_unit: None,
-        relative_quantity: false,
-        unbounded: false,
-        min: None,
-        max: None,
-        nominal: None,
+        quantity: attributes.text("quantity"),
+        unit: attributes.text("unit"),
+        display_unit: attributes.text("displayUnit"),
+        relative_quantity: attributes.flag("relativeQuantity", quirks),
+        unbounded: attributes.flag("unbounded", quirks),
+        min: attributes.real("min", quirks),
+        max: attributes.real("max", quirks),
+        nominal: attributes.real("nominal", quirks),
         items: Vec::new(),
     }
 }
 
-/// Fills in the attributes that say what values a type has.
-pub(super) fn type_attributes(
-    attributes: &Attributes<'_>,
-    definition: &mut TypeDefinition,
+/// The type of variables behind an element of FMI 1.0 or 2.0: `<Real>`; `<RealType>` in the type definitions of FMI 1.0.
+pub(super) fn scalar_kind(element: &str) -> Option<VariableKind> {
+    match element.strip_suffix("Type").unwrap_or(element) {
+        "Real" => Some(VariableKind::Real),
+        "Integer" => Some(VariableKind::Integer),
+        "Boolean" => Some(VariableKind::Boolean),
+        "String" => Some(VariableKind::String),
+        "Enumeration" => Some(VariableKind::Enumeration),
+        _ => None,
+    }
+}
+
+/// `<TypeDefinitions>` of FMI 1.0 (elements `<Type>`) and 2.0 (`<SimpleType>`).
+pub(super) fn scalar_types(
+    xml: &mut Xml<'_>,
+    parent: &Element<'_>,
     draft: &mut Draft,
-) {
-    let quirks = &mut draft.quirks;
-    definition.quantity = attributes.text("quantity");
-    definition.unit = attributes.text("unit");
-    definition.display_unit = attributes.text("displayUnit");
-    definition.relative_quantity = attributes.flag("relativeQuantity", quirks);
-    definition.unbounded = attributes.flag("unbounded", quirks);
-    definition.min = attributes.real("min", quirks);
-    definition.max = attributes.real("max", quirks);
-    definition.nominal = attributes.real("nominal", quirks);
+) -> Result<(), FmiError> {
+    while let Some(element) = xml.child(parent.level)? {
+        if !matches!(element.name(), "Type" | "SimpleType") {
+            continue;
+        }
+        let outer = Attributes::of(&element)?;
+        let name = outer.required_text("name")?;
+        let mut definition = None;
+        while let Some(child) = xml.child(element.level)? {
+            let Some(kind) = scalar_kind(child.name()) else { continue };
+            let (name, attributes) = (name.clone(), Attributes::of(&child)?);
+            let mut found = type_definition(name, outer.text("description"), kind, &attributes, draft);
+            if kind == VariableKind::Enumeration {
+                found.items = items(xml, &child, draft)?;
+            }
+            definition = Some(found);
+        }
+        match definition {
+            Some(definition) => draft.budget.push(&mut draft.model.type_definitions, definition),
+            None => draft.quirks.add(QuirkKind::Missing, element.line, || {
+                format!("type \"{name}\" does not say what it is; left out")
+            }),
+        }
+    }
+    Ok(())
 }
 
 /// A variable with its name and reference, everything else at the defaults.
@@ -297,8 +310,8 @@ pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) ->
 /// Causality, variability and initial as given, else as the standard fills them in.
 pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) {
     let quirks = &mut draft.quirks;
-    variable.causality = attributes.choice("causality", CAUSALITIES, quirks).unwrap_or(Causality::Local);
-    variable.variability = match attributes.choice("variability", VARIABILITIES, quirks) {
+    variable.causality = attributes.choice("causality", Causality::WORDS, quirks).unwrap_or(Causality::Local);
+    variable.variability = match attributes.choice("variability", Variability::WORDS, quirks) {
         // The schema's default fits Real variables; everything else cannot be continuous.
         Some(Variability::Continuous) if !variable.kind.is_float() => {
             quirks.add(QuirkKind::Combination, attributes.line, || {
@@ -310,7 +323,7 @@ pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable, draft:
         None => Variability::default_for(variable.causality, variable.kind),
     };
     variable.initial = attributes
-        .choice("initial", INITIALS, quirks)
+        .choice("initial", Initial::WORDS, quirks)
         .or_else(|| Initial::default_for(variable.causality, variable.variability));
 }
 

@@ -53,7 +53,7 @@ impl Clocked {
         let references = [self.reference];
         match self.kind {
             VariableKind::Real => core.set_reals(&references, &[self.column.column.held(t)]),
-            kind => core.call(|raw| raw.set_packed(kind, &references, &[self.column.lane(kind, t)])),
+            kind => core.call(|raw| raw.set_packed(kind, &references, &[self.column.word(kind, t)])),
         }
     }
 }
@@ -197,7 +197,7 @@ impl Timed {
                 let mut shift = self.timing.shift;
                 if self.timing.interval.is_none() {
                     let (reference, fraction) = (self.reference, self.timing.supports_fraction);
-                    core.call(|raw| raw.get_shift(reference, fraction, &mut shift))?;
+                    shift = core.call(|raw| raw.get_shift(reference, fraction))?;
                 }
                 let interval = match self.given.or(self.timing.interval) {
                     Some(interval) => interval,

@@ -34,7 +34,7 @@ pub(crate) struct ClockState {
     ticked: Vec<(usize, f64)>,
     /// References of the clocks that the importer activates in it.
     active: Vec<u32>,
-    lanes: Vec<i64>,
+    words: Vec<i64>,
     pub(crate) ticks: Vec<Tick>,
 }
 
@@ -111,7 +111,7 @@ impl ClockState {
     /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete states until they
     /// settle, and notes what ticks follow. `next_time` of the outcome is the next event that the model announced or the
     /// next tick; that of the model alone comes second.
-    pub(crate) fn settle(
+    pub(crate) fn iterate_events(
         &mut self,
         plan: &ClockPlan,
         core: &mut Core,
@@ -163,10 +163,10 @@ impl ClockState {
         if self.active.is_empty() {
             return Ok(());
         }
-        let Self { active, lanes, .. } = self;
-        lanes.clear();
-        lanes.resize(active.len(), 1);
-        core.call(|raw| raw.set_packed(VariableKind::Clock, active, lanes))?;
+        let Self { active, words, .. } = self;
+        words.clear();
+        words.resize(active.len(), 1);
+        core.call(|raw| raw.set_packed(VariableKind::Clock, active, words))?;
         for (clocked, clocks) in &plan.clocked {
             if clocks.iter().any(|clock| active.contains(clock)) {
                 clocked.set(core, t + plan.same)?;
@@ -180,12 +180,12 @@ impl ClockState {
         if plan.watched.is_empty() {
             return Ok(());
         }
-        let Self { lanes, ticks, .. } = self;
-        lanes.clear();
-        lanes.resize(plan.watched.len(), 0);
-        core.call(|raw| raw.get_packed(VariableKind::Clock, &plan.watched_references, lanes))?;
-        for ((_, name), lane) in plan.watched.iter().zip(lanes.iter()) {
-            if *lane != 0 {
+        let Self { words, ticks, .. } = self;
+        words.clear();
+        words.resize(plan.watched.len(), 0);
+        core.call(|raw| raw.get_packed(VariableKind::Clock, &plan.watched_references, words))?;
+        for ((_, name), word) in plan.watched.iter().zip(words.iter()) {
+            if *word != 0 {
                 ticks.push(Tick { time: t, clock: Arc::clone(name) });
             }
         }

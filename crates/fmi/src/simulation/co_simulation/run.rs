@@ -61,7 +61,7 @@ pub(super) struct Run<'a> {
 
 /// On which side of a step.
 #[derive(Clone, Copy)]
-pub(super) enum Place {
+pub(super) enum VariableElement {
     Before,
     After,
 }
@@ -107,7 +107,7 @@ impl Run<'_> {
         // Only a model that cannot stop at a row makes it necessary to look on both sides of it.
         let row_inside = self.row_before(target.time).is_some();
         if row_inside {
-            self.read(Place::Before)?;
+            self.read(VariableElement::Before)?;
         }
         if !self.plan.inputs.driven.is_empty() {
             self.timed(Call::Inputs, |run| run.set_inputs(&target))?;
@@ -191,7 +191,7 @@ impl Run<'_> {
     fn arrive(&mut self, time: f64, regular: bool, row_inside: bool, event: bool) -> Step<()> {
         self.stats.accepted_steps += 1;
         if row_inside {
-            self.read(Place::After)?;
+            self.read(VariableElement::After)?;
             self.timed(Call::Outputs, Self::read_slopes)?;
             self.sample_inside(time)?;
         }
@@ -208,7 +208,7 @@ impl Run<'_> {
         self.sample_left()?;
         if self.stepping.running.digest.is_some() {
             // Steps between requested times count too.
-            self.read(Place::After)?;
+            self.read(VariableElement::After)?;
             self.stepping.running.note(&self.stepping.after);
         }
         let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
@@ -358,9 +358,11 @@ impl Run<'_> {
         core.call(RawInstance::enter_event_mode)?;
         inputs.set_held(core, &self.plan.inputs)?;
         core.set_reals(&self.plan.inputs.continuous.references, &inputs.continuous)?;
-        Ok(core.settle(self.t, |core, time| {
+        Ok(core.run_event_mode(self.t, |core, time| {
             let recorded = &self.plan.outputs().clocks;
-            clocks.settle(&self.plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
+            clocks
+                .iterate_events(&self.plan.clocks, core, time, (recorded, buffers))
+                .map(|(outcome, _)| outcome)
         })?)
     }
 

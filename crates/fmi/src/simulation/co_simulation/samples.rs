@@ -1,6 +1,6 @@
 //! The samples of a co-simulation: at communication points as the model gives them, between two of them interpolated.
 
-use super::run::{Exit, Place, Run, Step};
+use super::run::{Exit, Run, Step, VariableElement};
 use super::stepping::{Call, Stepping};
 use crate::simulation::running::Running;
 use crate::sys::Fault;
@@ -9,18 +9,18 @@ use std::ops::ControlFlow;
 
 impl Run<'_> {
     /// Reads the outputs where the model stands.
-    pub(super) fn read(&mut self, place: Place) -> Step<()> {
+    pub(super) fn read(&mut self, place: VariableElement) -> Step<()> {
         self.timed(Call::Outputs, |run| run.read_into(place))
     }
 
-    fn read_into(&mut self, place: Place) -> Step<()> {
+    fn read_into(&mut self, place: VariableElement) -> Step<()> {
         let time = self.t;
         let Stepping { running: Running { current, buffers, .. }, before, after, .. } = &mut *self.stepping;
         let outputs = self.plan.outputs();
         current.core()?.call(|raw| buffers.read(outputs, raw))?;
         let row = match place {
-            Place::Before => before,
-            Place::After => after,
+            VariableElement::Before => before,
+            VariableElement::After => after,
         };
         buffers.row(outputs, time, self.plan.same, &[], row);
         Ok(())
@@ -93,7 +93,7 @@ impl Run<'_> {
     /// The limit from the left, where somebody wants it.
     pub(super) fn sample_left(&mut self) -> Step<()> {
         if self.is_here() && self.twice() {
-            self.read(Place::After)?;
+            self.read(VariableElement::After)?;
             self.deliver_after()?;
         }
         Ok(())
@@ -104,7 +104,7 @@ impl Run<'_> {
         if !self.is_here() {
             return Ok(());
         }
-        self.read(Place::After)?;
+        self.read(VariableElement::After)?;
         while self.is_here() {
             self.deliver_after()?;
         }

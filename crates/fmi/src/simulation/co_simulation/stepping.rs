@@ -54,7 +54,7 @@ impl Stepping {
         let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let (instance, outcome) = instance.begin_steps(|core, time| {
             let recorded = &plan.outputs().clocks;
-            clocks.settle(&plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
+            clocks.iterate_events(&plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
         })?;
         self.initial = outcome;
         current.phase = Phase::Stepping(instance);

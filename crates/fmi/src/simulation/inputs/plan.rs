@@ -7,7 +7,7 @@ use crate::instance::assignments::convert_one;
 use crate::instance::integer_codec;
 use crate::simulation::clocks::{ClockInputs, Clocked};
 use crate::simulation::column::{Column, HeldColumn};
-use crate::simulation::parameters::{Place, Slots, Starts};
+use crate::simulation::parameters::{Slots, Starts, VariableElement};
 use ode::InputStop;
 use std::fmt;
 use std::sync::Arc;
@@ -32,31 +32,27 @@ pub struct Inputs {
     sources: Vec<Source>,
 }
 
+/// A variable, and what drives it.
 #[derive(Clone)]
-enum Source {
-    Column { name: String, times: Arc<[f64]>, values: Arc<[f64]> },
-    Function { name: String, function: InputFunction },
-    Values { name: String, times: Arc<[f64]>, values: Arc<[Value]> },
+struct Source {
+    name: String,
+    values: SourceValues,
 }
 
-impl Source {
-    fn name(&self) -> &String {
-        let (Self::Column { name, .. } | Self::Function { name, .. } | Self::Values { name, .. }) = self;
-        name
-    }
+#[derive(Clone)]
+enum SourceValues {
+    Numbers(Arc<[f64]>, Arc<[f64]>),
+    Function(InputFunction),
+    Any(Arc<[f64]>, Arc<[Value]>),
+}
 
+impl SourceValues {
     /// Functions are the same only if they are one.
     fn is_same(&self, other: &Self) -> bool {
         match (self, other) {
-            (Self::Column { name, times, values }, Self::Column { name: n, times: t, values: v }) => {
-                name == n && times == t && values == v
-            }
-            (Self::Values { name, times, values }, Self::Values { name: n, times: t, values: v }) => {
-                name == n && times == t && values == v
-            }
-            (Self::Function { name, function }, Self::Function { name: n, function: f }) => {
-                name == n && Arc::ptr_eq(function, f)
-            }
+            (Self::Numbers(times, values), Self::Numbers(t, v)) => times == t && values == v,
+            (Self::Any(times, values), Self::Any(t, v)) => times == t && values == v,
+            (Self::Function(function), Self::Function(f)) => Arc::ptr_eq(function, f),
             _ => false,
         }
     }
@@ -64,11 +60,11 @@ impl Source {
 
 impl fmt::Debug for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Source::Column { name, times, .. } | Source::Values { name, times, .. } => {
-                write!(f, "{name}: {} rows", times.len())
+        match &self.values {
+            SourceValues::Numbers(times, _) | SourceValues::Any(times, _) => {
+                write!(f, "{}: {} rows", self.name, times.len())
             }
-            Source::Function { name, .. } => write!(f, "{name}: function"),
+            SourceValues::Function(_) => write!(f, "{}: function", self.name),
         }
     }
 }
@@ -89,65 +85,63 @@ impl Inputs {
     {
         let times: Arc<[f64]> = times.into();
         for (name, values) in columns {
-            self.sources.push(Source::Column {
-                name: name.into(),
-                times: Arc::clone(&times),
-                values: values.into(),
-            });
+            self = self.source(name, SourceValues::Numbers(Arc::clone(&times), values.into()));
         }
+        self
+    }
+
+    fn source(mut self, name: impl Into<String>, values: SourceValues) -> Self {
+        self.sources.push(Source { name: name.into(), values });
         self
     }
 
     /// Adds one variable with times of its own.
     #[must_use]
     pub fn series(
-        mut self,
+        self,
         name: impl Into<String>,
         times: impl Into<Arc<[f64]>>,
         values: impl Into<Arc<[f64]>>,
     ) -> Self {
-        self.sources.push(Source::Column { name: name.into(), times: times.into(), values: values.into() });
-        self
+        self.source(name, SourceValues::Numbers(times.into(), values.into()))
     }
 
     /// Adds a variable of any type with times of its own, for what a double cannot hold: texts, bytes, integers of 64 bits.
     #[must_use]
     pub fn values(
-        mut self,
+        self,
         name: impl Into<String>,
         times: impl Into<Arc<[f64]>>,
         values: impl IntoIterator<Item = impl Into<Value>>,
     ) -> Self {
         let values = values.into_iter().map(Into::into).collect();
-        self.sources.push(Source::Values { name: name.into(), times: times.into(), values });
-        self
+        self.source(name, SourceValues::Any(times.into(), values))
     }
 
     /// Adds a continuous real input that is a function of time. It should be smooth; where it returns NaN or an
     /// infinity, the model counts as not defined. It may be called from any thread.
     #[must_use]
     pub fn function(
-        mut self,
+        self,
         name: impl Into<String>,
         function: impl Fn(f64) -> f64 + Send + Sync + 'static,
     ) -> Self {
-        self.sources.push(Source::Function { name: name.into(), function: Arc::new(function) });
-        self
+        self.source(name, SourceValues::Function(Arc::new(function)))
     }
 
     /// Whether the same drives the same.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         self.sources.len() == other.sources.len()
-            && self.sources.iter().zip(&other.sources).all(|(source, other)| source.is_same(other))
+            && self
+                .sources
+                .iter()
+                .zip(&other.sources)
+                .all(|(source, other)| source.name == other.name && source.values.is_same(&other.values))
     }
 
     /// The names, in the order given.
     pub fn names(&self) -> impl Iterator<Item = &str> {
-        self.sources.iter().map(|source| match source {
-            Source::Column { name, .. } | Source::Function { name, .. } | Source::Values { name, .. } => {
-                name.as_str()
-            }
-        })
+        self.sources.iter().map(|source| source.name.as_str())
     }
 }
 
@@ -185,7 +179,7 @@ pub(crate) struct InputPlan {
     /// Times closer than this are one.
     pub(super) same: f64,
     /// What is driven.
-    pub(crate) driven: Vec<Place>,
+    pub(crate) driven: Vec<VariableElement>,
     /// What is said about clocks and their inputs.
     pub(crate) clocks: ClockInputs,
 }
@@ -210,8 +204,8 @@ impl InputPlan {
         let mut plan = Self { same, ..Self::default() };
         let mut stops = Vec::new();
         for source in &inputs.sources {
-            let name = source.name();
-            let place = Place::of_name(description, starts.structure, name)?;
+            let Source { name, values: source } = source;
+            let place = VariableElement::of_name(description, starts.structure, name)?;
             let variable = &description.variables[place.variable];
             if variable.causality != Causality::Input {
                 return Err(bad(
@@ -221,7 +215,7 @@ impl InputPlan {
             }
             // Each source before this one drives one place.
             if let Some(first) = plan.driven.iter().position(|driven| driven.overlaps(place, description)) {
-                let problem = match inputs.sources[first].name() {
+                let problem = match &inputs.sources[first].name {
                     first if first == name => "it is given twice".to_owned(),
                     first => format!("it is the same variable as {first}, which is given too"),
                 };
@@ -233,17 +227,17 @@ impl InputPlan {
                 return Err(bad(variable, problem));
             }
             match source {
-                Source::Function { function, .. } if is_linear(variable) => {
+                SourceValues::Function(function) if is_linear(variable) => {
                     let function = Arc::clone(function);
                     let function = if variable.negated { Arc::new(move |t| -function(t)) } else { function };
                     let at = plan.place_continuous(starts, place)?;
                     plan.functions.push((function, at));
                 }
-                Source::Function { .. } => {
+                SourceValues::Function(_) => {
                     let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
                     return Err(bad(variable, problem.to_owned()));
                 }
-                Source::Values { times, values, .. } if !variable.kind.is_number() => {
+                SourceValues::Any(times, values) if !variable.kind.is_number() => {
                     if place.element.is_some() || !variable.clocks.is_empty() {
                         let problem = "texts drive single variables that belong to no clock";
                         return Err(bad(variable, problem.to_owned()));
@@ -255,15 +249,15 @@ impl InputPlan {
                     plan.held.push(Held { column: column.into(), target: Target::Text(plan.texts.len()) });
                     plan.texts.push(text);
                 }
-                Source::Values { times, values, .. } => {
+                SourceValues::Any(times, values) => {
                     let converted: Vec<Value> =
                         values.iter().map(|value| convert_one(variable, value)).collect::<Result<_, _>>()?;
                     if matches!(variable.kind, VariableKind::Int64 | VariableKind::UInt64) {
-                        let lanes: Vec<i64> = converted
+                        let words: Vec<i64> = converted
                             .iter()
-                            .filter_map(|value| integer_codec::lane(variable.kind, value))
+                            .filter_map(|value| integer_codec::word(variable.kind, value))
                             .collect();
-                        let column = HeldColumn::of_lanes(times, &lanes);
+                        let column = HeldColumn::of_words(times, &words);
                         check_rows(variable, times, &column.column.values)?;
                         plan.add_held(starts, place, column, &mut stops)?;
                     } else {
@@ -271,7 +265,7 @@ impl InputPlan {
                         plan.add_numbers(starts, place, (times, &numbers.into()), &mut stops)?;
                     }
                 }
-                Source::Column { times, values, .. } => {
+                SourceValues::Numbers(times, values) => {
                     plan.add_numbers(starts, place, (times, values), &mut stops)?;
                 }
             }
@@ -284,7 +278,7 @@ impl InputPlan {
     fn add_numbers(
         &mut self,
         starts: &Starts<'_>,
-        place: Place,
+        place: VariableElement,
         (times, values): (&Arc<[f64]>, &Arc<[f64]>),
         stops: &mut Vec<InputStop>,
     ) -> Result<(), FmiError> {
@@ -309,7 +303,7 @@ impl InputPlan {
     fn add_held(
         &mut self,
         starts: &Starts<'_>,
-        place: Place,
+        place: VariableElement,
         column: HeldColumn,
         stops: &mut Vec<InputStop>,
     ) -> Result<(), FmiError> {
@@ -327,12 +321,17 @@ impl InputPlan {
         self.hold(starts, place, column)
     }
 
-    fn place_continuous(&mut self, starts: &Starts<'_>, place: Place) -> Result<usize, FmiError> {
+    fn place_continuous(&mut self, starts: &Starts<'_>, place: VariableElement) -> Result<usize, FmiError> {
         let reference = starts.description.variables[place.variable].value_reference;
         self.continuous.place(reference, place.element, || starts.reals(place))
     }
 
-    fn hold(&mut self, starts: &Starts<'_>, place: Place, column: HeldColumn) -> Result<(), FmiError> {
+    fn hold(
+        &mut self,
+        starts: &Starts<'_>,
+        place: VariableElement,
+        column: HeldColumn,
+    ) -> Result<(), FmiError> {
         let variable = &starts.description.variables[place.variable];
         let (kind, reference) = (variable.kind, variable.value_reference);
         let target = if kind == VariableKind::Real {
@@ -346,7 +345,7 @@ impl InputPlan {
                 }
             };
             let slots = &mut self.held_packed[group].1;
-            Target::Packed(group, slots.place(reference, place.element, || starts.lanes(place))?)
+            Target::Packed(group, slots.place(reference, place.element, || starts.words(place))?)
         };
         let column = if variable.negated { column.negated(kind) } else { column };
         self.held.push(Held { column, target });
@@ -426,7 +425,7 @@ impl InputPlan {
 
 impl Starts<'_> {
     /// All start values of a variable of type Real; 0 for a single value, which is written before it is set.
-    pub(crate) fn reals(&self, place: Place) -> Result<Vec<f64>, FmiError> {
+    pub(crate) fn reals(&self, place: VariableElement) -> Result<Vec<f64>, FmiError> {
         if place.element.is_none() {
             return Ok(vec![0.0]);
         }
@@ -435,13 +434,13 @@ impl Starts<'_> {
     }
 
     /// The same of a variable of any other type of numbers.
-    fn lanes(&self, place: Place) -> Result<Vec<i64>, FmiError> {
+    fn words(&self, place: VariableElement) -> Result<Vec<i64>, FmiError> {
         if place.element.is_none() {
             return Ok(vec![0]);
         }
         let kind = self.description.variables[place.variable].kind;
         let values = self.elements(place.variable)?;
-        Ok(values.iter().map(|value| integer_codec::lane(kind, value).unwrap_or_default()).collect())
+        Ok(values.iter().map(|value| integer_codec::word(kind, value).unwrap_or_default()).collect())
     }
 }
 

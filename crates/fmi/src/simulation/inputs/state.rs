@@ -67,7 +67,7 @@ impl InputState {
             match held.target {
                 Target::Real(i) => self.held_reals[i] = held.column.column.held(now),
                 Target::Packed(group, i) => {
-                    self.held_packed[group][i] = held.column.lane(plan.held_packed[group].0, now);
+                    self.held_packed[group][i] = held.column.word(plan.held_packed[group].0, now);
                 }
                 Target::Text(i) => self.texts[i] = held.column.column.held(now) as usize,
             }
@@ -99,8 +99,8 @@ impl InputState {
     /// Sets the held inputs, one call per type.
     pub(crate) fn set_held(&self, core: &mut Core, plan: &InputPlan) -> Result<(), FmiError> {
         core.set_reals(&plan.held_reals.references, &self.held_reals)?;
-        for ((kind, slots), lanes) in plan.held_packed.iter().zip(&self.held_packed) {
-            core.call(|raw| raw.set_packed(*kind, &slots.references, lanes))?;
+        for ((kind, slots), words) in plan.held_packed.iter().zip(&self.held_packed) {
+            core.call(|raw| raw.set_packed(*kind, &slots.references, words))?;
         }
         for (text, number) in plan.texts.iter().zip(&self.texts) {
             text.set(core, *number)?;

@@ -13,15 +13,15 @@ pub(crate) enum OutputSource {
     Time,
     /// A state or an alias of one: copied, without a call.
     State(usize),
-    /// Place among the values of type `Real`.
+    /// VariableElement among the values of type `Real`.
     Real(usize),
-    /// Place among the lanes of all other numbers.
+    /// VariableElement among the words of all other numbers.
     Packed(usize, VariableKind),
-    /// The upper or lower half of such a lane.
+    /// The upper or lower half of such a word.
     Half(usize, VariableKind, bool),
-    /// Place among the texts.
+    /// VariableElement among the texts.
     Text(usize),
-    /// Place among the binary values.
+    /// VariableElement among the binary values.
     Bytes(usize),
     /// Whether a clock ticked at this instant: place among the clocks recorded.
     Tick(usize),
@@ -53,7 +53,7 @@ struct Column {
     is_continuous: bool,
 }
 
-/// Variables of one kind, for one call: references, and the lanes that their values take.
+/// Variables of one kind, for one call: references, and the words that their values take.
 #[derive(Debug)]
 struct Group {
     kind: VariableKind,
@@ -189,7 +189,7 @@ impl OutputPlan {
         names
     }
 
-    /// First place of the values of a variable; lanes are counted group by group, see [`finish`](Self::finish).
+    /// First place of the values of a variable; words are counted group by group, see [`finish`](Self::finish).
     fn place(&mut self, variable: &Variable, n: usize) -> usize {
         let (kind, reference) = (variable.kind, variable.value_reference);
         if let Some(first) = self.arrays.get(&(kind, reference)) {
@@ -224,7 +224,7 @@ impl OutputPlan {
         first
     }
 
-    /// Puts the lanes of all kinds into one row, and the columns without names behind the others, when everything has
+    /// Puts the words of all kinds into one row, and the columns without names behind the others, when everything has
     /// been added.
     pub(crate) fn finish(&mut self) {
         self.columns.append(&mut self.unnamed);
@@ -279,7 +279,7 @@ pub(crate) fn element_of(name: &str, extents: impl Fn(&str) -> Option<Vec<usize>
 #[derive(Debug)]
 pub(crate) struct OutputBuffers {
     reals: Vec<f64>,
-    lanes: Vec<i64>,
+    words: Vec<i64>,
     texts: Vec<f64>,
     binaries: Vec<f64>,
     /// Numbers read before, to be compared.
@@ -292,13 +292,13 @@ pub(crate) struct OutputBuffers {
 
 impl OutputBuffers {
     pub(crate) fn new(plan: &OutputPlan) -> Self {
-        let n_lanes = plan.groups.iter().map(|group| group.n_values).sum();
+        let n_words = plan.groups.iter().map(|group| group.n_values).sum();
         Self {
             reals: vec![0.0; plan.n_reals],
-            lanes: vec![0; n_lanes],
+            words: vec![0; n_words],
             texts: vec![0.0; plan.texts.1],
             binaries: vec![0.0; plan.binaries.1],
-            kept: (vec![0.0; plan.n_reals], vec![0; n_lanes]),
+            kept: (vec![0.0; plan.n_reals], vec![0; n_words]),
             ticked: vec![f64::NAN; plan.clocks.len()],
             table: ValueTable::default(),
         }
@@ -315,10 +315,10 @@ impl OutputBuffers {
         if !self.reals.is_empty() {
             raw.get_real(&plan.reals, &mut self.reals)?;
         }
-        let mut rest = &mut self.lanes[..];
+        let mut rest = &mut self.words[..];
         for group in &plan.groups {
-            let (lanes, others) = rest.split_at_mut(group.n_values);
-            raw.get_packed(group.kind, &group.references, lanes)?;
+            let (words, others) = rest.split_at_mut(group.n_values);
+            raw.get_packed(group.kind, &group.references, words)?;
             rest = others;
         }
         if !self.texts.is_empty() {
@@ -341,13 +341,13 @@ impl OutputBuffers {
     /// Keeps the numbers as they were read.
     pub(crate) fn keep(&mut self) {
         self.kept.0.copy_from_slice(&self.reals);
-        self.kept.1.copy_from_slice(&self.lanes);
+        self.kept.1.copy_from_slice(&self.words);
     }
 
     /// Whether the numbers read last are those kept, bit for bit.
     pub(crate) fn are_as_kept(&self) -> bool {
         let reals = self.reals.iter().zip(&self.kept.0);
-        reals.into_iter().all(|(now, then)| now.to_bits() == then.to_bits()) && self.lanes == self.kept.1
+        reals.into_iter().all(|(now, then)| now.to_bits() == then.to_bits()) && self.words == self.kept.1
     }
 
     /// Puts the row together; times closer than `same` are one.
@@ -357,8 +357,8 @@ impl OutputBuffers {
                 OutputSource::Time => t,
                 OutputSource::State(i) => x[i],
                 OutputSource::Real(i) => self.reals[i],
-                OutputSource::Packed(i, kind) => integer_codec::number(kind, self.lanes[i]),
-                OutputSource::Half(i, _, upper) => texts::half(self.lanes[i], upper),
+                OutputSource::Packed(i, kind) => integer_codec::number(kind, self.words[i]),
+                OutputSource::Half(i, _, upper) => texts::half(self.words[i], upper),
                 OutputSource::Text(i) => self.texts[i],
                 OutputSource::Bytes(i) => self.binaries[i],
                 OutputSource::Tick(i) => f64::from(u8::from((t - self.ticked[i]).abs() <= same)),

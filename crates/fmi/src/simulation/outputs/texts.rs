@@ -57,8 +57,8 @@ impl ValueTable {
         match columns {
             [places] => places.iter().map(|number| self.value(*number)).collect(),
             [high, low] => {
-                let lanes = high.iter().zip(low).map(|(high, low)| join(*high, *low));
-                lanes.map(|lane| integer_codec::value(kind, lane)).collect()
+                let words = high.iter().zip(low).map(|(high, low)| join(*high, *low));
+                words.map(|word| integer_codec::value(kind, word)).collect()
             }
             _ => Vec::new(),
         }
@@ -74,12 +74,12 @@ pub(crate) fn width(kind: VariableKind) -> usize {
     }
 }
 
-/// The upper or lower half of a lane, exactly.
-pub(crate) fn half(lane: i64, upper: bool) -> f64 {
-    if upper { (lane >> 32) as f64 } else { f64::from(lane as u32) }
+/// The upper or lower half of a word, exactly.
+pub(crate) fn half(word: i64, upper: bool) -> f64 {
+    if upper { (word >> 32) as f64 } else { f64::from(word as u32) }
 }
 
-/// The lane of two halves.
+/// The word of two halves.
 fn join(high: f64, low: f64) -> i64 {
     ((high as i64) << 32) | (low as i64)
 }
@@ -90,8 +90,8 @@ mod tests {
 
     #[test]
     fn halves_are_exact() {
-        for lane in [0, 1, -1, i64::MIN, i64::MAX, (1 << 53) + 1, -(1 << 53) - 1, 0xffff_ffff, 1 << 32] {
-            assert_eq!(join(half(lane, true), half(lane, false)), lane);
+        for word in [0, 1, -1, i64::MIN, i64::MAX, (1 << 53) + 1, -(1 << 53) - 1, 0xffff_ffff, 1 << 32] {
+            assert_eq!(join(half(word, true), half(word, false)), word);
         }
     }
 

@@ -7,7 +7,8 @@
 
 use crate::description::{Capabilities, DefaultExperiment};
 use crate::error::FmiError;
-use crate::simulation::options::{Grid, SimulateOptions};
+use crate::simulation::grid::Grid;
+use crate::simulation::options::SimulateOptions;
 use ode::Number;
 
 /// More steps than this are taken for a mistake.

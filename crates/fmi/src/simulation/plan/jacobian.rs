@@ -24,24 +24,31 @@ impl JacobianPlan {
     pub(crate) fn new(model: &ModelDescription, structure: &Structure, capabilities: &Capabilities) -> Self {
         Self {
             pattern: pattern(model, structure),
-            directional: if capabilities.provides_directional_derivative { directional(model) } else { None },
+            directional: if capabilities.provides_directional_derivative {
+                directional(model, structure)
+            } else {
+                None
+            },
         }
     }
 }
 
-/// Value references one by one; none where a state is an array or not named: then differences serve.
-fn directional(model: &ModelDescription) -> Option<Directional> {
-    let (mut derivatives, mut states) = (Vec::new(), Vec::new());
+/// Value references of the derivatives and their states, in the order of the state vector; none where a state is not named or has
+/// not the size of its derivative: then differences serve.
+fn directional(model: &ModelDescription, structure: &Structure) -> Option<Directional> {
+    let (mut derivatives, mut states, mut n) = (Vec::new(), Vec::new(), 0);
     for unknown in &model.structure.derivatives {
         let derivative = &model.variables[unknown.index];
         let state = &model.variables[derivative.derivative?];
-        if !derivative.dimensions.is_empty() || derivative.negated || state.negated {
+        let elements = structure.elements(model, derivative);
+        if elements != structure.elements(model, state) || derivative.negated || state.negated {
             return None;
         }
+        n += elements;
         derivatives.push(derivative.value_reference);
         states.push(state.value_reference);
     }
-    (model.n_states() == states.len()).then_some(Directional { derivatives, states })
+    (structure.states(model) == n).then_some(Directional { derivatives, states })
 }
 
 /// The declared dependencies between derivatives and states. Whatever is not understood counts as a dependency on all

@@ -60,7 +60,7 @@ impl<T: Copy> Columns<T> {
 #[derive(Debug, Default)]
 pub(crate) struct ReadBackBuffers {
     reals: Vec<f64>,
-    lanes: Vec<i64>,
+    words: Vec<i64>,
 }
 
 impl ReadBack {
@@ -75,8 +75,8 @@ impl ReadBack {
         if kind == VariableKind::Real {
             return self.reals.push(reference, Given::Start(values.reals.1.len() - 1));
         }
-        let Some((_, _, lanes)) = values.packed.iter().find(|(known, ..)| *known == kind) else { return };
-        let place = lanes.len() - 1;
+        let Some((_, _, words)) = values.packed.iter().find(|(known, ..)| *known == kind) else { return };
+        let place = words.len() - 1;
         match self.packed.iter_mut().find(|(known, _)| *known == kind) {
             Some((_, columns)) => columns.push(reference, place),
             None => {
@@ -129,10 +129,10 @@ impl ReadBack {
             let Some((_, _, given)) = start_values.packed.iter().find(|(known, ..)| known == kind) else {
                 continue;
             };
-            buffers.lanes.clear();
-            buffers.lanes.resize(references.len(), 0);
-            core.call(|raw| raw.get_packed(*kind, references, &mut buffers.lanes))?;
-            agrees &= places.iter().zip(&buffers.lanes).all(|(place, found)| given[*place] == *found);
+            buffers.words.clear();
+            buffers.words.resize(references.len(), 0);
+            core.call(|raw| raw.get_packed(*kind, references, &mut buffers.words))?;
+            agrees &= places.iter().zip(&buffers.words).all(|(place, found)| given[*place] == *found);
         }
         Ok(agrees)
     }

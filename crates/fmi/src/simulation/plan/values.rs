@@ -6,7 +6,7 @@ use crate::error::FmiError;
 use crate::instance::Core;
 use crate::instance::assignments::{self, Assignments, check_settable_at_start};
 use crate::simulation::inputs::InputPlan;
-use crate::simulation::parameters::{Place, Slots, StartValues, Starts, Unset};
+use crate::simulation::parameters::{Slots, StartValues, Starts, Unset, VariableElement};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ pub(crate) type Setting = (bool, VariableKind, u32);
 /// A value that each run is given.
 #[derive(Debug, Clone, Copy)]
 struct RunParameter {
-    place: Place,
+    place: VariableElement,
     /// Where it goes among the values set.
     slot: usize,
     /// -1 for negated aliases.
@@ -52,7 +52,7 @@ impl RunValues {
     pub(super) fn new(
         starts: &Starts<'_>,
         parameters: &[String],
-        driven: &[Place],
+        driven: &[VariableElement],
     ) -> Result<Self, FmiError> {
         let description = starts.description;
         let mut values = Self { structure: starts.structure.clone(), ..Self::default() };
@@ -83,10 +83,10 @@ impl RunValues {
         &mut self,
         starts: &Starts<'_>,
         names: &[String],
-        driven: &[Place],
+        driven: &[VariableElement],
     ) -> Result<(), FmiError> {
         for name in names {
-            let place = Place::of_name(starts.description, starts.structure, name)?;
+            let place = VariableElement::of_name(starts.description, starts.structure, name)?;
             let variable = &starts.description.variables[place.variable];
             check_settable_at_start(variable)?;
             if variable.kind != VariableKind::Real {
@@ -101,7 +101,7 @@ impl RunValues {
                     "it is an array; its elements can be parameters of a run, one by one: name[1]",
                 ));
             }
-            let is_same = |known: &Place| known.overlaps(place, starts.description);
+            let is_same = |known: &VariableElement| known.overlaps(place, starts.description);
             if let Some(first) = self.parameters.iter().position(|known| is_same(&known.place)) {
                 let problem = match &names[first] {
                     first if first == name => format!("parameter {name} is given twice"),
@@ -275,7 +275,8 @@ pub(super) fn resolve(
     }
     structure.check(description).map_err(|(_, problem)| FmiError::BadSetting { problem })?;
     for (name, value) in values {
-        let Place { variable: index, element } = Place::of_name(description, &structure, name)?;
+        let VariableElement { variable: index, element } =
+            VariableElement::of_name(description, &structure, name)?;
         let variable = &description.variables[index];
         check_settable_at_start(variable)?;
         let value =

@@ -1,13 +1,18 @@
-//! Signatures of the functions of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4), as far as they are bound.
+//! The functions of an FMI 3.0 library whose types are those of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
-use crate::sys::types::Component;
-use std::ffi::{c_char, c_int, c_void};
+use crate::error::{FmiError, Status};
+use crate::sys::callbacks::{Callbacks, fmi3_log};
+use crate::sys::function::{Answer, call};
+use crate::sys::functions::{Derivative, Functions, derivative};
+use crate::sys::symbols::{Symbols, table};
+use crate::sys::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo};
+use crate::sys::version::{Step, Version};
+use std::ffi::{CString, c_char, c_int, c_void};
 
 /// A C `bool` as an FMU may write it: any bits are tolerated.
 pub(super) type Flag = u8;
-pub(super) type LogMessage = unsafe extern "C" fn(*mut c_void, c_int, *const c_char, *const c_char);
-
-pub(super) type InstantiateModelExchange = unsafe extern "C" fn(
+type LogMessage = unsafe extern "C" fn(*mut c_void, c_int, *const c_char, *const c_char);
+type InstantiateModelExchange = unsafe extern "C" fn(
     *const c_char,
     *const c_char,
     *const c_char,
@@ -18,7 +23,7 @@ pub(super) type InstantiateModelExchange = unsafe extern "C" fn(
 ) -> Component;
 /// Never given: inputs are set between steps.
 type IntermediateUpdate = unsafe extern "C" fn(*mut c_void, f64, Flag, Flag, Flag, Flag, *mut Flag, *mut f64);
-pub(super) type InstantiateCoSimulation = unsafe extern "C" fn(
+type InstantiateCoSimulation = unsafe extern "C" fn(
     *const c_char,
     *const c_char,
     *const c_char,
@@ -32,32 +37,237 @@ pub(super) type InstantiateCoSimulation = unsafe extern "C" fn(
     LogMessage,
     Option<IntermediateUpdate>,
 ) -> Component;
-pub(super) type EnterInitialization = unsafe extern "C" fn(Component, bool, f64, f64, bool, f64) -> c_int;
-pub(super) type SetDebugLogging = unsafe extern "C" fn(Component, bool, usize, *const *const c_char) -> c_int;
-pub(super) type Get<T> = unsafe extern "C" fn(Component, *const u32, usize, *mut T, usize) -> c_int;
-pub(super) type Set<T> = unsafe extern "C" fn(Component, *const u32, usize, *const T, usize) -> c_int;
-pub(super) type GetBinary =
-    unsafe extern "C" fn(Component, *const u32, usize, *mut usize, *mut *const u8, usize) -> c_int;
-pub(super) type SetBinary =
-    unsafe extern "C" fn(Component, *const u32, usize, *const usize, *const *const u8, usize) -> c_int;
-pub(super) type GetClock = unsafe extern "C" fn(Component, *const u32, usize, *mut Flag) -> c_int;
-pub(super) type SetClock = unsafe extern "C" fn(Component, *const u32, usize, *const Flag) -> c_int;
-pub(super) type DirectionalDerivative = unsafe extern "C" fn(
-    Component,
-    *const u32,
-    usize,
-    *const u32,
-    usize,
-    *const f64,
-    usize,
-    *mut f64,
-    usize,
-) -> c_int;
-pub(super) type UpdateDiscreteStates =
+type EnterInitialization = unsafe extern "C" fn(Component, bool, f64, f64, bool, f64) -> c_int;
+type SetDebugLogging = unsafe extern "C" fn(Component, bool, usize, *const *const c_char) -> c_int;
+type UpdateDiscreteStates =
     unsafe extern "C" fn(Component, *mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;
-pub(super) type CompletedStep = unsafe extern "C" fn(Component, bool, *mut Flag, *mut Flag) -> c_int;
-pub(super) type Count = unsafe extern "C" fn(Component, *mut usize) -> c_int;
-pub(super) type GetOutputDerivatives =
+type CompletedStep = unsafe extern "C" fn(Component, bool, *mut Flag, *mut Flag) -> c_int;
+type GetOutputDerivatives =
     unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *mut f64, usize) -> c_int;
-pub(super) type DoStep =
+type DoStep =
     unsafe extern "C" fn(Component, f64, f64, bool, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;
+
+table! {
+    /// What both interfaces have. The standard demands nearly all of it; FMUs that leave out what they do not need are known,
+    /// so only what every simulation needs must be there.
+    struct Common {
+        enter_initialization: EnterInitialization = required "fmi3EnterInitializationMode";
+        set_debug_logging: SetDebugLogging = optional "fmi3SetDebugLogging";
+        update_discrete_states: UpdateDiscreteStates = optional "fmi3UpdateDiscreteStates";
+        directional_derivative: Derivative = optional "fmi3GetDirectionalDerivative";
+    }
+}
+
+table! {
+    /// Model exchange.
+    struct ModelExchange {
+        instantiate: InstantiateModelExchange = required "fmi3InstantiateModelExchange";
+        completed_integrator_step: CompletedStep = required "fmi3CompletedIntegratorStep";
+    }
+}
+
+table! {
+    /// Co-simulation.
+    struct CoSimulation {
+        instantiate: InstantiateCoSimulation = required "fmi3InstantiateCoSimulation";
+        do_step: DoStep = required "fmi3DoStep";
+        get_output_derivatives: GetOutputDerivatives = optional "fmi3GetOutputDerivatives";
+    }
+}
+
+/// The functions of one library.
+pub(crate) struct Fmi3 {
+    common: Common,
+    model_exchange: ModelExchange,
+    co_simulation: CoSimulation,
+}
+
+impl Fmi3 {
+    /// Looks the functions of one interface up.
+    ///
+    /// # Safety
+    /// The library follows FMI 3.0: a symbol of a name has the type the standard gives it.
+    pub(crate) unsafe fn load(symbols: &Symbols<'_>, kind: InterfaceKind) -> Result<Self, FmiError> {
+        // SAFETY: the caller vouches for the library, and the names are those of FMI 3.0.
+        unsafe {
+            Ok(Self {
+                common: Common::load(symbols)?,
+                model_exchange: ModelExchange::load(&symbols.used(kind == InterfaceKind::ModelExchange))?,
+                co_simulation: CoSimulation::load(&symbols.used(kind == InterfaceKind::CoSimulation))?,
+            })
+        }
+    }
+}
+
+impl Version for Fmi3 {
+    unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> (Component, &'static str) {
+        // FMI 3.0 wants a path, ending in a separator; NULL where there are no resources.
+        let mut path = request.resources.to_string_lossy().into_owned();
+        path.push(std::path::MAIN_SEPARATOR);
+        let resources = CString::new(path).unwrap_or_default();
+        let resources = if request.resources.is_dir() { resources.as_ptr() } else { std::ptr::null() };
+        let environment: *mut c_void = std::ptr::from_ref(callbacks.environment()).cast_mut().cast();
+        let (name, token) = (request.name.as_ptr(), request.guid.as_ptr());
+        let (visible, logging) = (request.visible, request.logging);
+        // SAFETY: the strings end in NUL; the environment is on the heap and never freed.
+        match request.kind {
+            InterfaceKind::ModelExchange => self.model_exchange.instantiate.make(|instantiate| unsafe {
+                instantiate(name, token, resources, visible, logging, environment, fmi3_log)
+            }),
+            // SAFETY: the same; there are no variables for intermediate updates.
+            InterfaceKind::CoSimulation => self.co_simulation.instantiate.make(|instantiate| unsafe {
+                instantiate(
+                    name,
+                    token,
+                    resources,
+                    visible,
+                    logging,
+                    request.event_mode,
+                    request.early_return,
+                    std::ptr::null(),
+                    0,
+                    environment,
+                    fmi3_log,
+                    None,
+                )
+            }),
+        }
+    }
+
+    unsafe fn set_debug_logging(
+        &self,
+        component: Component,
+        on: bool,
+        categories: &[*const c_char],
+    ) -> Answer {
+        call!(self.common.set_debug_logging, component, on, categories.len(), categories.as_ptr())
+    }
+
+    unsafe fn enter_initialization(
+        &self,
+        _: &Functions,
+        component: Component,
+        experiment: &Experiment,
+    ) -> Answer {
+        let Experiment { tolerance, start, stop } = *experiment;
+        call!(
+            self.common.enter_initialization,
+            component,
+            tolerance.is_some(),
+            tolerance.unwrap_or(0.0),
+            start,
+            stop.is_some(),
+            stop.unwrap_or(0.0)
+        )
+    }
+
+    unsafe fn directional_derivative(
+        &self,
+        component: Component,
+        unknowns: &[u32],
+        knowns: &[u32],
+        seed: &[f64],
+        sensitivity: &mut [f64],
+    ) -> Answer {
+        // SAFETY: as for this call.
+        unsafe {
+            derivative(&self.common.directional_derivative, component, unknowns, knowns, seed, sensitivity)
+        }
+    }
+
+    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Answer {
+        let (mut again, mut terminate, mut nominals, mut values, mut defined) = (0, 0, 0, 0, 0);
+        let mut next = 0.0;
+        let answer = call!(
+            self.common.update_discrete_states,
+            component,
+            &raw mut again,
+            &raw mut terminate,
+            &raw mut nominals,
+            &raw mut values,
+            &raw mut defined,
+            &raw mut next
+        );
+        *info = EventInfo {
+            new_discrete_states_needed: again != 0,
+            terminate: terminate != 0,
+            nominals_changed: nominals != 0,
+            values_changed: values != 0,
+            next_event_time: (defined != 0).then_some(next),
+        };
+        answer
+    }
+
+    unsafe fn completed_integrator_step(
+        &self,
+        component: Component,
+        no_set_state_prior: bool,
+        event: &mut bool,
+        terminate: &mut bool,
+    ) -> Answer {
+        let (mut raw_event, mut raw_terminate): (Flag, Flag) = (0, 0);
+        let answer = call!(
+            self.model_exchange.completed_integrator_step,
+            component,
+            no_set_state_prior,
+            &raw mut raw_event,
+            &raw mut raw_terminate
+        );
+        (*event, *terminate) = (raw_event != 0, raw_terminate != 0);
+        answer
+    }
+
+    unsafe fn do_step(&self, _: &Functions, component: Component, step: Step, info: &mut StepInfo) -> Answer {
+        let Step { time, size, no_set_state_prior, .. } = step;
+        let (mut event, mut terminate, mut early): (Flag, Flag, Flag) = (0, 0, 0);
+        let mut reached = f64::NAN;
+        let answer = call!(
+            self.co_simulation.do_step,
+            component,
+            time,
+            size,
+            no_set_state_prior,
+            &raw mut event,
+            &raw mut terminate,
+            &raw mut early,
+            &raw mut reached
+        );
+        // Only then do the arguments mean something. After a discard the model stands where it did before (FMI 3.0.x,
+        // section 2.2.4), whatever they say.
+        if answer.is_good() {
+            info.event = event != 0;
+            info.terminate = terminate != 0;
+            info.early = early != 0;
+            info.reached = ((info.early || info.terminate) && reached.is_finite()).then_some(reached);
+        }
+        let is_cut_short = info.early || info.reached.is_some();
+        if is_cut_short { Answer { status: Status::Discard, ..answer } } else { answer }
+    }
+
+    unsafe fn get_output_derivatives(
+        &self,
+        _: &Functions,
+        component: Component,
+        references: &[u32],
+        orders: &[c_int],
+        values: &mut [f64],
+    ) -> Answer {
+        call!(
+            self.co_simulation.get_output_derivatives,
+            component,
+            references.as_ptr(),
+            references.len(),
+            orders.as_ptr(),
+            values.as_mut_ptr(),
+            values.len()
+        )
+    }
+
+    fn step_function(&self) -> &'static str {
+        self.co_simulation.do_step.name
+    }
+}
+
+/// The names in its tables.
+#[cfg(test)]
+pub(crate) const NAMES: [&[&[&str]]; 3] = [Common::NAMES, ModelExchange::NAMES, CoSimulation::NAMES];

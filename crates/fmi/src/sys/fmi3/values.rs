@@ -1,55 +1,154 @@
 //! Getters and setters of FMI 3.0, where a reference may stand for an array: the FMU is told the number of values.
 
-use super::functions::{Flag, Get, GetBinary, GetClock, Set, SetBinary, SetClock};
-use super::numbers::Numbers;
-use crate::description::VariableKind;
-use crate::error::{FmiError, Status};
-use crate::sys::call::{Call, Values};
-use crate::sys::functions::{Table, call, optional, table};
+use super::functions::Flag;
+use crate::error::Status;
+use crate::sys::function::{Answer, call};
 use crate::sys::packed;
-use crate::sys::symbols::Symbols;
-use crate::sys::types::{Component, status};
-use std::ffi::c_char;
+use crate::sys::symbols::table;
+use crate::sys::types::Component;
+use crate::sys::version::{NO_SUCH_TYPE, Values};
+use crate::value::VariableKind;
+use std::ffi::{c_char, c_int};
 
-/// The getters and setters of one library.
-pub(super) struct Fmi3Values {
-    pub(super) functions: ValueFunctions,
-    numbers: Numbers,
-}
+type Get<T> = unsafe extern "C" fn(Component, *const u32, usize, *mut T, usize) -> c_int;
+type Set<T> = unsafe extern "C" fn(Component, *const u32, usize, *const T, usize) -> c_int;
+type GetBinary =
+    unsafe extern "C" fn(Component, *const u32, usize, *mut usize, *mut *const u8, usize) -> c_int;
+type SetBinary =
+    unsafe extern "C" fn(Component, *const u32, usize, *const usize, *const *const u8, usize) -> c_int;
+type GetClock = unsafe extern "C" fn(Component, *const u32, usize, *mut Flag) -> c_int;
+type SetClock = unsafe extern "C" fn(Component, *const u32, usize, *const Flag) -> c_int;
 
 table! {
-    /// Those of all types but small numbers.
-    pub(super) struct ValueFunctions {
-        required {
-            get_float64: Get<f64> = Call::Get(VariableKind::Real);
-            set_float64: Set<f64> = Call::Set(VariableKind::Real);
-        }
-        optional {
-            get_string: Get<*const c_char> = Call::Get(VariableKind::String);
-            set_string: Set<*const c_char> = Call::Set(VariableKind::String);
-            get_binary: GetBinary = Call::Get(VariableKind::Binary);
-            set_binary: SetBinary = Call::Set(VariableKind::Binary);
-            get_clock: GetClock = Call::Get(VariableKind::Clock);
-            set_clock: SetClock = Call::Set(VariableKind::Clock);
-        }
+    /// The getters and setters of one library.
+    pub(crate) struct Fmi3Values {
+        get_float64: Get<f64> = required "fmi3GetFloat64";
+        set_float64: Set<f64> = required "fmi3SetFloat64";
+        get_string: Get<*const c_char> = optional "fmi3GetString";
+        set_string: Set<*const c_char> = optional "fmi3SetString";
+        get_binary: GetBinary = optional "fmi3GetBinary";
+        set_binary: SetBinary = optional "fmi3SetBinary";
+        get_clock: GetClock = optional "fmi3GetClock";
+        set_clock: SetClock = optional "fmi3SetClock";
+        get_float32: Get<f32> = optional "fmi3GetFloat32";
+        set_float32: Set<f32> = optional "fmi3SetFloat32";
+        get_int8: Get<i8> = optional "fmi3GetInt8";
+        set_int8: Set<i8> = optional "fmi3SetInt8";
+        get_uint8: Get<u8> = optional "fmi3GetUInt8";
+        set_uint8: Set<u8> = optional "fmi3SetUInt8";
+        get_int16: Get<i16> = optional "fmi3GetInt16";
+        set_int16: Set<i16> = optional "fmi3SetInt16";
+        get_uint16: Get<u16> = optional "fmi3GetUInt16";
+        set_uint16: Set<u16> = optional "fmi3SetUInt16";
+        get_int32: Get<i32> = optional "fmi3GetInt32";
+        set_int32: Set<i32> = optional "fmi3SetInt32";
+        get_uint32: Get<u32> = optional "fmi3GetUInt32";
+        set_uint32: Set<u32> = optional "fmi3SetUInt32";
+        get_int64: Get<i64> = optional "fmi3GetInt64";
+        set_int64: Set<i64> = optional "fmi3SetInt64";
+        get_uint64: Get<u64> = optional "fmi3GetUInt64";
+        set_uint64: Set<u64> = optional "fmi3SetUInt64";
+        get_boolean: Get<Flag> = optional "fmi3GetBoolean";
+        set_boolean: Set<Flag> = optional "fmi3SetBoolean";
     }
 }
 
-impl Fmi3Values {
-    /// # Errors
-    /// A function that must be there is missing.
-    ///
-    /// # Safety
-    /// As for `Fmi3::load`.
-    pub(super) unsafe fn load(
-        symbols: &Symbols<'_>,
-        name: impl Fn(Call) -> &'static str,
-    ) -> Result<Self, FmiError> {
-        // SAFETY: the caller's promises.
-        unsafe {
-            Ok(Self { functions: ValueFunctions::load(symbols, name)?, numbers: Numbers::load(symbols) })
+/// Evaluates an expression with the getter of numbers of a kind.
+macro_rules! with_getter {
+    ($self:ident, $kind:expr, |$function:ident| $body:expr, else $other:expr) => {
+        match $kind {
+            VariableKind::Float32 => {
+                let $function = &$self.get_float32;
+                $body
+            }
+            VariableKind::Int8 => {
+                let $function = &$self.get_int8;
+                $body
+            }
+            VariableKind::UInt8 => {
+                let $function = &$self.get_uint8;
+                $body
+            }
+            VariableKind::Int16 => {
+                let $function = &$self.get_int16;
+                $body
+            }
+            VariableKind::UInt16 => {
+                let $function = &$self.get_uint16;
+                $body
+            }
+            VariableKind::Integer => {
+                let $function = &$self.get_int32;
+                $body
+            }
+            VariableKind::UInt32 => {
+                let $function = &$self.get_uint32;
+                $body
+            }
+            VariableKind::Int64 | VariableKind::Enumeration => {
+                let $function = &$self.get_int64;
+                $body
+            }
+            VariableKind::UInt64 => {
+                let $function = &$self.get_uint64;
+                $body
+            }
+            VariableKind::Boolean => {
+                let $function = &$self.get_boolean;
+                $body
+            }
+            _ => $other,
         }
-    }
+    };
+}
+
+/// Evaluates an expression with the setter of numbers of a kind.
+macro_rules! with_setter {
+    ($self:ident, $kind:expr, |$function:ident| $body:expr, else $other:expr) => {
+        match $kind {
+            VariableKind::Float32 => {
+                let $function = &$self.set_float32;
+                $body
+            }
+            VariableKind::Int8 => {
+                let $function = &$self.set_int8;
+                $body
+            }
+            VariableKind::UInt8 => {
+                let $function = &$self.set_uint8;
+                $body
+            }
+            VariableKind::Int16 => {
+                let $function = &$self.set_int16;
+                $body
+            }
+            VariableKind::UInt16 => {
+                let $function = &$self.set_uint16;
+                $body
+            }
+            VariableKind::Integer => {
+                let $function = &$self.set_int32;
+                $body
+            }
+            VariableKind::UInt32 => {
+                let $function = &$self.set_uint32;
+                $body
+            }
+            VariableKind::Int64 | VariableKind::Enumeration => {
+                let $function = &$self.set_int64;
+                $body
+            }
+            VariableKind::UInt64 => {
+                let $function = &$self.set_uint64;
+                $body
+            }
+            VariableKind::Boolean => {
+                let $function = &$self.set_boolean;
+                $body
+            }
+            _ => $other,
+        }
+    };
 }
 
 impl Values for Fmi3Values {
@@ -57,26 +156,32 @@ impl Values for Fmi3Values {
         true
     }
 
-    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Status {
-        call!(
-            self.functions.get_float64,
-            component,
-            references.as_ptr(),
-            references.len(),
-            values.as_mut_ptr(),
-            values.len()
-        )
+    fn getter(&self, kind: VariableKind) -> &'static str {
+        with_getter!(self, kind, |function| function.name, else match kind {
+            VariableKind::Real => self.get_float64.name,
+            VariableKind::String => self.get_string.name,
+            VariableKind::Binary => self.get_binary.name,
+            _ => self.get_clock.name,
+        })
     }
 
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Status {
-        call!(
-            self.functions.set_float64,
-            component,
-            references.as_ptr(),
-            references.len(),
-            values.as_ptr(),
-            values.len()
-        )
+    fn setter(&self, kind: VariableKind) -> &'static str {
+        with_setter!(self, kind, |function| function.name, else match kind {
+            VariableKind::Real => self.set_float64.name,
+            VariableKind::String => self.set_string.name,
+            VariableKind::Binary => self.set_binary.name,
+            _ => self.set_clock.name,
+        })
+    }
+
+    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Answer {
+        let (list, n) = (references.as_ptr(), references.len());
+        call!(self.get_float64, component, list, n, values.as_mut_ptr(), values.len())
+    }
+
+    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Answer {
+        let (list, n) = (references.as_ptr(), references.len());
+        call!(self.set_float64, component, list, n, values.as_ptr(), values.len())
     }
 
     unsafe fn get_packed(
@@ -84,29 +189,26 @@ impl Values for Fmi3Values {
         component: Component,
         kind: VariableKind,
         references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status {
-        let status = match kind {
-            VariableKind::Clock => {
-                let Some(function) = self.functions.get_clock else { return Status::Missing };
-                let (list, n) = (references.as_ptr(), references.len());
-                if lanes.len() != n {
-                    return Status::Error;
+        words: &mut [i64],
+    ) -> Answer {
+        let (list, n, count) = (references.as_ptr(), references.len(), words.len());
+        let answer = with_getter!(
+            self,
+            kind,
+            |function| packed::get(words, |values| call!(function, component, list, n, values, count)),
+            else match kind {
+                // One value for each clock: the FMU is not told how many there are.
+                VariableKind::Clock if n == count => {
+                    packed::get(words, |values| call!(self.get_clock, component, list, n, values))
                 }
-                // SAFETY: the caller's promises are those of the trait; there are as many lanes as references.
-                status(packed::get::<Flag>(lanes, |values| unsafe { function(component, list, n, values) }))
+                VariableKind::Clock => Answer { function: self.get_clock.name, status: Status::Error },
+                _ => NO_SUCH_TYPE,
             }
-            // SAFETY: the same.
-            VariableKind::Enumeration => unsafe {
-                self.numbers.get(component, VariableKind::Int64, references, lanes)
-            },
-            // SAFETY: the same.
-            kind => unsafe { self.numbers.get(component, kind, references, lanes) },
-        };
+        );
         if matches!(kind, VariableKind::Boolean | VariableKind::Clock) {
-            packed::normalize(lanes);
+            packed::normalize(words);
         }
-        status
+        answer
     }
 
     unsafe fn set_packed(
@@ -114,25 +216,21 @@ impl Values for Fmi3Values {
         component: Component,
         kind: VariableKind,
         references: &[u32],
-        lanes: &mut [i64],
-    ) -> Status {
-        match kind {
-            VariableKind::Clock => {
-                let Some(function) = self.functions.set_clock else { return Status::Missing };
-                let (list, n) = (references.as_ptr(), references.len());
-                if lanes.len() != n {
-                    return Status::Error;
+        words: &mut [i64],
+    ) -> Answer {
+        let (list, n, count) = (references.as_ptr(), references.len(), words.len());
+        with_setter!(
+            self,
+            kind,
+            |function| packed::set(words, |values| call!(function, component, list, n, values, count)),
+            else match kind {
+                VariableKind::Clock if n == count => {
+                    packed::set(words, |values| call!(self.set_clock, component, list, n, values))
                 }
-                // SAFETY: as for getting.
-                status(packed::set::<Flag>(lanes, |values| unsafe { function(component, list, n, values) }))
+                VariableKind::Clock => Answer { function: self.set_clock.name, status: Status::Error },
+                _ => NO_SUCH_TYPE,
             }
-            // SAFETY: as for getting.
-            VariableKind::Enumeration => unsafe {
-                self.numbers.set(component, VariableKind::Int64, references, lanes)
-            },
-            // SAFETY: as for getting.
-            kind => unsafe { self.numbers.set(component, kind, references, lanes) },
-        }
+        )
     }
 
     unsafe fn get_string(
@@ -140,15 +238,9 @@ impl Values for Fmi3Values {
         component: Component,
         references: &[u32],
         values: &mut [*const c_char],
-    ) -> Status {
-        optional!(
-            self.functions.get_string,
-            component,
-            references.as_ptr(),
-            references.len(),
-            values.as_mut_ptr(),
-            values.len()
-        )
+    ) -> Answer {
+        let (list, n) = (references.as_ptr(), references.len());
+        call!(self.get_string, component, list, n, values.as_mut_ptr(), values.len())
     }
 
     unsafe fn set_string(
@@ -156,15 +248,9 @@ impl Values for Fmi3Values {
         component: Component,
         references: &[u32],
         values: &[*const c_char],
-    ) -> Status {
-        optional!(
-            self.functions.set_string,
-            component,
-            references.as_ptr(),
-            references.len(),
-            values.as_ptr(),
-            values.len()
-        )
+    ) -> Answer {
+        let (list, n) = (references.as_ptr(), references.len());
+        call!(self.set_string, component, list, n, values.as_ptr(), values.len())
     }
 
     unsafe fn get_binary(
@@ -173,16 +259,9 @@ impl Values for Fmi3Values {
         references: &[u32],
         sizes: &mut [usize],
         values: &mut [*const u8],
-    ) -> Status {
-        optional!(
-            self.functions.get_binary,
-            component,
-            references.as_ptr(),
-            references.len(),
-            sizes.as_mut_ptr(),
-            values.as_mut_ptr(),
-            values.len()
-        )
+    ) -> Answer {
+        let (list, n) = (references.as_ptr(), references.len());
+        call!(self.get_binary, component, list, n, sizes.as_mut_ptr(), values.as_mut_ptr(), values.len())
     }
 
     unsafe fn set_binary(
@@ -191,15 +270,8 @@ impl Values for Fmi3Values {
         references: &[u32],
         sizes: &[usize],
         values: &[*const u8],
-    ) -> Status {
-        optional!(
-            self.functions.set_binary,
-            component,
-            references.as_ptr(),
-            references.len(),
-            sizes.as_ptr(),
-            values.as_ptr(),
-            values.len()
-        )
+    ) -> Answer {
+        let (list, n) = (references.as_ptr(), references.len());
+        call!(self.set_binary, component, list, n, sizes.as_ptr(), values.as_ptr(), values.len())
     }
 }

@@ -5,7 +5,9 @@ use std::ffi::c_char;
 /// What is written on the way between the FMU and the outside. The pointers mean something during a call only.
 #[derive(Default)]
 pub(super) struct ValueBuffers {
-    pub(super) lanes: Vec<i64>,
+    pub(super) words: Vec<i64>,
+    /// Of derivatives.
+    pub(super) orders: Vec<i32>,
     pub(super) texts: Vec<*const c_char>,
     pub(super) sizes: Vec<usize>,
     pub(super) binaries: Vec<*const u8>,

@@ -3,13 +3,15 @@
 use super::buffers::ValueBuffers;
 use super::fault::{Failed, Fault, Outcome, Sizes};
 use super::slots::SavedStates;
-use crate::description::Interval;
+use crate::description::DependencyKind;
 use crate::error::{FmiError, LogLine, Status};
-use crate::sys::call::Call;
 use crate::sys::callbacks::Callbacks;
 use crate::sys::environment::{CallEnvironment, OneCall, restore_default};
+use crate::sys::function::{Answer, Function, call};
+use crate::sys::functions::{CommonFunctions, Functions, GetVector, Plain, PointFunctions, derivative};
 use crate::sys::library::Library;
-use crate::sys::types::{Component, EventInfo, Experiment, IntervalAnswer, Qualifier, Request};
+use crate::sys::types::{Component, ElementDependency, EventInfo, Experiment, Request};
+use std::ffi::{CString, c_int};
 use std::mem::ManuallyDrop;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -20,11 +22,25 @@ const LINES_IN_ERRORS: usize = 8;
 /// So many right-hand sides of a component are looked at call by call, for what the calls do to the floating-point mode.
 const LOOKED_INTO: u8 = 8;
 
+/// `fmi3Independent`.
+const INDEPENDENT: c_int = 0;
+
+/// What is remembered of earlier calls, for versions whose later ones are told of it or leave it out.
+#[derive(Default)]
+pub(super) struct Memory {
+    /// What the instance was set up with.
+    experiment: Experiment,
+    /// What the initialization has already said about events (FMI 1.0).
+    announced: Option<EventInfo>,
+    /// Nothing of the step that was tried last was computed.
+    pub(super) is_step_repeated: bool,
+}
+
 /// A live component.
 pub(crate) struct RawInstance {
     pub(super) component: Component,
-    /// After `Fatal`: nothing is called any more.
-    pub(super) dead: bool,
+    /// The function that returned `Fatal`: nothing is called any more.
+    pub(super) dead: Option<&'static str>,
     pub(super) sizes: Sizes,
     /// Co-simulation: made to have its events handled between steps.
     pub(super) event_mode: bool,
@@ -36,7 +52,7 @@ pub(crate) struct RawInstance {
     pub(super) to_look_into: u8,
     pub(super) saved: SavedStates,
     pub(super) buffers: Box<ValueBuffers>,
-    pub(super) orders: Vec<i32>,
+    pub(super) memory: Box<Memory>,
     // What the component may reach; given up by hand, after it, and not at all when it is dead.
     pub(super) callbacks: ManuallyDrop<Callbacks>,
     pub(super) library: ManuallyDrop<Arc<Library>>,
@@ -65,12 +81,15 @@ impl RawInstance {
         let _environment = CallEnvironment::enter();
         let callbacks = library.callbacks(request.log_filter);
         // SAFETY: the callbacks are never freed: they are leaked, or go back to the library.
-        let component = unsafe { library.binding().instantiate(request, &callbacks) };
+        let (component, function) = unsafe {
+            let _current = callbacks.enter();
+            library.version.instantiate(request, &callbacks)
+        };
         if component.is_null() {
             let (log, dropped) = callbacks.log().last(LINES_IN_ERRORS);
             library.retire(callbacks);
             return Err(FmiError::from(Failed {
-                call: library.binding().name(Call::Instantiate),
+                call: function,
                 status: Status::Error,
                 time: None,
                 log,
@@ -80,15 +99,15 @@ impl RawInstance {
         library.shared().set_used();
         Ok(Self {
             component,
-            dead: false,
+            dead: None,
             sizes,
             event_mode: request.event_mode,
-            has_arrays: library.binding().values().has_arrays(),
+            has_arrays: library.values.has_arrays(),
             time: None,
             to_look_into: LOOKED_INTO,
             saved: SavedStates::default(),
             buffers: Box::default(),
-            orders: Vec::new(),
+            memory: Box::default(),
             callbacks: ManuallyDrop::new(callbacks),
             library: ManuallyDrop::new(Arc::clone(library)),
         })
@@ -96,7 +115,7 @@ impl RawInstance {
 
     /// Whether a call of this instance, or of another of the same loaded copy of the library, returned `Fatal`.
     pub(crate) fn is_dead(&self) -> bool {
-        self.dead || self.library.shared().is_fatal()
+        self.dead.is_some() || self.library.shared().is_fatal()
     }
 
     /// The file of its library.
@@ -124,6 +143,11 @@ impl RawInstance {
         self.callbacks.log().clear();
     }
 
+    /// Keeps lines of these categories only, and those whose status is not ok; all, if there are none.
+    pub(crate) fn keep_log_categories(&mut self, categories: &[String]) {
+        self.callbacks.log().lines().categories = categories.to_vec();
+    }
+
     /// What an error about `call` carries.
     pub(crate) fn failed(&self, call: &'static str, status: Status) -> Failed {
         let (log, dropped) = self.callbacks.log().last(LINES_IN_ERRORS);
@@ -131,92 +155,105 @@ impl RawInstance {
     }
 
     /// The one place where a status becomes a result.
-    pub(super) fn check(&mut self, call: Call, status: Status) -> Outcome {
-        match status {
-            Status::Ok | Status::Warning => Ok(()),
-            _ => self.not_ok(call, status),
-        }
+    pub(super) fn check(&mut self, answer: Answer) -> Outcome {
+        if answer.is_good() { Ok(()) } else { self.not_ok(answer) }
     }
 
     #[cold]
-    fn not_ok(&mut self, call: Call, status: Status) -> Outcome {
-        let name = self.library.binding().name(call);
+    fn not_ok(&mut self, Answer { function, status }: Answer) -> Outcome {
         match status {
-            Status::Ok | Status::Warning => Ok(()),
-            Status::Discard => Err(Fault::Discard(name)),
-            Status::Missing => Err(Fault::Missing(name)),
+            Status::Ok | Status::Warning => return Ok(()),
+            Status::Discard => return Err(Fault::Discard(function)),
+            Status::Missing => return Err(Fault::Missing(function)),
             Status::Fatal => {
-                self.dead = true;
+                self.dead = Some(function);
                 self.library.shared().set_fatal();
-                Err(Fault::Failed(Box::new(self.failed(name, status))))
             }
-            Status::Error | Status::Pending | Status::Unknown(_) => {
-                Err(Fault::Failed(Box::new(self.failed(name, status))))
-            }
+            Status::Error | Status::Pending | Status::Unknown(_) => {}
         }
+        Err(Fault::Failed(Box::new(self.failed(function, status))))
     }
 
     /// Refuses calls on a dead component, or into a library that is not to be trusted any more.
     #[inline]
-    pub(super) fn alive(&self, call: Call) -> Outcome {
-        if self.dead || self.library.shared().is_fatal() { self.not_alive(call) } else { Ok(()) }
+    pub(super) fn alive(&self) -> Outcome {
+        if self.is_dead() { self.not_alive() } else { Ok(()) }
     }
 
     #[cold]
-    fn not_alive(&self, call: Call) -> Outcome {
-        match self.dead {
-            true => {
-                Err(Fault::Failed(Box::new(self.failed(self.library.binding().name(call), Status::Fatal))))
-            }
-            false => Err(Fault::Unusable(self.library_path())),
-        }
+    fn not_alive(&self) -> Outcome {
+        Err(match self.dead {
+            Some(function) => Fault::Failed(Box::new(self.failed(function, Status::Fatal))),
+            None => Fault::Unusable(self.library_path()),
+        })
     }
 
     /// As many values as references, or more where references may stand for arrays (how many is the caller's to know:
     /// the FMU is told the number of values).
-    pub(super) fn lengths(&self, call: Call, references: usize, values: usize) -> Outcome {
-        if self.has_arrays { Ok(()) } else { self.length(call, references, values) }
+    pub(super) fn lengths(&self, function: &'static str, references: usize, values: usize) -> Outcome {
+        if self.has_arrays { Ok(()) } else { self.length(function, references, values) }
     }
 
-    pub(super) fn length(&self, call: Call, expected: usize, found: usize) -> Outcome {
-        if expected == found {
-            Ok(())
-        } else {
-            Err(Fault::Length { call: self.library.binding().name(call), expected, found })
-        }
+    pub(super) fn length(&self, function: &'static str, expected: usize, found: usize) -> Outcome {
+        if expected == found { Ok(()) } else { Err(Fault::Length { call: function, expected, found }) }
+    }
+
+    /// Calls a function that takes nothing but the component.
+    fn plain(&mut self, function: impl Fn(&Functions) -> &Function<Plain>) -> Outcome {
+        run!(self, |library, c| call!(function(&library.functions), c))
     }
 }
 
 impl RawInstance {
-    pub(crate) fn set_debug_logging(&mut self, on: bool) -> Outcome {
-        run!(self, Call::SetDebugLogging, |b, c| b.set_debug_logging(c, on))
+    /// Messages of these categories, of all if there are none.
+    pub(crate) fn set_debug_logging(&mut self, on: bool, categories: &[CString]) -> Outcome {
+        let categories: Vec<_> = categories.iter().map(|category| category.as_ptr()).collect();
+        run!(self, |library, c| library.version.set_debug_logging(c, on, &categories))
     }
 
+    /// Where a version has a call for it before the initialization.
     pub(crate) fn setup_experiment(&mut self, experiment: &Experiment) -> Outcome {
-        self.time = Some(experiment.start);
-        run!(self, Call::SetupExperiment, |b, c| b.setup_experiment(c, experiment))
+        let Experiment { tolerance, start, stop } = *experiment;
+        self.time = Some(start);
+        self.memory.experiment = *experiment;
+        run!(self, |library, c| {
+            let function = &library.functions.common.setup_experiment;
+            let (has_tolerance, tolerance) = (tolerance.is_some().into(), tolerance.unwrap_or(0.0));
+            call!(function, c, has_tolerance, tolerance, start, stop.is_some().into(), stop.unwrap_or(0.0))
+        })
     }
 
-    pub(crate) fn enter_initialization(&mut self, experiment: &Experiment) -> Outcome {
-        run!(self, Call::EnterInitialization, |b, c| b.enter_initialization(c, experiment))
+    /// With the experiment that was set up.
+    pub(crate) fn enter_initialization(&mut self) -> Outcome {
+        let experiment = self.memory.experiment;
+        run!(self, |library, c| library.version.enter_initialization(&library.functions, c, &experiment))
+    }
+
+    pub(crate) fn exit_initialization(&mut self) -> Outcome {
+        let (experiment, mut announced) = (self.memory.experiment, None);
+        let outcome = run!(self, |library, c| {
+            library.version.exit_initialization(&library.functions, c, &experiment, &mut announced)
+        });
+        self.memory.announced = announced;
+        outcome
     }
 
     pub(crate) fn enter_configuration(&mut self) -> Outcome {
-        run!(self, Call::EnterConfiguration, |b, c| b.enter_configuration(c))
+        self.plain(|functions| &functions.common.enter_configuration)
     }
 
     pub(crate) fn exit_configuration(&mut self) -> Outcome {
-        run!(self, Call::ExitConfiguration, |b, c| b.exit_configuration(c))
+        self.plain(|functions| &functions.common.exit_configuration)
     }
 
     /// The sizes of the model's vectors as the FMU says them now, where it has a say.
     pub(crate) fn ask_sizes(&mut self) -> Result<Option<Sizes>, Fault> {
         let Sizes { mut states, mut indicators } = self.sizes;
-        match run!(self, Call::CountStates, |b, c| b.count_states(c, &mut states)) {
+        match run!(self, |library, c| call!(library.functions.point.count_states, c, &raw mut states)) {
             Err(Fault::Missing(_)) => return Ok(None),
             outcome => outcome?,
         }
-        run!(self, Call::CountIndicators, |b, c| b.count_indicators(c, &mut indicators))?;
+        run!(self, |library, c| call!(library.functions.point.count_indicators, c, &raw mut indicators))?;
         Ok(Some(Sizes { states, indicators }))
     }
 
@@ -225,20 +262,16 @@ impl RawInstance {
         self.sizes = sizes;
     }
 
-    pub(crate) fn exit_initialization(&mut self) -> Outcome {
-        run!(self, Call::ExitInitialization, |b, c| b.exit_initialization(c))
-    }
-
     pub(crate) fn terminate(&mut self) -> Outcome {
         // Most often between two runs, where nobody else looks at the process.
         let _environment = CallEnvironment::enter();
-        run!(self, Call::Terminate, |b, c| b.terminate(c))
+        self.plain(|functions| &functions.common.terminate)
     }
 
     pub(crate) fn reset(&mut self) -> Outcome {
         let _environment = CallEnvironment::enter();
-        self.time = None;
-        run!(self, Call::Reset, |b, c| b.reset(c))
+        (self.time, self.memory.is_step_repeated) = (None, false);
+        self.plain(|functions| &functions.common.reset)
     }
 
     pub(crate) fn directional_derivative(
@@ -248,24 +281,83 @@ impl RawInstance {
         seed: &[f64],
         sensitivity: &mut [f64],
     ) -> Outcome {
-        self.lengths(Call::DirectionalDerivative, knowns.len(), seed.len())?;
-        self.lengths(Call::DirectionalDerivative, unknowns.len(), sensitivity.len())?;
-        run!(self, Call::DirectionalDerivative, |b, c| {
-            b.directional_derivative(c, unknowns, knowns, seed, sensitivity)
+        run!(self, |library, c| {
+            library.version.directional_derivative(c, unknowns, knowns, seed, sensitivity)
         })
     }
 
+    pub(crate) fn adjoint_derivative(
+        &mut self,
+        unknowns: &[u32],
+        knowns: &[u32],
+        seed: &[f64],
+        sensitivity: &mut [f64],
+    ) -> Outcome {
+        let function = self.library.functions.common.adjoint_derivative;
+        run!(self, |_library, c| derivative(&function, c, unknowns, knowns, seed, sensitivity))
+    }
+
+    /// What the elements of a variable depend on.
+    pub(crate) fn variable_dependencies(&mut self, reference: u32) -> Result<Vec<ElementDependency>, Fault> {
+        let CommonFunctions { count_dependencies, dependencies, .. } = self.library.functions.common;
+        let mut n = 0;
+        run!(self, |_library, c| call!(count_dependencies, c, reference, &raw mut n))?;
+        if n == 0 {
+            return Ok(Vec::new());
+        }
+        let too_many = || Fault::TooLarge { call: count_dependencies.name, size: n };
+        let mut elements = zeros::<usize>(n).ok_or_else(too_many)?;
+        let mut references = zeros::<u32>(n).ok_or_else(too_many)?;
+        let mut known_elements = zeros::<usize>(n).ok_or_else(too_many)?;
+        let mut kinds = zeros::<c_int>(n).ok_or_else(too_many)?;
+        run!(self, |_library, c| call!(
+            dependencies,
+            c,
+            reference,
+            elements.as_mut_ptr(),
+            references.as_mut_ptr(),
+            known_elements.as_mut_ptr(),
+            kinds.as_mut_ptr(),
+            n
+        ))?;
+        let entries = (0..n).filter(|&i| kinds[i] != INDEPENDENT).map(|i| ElementDependency {
+            element: elements[i].checked_sub(1),
+            known: references[i],
+            known_element: known_elements[i].checked_sub(1),
+            kind: match kinds[i] {
+                1 => DependencyKind::Constant,
+                2 => DependencyKind::Fixed,
+                3 => DependencyKind::Tunable,
+                4 => DependencyKind::Discrete,
+                _ => DependencyKind::Dependent,
+            },
+        });
+        Ok(entries.collect())
+    }
+
+    /// FMI 1.0: the value references of the states, `u32::MAX` for those that are no variables.
+    pub(crate) fn state_references(&mut self) -> Result<Vec<u32>, Fault> {
+        let mut references = vec![u32::MAX; self.sizes.states];
+        let (list, n) = (references.as_mut_ptr(), references.len());
+        run!(self, |library, c| call!(library.functions.point.get_state_references, c, list, n))?;
+        Ok(references)
+    }
+
     pub(crate) fn enter_event_mode(&mut self) -> Outcome {
-        run!(self, Call::EnterEventMode, |b, c| b.enter_event_mode(c))
+        self.plain(|functions| &functions.common.enter_event_mode)
     }
 
     pub(crate) fn new_discrete_states(&mut self, info: &mut EventInfo) -> Outcome {
         self.callbacks.log().go_on();
-        run!(self, Call::NewDiscreteStates, |b, c| b.new_discrete_states(c, info))
+        if let Some(announced) = self.memory.announced.take() {
+            *info = announced;
+            return Ok(());
+        }
+        run!(self, |library, c| library.version.new_discrete_states(c, info))
     }
 
     pub(crate) fn enter_continuous_time_mode(&mut self) -> Outcome {
-        run!(self, Call::EnterContinuousTimeMode, |b, c| b.enter_continuous_time_mode(c))
+        self.plain(|functions| &functions.point.enter_continuous_time_mode)
     }
 
     /// Returns whether the model wants an event, and whether it wants to end.
@@ -273,8 +365,8 @@ impl RawInstance {
         self.callbacks.log().go_on();
         let (mut event, mut terminate) = (false, false);
         let no_set_state_prior = !self.saved.may_be_restored();
-        run!(self, Call::CompletedIntegratorStep, |b, c| {
-            b.completed_integrator_step(c, no_set_state_prior, &mut event, &mut terminate)
+        run!(self, |library, c| {
+            library.version.completed_integrator_step(c, no_set_state_prior, &mut event, &mut terminate)
         })?;
         Ok((event, terminate))
     }
@@ -282,35 +374,65 @@ impl RawInstance {
     pub(crate) fn set_time(&mut self, time: f64) -> Outcome {
         self.callbacks.log().go_on();
         self.time = Some(time);
-        run!(self, Call::SetTime, |b, c| b.set_time(c, time))
+        run!(self, |library, c| call!(library.functions.point.set_time, c, time))
     }
 
     pub(crate) fn set_continuous_states(&mut self, states: &[f64]) -> Outcome {
-        self.length(Call::SetContinuousStates, self.sizes.states, states.len())?;
-        run!(self, Call::SetContinuousStates, |b, c| b.set_continuous_states(c, states))
+        let function = self.library.functions.point.set_continuous_states;
+        self.length(function.name, self.sizes.states, states.len())?;
+        run!(self, |_library, c| call!(function, c, states.as_ptr(), states.len()))
+    }
+
+    /// Calls a function that fills a vector of the model, which has this size.
+    fn get_vector(&mut self, function: Function<GetVector>, size: usize, values: &mut [f64]) -> Outcome {
+        self.length(function.name, size, values.len())?;
+        run!(self, |_library, c| call!(function, c, values.as_mut_ptr(), values.len()))
     }
 
     pub(crate) fn get_continuous_states(&mut self, states: &mut [f64]) -> Outcome {
-        self.length(Call::GetContinuousStates, self.sizes.states, states.len())?;
-        run!(self, Call::GetContinuousStates, |b, c| b.get_continuous_states(c, states))
+        self.get_vector(self.library.functions.point.get_continuous_states, self.sizes.states, states)
+    }
+
+    pub(crate) fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Outcome {
+        self.get_vector(self.library.functions.point.get_derivatives, self.sizes.states, derivatives)
+    }
+
+    pub(crate) fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Outcome {
+        self.get_vector(self.library.functions.point.get_event_indicators, self.sizes.indicators, indicators)
+    }
+
+    pub(crate) fn get_nominals(&mut self, nominals: &mut [f64]) -> Outcome {
+        self.get_vector(self.library.functions.point.get_nominals, self.sizes.states, nominals)
     }
 
     /// The derivatives at a point: sets the time, then the states, and reads them.
     pub(crate) fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Outcome {
-        self.length(Call::SetContinuousStates, self.sizes.states, states.len())?;
-        self.length(Call::GetDerivatives, self.sizes.states, derivatives.len())?;
-        self.alive(Call::SetTime)?;
+        let PointFunctions { set_time, set_continuous_states, get_derivatives, .. } =
+            &self.library.functions.point;
+        self.length(set_continuous_states.name, self.sizes.states, states.len())?;
+        self.length(get_derivatives.name, self.sizes.states, derivatives.len())?;
+        self.alive()?;
         self.callbacks.log().go_on();
         self.time = Some(time);
         let one = OneCall::enter();
+        let _current = self.callbacks.enter();
+        let c = self.component;
         let (mut looks_into, mut changes) = (self.to_look_into > 0, false);
-        let (call, status) = loop {
-            // SAFETY: the component is alive and ours alone (`&mut self`), both slices have as many places as it has
-            // states.
-            let answer = unsafe {
-                let looks = looks_into.then_some(&mut changes);
-                self.library.binding().right_hand_side(self.component, time, states, derivatives, looks)
-            };
+        let answer = loop {
+            // The calls of a right-hand side, up to the first that fails. If they are looked into, each starts in the default
+            // floating-point mode if the first does.
+            let mut look = || changes |= looks_into && restore_default();
+            // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many
+            // places as it has states.
+            let mut answer = call!(set_time, c, time);
+            if answer.is_good() {
+                look();
+                answer = call!(set_continuous_states, c, states.as_ptr(), states.len());
+            }
+            if answer.is_good() {
+                look();
+                answer = call!(get_derivatives, c, derivatives.as_mut_ptr(), derivatives.len());
+            }
             changes |= restore_default();
             if looks_into || !changes {
                 break answer;
@@ -325,42 +447,16 @@ impl RawInstance {
             // Who changes the mode does so from the first; looking takes as long as the calls of a small model.
             self.to_look_into -= 1;
         }
-        self.check(call, status)
+        self.check(answer)
     }
+}
 
-    pub(crate) fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Outcome {
-        self.length(Call::GetDerivatives, self.sizes.states, derivatives.len())?;
-        run!(self, Call::GetDerivatives, |b, c| b.get_derivatives(c, derivatives))
-    }
-
-    pub(crate) fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Outcome {
-        self.length(Call::GetEventIndicators, self.sizes.indicators, indicators.len())?;
-        run!(self, Call::GetEventIndicators, |b, c| b.get_event_indicators(c, indicators))
-    }
-
-    pub(crate) fn get_nominals(&mut self, nominals: &mut [f64]) -> Outcome {
-        self.length(Call::GetNominals, self.sizes.states, nominals.len())?;
-        run!(self, Call::GetNominals, |b, c| b.get_nominals(c, nominals))
-    }
-
-    /// What the model says about the interval before the next tick of a clock.
-    pub(crate) fn get_interval(&mut self, clock: u32, fraction: bool) -> Result<IntervalAnswer, Fault> {
-        let mut answer =
-            IntervalAnswer { qualifier: Qualifier::NotYetKnown, interval: Interval::Decimal(0.0) };
-        run!(self, Call::GetInterval(fraction), |b, c| b.get_interval(c, clock, fraction, &mut answer))?;
-        Ok(answer)
-    }
-
-    /// Gives a clock an interval.
-    pub(crate) fn set_interval(&mut self, clock: u32, interval: Interval) -> Outcome {
-        let fraction = matches!(interval, Interval::Fraction(..));
-        run!(self, Call::SetInterval(fraction), |b, c| b.set_interval(c, clock, interval))
-    }
-
-    /// From the start to the first tick of a clock.
-    pub(crate) fn get_shift(&mut self, clock: u32, fraction: bool, shift: &mut Interval) -> Outcome {
-        run!(self, Call::GetShift(fraction), |b, c| b.get_shift(c, clock, fraction, shift))
-    }
+/// A vector of as many zeros, if there is memory for it.
+fn zeros<T: Copy + Default>(n: usize) -> Option<Vec<T>> {
+    let mut vector = Vec::new();
+    vector.try_reserve_exact(n).ok()?;
+    vector.resize(n, T::default());
+    Some(vector)
 }
 
 impl Drop for RawInstance {
@@ -370,11 +466,14 @@ impl Drop for RawInstance {
             return;
         }
         let _environment = CallEnvironment::enter();
-        let binding = self.library.binding();
+        let (functions, current) = (&self.library.functions.common, self.callbacks.enter());
         // SAFETY: the component is alive and made these states.
-        unsafe { self.saved.free(binding, self.component) };
-        // SAFETY: the component is alive, ours alone, and gone after this.
-        unsafe { binding.free_instance(self.component) };
+        unsafe { self.saved.free(&functions.free_state, self.component) };
+        if let Some(free) = functions.free.pointer {
+            // SAFETY: the component is alive, ours alone, and gone after this.
+            unsafe { free(self.component) };
+        }
+        drop(current);
         // SAFETY: both are given up once; the library last.
         unsafe {
             self.library.retire(ManuallyDrop::take(&mut self.callbacks));

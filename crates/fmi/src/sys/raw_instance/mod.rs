@@ -1,23 +1,28 @@
 //! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
 
-/// Runs one call: the component is alive, `$body` is evaluated with the binding and the component, its status checked.
+/// Runs one call: the component is alive, `$body` is evaluated with the library and the component, its answer checked.
 /// The thread is set up for it, and nothing of what it changes there is left.
 macro_rules! run {
-    ($self:ident, $call:expr, |$binding:ident, $component:ident| $body:expr) => {{
-        $self.alive($call)?;
-        let status = {
-            let ($binding, $component) = ($self.library.binding(), $self.component);
+    ($self:ident, |$library:ident, $component:ident| $body:expr) => {{
+        $self.alive()?;
+        let answer = {
+            let ($library, $component) = (&**$self.library, $self.component);
             let _call = crate::sys::environment::OneCall::enter();
+            let _current = $self.callbacks.enter();
             // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of this
             // macro or are those of the slices passed.
-            unsafe { $body }
+            #[allow(unused_unsafe)]
+            unsafe {
+                $body
+            }
         };
-        $self.check($call, status)
+        $self.check(answer)
     }};
 }
 
 mod buffers;
 // Behind the macro, which they use.
+mod clocks;
 mod component;
 mod fault;
 mod saved_states;

@@ -1,7 +1,8 @@
 //! The table of the states that an instance has saved: the FMU's pointers, of which the outside holds tokens only.
 
 use super::fault::{Fault, Outcome};
-use crate::sys::binding::Binding;
+use crate::sys::function::{Function, call};
+use crate::sys::functions::GetState;
 use crate::sys::types::{Component, StatePointer};
 use std::sync::{Arc, Weak};
 
@@ -31,11 +32,11 @@ impl SavedStates {
     ///
     /// # Safety
     /// The component is alive, and they were made by it.
-    pub(super) unsafe fn free(&mut self, binding: &dyn Binding, component: Component) {
+    pub(super) unsafe fn free(&mut self, function: &Function<GetState>, component: Component) {
         for slot in &mut self.slots {
             if !slot.pointer.is_null() {
                 // SAFETY: the caller's promises; each is freed once. The status is of no use.
-                let _ = unsafe { binding.free_state(component, &mut slot.pointer) };
+                let _ = call!(function, component, &raw mut slot.pointer);
             }
         }
         self.slots.clear();
@@ -52,7 +53,7 @@ impl SavedStates {
     pub(super) fn vacant_slot(&mut self) -> (usize, StatePointer) {
         let vacant = self.slots.iter().position(|slot| slot.token.strong_count() == 0);
         let index = vacant.unwrap_or_else(|| {
-            self.slots.push(Slot { pointer: std::ptr::null_mut(), token: Weak::new() });
+            self.slots.push(Slot { pointer: StatePointer::NULL, token: Weak::new() });
             self.slots.len() - 1
         });
         (index, self.slots[index].pointer)

@@ -3,24 +3,23 @@
 use super::component::RawInstance;
 use super::fault::{Fault, Outcome};
 use crate::description::VariableKind;
-use crate::sys::call::Call;
 use std::ffi::{CStr, CString, c_char};
 
 impl RawInstance {
     pub(crate) fn get_real(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
-        self.lengths(Call::Get(VariableKind::Real), references.len(), values.len())?;
-        run!(self, Call::Get(VariableKind::Real), |b, c| b.get_real(c, references, values))
+        self.lengths(self.library.values.getter(VariableKind::Real), references.len(), values.len())?;
+        run!(self, |library, c| library.values.get_real(c, references, values))
     }
 
-    /// Values of any kind of number but `Real`, in lanes.
+    /// Values of any kind of number but `Real`, in words.
     pub(crate) fn get_packed(
         &mut self,
         kind: VariableKind,
         references: &[u32],
-        lanes: &mut [i64],
+        words: &mut [i64],
     ) -> Outcome {
-        self.lengths(Call::Get(kind), references.len(), lanes.len())?;
-        run!(self, Call::Get(kind), |b, c| b.get_packed(c, kind, references, lanes))
+        self.lengths(self.library.values.getter(kind), references.len(), words.len())?;
+        run!(self, |library, c| library.values.get_packed(c, kind, references, words))
     }
 
     /// Reads texts and hands each, `count` in all, to `take` in turn; what is not UTF-8 is replaced.
@@ -30,7 +29,7 @@ impl RawInstance {
         count: usize,
         mut take: impl FnMut(&str),
     ) -> Outcome {
-        self.lengths(Call::Get(VariableKind::String), references.len(), count)?;
+        self.lengths(self.library.values.getter(VariableKind::String), references.len(), count)?;
         let mut pointers = std::mem::take(&mut self.buffers.texts);
         pointers.clear();
         pointers.resize(count, std::ptr::null());
@@ -51,7 +50,7 @@ impl RawInstance {
     }
 
     fn read_strings(&mut self, references: &[u32], pointers: &mut [*const c_char]) -> Outcome {
-        run!(self, Call::Get(VariableKind::String), |b, c| b.get_string(c, references, pointers))
+        run!(self, |library, c| library.values.get_string(c, references, pointers))
     }
 
     /// Reads binary values and hands each, `count` in all, to `take` in turn.
@@ -61,17 +60,16 @@ impl RawInstance {
         count: usize,
         mut take: impl FnMut(&[u8]),
     ) -> Outcome {
-        self.lengths(Call::Get(VariableKind::Binary), references.len(), count)?;
+        self.lengths(self.library.values.getter(VariableKind::Binary), references.len(), count)?;
         let (mut sizes, mut pointers) = self.buffers.take_binaries();
         sizes.resize(count, 0);
         pointers.resize(count, std::ptr::null());
         let outcome = self.read_binaries(references, &mut sizes, &mut pointers);
         let largest = sizes.iter().copied().max().unwrap_or(0);
         let outcome = match isize::try_from(largest) {
-            Err(_) if outcome.is_ok() => Err(Fault::TooLarge {
-                call: self.library.binding().name(Call::Get(VariableKind::Binary)),
-                size: largest,
-            }),
+            Err(_) if outcome.is_ok() => {
+                Err(Fault::TooLarge { call: self.library.values.getter(VariableKind::Binary), size: largest })
+            }
             _ => outcome,
         };
         if outcome.is_ok() {
@@ -95,32 +93,31 @@ impl RawInstance {
         sizes: &mut [usize],
         pointers: &mut [*const u8],
     ) -> Outcome {
-        let call = Call::Get(VariableKind::Binary);
-        run!(self, call, |b, c| b.get_binary(c, references, sizes, pointers))
+        run!(self, |library, c| library.values.get_binary(c, references, sizes, pointers))
     }
 
     pub(crate) fn set_real(&mut self, references: &[u32], values: &[f64]) -> Outcome {
-        self.lengths(Call::Set(VariableKind::Real), references.len(), values.len())?;
-        run!(self, Call::Set(VariableKind::Real), |b, c| b.set_real(c, references, values))
+        self.lengths(self.library.values.setter(VariableKind::Real), references.len(), values.len())?;
+        run!(self, |library, c| library.values.set_real(c, references, values))
     }
 
-    /// Values of any kind of number but `Real`, in lanes.
-    pub(crate) fn set_packed(&mut self, kind: VariableKind, references: &[u32], lanes: &[i64]) -> Outcome {
-        self.lengths(Call::Set(kind), references.len(), lanes.len())?;
-        let mut copy = std::mem::take(&mut self.buffers.lanes);
+    /// Values of any kind of number but `Real`, in words.
+    pub(crate) fn set_packed(&mut self, kind: VariableKind, references: &[u32], words: &[i64]) -> Outcome {
+        self.lengths(self.library.values.setter(kind), references.len(), words.len())?;
+        let mut copy = std::mem::take(&mut self.buffers.words);
         copy.clear();
-        copy.extend_from_slice(lanes);
+        copy.extend_from_slice(words);
         let outcome = self.set_copied(kind, references, &mut copy);
-        self.buffers.lanes = copy;
+        self.buffers.words = copy;
         outcome
     }
 
-    fn set_copied(&mut self, kind: VariableKind, references: &[u32], lanes: &mut [i64]) -> Outcome {
-        run!(self, Call::Set(kind), |b, c| b.set_packed(c, kind, references, lanes))
+    fn set_copied(&mut self, kind: VariableKind, references: &[u32], words: &mut [i64]) -> Outcome {
+        run!(self, |library, c| library.values.set_packed(c, kind, references, words))
     }
 
     pub(crate) fn set_string(&mut self, references: &[u32], values: &[CString]) -> Outcome {
-        self.lengths(Call::Set(VariableKind::String), references.len(), values.len())?;
+        self.lengths(self.library.values.setter(VariableKind::String), references.len(), values.len())?;
         let mut pointers = std::mem::take(&mut self.buffers.texts);
         pointers.clear();
         pointers.extend(values.iter().map(|value| value.as_ptr()));
@@ -130,11 +127,11 @@ impl RawInstance {
     }
 
     fn write_strings(&mut self, references: &[u32], pointers: &[*const c_char]) -> Outcome {
-        run!(self, Call::Set(VariableKind::String), |b, c| b.set_string(c, references, pointers))
+        run!(self, |library, c| library.values.set_string(c, references, pointers))
     }
 
     pub(crate) fn set_binary(&mut self, references: &[u32], values: &[Vec<u8>]) -> Outcome {
-        self.lengths(Call::Set(VariableKind::Binary), references.len(), values.len())?;
+        self.lengths(self.library.values.setter(VariableKind::Binary), references.len(), values.len())?;
         let (mut sizes, mut pointers) = self.buffers.take_binaries();
         sizes.extend(values.iter().map(Vec::len));
         pointers.extend(values.iter().map(|value| value.as_ptr()));
@@ -144,7 +141,6 @@ impl RawInstance {
     }
 
     fn write_binaries(&mut self, references: &[u32], sizes: &[usize], pointers: &[*const u8]) -> Outcome {
-        let call = Call::Set(VariableKind::Binary);
-        run!(self, call, |b, c| b.set_binary(c, references, sizes, pointers))
+        run!(self, |library, c| library.values.set_binary(c, references, sizes, pointers))
     }
 }

@@ -60,7 +60,7 @@ impl Runner {
     }
 
     /// Resets an instance, or makes a new one where that fails; and whether it was used before.
-    pub(crate) fn renew_or_replace(
+    pub(crate) fn reset_or_replace(
         &mut self,
         used: RawInstance,
         reuse: Reuse,
@@ -69,7 +69,7 @@ impl Runner {
             drop(used);
             return Ok((self.new_instance()?, false));
         }
-        if let Ok(raw) = renew(used, self.plan.fmu(), reuse) {
+        if let Ok(raw) = reset(used, self.plan.fmu(), reuse) {
             return Ok((raw, true));
         }
         if !self.is_fatal() {
@@ -96,7 +96,7 @@ impl Runner {
 }
 
 /// Brings an instance with a past back to its beginning, by a saved state or the FMU's reset function.
-pub(crate) fn renew(mut raw: RawInstance, fmu: &Fmu, reuse: Reuse) -> Result<RawInstance, FmiError> {
+pub(crate) fn reset(mut raw: RawInstance, fmu: &Fmu, reuse: Reuse) -> Result<RawInstance, FmiError> {
     if reuse != Reuse::Restore {
         return Instance::<Instantiated>::from_raw(raw, fmu.clone()).reset().map(|fresh| fresh.into_raw().0);
     }

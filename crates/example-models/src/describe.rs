@@ -1,16 +1,16 @@
 //! Model descriptions of the bundled models for every version of the standard, written from the one that lies beside
 //! the model's source (FMI 2.0 model exchange).
 
-use super::kind::ExampleKind;
-use crate::description::{
+use crate::kind::ExampleKind;
+use fmi::FmiError;
+use fmi::description::{
     BaseUnit, Causality, DefaultExperiment, Initial, ModelDescription, Unknown, Value, Variability, Variable,
     VariableKind,
 };
-use crate::error::FmiError;
 use std::fmt::Write;
 
 /// `modelDescription.xml` of a model in another form; `original` is that of FMI 2.0 model exchange.
-pub(super) fn description(original: &str, kind: ExampleKind) -> Result<String, FmiError> {
+pub(crate) fn description(original: &str, kind: ExampleKind) -> Result<String, FmiError> {
     Ok(match kind {
         ExampleKind::Fmi2ModelExchange => original.to_owned(),
         ExampleKind::Fmi2CoSimulation => as_co_simulation(original),
@@ -307,7 +307,7 @@ fn unknown3(model: &ModelDescription, element: &str, unknown: &Unknown, out: &mu
 }
 
 /// `sources/buildDescription.xml`, which FMI 3.0 has in place of a list of files.
-pub(super) fn build_description(identifier: &str, files: &[&str]) -> String {
+pub(crate) fn build_description(identifier: &str, files: &[&str]) -> String {
     let files: String = files.iter().map(|file| format!("      <SourceFile name=\"{file}\"/>\n")).collect();
     format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<fmiBuildDescription fmiVersion=\"3.0\">\n  <BuildConfiguration \

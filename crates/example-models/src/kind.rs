@@ -3,7 +3,7 @@
 /// Names and contents of files of the front ends.
 macro_rules! frontend {
     [$($name:literal),+] => {
-        [$(($name, include_str!(concat!("../../models/frontend/", $name)))),+]
+        [$(($name, include_str!(concat!("../models/frontend/", $name)))),+]
     };
 }
 
@@ -34,7 +34,7 @@ impl ExampleKind {
     ];
 
     /// What stands behind the model's name in the name of the file.
-    pub(super) fn suffix(self) -> &'static str {
+    pub(crate) fn suffix(self) -> &'static str {
         match self {
             ExampleKind::Fmi1ModelExchange => "-fmi1-me",
             ExampleKind::Fmi1CoSimulation => "-fmi1-cs",
@@ -45,7 +45,7 @@ impl ExampleKind {
     }
 
     /// The files that turn a model into an FMU, the one that is compiled first; see `models/readme.md`.
-    pub(super) fn frontend(self) -> &'static [(&'static str, &'static str)] {
+    pub(crate) fn frontend(self) -> &'static [(&'static str, &'static str)] {
         match self {
             ExampleKind::Fmi2CoSimulation => {
                 &frontend!["fmi2_cs.c", "fmi2.h", "fmi2_common.h", "solver.h", "instance.h", "model.h"]

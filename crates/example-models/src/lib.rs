@@ -1,15 +1,15 @@
-//! The bundled example models: their sources are part of this library, and become `.fmu` files on demand.
+//! Example models for documentation, tests and demos: their sources are part of this library, and become `.fmu` files on
+//! demand, for every version of the standard.
+//!
+//! The crate stands above the importer, which packs the models; the importer knows nothing of them.
 
 mod describe;
 mod kind;
 
 pub use kind::ExampleKind;
 
-use crate::archive::hash_of_texts;
-use crate::error::FmiError;
-use crate::source::{cache_folder, pack};
-use std::fs;
-use std::path::{Path, PathBuf};
+use fmi::FmiError;
+use std::path::PathBuf;
 
 struct Example {
     name: &'static str,
@@ -21,8 +21,8 @@ macro_rules! example {
     ($name:literal) => {
         Example {
             name: $name,
-            description: include_str!(concat!("../../models/", $name, "/modelDescription.xml")),
-            model: include_str!(concat!("../../models/", $name, "/model.c")),
+            description: include_str!(concat!("../models/", $name, "/modelDescription.xml")),
+            model: include_str!(concat!("../models/", $name, "/model.c")),
         }
     };
 }
@@ -46,13 +46,13 @@ pub fn example_names() -> impl ExactSizeIterator<Item = &'static str> {
 /// Path of an `.fmu` of a bundled model, with its sources and a library for this platform.
 ///
 /// It is packed at the first call, with the system's C compiler, and kept in a cache folder
-/// (see [`build_library`](crate::build_library)).
+/// (see [`fmi::build_library`]).
 ///
 /// # Errors
-/// [`FmiError::UnknownExample`] lists the names there are; no compiler; the system refuses to write.
+/// [`FmiError::BadSetting`] lists the names there are; no compiler; the system refuses to write.
 ///
 /// ```no_run
-/// let furuta = fmi::Fmu::open(fmi::example_fmu("furuta")?)?;
+/// let furuta = fmi::Fmu::open(example_models::example_fmu("furuta")?)?;
 /// # Ok::<(), fmi::FmiError>(())
 /// ```
 pub fn example_fmu(name: &str) -> Result<PathBuf, FmiError> {
@@ -66,31 +66,11 @@ pub fn example_fmu(name: &str) -> Result<PathBuf, FmiError> {
 pub fn example_fmu_as(name: &str, kind: ExampleKind) -> Result<PathBuf, FmiError> {
     let Some(example) = EXAMPLES.iter().find(|example| example.name == name) else {
         let known: Vec<&str> = example_names().collect();
-        return Err(FmiError::UnknownExample { name: name.to_owned(), known: known.join(", ") });
+        let problem = format!("there is no example model \"{name}\"; there are {}", known.join(", "));
+        return Err(FmiError::BadSetting { problem });
     };
-    let examples = cache_folder("examples")?;
-    let files = files(example, kind)?;
-    // Sources that change get a new place, so that nobody meets an older model.
-    let texts = files.iter().map(|(_, text)| text.as_str());
-    let version = [env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH];
-    let hash = hash_of_texts(texts.chain(version));
-    let kept = examples.join(&hash[..16.min(hash.len())]);
-    let file = kept.join(format!("{name}{}.fmu", kind.suffix()));
-    if file.is_file() {
-        return Ok(file);
-    }
-    let unfinished = tempfile::Builder::new()
-        .prefix(".unfinished-")
-        .tempdir_in(&examples)
-        .map_err(FmiError::io("create a folder in", &examples))?;
-    let folder = unfinished.path().join("fmu");
-    write_files(&folder, &files)?;
-    let packed = unfinished.path().join("packed.fmu");
-    pack(&folder, &packed)?;
-    fs::create_dir_all(&kept).map_err(FmiError::io("create", &kept))?;
-    // In one step, so that another process meets a whole file or none.
-    fs::rename(&packed, &file).map_err(FmiError::io("create", &file))?;
-    Ok(file)
+    let file_name = format!("{name}{}.fmu", kind.suffix());
+    fmi::pack_texts(&file_name, &files(example, kind)?)
 }
 
 /// The files of an example as a source-code FMU, by their paths in it.
@@ -111,14 +91,4 @@ fn files(example: &Example, kind: ExampleKind) -> Result<Vec<(String, String)>, 
         files.push(("sources/buildDescription.xml".to_owned(), text));
     }
     Ok(files)
-}
-
-fn write_files(folder: &Path, files: &[(String, String)]) -> Result<(), FmiError> {
-    let sources = folder.join("sources");
-    fs::create_dir_all(&sources).map_err(FmiError::io("create", &sources))?;
-    for (name, text) in files {
-        let path = folder.join(name);
-        fs::write(&path, text).map_err(FmiError::io("write", path))?;
-    }
-    Ok(())
 }

@@ -16,7 +16,7 @@ pub(super) struct State {
     pub(super) users: usize,
     pub(super) source: Option<Source>,
     pub(super) idle: Vec<Arc<LoadedCopy>>,
-    pub(super) loans: Vec<Loan>,
+    pub(super) in_use: Vec<CopyInUse>,
     /// Copies being made; whether one of them is for owners that go one at a time.
     pub(super) making: usize,
     pub(super) making_serial: bool,
@@ -34,10 +34,10 @@ pub(super) struct State {
 }
 
 /// A copy in use.
-pub(super) struct Loan {
+pub(super) struct CopyInUse {
     pub(super) copy: Arc<LoadedCopy>,
     pub(super) sharing: Sharing,
-    pub(super) holders: Vec<(u64, Option<Weak<dyn Tenant>>)>,
+    pub(super) holders: Vec<(u64, Option<Weak<dyn CopyOwner>>)>,
 }
 
 impl State {
@@ -46,16 +46,16 @@ impl State {
         if self.idle.len() <= KEPT_IDLE {
             return None;
         }
-        self.idle.iter().find(|copy| copy.home().is_some()).cloned()
+        self.idle.iter().find(|copy| copy.folder_owner().is_some()).cloned()
     }
 
     /// Notes a holder of a copy.
-    pub(super) fn loan(&mut self, copy: &Arc<LoadedCopy>, request: &CopyRequest<'_>) -> u64 {
+    pub(super) fn note_use(&mut self, copy: &Arc<LoadedCopy>, request: &CopyRequest<'_>) -> u64 {
         self.last_lease += 1;
-        let holder = (self.last_lease, request.tenant.clone());
-        match self.loans.iter_mut().find(|loan| Arc::ptr_eq(&loan.copy, copy)) {
-            Some(loan) => loan.holders.push(holder),
-            None => self.loans.push(Loan {
+        let holder = (self.last_lease, request.owner.clone());
+        match self.in_use.iter_mut().find(|in_use| Arc::ptr_eq(&in_use.copy, copy)) {
+            Some(in_use) => in_use.holders.push(holder),
+            None => self.in_use.push(CopyInUse {
                 copy: Arc::clone(copy),
                 sharing: request.sharing,
                 holders: vec![holder],
@@ -66,17 +66,17 @@ impl State {
 }
 
 /// An owner that can be asked to give its copy up between two of its calls.
-pub(crate) trait Tenant: Send + Sync {
+pub(crate) trait CopyOwner: Send + Sync {
     /// Gives the copy up, if no call is under way.
-    fn evict(&self) -> Eviction;
+    fn release(&self) -> Release;
 
     /// Whether nothing is lost when it does: it is a simulator that lies in a pool.
-    fn is_dormant(&self) -> bool;
+    fn is_in_pool(&self) -> bool;
 }
 
 /// What became of a request to give a copy up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Eviction {
+pub(crate) enum Release {
     /// It was given up, or is just being given up.
     Done,
     /// A simulation is under way; it will end.
@@ -90,7 +90,7 @@ pub(crate) struct CopyRequest<'a> {
     pub(crate) kind: InterfaceKind,
     pub(crate) sharing: Sharing,
     /// `None`: the owner does not give it up.
-    pub(crate) tenant: Option<Weak<dyn Tenant>>,
+    pub(crate) owner: Option<Weak<dyn CopyOwner>>,
     /// Loads the library.
     pub(crate) open: &'a dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
 }

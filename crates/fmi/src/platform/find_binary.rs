@@ -1,0 +1,150 @@
+//! The library of a model among the binaries of an FMU.
+
+use super::binary::{self, BinaryFormat, BinaryHeader, Machine};
+use super::system::{FolderNames, LIBRARY_EXTENSION, binary_folders};
+use crate::error::FmiError;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A library found in `binaries/`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FoundBinary {
+    /// The library.
+    pub path: PathBuf,
+    /// What was not as it should be, if anything: another name than the model identifier.
+    pub note: Option<String>,
+}
+
+/// Finds the library of a model for this platform.
+///
+/// A library of another name is taken if it is the only one in its folder (and noted).
+/// Fails with [`FmiError::NoBinary`], which lists what is there with its machine types.
+pub fn find_binary(root: &Path, model_identifier: &str, names: FolderNames) -> Result<FoundBinary, FmiError> {
+    let folders = binary_folders(names);
+    for folder in &folders {
+        let folder = root.join("binaries").join(folder);
+        let exact = folder.join(format!("{model_identifier}.{LIBRARY_EXTENSION}"));
+        if runs_here(&exact) {
+            return Ok(FoundBinary { path: exact, note: None });
+        }
+        if exact.exists() {
+            continue;
+        }
+        if let [only] = &libraries_in(&folder)[..]
+            && runs_here(only)
+        {
+            let note = format!(
+                "{} taken for model identifier \"{model_identifier}\": the only library there",
+                only.strip_prefix(root).unwrap_or(only).display()
+            );
+            return Ok(FoundBinary { path: only.clone(), note: Some(note) });
+        }
+    }
+    Err(FmiError::NoBinary {
+        path: root.to_owned(),
+        wanted: format!("{} with {} {}", folders.join(" or "), BinaryFormat::host(), Machine::host()),
+        present: present_binaries(root),
+    })
+}
+
+fn runs_here(path: &Path) -> bool {
+    matches!(BinaryHeader::read(path), Ok(Some(header)) if header.runs_here())
+}
+
+/// Files with the extension of this platform's libraries, sorted; empty if there is no such folder.
+fn libraries_in(folder: &Path) -> Vec<PathBuf> {
+    sorted_entries(folder)
+        .into_iter()
+        .filter(|path| {
+            path.extension().is_some_and(|extension| extension == LIBRARY_EXTENSION) && path.is_file()
+        })
+        .collect()
+}
+
+fn sorted_entries(folder: &Path) -> Vec<PathBuf> {
+    let mut paths: Vec<_> =
+        fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+    paths.sort();
+    paths
+}
+
+/// The folders of `binaries/` and what is in them, for a message.
+fn present_binaries(root: &Path) -> String {
+    let folders = sorted_entries(&root.join("binaries"));
+    let described: Vec<String> =
+        folders.iter().filter(|path| path.is_dir()).take(20).map(|folder| describe_folder(folder)).collect();
+    if described.is_empty() { "no binaries at all".to_owned() } else { described.join(", ") }
+}
+
+fn describe_folder(folder: &Path) -> String {
+    let files: Vec<String> = sorted_entries(folder)
+        .iter()
+        .filter(|path| path.is_file())
+        .take(5)
+        .map(|path| format!("{}: {}", file_name(path), binary::describe(path)))
+        .collect();
+    let inside = if files.is_empty() { "empty".to_owned() } else { files.join(", ") };
+    format!("{} ({inside})", file_name(folder))
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::env;
+
+    /// The header of an ELF library for 64-bit PowerPC, which is number 21.
+    fn foreign_library() -> Vec<u8> {
+        let mut bytes = b"\x7fELF\x02\x01\x01".to_vec();
+        bytes.resize(18, 0);
+        bytes.extend([21, 0]);
+        bytes
+    }
+
+    #[test]
+    fn a_foreign_library_is_not_taken_and_is_listed() {
+        let root = tempfile::tempdir().unwrap();
+        let mine = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
+        let other = root.path().join("binaries/plan9");
+        fs::create_dir_all(&mine).unwrap();
+        fs::create_dir_all(&other).unwrap();
+        fs::write(mine.join(format!("m.{LIBRARY_EXTENSION}")), foreign_library()).unwrap();
+        let message = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap_err().to_string();
+        assert!(message.contains("ELF machine 21") && message.contains("plan9 (empty)"), "{message}");
+        assert!(message.contains(&binary_folders(FolderNames::SystemAndBits)[0]), "{message}");
+    }
+
+    #[test]
+    fn a_single_library_of_another_name_is_taken_and_noted() {
+        let root = tempfile::tempdir().unwrap();
+        let mine = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
+        fs::create_dir_all(&mine).unwrap();
+        let program = env::current_exe().unwrap();
+        let library = mine.join(format!("other.{LIBRARY_EXTENSION}"));
+        fs::copy(&program, &library).unwrap();
+        let found = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap();
+        assert_eq!(found.path, library);
+        assert!(found.note.unwrap().contains("\"m\""));
+        fs::copy(&program, mine.join(format!("third.{LIBRARY_EXTENSION}"))).unwrap();
+        assert!(matches!(
+            find_binary(root.path(), "m", FolderNames::SystemAndBits),
+            Err(FmiError::NoBinary { .. })
+        ));
+        let exact = mine.join(format!("m.{LIBRARY_EXTENSION}"));
+        fs::copy(&program, &exact).unwrap();
+        assert_eq!(
+            find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap(),
+            FoundBinary { path: exact, note: None }
+        );
+    }
+
+    #[test]
+    fn an_fmu_without_binaries_says_so() {
+        let root = tempfile::tempdir().unwrap();
+        let message = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap_err().to_string();
+        assert!(message.contains("no binaries at all"), "{message}");
+    }
+}

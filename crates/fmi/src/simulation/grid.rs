@@ -1,0 +1,269 @@
+//! The span of a simulation and the times of its rows.
+
+use super::options::{DEFAULT_INTERVALS, SimulateOptions};
+use crate::description::DefaultExperiment;
+use crate::error::FmiError;
+use crate::platform::memory;
+use ode::Number;
+
+/// More rows than this are taken for a mistake.
+const MAX_ROWS: usize = 100_000_000;
+
+/// Unit round-off of double precision.
+const U: f64 = f64::EPSILON / 2.0;
+
+impl SimulateOptions {
+    /// Resolves span and rows.
+    pub(crate) fn grid(&self, experiment: &DefaultExperiment) -> Result<Grid, FmiError> {
+        let given = [self.times.is_some(), self.output_interval.is_some(), self.ncp.is_some()];
+        if given.iter().filter(|is| **is).count() > 1 {
+            return Err(setting("at most one of times, output_interval and ncp can be given".to_owned()));
+        }
+        let start = self.start_time.or(experiment.start_time).unwrap_or(0.0);
+        let last = self.times.as_ref().and_then(|times| times.last().copied());
+        let Some(end) = self.final_time.or(experiment.stop_time).or(last) else {
+            return Err(setting(
+                "no final time: neither final_time nor times is given, and the model suggests none"
+                    .to_owned(),
+            ));
+        };
+        if !(start.is_finite() && end.is_finite() && start <= end) {
+            let problem = format!(
+                "cannot simulate from {} to {}: both must be finite, the end not before the start",
+                Number(start),
+                Number(end)
+            );
+            return Err(setting(problem));
+        }
+        if !(end - start).is_finite() {
+            return Err(setting(format!(
+                "the span from {} to {} is too long for a number",
+                Number(start),
+                Number(end)
+            )));
+        }
+        let same = 100.0 * U * start.abs().max(end.abs()).max(end - start);
+        let mut interval = self.output_interval;
+        let times: Vec<f64> = match (&self.times, self.output_interval, self.ncp) {
+            (Some(times), ..) => snap(times, start, end, same)?,
+            (_, Some(interval), _) => intervals(start, end, same, interval)?,
+            (_, _, Some(0)) => return Err(setting("ncp = 0: at least one interval is needed".to_owned())),
+            (_, _, ncp) => {
+                let n = ncp.unwrap_or(DEFAULT_INTERVALS);
+                interval = Some((end - start) / n as f64);
+                uniform(start, end, same, n)?
+            }
+        };
+        if self.times.is_some() {
+            interval = common_interval(&times, start, same);
+        }
+        Ok(Grid { start, end, same, times, interval })
+    }
+}
+
+/// Span and rows of a simulation.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Grid {
+    pub(crate) start: f64,
+    pub(crate) end: f64,
+    /// Times closer than this are one.
+    pub(crate) same: f64,
+    pub(crate) times: Vec<f64>,
+    /// Distance of the rows, where they have one.
+    pub(crate) interval: Option<f64>,
+}
+
+fn setting(problem: String) -> FmiError {
+    FmiError::BadSetting { problem }
+}
+
+/// `n` equal intervals: `start + k h`, never a sum, and the end itself; fewer where the rows could not be told apart.
+fn uniform(start: f64, end: f64, same: f64, n: usize) -> Result<Vec<f64>, FmiError> {
+    if start == end {
+        return Ok(vec![start]);
+    }
+    if n > MAX_ROWS {
+        return Err(setting(format!("{n} intervals are more than the limit of {MAX_ROWS}")));
+    }
+    let h = (end - start) / n as f64;
+    let mut times = vec![start];
+    let mut last = start;
+    for t in (1..n).map(|k| start + k as f64 * h) {
+        if t - last > same && end - t > same {
+            times.push(t);
+            last = t;
+        }
+    }
+    times.push(end);
+    Ok(times)
+}
+
+/// The distance of rows that are given one by one, if it is the same for all and the first is at the start.
+fn common_interval(times: &[f64], start: f64, same: f64) -> Option<f64> {
+    let (first, last) = (times.first()?, times.last()?);
+    let n = times.len() - 1;
+    let interval = (last - first) / n as f64;
+    let is_regular = |(k, time): (usize, &f64)| (time - (start + k as f64 * interval)).abs() <= same;
+    (n > 1 && interval > same && times.iter().enumerate().all(is_regular)).then_some(interval)
+}
+
+/// Rows `interval` apart, and one at the end.
+fn intervals(start: f64, end: f64, same: f64, interval: f64) -> Result<Vec<f64>, FmiError> {
+    if !(interval > 0.0 && interval.is_finite()) {
+        return Err(setting(format!("output_interval = {} must be positive and finite", Number(interval))));
+    }
+    let count = ((end - start) / interval).ceil();
+    if count > MAX_ROWS as f64 || interval <= same {
+        return Err(setting(format!(
+            "output_interval = {} from {} to {} makes more rows than the limit of {MAX_ROWS}",
+            Number(interval),
+            Number(start),
+            Number(end)
+        )));
+    }
+    Ok((0..=count as usize)
+        .map(|k| start + k as f64 * interval)
+        .take_while(|t| *t < end - same)
+        .chain([end])
+        .collect())
+}
+
+/// Checks given times, and makes those one that are within rounding of each other or of the ends of the span.
+fn snap(times: &[f64], start: f64, end: f64, same: f64) -> Result<Vec<f64>, FmiError> {
+    let mut snapped: Vec<f64> = memory::list_of("the list of times", times.len())?;
+    for (i, &time) in times.iter().enumerate() {
+        if !(time >= start - same && time <= end + same) {
+            return Err(setting(format!(
+                "times[{i}] = {} is not within the span of the simulation, {} to {}",
+                Number(time),
+                Number(start),
+                Number(end)
+            )));
+        }
+        let mut time = if time <= start + same {
+            start
+        } else if time >= end - same {
+            end
+        } else {
+            time
+        };
+        if let Some(&before) = snapped.last() {
+            if times[i] < times[i - 1] {
+                return Err(setting(format!(
+                    "times must ascend: times[{i}] = {} comes after {}",
+                    Number(times[i]),
+                    Number(times[i - 1])
+                )));
+            }
+            if time - before <= same {
+                time = before;
+            }
+            if i > 1 && time == snapped[i - 2] {
+                return Err(setting(format!(
+                    "times[{i}] = {} is listed a third time; twice is left and right limit",
+                    Number(time)
+                )));
+            }
+        }
+        snapped.push(time);
+    }
+    Ok(snapped)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NONE: DefaultExperiment =
+        DefaultExperiment { start_time: None, stop_time: None, tolerance: None, step_size: None };
+
+    fn grid(options: &SimulateOptions) -> Grid {
+        options.grid(&NONE).unwrap()
+    }
+
+    fn problem(options: &SimulateOptions) -> String {
+        options.grid(&NONE).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn five_hundred_intervals_by_default() {
+        let g = grid(&SimulateOptions::new().final_time(40.0));
+        assert_eq!((g.start, g.end, g.times.len()), (0.0, 40.0, 501));
+        assert_eq!((g.times[1], g.times[500]), (0.08, 40.0));
+        let one = grid(&SimulateOptions::new().start_time(0.1).final_time(1.1).ncp(1));
+        assert_eq!(one.times, [0.1, 1.1]);
+        assert_eq!(grid(&SimulateOptions::new().final_time(0.0)).times, [0.0]);
+    }
+
+    #[test]
+    fn rows_that_cannot_be_told_apart_are_one() {
+        let g = grid(&SimulateOptions::new().start_time(1e9).final_time(1e9 + 1e-5));
+        assert_eq!((g.times[0], *g.times.last().unwrap()), (1e9, 1e9 + 1e-5));
+        assert!(g.times.windows(2).all(|pair| pair[1] > pair[0]), "{:?}", g.times);
+        let g = grid(&SimulateOptions::new().start_time(1e9).final_time(1e9 + 1.0));
+        assert!(g.times.len() > 400 && g.times.windows(2).all(|pair| pair[1] - pair[0] > g.same));
+        assert!(
+            problem(&SimulateOptions::new().start_time(-1.5e308).final_time(1.5e308)).contains("too long")
+        );
+    }
+
+    #[test]
+    fn intervals_end_at_the_final_time() {
+        let times = |interval| grid(&SimulateOptions::new().final_time(1.0).output_interval(interval)).times;
+        assert_eq!(times(0.5), [0.0, 0.5, 1.0]);
+        assert_eq!(times(0.1).len(), 11);
+        assert_eq!(times(0.4), [0.0, 0.4, 0.8, 1.0]);
+        assert_eq!(times(7.0), [0.0, 1.0]);
+    }
+
+    #[test]
+    fn the_default_experiment_comes_before_the_last_of_the_times() {
+        let experiment = DefaultExperiment { start_time: Some(1.0), stop_time: Some(3.0), ..NONE };
+        let options = SimulateOptions::new().times([1.5, 2.0]);
+        let g = options.grid(&experiment).unwrap();
+        assert_eq!((g.start, g.end), (1.0, 3.0));
+        assert_eq!(grid(&options).end, 2.0);
+        assert!(
+            SimulateOptions::new()
+                .times([4.0])
+                .grid(&experiment)
+                .unwrap_err()
+                .to_string()
+                .contains("times[0] = 4")
+        );
+        assert!(problem(&SimulateOptions::new()).contains("final_time"));
+    }
+
+    #[test]
+    fn times_within_rounding_are_one() {
+        let three = 0.1 + 0.2;
+        let g = grid(&SimulateOptions::new().times([-1e-17, 0.3, three, 1.0 + 1e-15]).final_time(1.0));
+        assert_eq!(g.times, [0.0, 0.3, 0.3, 1.0]);
+    }
+
+    #[test]
+    fn bad_settings_name_the_numbers() {
+        let end = || SimulateOptions::new().final_time(1.0);
+        assert!(problem(&end().ncp(2).output_interval(0.1)).contains("at most one"));
+        assert!(problem(&end().ncp(0)).contains("ncp = 0"));
+        assert!(problem(&end().times([0.5, 0.2])).contains("times[1] = 0.2 comes after 0.5"));
+        assert!(problem(&end().times([0.5, 0.5, 0.5])).contains("third"));
+        assert!(problem(&end().times([f64::NAN])).contains("NaN"));
+        assert!(problem(&end().times([2.0])).contains("times[0] = 2"));
+        assert!(problem(&end().output_interval(-0.1)).contains("-0.1"));
+        assert!(problem(&end().output_interval(1e-300)).contains("limit"));
+        assert!(problem(&SimulateOptions::new().final_time(f64::INFINITY)).contains("inf"));
+        assert!(problem(&end().start_time(2.0)).contains("from 2 to 1"));
+    }
+
+    #[test]
+    fn the_tolerance_of_the_model_is_taken_if_it_makes_sense() {
+        let tolerance = |suggested| {
+            let experiment = DefaultExperiment { tolerance: suggested, ..NONE };
+            SimulateOptions::new().method_options(&experiment).relative_tolerance
+        };
+        assert_eq!(tolerance(Some(1e-4)), 1e-4);
+        assert_eq!(tolerance(Some(0.0)), 1e-6);
+        assert_eq!(tolerance(None), 1e-6);
+    }
+}

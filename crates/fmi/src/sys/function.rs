@@ -1,0 +1,57 @@
+//! A function of a library, and what a call of it answers.
+
+use super::types::{Component, status};
+use crate::error::Status;
+use std::ffi::c_int;
+
+/// A function of a library.
+#[derive(Clone, Copy)]
+pub(super) struct Function<F> {
+    /// The standard's.
+    pub(super) name: &'static str,
+    pub(super) pointer: Option<F>,
+}
+
+/// What a call answered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[must_use]
+pub(super) struct Answer {
+    pub(super) function: &'static str,
+    pub(super) status: Status,
+}
+
+impl<F> Function<F> {
+    pub(super) fn answer(&self, code: c_int) -> Answer {
+        Answer { function: self.name, status: status(code) }
+    }
+
+    /// The component that an instantiating function makes, NULL without the function; and its name.
+    pub(super) fn make(&self, call: impl FnOnce(&F) -> Component) -> (Component, &'static str) {
+        (self.pointer.as_ref().map_or(Component::NULL, call), self.name)
+    }
+
+    /// Without a function: missing, unless the version does not ask for the call.
+    pub(super) fn answer_without(&self) -> Answer {
+        let status = if self.name.is_empty() { Status::Ok } else { Status::Missing };
+        Answer { function: self.name, status }
+    }
+}
+
+impl Answer {
+    pub(super) fn is_good(&self) -> bool {
+        matches!(self.status, Status::Ok | Status::Warning)
+    }
+}
+
+/// Calls a function of a table, if the library has it.
+macro_rules! call {
+    ($function:expr, $($argument:expr),* $(,)?) => {{
+        let function = $function;
+        match function.pointer {
+            // SAFETY: the caller's promises are those of `Version`.
+            Some(pointer) => function.answer(unsafe { pointer($($argument),*) }),
+            None => function.answer_without(),
+        }
+    }};
+}
+pub(super) use call;
