@@ -51,6 +51,7 @@ LAYERS = {
         implicit
         auto
         driver
+        solve
     """,
 }
 

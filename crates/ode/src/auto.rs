@@ -8,6 +8,7 @@
 //! section IV.2), stays at the end of the interval of stability; else when the right-hand sides since the last trial are worth it.
 
 use crate::explicit_rk::{DOP853, ExplicitRk};
+use crate::error::Undetermined;
 use crate::implicit::{Bdf, Radau5};
 use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -108,7 +109,7 @@ impl Auto {
             tsit5: ExplicitRk::new(&TSIT5),
             dop853: ExplicitRk::new(&DOP853),
             radau5: Radau5::default(),
-            bdf: Bdf::default(),
+            bdf: Bdf::new(false),
             explicit,
             active: explicit,
             radau5_has_begun: false,
@@ -346,7 +347,7 @@ impl Stepper for Auto {
         equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
-    ) -> Option<usize> {
+    ) -> Option<Undetermined> {
         active!(self.undetermined(equations, t, x))
     }
 

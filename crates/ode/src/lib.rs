@@ -14,6 +14,7 @@ mod number;
 mod observer;
 mod options;
 mod sampling;
+mod solve;
 mod sparsity;
 mod stages;
 mod stats;
@@ -23,14 +24,15 @@ mod system;
 mod tableau;
 
 pub use driver::Driver;
-pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
+pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination, Undetermined};
 pub use number::Number;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
+pub use solve::{DenseOutput, Event, Solution, Solve, SolveError, solve, solve_dae, solve_second_order};
 pub use sparsity::JacobianPattern;
 pub use stats::{Seconds, Stats};
 pub use stopwatch::{Stopwatch, Timing};
 pub use system::{
-    CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop,
+    Argument, CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop,
     StepAction,
 };

@@ -285,7 +285,7 @@ fn is_misuse(kind: &ErrorKind) -> bool {
             | ErrorKind::SampleTimes { .. }
             | ErrorKind::ToleranceCount { .. }
             | ErrorKind::MassMatrix { .. }
-            | ErrorKind::MassMatrixNeedsRadau5
+            | ErrorKind::MassMatrixNeedsImplicit
             | ErrorKind::StepBelowRounding { .. }
     )
 }

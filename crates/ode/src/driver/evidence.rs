@@ -41,6 +41,7 @@ where
             ErrorKind::StepTooSmall { discarded: true } => self.look_ahead(),
             ErrorKind::StepTooSmall { discarded: false }
             | ErrorKind::NoConvergence
+            | ErrorKind::HigherIndex
             | ErrorKind::Inconsistent { .. } => {
                 let Self { space, system, stats, stepper, .. } = self;
                 let mut equations = Equations { system: &mut **system, weights: &space.weights, stats };

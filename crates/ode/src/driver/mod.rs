@@ -98,7 +98,7 @@ impl Driver {
             Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
             Method::Radau5 => MethodState::Radau5(Box::default()),
             Method::Dop853 => MethodState::Dop853(Box::new(ExplicitRk::new(&DOP853))),
-            Method::Bdf => MethodState::Bdf(Box::default()),
+            Method::Bdf => MethodState::Bdf(Box::new(Bdf::new(options.exclude_algebraic))),
             Method::Rk4 => MethodState::Rk4(ExplicitRk::new(&RK4)),
             Method::Euler => MethodState::Euler(ExplicitRk::new(&EULER)),
         };
@@ -216,8 +216,11 @@ where
                 return Err(ErrorKind::MassMatrix { given: m.len(), states: n }.into());
             }
             if !self.stepper.properties().takes_mass_matrix {
-                return Err(ErrorKind::MassMatrixNeedsRadau5.into());
+                return Err(ErrorKind::MassMatrixNeedsImplicit.into());
             }
+        }
+        if self.system.has_residual() && !self.stepper.properties().takes_residual {
+            return Err(ErrorKind::ResidualNeedsBdf.into());
         }
         self.stepper.begin(&*self.system).map_err(no_retreat)?;
 
