@@ -7,8 +7,8 @@
 //! of step size and eigenvalue, which the last two stages tell (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II,
 //! section IV.2), stays at the end of the interval of stability; else when the right-hand sides since the last trial are worth it.
 
-use crate::explicit_rk::{DOP853, ExplicitRk};
 use crate::error::Undetermined;
+use crate::explicit_rk::{DOP853, ExplicitRk};
 use crate::implicit::{Bdf, Radau5};
 use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};

@@ -346,7 +346,10 @@ impl fmt::Display for SimulationError {
             }
             ErrorKind::TooLargeForDense { states } => return TooLargeForDense { states: *states }.fmt(f),
             ErrorKind::MassMatrixNeedsImplicit => {
-                return write!(f, "a system with a mass matrix can only be integrated by radau5 or bdf (or auto)");
+                return write!(
+                    f,
+                    "a system with a mass matrix can only be integrated by radau5 or bdf (or auto)"
+                );
             }
             ErrorKind::ResidualNeedsBdf => {
                 return write!(f, "a system given by its residual can only be integrated by bdf");

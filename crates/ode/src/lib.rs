@@ -33,6 +33,6 @@ pub use sparsity::JacobianPattern;
 pub use stats::{Seconds, Stats};
 pub use stopwatch::{Stopwatch, Timing};
 pub use system::{
-    Argument, CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop,
-    StepAction,
+    Argument, CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem,
+    InputStop, StepAction,
 };

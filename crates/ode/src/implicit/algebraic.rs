@@ -42,6 +42,8 @@ pub(super) struct Algebraic {
     partner: Vec<usize>,
     largest: f64,
     lu: Lu<f64>,
+    /// Rows and columns of the matrix in the order of their pivots.
+    order: (Vec<usize>, Vec<usize>),
     matrix: Vec<f64>,
     residual: Vec<f64>,
     step: Vec<f64>,
@@ -267,9 +269,10 @@ impl Algebraic {
                 self.matrix[a + m * b] *= size / largest;
             }
         }
-        let (row, columns, pivot) = singular_row(&mut self.matrix, m)?;
-        let states = columns.into_iter().map(|b| self.states[b]).collect();
-        Some(Undetermined { equation: self.names[row], states, pivot })
+        let Self { matrix, order: (rows, columns), .. } = self;
+        let (done, pivot) = rank_deficit(matrix, m, rows, columns)?;
+        let states = columns[done..].iter().map(|b| self.states[*b]).collect();
+        Some(Undetermined { equation: self.names[rows[done]], states, pivot })
     }
 
     /// The equation with the largest residual, seen against what changes of the states within their tolerances make, if
@@ -330,18 +333,26 @@ pub(super) fn sizes(weights: &Weights, x: &[f64], sizes: &mut [f64]) {
     sizes.iter_mut().enumerate().for_each(|(i, size)| *size = x[i].abs().max(weights.scale(i)));
 }
 
-/// A row of a matrix of `m` rows, by columns, that depends on the others, as far as differences can tell, the columns
-/// that have no pivot, and the largest entry that is left for one.
-fn singular_row(matrix: &mut [f64], m: usize) -> Option<(usize, Vec<usize>, f64)> {
-    let mut rows: Vec<usize> = (0..m).collect();
-    let mut columns = rows.clone();
+/// Gaussian elimination with complete pivoting of a matrix of `m` rows, by columns: the number of its pivots where some are
+/// missing, as far as differences can tell, and the largest entry that is left for one. Rows and columns are put in the order
+/// of their pivots.
+fn rank_deficit(
+    matrix: &mut [f64],
+    m: usize,
+    rows: &mut Vec<usize>,
+    columns: &mut Vec<usize>,
+) -> Option<(usize, f64)> {
+    for order in [&mut *rows, &mut *columns] {
+        order.clear();
+        order.extend(0..m);
+    }
     for done in 0..m {
         let places = (done..m).flat_map(|i| (done..m).map(move |k| (i, k)));
         let size = |&(i, k): &(usize, usize)| matrix[rows[i] + m * columns[k]].abs();
         let (i, k) = places.max_by(|p, q| size(p).total_cmp(&size(q)))?;
-        if size(&(i, k)) < SINGULAR {
-            let pivot = size(&(i, k));
-            return Some((rows[done], columns.split_off(done), pivot));
+        let pivot = size(&(i, k));
+        if pivot < SINGULAR {
+            return Some((done, pivot));
         }
         rows.swap(done, i);
         columns.swap(done, k);

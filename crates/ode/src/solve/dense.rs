@@ -54,10 +54,12 @@ impl DenseOutput {
     pub fn at(&self, time: f64) -> Option<Vec<f64>> {
         let steps = self.spans.chunks_exact(2);
         let forward = self.spans.first() <= self.spans.last();
-        let lies_in = |s: &[f64]| if forward { s[0] <= time && time <= s[1] } else { s[1] <= time && time <= s[0] };
+        let lies_in =
+            |s: &[f64]| if forward { s[0] <= time && time <= s[1] } else { s[1] <= time && time <= s[0] };
         let last = steps.clone().next_back();
         // Where two steps meet the later one counts.
-        let begun = self.spans.chunks_exact(2).rposition(|s| if forward { s[0] <= time } else { s[0] >= time })?;
+        let begun =
+            self.spans.chunks_exact(2).rposition(|s| if forward { s[0] <= time } else { s[0] >= time })?;
         let span = steps.clone().nth(begun).filter(|s| lies_in(s)).or(last.filter(|s| lies_in(s)))?;
         let (start, end) = (span[0], span[1]);
         let s = if start == end { 1.0 } else { (2.0 * time - start - end) / (end - start) };

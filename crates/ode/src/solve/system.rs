@@ -1,9 +1,7 @@
 //! A hybrid system from closures.
 
 use crate::sparsity::JacobianPattern;
-use crate::system::{
-    Argument, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, StepAction,
-};
+use crate::system::{Argument, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, StepAction};
 use std::fmt;
 
 type Rhs<'a> = Box<dyn FnMut(f64, &[f64], &mut [f64]) + 'a>;
@@ -31,7 +29,10 @@ pub struct Event<'a> {
 impl fmt::Debug for Event<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { direction, terminal, .. } = self;
-        f.debug_struct("Event").field("direction", direction).field("terminal", terminal).finish_non_exhaustive()
+        f.debug_struct("Event")
+            .field("direction", direction)
+            .field("terminal", terminal)
+            .finish_non_exhaustive()
     }
 }
 

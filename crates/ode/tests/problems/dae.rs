@@ -3,19 +3,19 @@
 
 /// A problem: residual, start, end, solution there.
 #[derive(Clone, Copy)]
-pub struct Dae {
-    pub name: &'static str,
-    pub residual: fn(f64, &[f64], &[f64], &mut [f64]),
-    pub x0: &'static [f64],
-    pub end: f64,
-    pub reference: &'static [f64],
+pub(crate) struct Dae {
+    pub(crate) name: &'static str,
+    pub(crate) residual: fn(f64, &[f64], &[f64], &mut [f64]),
+    pub(crate) x0: &'static [f64],
+    pub(crate) end: f64,
+    pub(crate) reference: &'static [f64],
     /// Absolute tolerance, as a share of the relative one.
-    pub atol: f64,
+    pub(crate) atol: f64,
 }
 
 impl Dae {
     /// Correct digits: minus the logarithm of the largest relative error.
-    pub fn digits(&self, x: &[f64]) -> f64 {
+    pub(crate) fn digits(&self, x: &[f64]) -> f64 {
         let error = |(x, e): (&f64, &f64)| ((x - e) / e).abs();
         -x.iter().zip(self.reference).map(error).fold(0.0, f64::max).log10()
     }
@@ -29,7 +29,7 @@ fn robertson_residual(_: f64, y: &[f64], d: &[f64], r: &mut [f64]) {
 }
 
 /// Robertson's reaction with the last equation replaced by conservation (II-10).
-pub const ROBERTSON: Dae = Dae {
+pub(crate) const ROBERTSON: Dae = Dae {
     name: "Robertson",
     residual: robertson_residual,
     x0: &[1.0, 0.0, 0.0],
@@ -61,7 +61,7 @@ fn akzo_residual(_: f64, y: &[f64], d: &[f64], out: &mut [f64]) {
 }
 
 /// Chemical Akzo Nobel (II-1): an equilibrium decides the last concentration.
-pub const AKZO: Dae = Dae {
+pub(crate) const AKZO: Dae = Dae {
     name: "Akzo Nobel",
     residual: akzo_residual,
     x0: &[0.444, 0.00123, 0.0, 0.007, 0.0, 115.83 * 0.444 * 0.007],
@@ -109,7 +109,7 @@ fn amplifier_residual(t: f64, y: &[f64], d: &[f64], r: &mut [f64]) {
 }
 
 /// The transistor amplifier (II-5): no state is algebraic by itself, sums of equations are.
-pub const AMPLIFIER: Dae = Dae {
+pub(crate) const AMPLIFIER: Dae = Dae {
     name: "amplifier",
     residual: amplifier_residual,
     x0: &[0.0, 3.0, 3.0, 6.0, 3.0, 3.0, 6.0, 0.0],
@@ -127,4 +127,4 @@ pub const AMPLIFIER: Dae = Dae {
     atol: 1.0,
 };
 
-pub const ALL: [Dae; 3] = [ROBERTSON, AKZO, AMPLIFIER];
+pub(crate) const ALL: [Dae; 3] = [ROBERTSON, AKZO, AMPLIFIER];

@@ -264,7 +264,8 @@ impl LeftSide {
         // Where the residual is affine, differences are the more exact the longer they are.
         let longer = if is_affine { (f64::EPSILON / 2.0).sqrt().recip() } else { 1.0 };
         self.nominals.iter_mut().for_each(|nominal| *nominal *= longer);
-        self.weights.set(equations.weights.rtol(), &AbsoluteTolerance::FromNominals, &self.nominals, |_| false);
+        self.weights
+            .set(equations.weights.rtol(), &AbsoluteTolerance::FromNominals, &self.nominals, |_| false);
         self.last.copy_from_slice(&self.slopes.values);
         self.value.iter_mut().zip(defect).for_each(|(r, d)| *r = -d);
         let mut at_state = AtState { system: &mut *equations.system, x };
@@ -287,8 +288,9 @@ impl LeftSide {
         (t, x, slopes): Point<'_>,
         share: f64,
     ) -> CallResult<bool> {
+        // Shares that have nothing in common.
         for (i, d) in self.direction.iter_mut().enumerate() {
-            *d = share * self.nominals[i] * (1.0 + 0.5 * ((i + 1) as f64).sqrt().fract());
+            *d = share * self.nominals[i] * (1.0 + 0.5 * ((i + 2) as f64).sqrt().fract());
         }
         self.point.iter_mut().zip(slopes.iter().zip(&self.direction)).for_each(|(p, (s, d))| *p = s + d);
         equations.stats.right_hand_sides += 1;
@@ -315,8 +317,7 @@ impl LeftSide {
         let is_there = self.ahead(equations, point, 2.0);
         let affine = (0..near.len()).all(|i| {
             let (a, b, c) = (-defect[i], near[i], self.value[i]);
-            (c - 2.0 * b + a).abs()
-                <= 1e-8 * (b - a).abs() + ROUNDING * (a.abs() + b.abs() + c.abs())
+            (c - 2.0 * b + a).abs() <= 1e-8 * (b - a).abs() + ROUNDING * (a.abs() + b.abs() + c.abs())
         });
         near.resize(self.slopes.values.len(), 0.0);
         self.last = near;
@@ -371,8 +372,11 @@ impl LeftSide {
             let before = equations.stats.jacobians;
             let Self { algebraic, mass, kind, is_checked, .. } = self;
             let mut at_slopes = AtSlopes { system: &mut *equations.system, kind: *kind, mass, slopes };
-            let mut inner =
-                Equations { system: &mut at_slopes, weights: equations.weights, stats: &mut *equations.stats };
+            let mut inner = Equations {
+                system: &mut at_slopes,
+                weights: equations.weights,
+                stats: &mut *equations.stats,
+            };
             let found = algebraic.make_consistent(&mut inner, (t, x, defect), freshness.jacobian_mut())?;
             if inner.stats.jacobians > before {
                 freshness.take_new(found == Consistency::Holds);

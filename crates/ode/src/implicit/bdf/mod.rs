@@ -15,9 +15,9 @@
 use super::freshness::{Freshness, Matrix, Rules};
 use super::newton::{Convergence, Newton};
 use crate::control::scaled_norm;
-use crate::lu::Lu;
 use crate::error::Undetermined;
 use crate::jacobian::Jacobian;
+use crate::lu::Lu;
 use crate::stats::Stats;
 use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -215,8 +215,9 @@ impl Bdf {
             let mut system = left.at_slopes(equations.system, slopes);
             let mut inner =
                 Equations { system: &mut system, weights: equations.weights, stats: &mut *equations.stats };
-            let mut matrix = freshness
-                .prepare(&mut inner, gamma, (end, x, rhs), |jacobian, stats| decompose(left, jacobian, stats))?;
+            let mut matrix = freshness.prepare(&mut inner, gamma, (end, x, rhs), |jacobian, stats| {
+                decompose(left, jacobian, stats)
+            })?;
             if equations.stats.jacobians > before
                 && left.renew(equations, (end, x, slopes), rhs)?
                 && !decompose(left, freshness.jacobian(), equations.stats)
@@ -326,8 +327,9 @@ impl Stepper for Bdf {
         let pattern = self.freshness.jacobian().pattern().filter(|_| system.mass_matrix().is_none());
         self.lu.begin(n, pattern)?;
         self.has_started = false;
-        let Self { f, correction, last_correction, inverse, tested, x, slopes, rhs, increment, z, z_new, .. } =
-            self;
+        let Self {
+            f, correction, last_correction, inverse, tested, x, slopes, rhs, increment, z, z_new, ..
+        } = self;
         let single = [f, correction, last_correction, inverse, tested, x, slopes, rhs, increment];
         for v in single.into_iter().chain(z).chain(z_new) {
             v.clear();
