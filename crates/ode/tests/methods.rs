@@ -324,3 +324,21 @@ fn the_same_bits_on_every_thread_and_in_every_instance() {
         }
     }
 }
+
+/// A right-hand side that jumps each half second, and no event tells of it.
+#[test]
+fn bdf_starts_anew_at_order_1_after_three_failures() {
+    let problem = problems::Problem {
+        x0: vec![1.0, 1.0],
+        end: 10.0,
+        f: |t, y, d| {
+            let on = f64::from(u8::from(t % 1.0 < 0.5));
+            d.copy_from_slice(&[-0.5 * (y[0] - on - (3.0 * t).sin()), y[0] - y[1]]);
+        },
+        atol: 1e-2,
+        ..problems::Problem::default()
+    };
+    let stats = problem.end_state(problem.options(Method::Bdf, 1e-8)).unwrap().1;
+    // 2903 with the order lowered by one at a time.
+    assert!(stats.right_hand_sides < 2750, "{stats:?}");
+}

@@ -24,7 +24,7 @@ use dense::{Collocation, Terms};
 use stages::{StageEquations, Stages};
 
 const U: f64 = f64::EPSILON / 2.0;
-/// Iterations before a step is given up.
+/// As in radau5 (its NIT).
 const MAX_NEWTON: u32 = 7;
 /// A step keeps its size where a little more is not worth a decomposition: the decomposed matrix is that of the step.
 const RULES: Rules = Rules {
@@ -351,7 +351,7 @@ impl Stepper for Radau5 {
             let longer = std::mem::take(&mut self.is_repetition).then_some(&self.trial);
             self.stages.guess(h, self.can_extrapolate.then_some(&self.last), longer);
             let mut iteration = StageEquations { stages: &mut self.stages, trial, inverse: &self.inverse };
-            match self.convergence.iterate(equations, &mut iteration, newton_tolerance)? {
+            match self.convergence.iterate(equations, &mut iteration, newton_tolerance, 0.0)? {
                 Newton::Converged => break,
                 Newton::Failed(_) if self.freshness.renew_after_failure(h) => {}
                 Newton::Failed(share) => {
