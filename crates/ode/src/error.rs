@@ -31,14 +31,14 @@ pub struct Report {
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// The span is not one: a bound that is not finite, or an end before the start.
+    /// The span is not one: a bound that is not finite, or an end before the start of a system that cannot run backward.
     Span {
         /// Start time.
         start: f64,
         /// Final time.
         end: f64,
     },
-    /// The requested sample times are not finite, not ascending, or outside of the span.
+    /// The requested sample times are not finite, not in the order of the integration, or outside of the span.
     SampleTimes {
         /// Position in the list.
         index: usize,
@@ -313,7 +313,8 @@ impl fmt::Display for SimulationError {
                 let time = Number(*time);
                 return write!(
                     f,
-                    "requested time {time} at position {index} is not finite, not in ascending order, or outside of the span"
+                    "requested time {time} at position {index} is not finite, not in the order of the integration, or outside of the \
+                     span"
                 );
             }
             ErrorKind::ToleranceCount { given, states } => {

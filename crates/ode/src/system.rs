@@ -223,6 +223,11 @@ pub trait HybridSystem {
         Ok(false)
     }
 
+    /// Whether a run may lead backward in time, from a start after its end. Read once a run.
+    fn can_run_backward(&self) -> bool {
+        false
+    }
+
     /// Fills in what is known of `x'` at the start of a system given by its residual: a guess, zeros when it is called.
     fn slopes_at_start(&mut self, dx: &mut [f64]) {
         let _ = dx;
@@ -303,6 +308,9 @@ macro_rules! hand_on {
         }
         fn has_residual(&$self) -> bool {
             $inner.has_residual()
+        }
+        fn can_run_backward(&$self) -> bool {
+            $inner.can_run_backward()
         }
         fn slopes_at_start(&mut $self, dx: &mut [f64]) {
             $inner.slopes_at_start(dx);

@@ -7,6 +7,7 @@ use std::fmt;
 type Rhs<'a> = Box<dyn FnMut(f64, &[f64], &mut [f64]) + 'a>;
 type Residual<'a> = Box<dyn FnMut(f64, &[f64], &[f64], &mut [f64]) + 'a>;
 type Jacobian<'a> = Box<dyn FnMut(f64, &[f64], &[f64], Argument, &mut [f64]) + 'a>;
+type Function<'a> = Box<dyn FnMut(f64, &[f64]) -> f64 + 'a>;
 type Change<'a> = Box<dyn FnMut(f64, &mut [f64], &[usize]) + 'a>;
 
 /// The equations.
@@ -18,7 +19,7 @@ pub(super) enum Form<'a> {
 
 /// An event function and its crossings that count.
 pub struct Event<'a> {
-    pub(super) function: Box<dyn FnMut(f64, &[f64]) -> f64 + 'a>,
+    pub(super) function: Function<'a>,
     pub(super) direction: Direction,
     /// The run ends with this occurrence; 0: never.
     pub(super) terminal: usize,
@@ -117,6 +118,9 @@ impl HybridSystem for ClosureSystem<'_> {
             Form::Residual(residual, slopes) => residual(t, x, slopes, dx),
         }
         Ok(())
+    }
+    fn can_run_backward(&self) -> bool {
+        true
     }
     fn has_residual(&self) -> bool {
         matches!(self.form, Form::Residual(..))

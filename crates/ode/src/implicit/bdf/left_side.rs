@@ -49,7 +49,8 @@ pub(super) struct LeftSide {
     is_known: bool,
     /// The residual is an affine function of the slopes; `None`: not known yet.
     is_affine: Option<bool>,
-    /// The index was found to be 0 or 1.
+    /// The algebraic part is that of this run; the index was found to be 0 or 1.
+    is_split: bool,
     is_checked: bool,
     algebraic: Algebraic,
     /// Of `M`, [completed](Algebraic::completion).
@@ -174,6 +175,7 @@ impl LeftSide {
         };
         self.is_known = self.kind == Kind::Mass;
         self.is_affine = system.has_jacobian().then_some(false);
+        self.is_split = false;
         self.is_checked = false;
         if self.kind == Kind::Residual {
             self.slopes.begin(system)?;
@@ -369,6 +371,7 @@ impl LeftSide {
                 let Self { algebraic, mass, lu, .. } = self;
                 self.has_factors = lu.decompose(|p, _| mass[p] + algebraic.completion(p));
             }
+            self.is_split = true;
             let before = equations.stats.jacobians;
             let Self { algebraic, mass, kind, is_checked, .. } = self;
             let mut at_slopes = AtSlopes { system: &mut *equations.system, kind: *kind, mass, slopes };
@@ -426,7 +429,7 @@ impl LeftSide {
         (t, x, slopes): Point<'_>,
         freshness: &mut Freshness,
     ) -> Option<Undetermined> {
-        if self.kind == Kind::Identity || self.slopes.is_sparse() || !self.is_checked {
+        if self.kind == Kind::Identity || self.slopes.is_sparse() || !self.is_split {
             return None;
         }
         freshness.drop_jacobian();

@@ -36,6 +36,9 @@ use left_side::LeftSide;
 const MAX_NEWTON: u32 = 4;
 /// Newton's error, as a share of the error test, as in VODE.
 const NEWTON_SHARE: f64 = 0.1;
+/// Newton's error in units of the tolerances where equations without derivatives may stand among the others (IDA: 0.33):
+/// the error test of a step of lower order takes what they are off by for an error, which no step size makes smaller.
+const NEWTON_ERROR: f64 = 0.2;
 const RULES: Rules =
     Rules { change: 0.3, decomposition_steps: 20, jacobian_steps: 50, cheap: 0, only_after_events: true };
 /// Where an input changes its slope the second derivative jumps; the rows of the array above it are of the past only, and
@@ -243,7 +246,8 @@ impl Bdf {
                 increment: &mut self.increment,
                 correction: &mut self.correction,
             };
-            let tolerance = NEWTON_SHARE / self.coefficients.here;
+            let most = if self.left.is_identity() { f64::INFINITY } else { NEWTON_ERROR };
+            let tolerance = (NEWTON_SHARE / self.coefficients.here).min(most);
             let newton = self.convergence.iterate(equations, &mut iteration, tolerance, change)?;
             if newton == Newton::Converged {
                 self.correction_norm = scaled_norm(&self.correction, &self.tested);
