@@ -68,7 +68,7 @@ pub(crate) struct Auto {
     /// Radau5 has room for this system; BDF has.
     radau5_has_begun: bool,
     bdf_has_begun: bool,
-    /// The system has a mass matrix, which only Radau5 takes.
+    /// The system has a mass matrix: Radau5 alone, which no trial has to choose.
     only_radau5: bool,
     /// Right-hand sides of a Jacobian, as far as they are known.
     jacobian_cost: f64,

@@ -1,4 +1,14 @@
 //! An event-aware stepper for hybrid ordinary differential equations (state, time, step and input events).
+//!
+//! [`solve`], [`solve_dae`] and [`solve_second_order`] take closures and give a solution that is kept:
+//!
+//! ```
+//! let solution = ode::solve(|_, x, dx| dx[0] = -x[0], 0.0..1.0, &[1.0]).relative_tolerance(1e-9).run()?;
+//! assert!((solution.last()[0] - (-1f64).exp()).abs() < 1e-8);
+//! # Ok::<(), ode::SolveError>(())
+//! ```
+//!
+//! A [`Driver`] integrates whatever is a [`HybridSystem`], and shows an [`Observer`] what it asks for.
 #![forbid(unsafe_code)]
 
 mod auto;
