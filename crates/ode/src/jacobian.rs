@@ -11,8 +11,11 @@ const LADDER: [f64; 8] = [1.0, -1.0, 0.1, -0.1, 0.01, -0.01, 0.001, -0.001];
 /// Where the numbers come from; found out at the first evaluation of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 enum Source {
+    /// [`HybridSystem::jacobian_entries`].
     #[default]
-    User,
+    Entries,
+    /// [`HybridSystem::jacobian`].
+    Whole,
     Directional,
     Differences,
 }
@@ -22,16 +25,18 @@ enum Source {
 pub(crate) struct Jacobian {
     n: usize,
     source: Source,
-    /// As the system gave it; the places that are filled in: with the diagonal where the values are sparse.
-    given: Option<JacobianPattern>,
+    /// The system is to be asked for a whole matrix.
+    has_whole: bool,
     pattern: Option<JacobianPattern>,
+    /// Where in `values` the entries of the pattern are.
+    places: Vec<usize>,
     groups: Groups,
     is_sparse: bool,
     /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`; where they are sparse only the places of the
-    /// pattern are kept, one after the other.
+    /// pattern and of the diagonal are kept, one after the other: the entries that a sparse decomposition takes.
     pub(crate) values: Vec<f64>,
-    /// Room for a dense Jacobian of the system itself, where the values are sparse.
-    dense: Vec<f64>,
+    /// What the system fills in, where its layout is not that of the values: the entries of the pattern, or a whole matrix.
+    given: Vec<f64>,
     point: Vec<f64>,
     column: Vec<f64>,
 }
@@ -43,26 +48,31 @@ impl Jacobian {
     /// There is no room for a dense matrix of this size.
     pub(crate) fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
         let n = system.n_states();
-        self.n = n;
-        self.source = if system.has_jacobian() { Source::User } else { Source::Directional };
+        let pattern = system.jacobian_pattern().filter(|p| p.n_states() == n);
+        self.has_whole = system.has_jacobian();
+        self.source = if pattern.is_some() { Source::Entries } else { Source::Whole };
         self.point.resize(n, 0.0);
         self.column.resize(n, 0.0);
-        let given = system.jacobian_pattern().filter(|p| p.n_states() == n);
         // A mass matrix has places of its own.
-        let is_sparse = given.is_some_and(lu::is_sparse) && system.mass_matrix().is_none();
-        if given != self.given.as_ref() || is_sparse != self.is_sparse {
-            self.given = given.cloned();
-            self.is_sparse = is_sparse;
-            self.pattern = given.map(|p| if is_sparse { p.with_diagonal() } else { p.clone() });
-            self.groups = self.pattern.as_ref().map(Groups::new).unwrap_or_default();
-        }
-        match &self.pattern {
-            Some(pattern) if is_sparse => self.values.resize(pattern.n_entries(), 0.0),
-            _ if self.values.len() == n * n => {}
-            _ => lu::make_room(&mut self.values, n, 0.0)?,
-        }
-        if is_sparse && system.has_jacobian() && self.dense.len() != n * n {
-            lu::make_room(&mut self.dense, n, 0.0)?;
+        let is_sparse = pattern.is_some_and(lu::is_sparse) && system.mass_matrix().is_none();
+        if (n, pattern, is_sparse) != (self.n, self.pattern.as_ref(), self.is_sparse) {
+            // Nothing is known of what was begun before if there is no room.
+            self.n = usize::MAX;
+            (self.pattern, self.is_sparse) = (pattern.cloned(), is_sparse);
+            self.groups = pattern.map_or_else(|| Groups::single(n), Groups::new);
+            let kept = pattern.filter(|_| is_sparse).map(JacobianPattern::with_diagonal);
+            self.places.clear();
+            self.places.extend(pattern.into_iter().flat_map(JacobianPattern::entries).map(
+                |(i, k)| match &kept {
+                    Some(kept) => kept.place(i, k),
+                    None => i + n * k,
+                },
+            ));
+            match kept {
+                Some(kept) => self.values = vec![0.0; kept.n_entries()],
+                None => lu::make_room(&mut self.values, n, 0.0)?,
+            }
+            self.n = n;
         }
         Ok(())
     }
@@ -79,16 +89,13 @@ impl Jacobian {
 
     /// Calls `f(i, k, value)` for every entry that may differ from zero, column by column.
     pub(crate) fn each(&self, mut f: impl FnMut(usize, usize, f64)) {
-        for k in 0..self.n {
-            match &self.pattern {
-                Some(pattern) if self.is_sparse => {
-                    let values = &self.values[pattern.starts[k]..pattern.starts[k + 1]];
-                    pattern.column(k).iter().zip(values).for_each(|(&i, j)| f(i, k, *j));
-                }
-                Some(pattern) => pattern.column(k).iter().for_each(|&i| f(i, k, self.values[i + self.n * k])),
-                None => {
-                    let column = &self.values[self.n * k..self.n * (k + 1)];
-                    column.iter().enumerate().for_each(|(i, j)| f(i, k, *j));
+        match &self.pattern {
+            Some(pattern) => {
+                pattern.entries().zip(&self.places).for_each(|((i, k), p)| f(i, k, self.values[*p]));
+            }
+            None => {
+                for (k, column) in self.values.chunks_exact(self.n.max(1)).enumerate() {
+                    column.iter().enumerate().for_each(|(i, value)| f(i, k, *value));
                 }
             }
         }
@@ -96,13 +103,12 @@ impl Jacobian {
 
     /// Fills in a column: `value(i)` in row `i`.
     fn fill(&mut self, k: usize, value: impl Fn(&[f64], usize) -> f64) {
-        let Self { n, pattern, is_sparse, values, column, .. } = self;
+        let Self { n, pattern, places, values, column, .. } = self;
         match pattern {
-            Some(pattern) if *is_sparse => {
-                let into = &mut values[pattern.starts[k]..pattern.starts[k + 1]];
-                into.iter_mut().zip(pattern.column(k)).for_each(|(j, &i)| *j = value(column, i));
+            Some(pattern) => {
+                let places = &places[pattern.starts[k]..pattern.starts[k + 1]];
+                pattern.column(k).iter().zip(places).for_each(|(&i, p)| values[*p] = value(column, i));
             }
-            Some(pattern) => pattern.column(k).iter().for_each(|&i| values[i + *n * k] = value(column, i)),
             None => {
                 let into = &mut values[*n * k..*n * (k + 1)];
                 into.iter_mut().enumerate().for_each(|(i, j)| *j = value(column, i));
@@ -110,26 +116,12 @@ impl Jacobian {
         }
     }
 
-    /// The columns of a group.
-    fn group(&self, g: usize) -> std::ops::Range<usize> {
-        if self.pattern.is_some() { self.groups.starts[g]..self.groups.starts[g + 1] } else { g..g + 1 }
-    }
-
-    /// The column at this place of the list of all groups.
-    fn column_at(&self, place: usize) -> usize {
-        if self.pattern.is_some() { self.groups.columns[place] } else { place }
-    }
-
     /// How many evaluations it takes.
     pub(crate) fn cost(&self) -> usize {
         match self.source {
-            Source::User => 1,
-            Source::Directional | Source::Differences => self.n_groups(),
+            Source::Entries | Source::Whole => 1,
+            Source::Directional | Source::Differences => self.groups.len(),
         }
-    }
-
-    fn n_groups(&self) -> usize {
-        if self.pattern.is_some() { self.groups.starts.len() - 1 } else { self.n }
     }
 
     /// Evaluates it at `(t, x)`, where the right-hand side is `f`. [`CallError::Discard`]: it cannot be had there.
@@ -140,22 +132,16 @@ impl Jacobian {
     ) -> CallResult<()> {
         equations.stats.jacobians += 1;
         self.values.fill(0.0);
-        if self.source == Source::User {
-            let into = if self.is_sparse { &mut self.dense } else { &mut self.values };
-            into.fill(0.0);
-            if equations.system.jacobian(t, x, into)? {
-                if self.is_sparse {
-                    let Self { pattern: Some(pattern), values, dense, n, .. } = self else { return Ok(()) };
-                    let n = *n;
-                    let places = (0..n).flat_map(|k| pattern.column(k).iter().map(move |i| i + n * k));
-                    values.iter_mut().zip(places).for_each(|(j, p)| *j = dense[p]);
-                }
-                return if all_finite(&self.values) { Ok(()) } else { Err(CallError::Discard) };
-            }
-            self.values.fill(0.0);
+        if self.source == Source::Entries && !self.take_entries(equations.system, t, x)? {
+            self.source = Source::Whole;
+        }
+        if self.source == Source::Whole && !(self.has_whole && self.take_whole(equations.system, t, x)?) {
             self.source = Source::Directional;
         }
-        for g in 0..self.n_groups() {
+        if matches!(self.source, Source::Entries | Source::Whole) {
+            return if all_finite(&self.values) { Ok(()) } else { Err(CallError::Discard) };
+        }
+        for g in 0..self.groups.len() {
             if self.source == Source::Directional && !self.directional(equations, t, x, g)? {
                 self.source = Source::Differences;
             }
@@ -166,6 +152,41 @@ impl Jacobian {
         Ok(())
     }
 
+    /// The entries of the pattern, from the system; `false`: it has none.
+    fn take_entries<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        t: f64,
+        x: &[f64],
+    ) -> CallResult<bool> {
+        self.given.clear();
+        self.given.resize(self.places.len(), 0.0);
+        let is_there = system.jacobian_entries(t, x, &mut self.given)?;
+        if is_there {
+            self.places.iter().zip(&self.given).for_each(|(p, value)| self.values[*p] = *value);
+        }
+        Ok(is_there)
+    }
+
+    /// The whole matrix, from the system; `false`: it has none.
+    fn take_whole<S: HybridSystem + ?Sized>(
+        &mut self,
+        system: &mut S,
+        t: f64,
+        x: &[f64],
+    ) -> CallResult<bool> {
+        if !self.is_sparse {
+            return system.jacobian(t, x, &mut self.values);
+        }
+        lu::make_room(&mut self.given, self.n, 0.0)?;
+        let is_there = system.jacobian(t, x, &mut self.given)?;
+        if let Some(pattern) = &self.pattern {
+            let entries = pattern.entries().map(|(i, k)| self.given[i + self.n * k]);
+            self.places.iter().zip(entries).for_each(|(p, value)| self.values[*p] = value);
+        }
+        Ok(is_there)
+    }
+
     /// One group of columns from one directional derivative; `false`: the model has none.
     fn directional<S: HybridSystem + ?Sized>(
         &mut self,
@@ -174,10 +195,10 @@ impl Jacobian {
         x: &[f64],
         g: usize,
     ) -> CallResult<bool> {
-        let columns = self.group(g);
+        let columns = self.groups.range(g);
         self.point.fill(0.0);
         for place in columns.clone() {
-            let k = self.column_at(place);
+            let k = self.groups.columns[place];
             self.point[k] = 1.0;
         }
         if !equations.system.directional_derivative(t, x, &self.point, &mut self.column)? {
@@ -188,7 +209,7 @@ impl Jacobian {
             return Err(CallError::Discard);
         }
         for place in columns {
-            self.fill(self.column_at(place), |column, i| column[i]);
+            self.fill(self.groups.columns[place], |column, i| column[i]);
         }
         Ok(true)
     }
@@ -201,11 +222,11 @@ impl Jacobian {
         (t, x, f): (f64, &[f64], &[f64]),
         g: usize,
     ) -> CallResult<()> {
-        let columns = self.group(g);
+        let columns = self.groups.range(g);
         for share in LADDER {
             self.point.copy_from_slice(x);
             for place in columns.clone() {
-                let k = self.column_at(place);
+                let k = self.groups.columns[place];
                 let delta = (f64::EPSILON / 2.0).sqrt() * x[k].abs().max(equations.weights.scale(k));
                 self.point[k] += share * if f[k] < 0.0 { -delta } else { delta };
             }
@@ -215,7 +236,7 @@ impl Jacobian {
                 Err(failed) => return Err(failed),
             }
             for place in columns {
-                let k = self.column_at(place);
+                let k = self.groups.columns[place];
                 // The difference of the points as they are stored is exact.
                 let delta = self.point[k] - x[k];
                 self.fill(k, |column, i| (column[i] - f[i]) / delta);

@@ -65,6 +65,16 @@ impl JacobianPattern {
         self.rows.len()
     }
 
+    /// Row and column of all places, column by column.
+    pub(crate) fn entries(&self) -> impl Iterator<Item = (usize, usize)> {
+        (0..self.n_states()).flat_map(|k| self.column(k).iter().map(move |&i| (i, k)))
+    }
+
+    /// The number of a place in the list of all.
+    pub(crate) fn place(&self, i: usize, k: usize) -> usize {
+        self.starts[k] + self.column(k).partition_point(|&row| row < i)
+    }
+
     /// The rows of column `k`, ascending.
     pub(crate) fn column(&self, k: usize) -> &[usize] {
         &self.rows[self.starts[k]..self.starts[k + 1]]
@@ -77,7 +87,7 @@ impl JacobianPattern {
 
     /// How many evaluations a Jacobian of this pattern takes.
     pub fn n_colours(&self) -> usize {
-        Groups::new(self).starts.len() - 1
+        Groups::new(self).len()
     }
 }
 
@@ -87,33 +97,51 @@ impl JacobianPattern {
 #[derive(Debug, Default)]
 pub(crate) struct Groups {
     /// Group `g` has the columns `columns[starts[g]..starts[g + 1]]`.
-    pub(crate) starts: Vec<usize>,
+    starts: Vec<usize>,
     pub(crate) columns: Vec<usize>,
 }
 
 impl Groups {
+    /// Each of `n` columns by itself.
+    pub(crate) fn single(n: usize) -> Self {
+        Self { starts: (0..=n).collect(), columns: (0..n).collect() }
+    }
+
     pub(crate) fn new(pattern: &JacobianPattern) -> Self {
         let n = pattern.n_states();
         let mut order: Vec<usize> = (0..n).collect();
         order.sort_by_key(|&k| std::cmp::Reverse(pattern.column(k).len()));
-        let mut groups: Vec<(Vec<bool>, Vec<usize>)> = Vec::new();
+        // Of each row the groups that have an entry in it; of each group the last column that it was found to be no group for.
+        let mut taken = vec![Vec::new(); n];
+        let mut refused_by: Vec<usize> = Vec::new();
+        let mut groups: Vec<Vec<usize>> = Vec::new();
         for k in order {
-            let rows = pattern.column(k);
-            let free = groups.iter().position(|(taken, _)| rows.iter().all(|&i| !taken[i]));
-            let g = free.unwrap_or_else(|| {
-                groups.push((vec![false; n], Vec::new()));
-                groups.len() - 1
-            });
-            let (taken, columns) = &mut groups[g];
-            rows.iter().for_each(|&i| taken[i] = true);
-            columns.push(k);
+            for &i in pattern.column(k) {
+                taken[i].iter().for_each(|&g: &usize| refused_by[g] = k);
+            }
+            let g = refused_by.iter().position(|&by| by != k).unwrap_or(groups.len());
+            if g == groups.len() {
+                groups.push(Vec::new());
+                refused_by.push(usize::MAX);
+            }
+            pattern.column(k).iter().for_each(|&i| taken[i].push(g));
+            groups[g].push(k);
         }
         let mut this = Self { starts: vec![0], columns: Vec::new() };
-        for (_, columns) in groups {
+        for columns in groups {
             this.columns.extend(columns);
             this.starts.push(this.columns.len());
         }
         this
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.starts.len().saturating_sub(1)
+    }
+
+    /// Where the columns of a group are in the list of all.
+    pub(crate) fn range(&self, g: usize) -> std::ops::Range<usize> {
+        self.starts[g]..self.starts[g + 1]
     }
 }
 

@@ -38,7 +38,7 @@ struct Tally {
 /// for _ in 0..3 {
 ///     let timing = watch.start(0);
 ///     std::thread::sleep(std::time::Duration::from_millis(2));
-///     watch.stop(timing, 0.0);
+///     watch.stop(timing);
 /// }
 /// assert!(watch.seconds() >= 0.0059);
 /// ```
@@ -55,13 +55,6 @@ pub struct Stopwatch<const KINDS: usize> {
 pub struct Timing {
     kind: usize,
     began: Option<Instant>,
-}
-
-impl Timing {
-    /// Whether this call is timed.
-    pub fn is_on(&self) -> bool {
-        self.began.is_some()
-    }
 }
 
 impl<const KINDS: usize> Default for Stopwatch<KINDS> {
@@ -102,20 +95,20 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
         Timing { kind, began: Some(Instant::now()) }
     }
 
-    /// It has ended. `elsewhere`: seconds of it that do not count. Returns what is known of this one call: the seconds it
-    /// took if it was timed, else those of the last fast one that was.
+    /// It has ended. Returns what is known of this one call: the seconds it took if it was timed, else those of the last fast
+    /// one that was.
     #[inline]
-    pub fn stop(&mut self, timing: Timing, elsewhere: f64) -> f64 {
+    pub fn stop(&mut self, timing: Timing) -> f64 {
         match timing.began {
-            Some(began) => self.take(timing.kind, began, elsewhere),
+            Some(began) => self.take(timing.kind, began),
             None => self.tallies[timing.kind].usual,
         }
     }
 
     /// Not part of what is compiled into every call: most are not timed.
     #[inline(never)]
-    fn take(&mut self, kind: usize, began: Instant, elsewhere: f64) -> f64 {
-        self.enter(kind, began.elapsed().as_secs_f64() - self.reading - elsewhere)
+    fn take(&mut self, kind: usize, began: Instant) -> f64 {
+        self.enter(kind, began.elapsed().as_secs_f64() - self.reading)
     }
 
     fn enter(&mut self, kind: usize, seconds: f64) -> f64 {
@@ -149,7 +142,7 @@ mod tests {
         let mut timed = 0;
         for nanoseconds in calls {
             let timing = watch.start(1);
-            if timing.is_on() {
+            if timing.began.is_some() {
                 timed += 1;
                 watch.enter(1, 1e-9 * nanoseconds);
             }
@@ -190,18 +183,19 @@ mod tests {
         let mut watch = Stopwatch::<2>::new();
         for _ in 0..TRUST {
             watch.enter(0, 1e-7);
-            // A clock that goes back, or more elsewhere than in all.
+            // Less than a reading of the clock takes.
             watch.enter(1, -1.0);
         }
         watch.enter(1, 1.0);
         assert!((watch.seconds() - 1e-7 * f64::from(TRUST) - 1.0).abs() < 1e-15);
-        assert!(!watch.start(0).is_on() && watch.start(1).is_on() && watch.start_timed(0).is_on());
+        assert!(
+            watch.start(0).began.is_none()
+                && watch.start(1).began.is_some()
+                && watch.start_timed(0).began.is_some()
+        );
         watch.reset();
         assert_eq!(watch.seconds(), 0.0);
-        assert!(!watch.start(0).is_on() && watch.start(1).is_on());
-        let timing = watch.start_timed(1);
-        watch.stop(timing, 10.0);
-        assert!(watch.seconds() <= 1.1e-7);
+        assert!(watch.start(0).began.is_none() && watch.start(1).began.is_some());
     }
 
     #[test]
@@ -211,10 +205,7 @@ mod tests {
             assert_eq!(watch.enter(0, 1e-9 * nanoseconds), 1e-9 * nanoseconds);
         }
         let timing = watch.start(0);
-        assert!(!timing.is_on());
-        assert_eq!(watch.stop(timing, 0.0), 2e-8);
-        // More elsewhere than in all.
-        let timing = watch.start_timed(0);
-        assert_eq!(watch.stop(timing, 10.0), 0.0);
+        assert!(timing.began.is_none());
+        assert_eq!(watch.stop(timing), 2e-8);
     }
 }

@@ -159,13 +159,22 @@ pub trait HybridSystem {
         None
     }
 
+    /// Fills in the entries of the Jacobian at the places of the [pattern](Self::jacobian_pattern), column by column, the rows
+    /// of each ascending; all are zero when it is called. `Ok(false)`: the model has none (decided once per run). Asked
+    /// where there is a pattern.
+    fn jacobian_entries(&mut self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+        let _ = (t, x, entries);
+        Ok(false)
+    }
+
     /// Whether [`jacobian`](Self::jacobian) is to be asked, for which room for a dense matrix is made. Read once per run.
     fn has_jacobian(&self) -> bool {
         false
     }
 
-    /// Fills in the Jacobian by columns: `j[i + n * k]` is the derivative of `dx[i]` with respect to `x[k]`. All
-    /// entries are zero when it is called. `Ok(false)`: the model has none (decided once per run).
+    /// Fills in the whole Jacobian by columns: `j[i + n * k]` is the derivative of `dx[i]` with respect to `x[k]`. All
+    /// entries are zero when it is called. `Ok(false)`: the model has none (decided once per run). Asked where there are no
+    /// [entries](Self::jacobian_entries); of a sparse system only those at the places of the pattern are taken.
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
         let _ = (t, x, j);
         Ok(false)
@@ -270,12 +279,6 @@ pub trait HybridSystem {
         let _ = t;
         None
     }
-
-    /// Seconds, counted from any instant, that its calls have spent in what is no part of the model: functions of the
-    /// user for its inputs, for example. They are not [time in the model](crate::Stats::seconds_in_model).
-    fn seconds_elsewhere(&self) -> f64 {
-        0.0
-    }
 }
 
 /// What a wrapper of a system hands on: all calls of the trait. `$around!(self, Call, answer)` makes those that run the
@@ -334,9 +337,6 @@ macro_rules! hand_on {
         fn next_input_stop(&mut $self, t: f64) -> Option<InputStop> {
             $inner.next_input_stop(t)
         }
-        fn seconds_elsewhere(&$self) -> f64 {
-            $inner.seconds_elsewhere()
-        }
         fn nominals(&mut $self, nominals: &mut [f64]) -> CallResult<()> {
             $around!($self, Nominals, $inner.nominals(nominals))
         }
@@ -348,6 +348,9 @@ macro_rules! hand_on {
         }
         fn jacobian(&mut $self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
             $around!($self, Jacobian, $inner.jacobian(t, x, j))
+        }
+        fn jacobian_entries(&mut $self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+            $around!($self, Jacobian, $inner.jacobian_entries(t, x, entries))
         }
         fn directional_derivative(
             &mut $self,

@@ -353,12 +353,12 @@ impl Runner {
             }
             return outcome;
         }
-        let (starting, elsewhere) =
-            (self.began.elapsed().as_secs_f64(), self.engine.running().seconds_elsewhere());
+        let starting = self.began.elapsed().as_secs_f64();
         if past.is_some() {
             self.engine.running().begin_digest(Digest::with_way());
         }
         let mut outcome = self.engine.run(&self.plan, None, observer);
+        let input_functions = self.engine.running().seconds_in_input_functions();
         self.engine.running().pass_log_on();
         if let Some(past) = past {
             self.judge(&past, &outcome, parameters, observer)?;
@@ -369,8 +369,9 @@ impl Runner {
             Err(_) => return outcome,
         };
         stats.seconds += Seconds::new(starting);
-        // All of the start is the model's doing but what its inputs took.
-        stats.seconds_in_model += Seconds::new((starting - elsewhere).max(0.0));
+        // All of the start is the model's doing, and all calls of the run are, but input functions of the user are not.
+        let in_calls = starting + stats.seconds_in_model.get();
+        stats.seconds_in_model = Seconds::new(in_calls.min(stats.seconds.get() - input_functions).max(0.0));
         outcome
     }
 

@@ -493,8 +493,4 @@ impl HybridSystem for System {
     fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
         self.running.plan.inputs.next_stop(t)
     }
-
-    fn seconds_elsewhere(&self) -> f64 {
-        self.running.seconds_elsewhere()
-    }
 }

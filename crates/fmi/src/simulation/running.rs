@@ -187,7 +187,7 @@ impl Running {
     }
 
     /// Seconds since the start in input functions of the user.
-    pub(crate) fn seconds_elsewhere(&self) -> f64 {
+    pub(crate) fn seconds_in_input_functions(&self) -> f64 {
         self.inputs.seconds_in_functions()
     }
 

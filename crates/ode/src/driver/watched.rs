@@ -126,12 +126,8 @@ macro_rules! watched {
         } else {
             $self.stopwatch.start(Call::$call as usize)
         };
-        if !timing.is_on() {
-            return $answer;
-        }
-        let elsewhere = $self.system.seconds_elsewhere();
         let answer = $answer;
-        $self.stopwatch.stop(timing, $self.system.seconds_elsewhere() - elsewhere);
+        $self.stopwatch.stop(timing);
         answer
     }};
 }

@@ -55,8 +55,8 @@ class SimulationStats:
         do not count. Of a fit: the sum over all simulations, so with several workers more than the fit took.
     seconds_in_model : float
         The part of it that was spent inside of the model: in the calls of the FMU, or of the functions given to
-        `pydfo.ode.solve`; input functions do not count. An estimate: where calls take less than 1 us, one of 61 is
-        timed and stands for all.
+        `pydfo.ode.solve`; at most what input functions leave of the run. An estimate: where calls take less than
+        1 us, one of 61 is timed and stands for all.
     """
 
     accepted_steps: int

@@ -82,10 +82,8 @@ impl Run<'_> {
             Call::Events => self.stepping.stopwatch.start_timed(call as usize),
             _ => self.stepping.stopwatch.start(call as usize),
         };
-        let elsewhere = self.stepping.running.seconds_elsewhere();
         let answer = make(self);
-        let elsewhere = self.stepping.running.seconds_elsewhere() - elsewhere;
-        self.stepping.stopwatch.stop(timing, elsewhere);
+        self.stepping.stopwatch.stop(timing);
         answer
     }
 

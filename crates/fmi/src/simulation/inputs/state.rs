@@ -89,7 +89,7 @@ impl InputState {
             for (function, place) in &plan.functions {
                 self.continuous[*place] = function(t);
             }
-            self.in_functions += self.stopwatch.stop(timing, 0.0);
+            self.in_functions += self.stopwatch.stop(timing);
         }
         self.continuous.iter().all(|value| value.is_finite())
     }
