@@ -66,6 +66,11 @@ impl<S: HybridSystem + ?Sized> HybridSystem for Backward<'_, S> {
     fn has_jacobian(&self) -> bool {
         self.system.has_jacobian()
     }
+    fn jacobian_entries(&mut self, s: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+        let known = self.system.jacobian_entries(turned(s), x, entries)?;
+        negate(entries);
+        Ok(known)
+    }
     fn jacobian(&mut self, s: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
         let known = self.system.jacobian(turned(s), x, j)?;
         negate(j);

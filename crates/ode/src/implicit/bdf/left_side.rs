@@ -101,6 +101,9 @@ impl<S: HybridSystem + ?Sized> HybridSystem for AtSlopes<'_, S> {
     fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
         self.system.jacobian_pattern()
     }
+    fn jacobian_entries(&mut self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+        Ok(self.kind != Kind::Residual && self.system.jacobian_entries(t, x, entries)?)
+    }
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
         if self.kind != Kind::Residual {
             return self.system.jacobian(t, x, j);
