@@ -163,6 +163,8 @@ impl Bdf {
             (self.order, self.next_order, self.wait, self.last_scale) = (1, 1, 2, 0.0);
             if self.left.is_identity() {
                 equations.derivatives(t, x, &mut self.f)?;
+            } else if self.error_failures == 3 {
+                self.correct_start(equations, t)?;
             }
             self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = self.h * f);
         }
@@ -184,6 +186,19 @@ impl Bdf {
             array::rescale(&mut self.z[..=self.order], h / self.h);
             self.h = h;
         }
+        Ok(())
+    }
+
+    /// Before a new start on the way: what Newton's method has left of the equations without derivatives would stand as an error
+    /// of the steps to come, however short they are.
+    fn correct_start<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        t: f64,
+    ) -> CallResult<()> {
+        let Self { left, z, f, rhs, freshness, .. } = self;
+        left.defect(equations, (t, &z[0], f), rhs)?;
+        left.make_consistent(equations, (t, &mut z[0], f, rhs), freshness)?;
         Ok(())
     }
 
