@@ -7,6 +7,25 @@ use crate::lu::Lu;
 use crate::stepper::Equations;
 use crate::system::{CallResult, HybridSystem};
 
+/// Where the corrector stands.
+#[derive(Debug, Default)]
+pub(super) struct Iterate {
+    /// The sum of the corrections, `e`.
+    pub(super) correction: Vec<f64>,
+    /// States and slopes with it, and what is left of zero there.
+    pub(super) x: Vec<f64>,
+    pub(super) slopes: Vec<f64>,
+    pub(super) rhs: Vec<f64>,
+    pub(super) increment: Vec<f64>,
+}
+
+impl Iterate {
+    pub(super) fn vectors(&mut self) -> [&mut Vec<f64>; 5] {
+        let Self { correction, x, slopes, rhs, increment } = self;
+        [correction, x, slopes, rhs, increment]
+    }
+}
+
 /// The equation of the corrector, `G(e) = 0`.
 pub(super) struct Corrector<'a> {
     pub(super) lu: &'a Lu<f64>,
@@ -18,11 +37,7 @@ pub(super) struct Corrector<'a> {
     pub(super) share: f64,
     pub(super) relaxation: f64,
     pub(super) inverse: &'a [f64],
-    pub(super) x: &'a mut [f64],
-    pub(super) slopes: &'a mut [f64],
-    pub(super) rhs: &'a mut [f64],
-    pub(super) increment: &'a mut [f64],
-    pub(super) correction: &'a mut [f64],
+    pub(super) iterate: &'a mut Iterate,
 }
 
 impl Iteration for Corrector<'_> {
@@ -33,28 +48,30 @@ impl Iteration for Corrector<'_> {
     ) -> CallResult<f64> {
         equations.stats.linear_algebra += self.lu.operations().1;
         let Self { gamma, share, .. } = *self;
+        let Iterate { correction, x, slopes, rhs, increment } = &mut *self.iterate;
         if !is_first {
-            for (i, x) in self.x.iter_mut().enumerate() {
-                *x = self.z[0][i] + self.correction[i];
-                self.slopes[i] = (share * self.z[1][i] + self.correction[i]) / gamma;
+            for (i, e) in correction.iter().enumerate() {
+                x[i] = self.z[0][i] + e;
+                slopes[i] = (share * self.z[1][i] + e) / gamma;
             }
-            self.left.defect(equations, (self.end, self.x, self.slopes), self.rhs)?;
+            self.left.defect(equations, (self.end, x, slopes), rhs)?;
         }
         let is_identity = self.left.is_identity();
-        for (i, b) in self.increment.iter_mut().enumerate() {
-            *b = gamma * self.rhs[i];
+        for (i, b) in increment.iter_mut().enumerate() {
+            *b = gamma * rhs[i];
             if is_identity {
-                *b = *b - share * self.z[1][i] - self.correction[i];
+                *b = *b - share * self.z[1][i] - correction[i];
             }
         }
-        self.lu.solve(self.increment);
+        self.lu.solve(increment);
         if self.relaxation != 1.0 {
-            self.increment.iter_mut().for_each(|v| *v *= self.relaxation);
+            increment.iter_mut().for_each(|v| *v *= self.relaxation);
         }
-        Ok(scaled_norm(self.increment, self.inverse))
+        Ok(scaled_norm(increment, self.inverse))
     }
 
     fn advance(&mut self) {
-        self.correction.iter_mut().zip(&*self.increment).for_each(|(e, d)| *e += d);
+        let Iterate { correction, increment, .. } = &mut *self.iterate;
+        correction.iter_mut().zip(increment).for_each(|(e, d)| *e += *d);
     }
 }

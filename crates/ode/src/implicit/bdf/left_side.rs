@@ -226,7 +226,7 @@ impl LeftSide {
     /// Leaves out of the error test what is to be left out of it, by inverse weights of zero.
     pub(super) fn choose_tested(&self, inverse: &mut [f64]) {
         if self.exclude && self.kind != Kind::Identity {
-            self.point_of_columns(|k, is_zero| {
+            self.each_column(|k, is_zero| {
                 if is_zero {
                     inverse[k] = 0.0;
                 }
@@ -234,7 +234,8 @@ impl LeftSide {
         }
     }
 
-    fn point_of_columns(&self, mut f: impl FnMut(usize, bool)) {
+    /// Calls `f(k, is_zero)` for each column of `M`.
+    fn each_column(&self, mut f: impl FnMut(usize, bool)) {
         let n = self.nominals.len();
         if self.slopes.is_sparse() && self.kind == Kind::Residual {
             let mut seen = vec![false; n];
@@ -423,6 +424,19 @@ impl LeftSide {
         }
         let worst = (0..n).max_by(|i, k| defect[*i].abs().total_cmp(&defect[*k].abs())).unwrap_or_default();
         Ok(Consistency::Impossible { equation: worst, residual: -defect[worst] })
+    }
+
+    /// Before a new start on the way: what Newton's method has left of the equations without derivatives would stand as an
+    /// error of the steps to come, however short they are.
+    pub(super) fn correct<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
+        freshness: &mut Freshness,
+    ) -> CallResult<()> {
+        self.defect(equations, (t, x, slopes), defect)?;
+        self.make_consistent(equations, (t, x, slopes, defect), freshness)?;
+        Ok(())
     }
 
     /// After a failure: what equations without derivatives do not determine.
