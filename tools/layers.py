@@ -63,6 +63,7 @@ LAYERS = {
         implicit
         auto
         driver
+        solve
     """,
     "pydfo": """
         quad_err threads words

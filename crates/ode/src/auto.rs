@@ -7,6 +7,7 @@
 //! of step size and eigenvalue, which the last two stages tell (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II,
 //! section IV.2), stays at the end of the interval of stability; else when the right-hand sides since the last trial are worth it.
 
+use crate::error::Undetermined;
 use crate::explicit_rk::{DOP853, ExplicitRk};
 use crate::implicit::{Bdf, Radau5};
 use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial};
@@ -67,7 +68,7 @@ pub(crate) struct Auto {
     /// Radau5 has room for this system; BDF has.
     radau5_has_begun: bool,
     bdf_has_begun: bool,
-    /// The system has a mass matrix, which only Radau5 takes.
+    /// The system has a mass matrix: Radau5 alone, which no trial has to choose.
     only_radau5: bool,
     /// Right-hand sides of a Jacobian, as far as they are known.
     jacobian_cost: f64,
@@ -108,7 +109,7 @@ impl Auto {
             tsit5: ExplicitRk::new(&TSIT5),
             dop853: ExplicitRk::new(&DOP853),
             radau5: Radau5::default(),
-            bdf: Bdf::default(),
+            bdf: Bdf::new(false),
             explicit,
             active: explicit,
             radau5_has_begun: false,
@@ -346,7 +347,7 @@ impl Stepper for Auto {
         equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
-    ) -> Option<usize> {
+    ) -> Option<Undetermined> {
         active!(self.undetermined(equations, t, x))
     }
 

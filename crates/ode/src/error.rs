@@ -31,14 +31,14 @@ pub struct Report {
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// The span is not one: a bound that is not finite, or an end before the start.
+    /// The span is not one: a bound that is not finite, or an end before the start of a system that cannot run backward.
     Span {
         /// Start time.
         start: f64,
         /// Final time.
         end: f64,
     },
-    /// The requested sample times are not finite, not ascending, or outside of the span.
+    /// The requested sample times are not finite, not in the order of the integration, or outside of the span.
     SampleTimes {
         /// Position in the list.
         index: usize,
@@ -80,7 +80,12 @@ pub enum ErrorKind {
         states: usize,
     },
     /// The model has a mass matrix, which this method cannot take.
-    MassMatrixNeedsRadau5,
+    MassMatrixNeedsImplicit,
+    /// The model is given by its residual, which only BDF takes.
+    ResidualNeedsBdf,
+    /// The equations do not determine some of the states at the start: the index is above 1. [`SimulationError::undetermined`]
+    /// names them.
+    HigherIndex,
     /// The equations of a singular mass matrix that have no derivative in them do not hold at the start or after an event,
     /// and no states were found for which they do.
     Inconsistent {
@@ -142,7 +147,9 @@ impl ErrorKind {
             Self::NoConvergence => "the equations of the implicit method do not converge".to_owned(),
             Self::MassMatrix { .. } => "the mass matrix cannot be used".to_owned(),
             Self::TooLargeForDense { .. } => "there is no room for dense matrices".to_owned(),
-            Self::MassMatrixNeedsRadau5 => "the mass matrix needs solver radau5".to_owned(),
+            Self::MassMatrixNeedsImplicit => "the mass matrix needs solver radau5 or bdf".to_owned(),
+            Self::ResidualNeedsBdf => "a residual needs solver bdf".to_owned(),
+            Self::HigherIndex => "the index is above 1".to_owned(),
             Self::Inconsistent { .. } => "the states are not consistent".to_owned(),
             Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
             Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
@@ -216,6 +223,30 @@ impl fmt::Display for NotFinite {
     }
 }
 
+/// States that the equations do not determine: the sign of a system of index 2 or higher.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Undetermined {
+    /// An equation without derivatives that does not determine the states it should, beside the others.
+    pub equation: usize,
+    /// The states that are left without an equation.
+    pub states: Vec<usize>,
+    /// The largest pivot that is left for them in the Jacobian of the equations without derivatives, in which 1 is the
+    /// largest effect on an equation of a change of a state by its size; below 1e-6.
+    pub pivot: f64,
+}
+
+impl fmt::Display for Undetermined {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { equation, states, pivot } = self;
+        write!(
+            f,
+            "the problem looks like index 2 or higher: equation {equation}, in which no derivative stands, does not \
+             determine the states it should (their block of the Jacobian is singular: states {states:?}, largest pivot {})",
+            Number(*pivot)
+        )
+    }
+}
+
 /// There is no room for dense matrices of so many rows.
 #[derive(Debug)]
 pub(crate) struct TooLargeForDense {
@@ -258,9 +289,9 @@ pub struct SimulationError {
     pub last_event: Option<f64>,
     /// The value that was not finite where the model could not be evaluated, if one was found.
     pub not_finite: Option<NotFinite>,
-    /// With a singular mass matrix, where steps or consistent states failed: an equation without derivatives that does not
-    /// determine the states it should, which is so in systems of index 2 or higher.
-    pub undetermined: Option<usize>,
+    /// Where steps or consistent states of a differential-algebraic system failed: states that its equations do not
+    /// determine, which is so in systems of index 2 or higher.
+    pub undetermined: Option<Undetermined>,
     /// What the system says about the point that it refused, filled in by who makes the system.
     pub refusal: Option<String>,
     /// What it had cost.
@@ -282,7 +313,8 @@ impl fmt::Display for SimulationError {
                 let time = Number(*time);
                 return write!(
                     f,
-                    "requested time {time} at position {index} is not finite, not in ascending order, or outside of the span"
+                    "requested time {time} at position {index} is not finite, not in the order of the integration, or outside of the \
+                     span"
                 );
             }
             ErrorKind::ToleranceCount { given, states } => {
@@ -314,9 +346,16 @@ impl fmt::Display for SimulationError {
                 );
             }
             ErrorKind::TooLargeForDense { states } => return TooLargeForDense { states: *states }.fmt(f),
-            ErrorKind::MassMatrixNeedsRadau5 => {
-                return write!(f, "a system with a mass matrix can only be integrated by radau5 (or auto)");
+            ErrorKind::MassMatrixNeedsImplicit => {
+                return write!(
+                    f,
+                    "a system with a mass matrix can only be integrated by radau5 or bdf (or auto)"
+                );
             }
+            ErrorKind::ResidualNeedsBdf => {
+                return write!(f, "a system given by its residual can only be integrated by bdf");
+            }
+            ErrorKind::HigherIndex => write!(f, "the states at t = {t} are not determined by the equations")?,
             ErrorKind::Inconsistent { equation, residual } => {
                 let residual = Number(*residual);
                 write!(
@@ -371,12 +410,8 @@ impl fmt::Display for SimulationError {
         if let Some(refusal) = &self.refusal {
             write!(f, ": {refusal}")?;
         }
-        if let Some(equation) = self.undetermined {
-            write!(
-                f,
-                "; the problem looks like index 2 or higher: equation {equation}, in which no derivative stands, does not \
-                 determine the states it should (their block of the Jacobian is singular)"
-            )?;
+        if let Some(undetermined) = &self.undetermined {
+            write!(f, "; {undetermined}")?;
         }
         if let Some(i) = self.worst_state {
             write!(f, "; largest error in state {i}")?;

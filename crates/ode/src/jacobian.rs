@@ -82,6 +82,11 @@ impl Jacobian {
         self.pattern.as_ref()
     }
 
+    /// Whether only the values at the places of the pattern, and of the diagonal, are kept.
+    pub(crate) fn is_sparse(&self) -> bool {
+        self.is_sparse
+    }
+
     /// Calls `f(i, k, value)` for every entry that may differ from zero, column by column.
     pub(crate) fn each(&self, mut f: impl FnMut(usize, usize, f64)) {
         match &self.pattern {

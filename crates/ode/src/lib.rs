@@ -1,4 +1,14 @@
 //! An event-aware stepper for hybrid ordinary differential equations (state, time, step and input events).
+//!
+//! [`solve`], [`solve_dae`] and [`solve_second_order`] take closures and give a solution that is kept:
+//!
+//! ```
+//! let solution = ode::solve(|_, x, dx| dx[0] = -x[0], 0.0..1.0, &[1.0]).relative_tolerance(1e-9).run()?;
+//! assert!((solution.last()[0] - (-1f64).exp()).abs() < 1e-8);
+//! # Ok::<(), ode::SolveError>(())
+//! ```
+//!
+//! A [`Driver`] integrates whatever is a [`HybridSystem`], and shows an [`Observer`] what it asks for.
 #![forbid(unsafe_code)]
 
 mod auto;
@@ -14,6 +24,7 @@ mod number;
 mod observer;
 mod options;
 mod sampling;
+mod solve;
 mod sparsity;
 mod stages;
 mod stats;
@@ -23,14 +34,15 @@ mod system;
 mod tableau;
 
 pub use driver::Driver;
-pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
+pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination, Undetermined};
 pub use number::Number;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
+pub use solve::{DenseOutput, Event, Solution, Solve, SolveError, solve, solve_dae, solve_second_order};
 pub use sparsity::JacobianPattern;
 pub use stats::{Seconds, Stats};
 pub use stopwatch::{Stopwatch, Timing};
 pub use system::{
-    CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop,
-    StepAction,
+    Argument, CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem,
+    InputStop, StepAction,
 };

@@ -183,6 +183,10 @@ pub struct Options {
     /// Locate indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead of to rounding:
     /// a fifth of the evaluations less, for models that have many such. Default `false`.
     pub loose_jump_indicators: bool,
+    /// In differential-algebraic systems integrated by [`Method::Bdf`]: leave states that have no derivative in the equations
+    /// out of the error test, but not out of Newton's. Default `false`: in systems of index 1 their errors
+    /// are of the order of the others', and nothing else would limit them.
+    pub exclude_algebraic: bool,
     /// Limits; default none.
     pub limits: Limits,
     /// Answer to chattering, and to events that accumulate; default an error.
@@ -203,6 +207,7 @@ impl Default for Options {
             record_events: false,
             interior_samples: None,
             loose_jump_indicators: false,
+            exclude_algebraic: false,
             limits: Limits::default(),
             chattering: ChatteringPolicy::Error,
             cancel: None,

@@ -1,6 +1,7 @@
 //! What a method offers the driver: try a step, look inside it, go on from its end, or start anew.
 
 use crate::control::Weights;
+use crate::error::Undetermined;
 use crate::stats::Stats;
 use crate::system::{CallResult, HybridSystem};
 
@@ -49,6 +50,8 @@ pub(crate) enum Consistency {
     Corrected,
     /// No states were found for which they hold: this equation has this residual.
     Impossible { equation: usize, residual: f64 },
+    /// They do not decide the states.
+    HigherIndex,
 }
 
 /// What is done with a step inside of which an event was located.
@@ -70,8 +73,11 @@ pub(crate) struct Properties {
     pub(crate) order: u32,
     /// Steps carry an error estimate.
     pub(crate) has_error_estimate: bool,
-    /// It integrates systems with a mass matrix.
+    /// It integrates systems with a mass matrix, and those that are given by their residual.
     pub(crate) takes_mass_matrix: bool,
+    pub(crate) takes_residual: bool,
+    /// There is no right-hand side to be evaluated in this run: [`Stepper::derivative`] is what there is of slopes.
+    pub(crate) only_own_slopes: bool,
     /// What is done with a step inside of which an event was located.
     pub(crate) step_with_event: StepWithEvent,
     /// Its steps are so long that a crossing and its return may hide in one.
@@ -91,6 +97,8 @@ impl Default for Properties {
             order: 1,
             has_error_estimate: true,
             takes_mass_matrix: false,
+            takes_residual: false,
+            only_own_slopes: false,
             step_with_event: StepWithEvent::Interpolated,
             takes_long_steps: false,
             wants_second_derivative: false,
@@ -153,14 +161,14 @@ pub(crate) trait Stepper {
     /// The next trial is the last one, which was good, with an earlier end.
     fn repeat(&mut self) {}
 
-    /// After a failure at `(t, x)`: an equation without derivatives that does not determine the states it should, neither
-    /// there nor nearby, as in systems of index 2 or higher. `None`: there is none.
+    /// After a failure at `(t, x)`: states that the equations without derivatives do not determine, neither there nor nearby,
+    /// as in systems of index 2 or higher. `None`: there are none.
     fn undetermined<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
-    ) -> Option<usize> {
+    ) -> Option<Undetermined> {
         let _ = (equations, t, x);
         None
     }

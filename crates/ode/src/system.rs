@@ -86,6 +86,15 @@ pub struct StepAction {
     pub terminate: bool,
 }
 
+/// With respect to what a residual is differentiated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Argument {
+    /// The states `x`.
+    States,
+    /// Their derivatives `x'`.
+    Slopes,
+}
+
 /// An instant at which an input is not smooth; a step ends there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InputStop {
@@ -190,9 +199,47 @@ pub trait HybridSystem {
     /// method changes the states until they do, in such a way that `M x` stays as it is: that what the other equations
     /// say of derivatives goes on from the values given. [`states_corrected`](Self::states_corrected) tells of it;
     /// [`ErrorKind::Inconsistent`](crate::ErrorKind) is what comes of it where there is no such state near.
-    /// Only [`Method::Radau5`](crate::Method) and [`Method::Auto`](crate::Method) take a mass matrix.
+    /// Only [`Method::Radau5`](crate::Method), [`Method::Bdf`](crate::Method) and [`Method::Auto`](crate::Method) take a
+    /// mass matrix.
     fn mass_matrix(&self) -> Option<&[f64]> {
         None
+    }
+
+    /// Whether the equations are `F(t, x, x') = 0`, given by [`residual`](Self::residual) (index 0 or 1), instead of
+    /// `x' = f(t, x)`. Only [`Method::Bdf`](crate::Method) takes them. Read once a run.
+    fn has_residual(&self) -> bool {
+        false
+    }
+
+    /// Fills in the residual `r = F(t, x, dx)`, one equation per state.
+    fn residual(&mut self, t: f64, x: &[f64], dx: &[f64], r: &mut [f64]) -> CallResult<()> {
+        let _ = (t, x, dx, r);
+        Err(CallError::Discard)
+    }
+
+    /// Fills in the Jacobian of the residual with respect to one of its arguments, by columns; all entries are zero when it
+    /// is called. Asked where [`has_jacobian`](Self::has_jacobian). `Ok(false)`: there is none. The
+    /// [pattern](Self::jacobian_pattern) is that of both Jacobians together.
+    fn residual_jacobian(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        dx: &[f64],
+        argument: Argument,
+        j: &mut [f64],
+    ) -> CallResult<bool> {
+        let _ = (t, x, dx, argument, j);
+        Ok(false)
+    }
+
+    /// Whether a run may lead backward in time, from a start after its end. Read once a run.
+    fn can_run_backward(&self) -> bool {
+        false
+    }
+
+    /// Fills in what is known of `x'` at the start of a system given by its residual: a guess, zeros when it is called.
+    fn slopes_at_start(&mut self, dx: &mut [f64]) {
+        let _ = dx;
     }
 
     /// Told at the start and after an event, before anything else is asked of it there, if states were changed so that
@@ -261,6 +308,28 @@ macro_rules! hand_on {
         }
         fn mass_matrix(&$self) -> Option<&[f64]> {
             $inner.mass_matrix()
+        }
+        fn has_residual(&$self) -> bool {
+            $inner.has_residual()
+        }
+        fn can_run_backward(&$self) -> bool {
+            $inner.can_run_backward()
+        }
+        fn slopes_at_start(&mut $self, dx: &mut [f64]) {
+            $inner.slopes_at_start(dx);
+        }
+        fn residual(&mut $self, t: f64, x: &[f64], dx: &[f64], r: &mut [f64]) -> CallResult<()> {
+            $around!($self, Derivatives, $inner.residual(t, x, dx, r))
+        }
+        fn residual_jacobian(
+            &mut $self,
+            t: f64,
+            x: &[f64],
+            dx: &[f64],
+            argument: Argument,
+            j: &mut [f64],
+        ) -> CallResult<bool> {
+            $around!($self, Jacobian, $inner.residual_jacobian(t, x, dx, argument, j))
         }
         fn states_corrected(&mut $self, t: f64, x: &[f64]) -> CallResult<()> {
             $inner.states_corrected(t, x)

@@ -5,7 +5,8 @@ use crate::interrupt::{EndRequest, Inside};
 use crate::objective::number;
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use ode::{
-    CallError, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, JacobianPattern, StepAction,
+    Argument, CallError, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, JacobianPattern,
+    StepAction,
 };
 use pyo3::exceptions::{PyMemoryError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -68,7 +69,9 @@ impl<'py> SparseJacobian<'py> {
 pub(crate) struct PySystem<'py> {
     pub(crate) py: Python<'py>,
     pub(crate) stop: Arc<EndRequest>,
+    /// The right-hand side; the residual where there are slopes at the start.
     pub(crate) rhs: Bound<'py, PyAny>,
+    pub(crate) slopes: Option<Vec<f64>>,
     pub(crate) x0: Vec<f64>,
     pub(crate) events: Vec<Event<'py>>,
     pub(crate) on_event: Option<Bound<'py, PyAny>>,
@@ -97,6 +100,11 @@ impl<'py> PySystem<'py> {
             self.raised.get_or_insert(e);
             CallError::failed(message)
         })
+    }
+
+    /// What the user knows the equations by.
+    pub(crate) fn rhs_name(&self) -> &'static str {
+        if self.slopes.is_some() { "residual" } else { "rhs" }
     }
 
     fn array(&self, x: &[f64]) -> Bound<'py, PyArray1<f64>> {
@@ -139,7 +147,48 @@ impl HybridSystem for PySystem<'_> {
     }
 
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        if let Some(slopes) = self.slopes.clone() {
+            return self.residual(t, x, &slopes, dx);
+        }
         self.ask(|this| vector(&this.rhs.call1((t, this.array(x)))?, dx, "rhs"))
+    }
+
+    fn can_run_backward(&self) -> bool {
+        true
+    }
+
+    fn has_residual(&self) -> bool {
+        self.slopes.is_some()
+    }
+
+    fn slopes_at_start(&mut self, dx: &mut [f64]) {
+        if let Some(slopes) = &self.slopes {
+            dx.copy_from_slice(slopes);
+        }
+    }
+
+    fn residual(&mut self, t: f64, x: &[f64], dx: &[f64], r: &mut [f64]) -> CallResult<()> {
+        self.ask(|this| vector(&this.rhs.call1((t, this.array(x), this.array(dx)))?, r, "residual"))
+    }
+
+    fn residual_jacobian(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        dx: &[f64],
+        argument: Argument,
+        j: &mut [f64],
+    ) -> CallResult<bool> {
+        self.ask(|this| {
+            let JacobianSource::Function(function) = &this.jacobian else { return Ok(false) };
+            let (of_states, of_slopes) = function
+                .call1((t, this.array(x), this.array(dx)))?
+                .extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>()
+                .map_err(|_| PyTypeError::new_err("jac must return two matrices, dF/dy and dF/dy'"))?;
+            let asked = if argument == Argument::States { of_states } else { of_slopes };
+            j.copy_from_slice(&matrix(&asked, x.len(), "jac")?);
+            Ok(true)
+        })
     }
 
     fn jacobian_pattern(&self) -> Option<&JacobianPattern> {

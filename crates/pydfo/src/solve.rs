@@ -7,17 +7,14 @@ use crate::settings::time_limit;
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{
-    AbsoluteTolerance, Direction, Driver, ErrorKind, Evaluated, JacobianPattern, Limits, Method, Number,
-    Observer, Options, OptionsError, Report, Sample, SimulationError, StepView, Termination,
+    AbsoluteTolerance, DenseOutput, Direction, Driver, ErrorKind, Evaluated, JacobianPattern, Limits, Method,
+    Number, Observer, Options, OptionsError, Report, Sample, SimulationError, StepView, Termination,
 };
 use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::ops::ControlFlow;
 use std::sync::Arc;
-
-/// Nodes per step of the dense output: enough for a polynomial of degree 8.
-const NODES: usize = 9;
 
 /// `pydfo.ode._Problem`, field by field.
 #[derive(FromPyObject)]
@@ -44,6 +41,8 @@ pub(crate) struct Problem<'py> {
     max_steps: Option<u64>,
     max_events: Option<u64>,
     max_time: Option<f64>,
+    slopes: Option<Vec<f64>>,
+    exclude_algebraic: bool,
 }
 
 /// Keeps what the driver shows: requested samples, and each step as its values at nodes.
@@ -52,15 +51,7 @@ struct Keeper<'a, 'py> {
     stop: &'a EndRequest,
     times: Vec<f64>,
     states: Vec<f64>,
-    dense: Option<Dense>,
-    n: usize,
-}
-
-/// The steps: where each begins and ends, and its states at the nodes, one node after the other.
-#[derive(Default)]
-struct Dense {
-    spans: Vec<f64>,
-    values: Vec<f64>,
+    dense: Option<DenseOutput>,
 }
 
 impl Observer for Keeper<'_, '_> {
@@ -75,15 +66,8 @@ impl Observer for Keeper<'_, '_> {
     }
 
     fn step(&mut self, step: &StepView<'_>) {
-        let Some(dense) = &mut self.dense else { return };
-        let (middle, half) = (0.5 * (step.start + step.end), 0.5 * (step.end - step.start));
-        dense.spans.extend([step.start, step.end]);
-        for k in 0..NODES {
-            // Chebyshev's extreme points, ascending.
-            let s = -(std::f64::consts::PI * k as f64 / (NODES - 1) as f64).cos();
-            let from = dense.values.len();
-            dense.values.resize(from + self.n, 0.0);
-            step.states_at(middle + half * s, &mut dense.values[from..]);
+        if let Some(dense) = &mut self.dense {
+            dense.push(step);
         }
     }
 
@@ -108,6 +92,7 @@ impl Problem<'_> {
             initial_step: self.first_step,
             interior_samples: self.interior_samples,
             chattering: self.chattering.parse().map_err(bad)?,
+            exclude_algebraic: self.exclude_algebraic,
             limits: Limits {
                 max_steps: self.max_steps,
                 max_events: self.max_events,
@@ -153,7 +138,9 @@ impl<'py> Problem<'py> {
                 // in the run.
                 let called = given.is_callable();
                 let first = match &places {
-                    Some(_) if called => given.call1((self.start, PyArray1::from_slice(py, &self.x0))).ok(),
+                    Some(_) if called && self.slopes.is_none() => {
+                        given.call1((self.start, PyArray1::from_slice(py, &self.x0))).ok()
+                    }
                     _ => None,
                 };
                 let matrix = if called { first.as_ref() } else { Some(given) };
@@ -192,6 +179,7 @@ impl<'py> Problem<'py> {
             py,
             stop,
             rhs: self.rhs.clone(),
+            slopes: self.slopes.clone(),
             x0: self.x0.clone(),
             events: self.events.iter().map(event).collect(),
             on_event: self.on_event.clone(),
@@ -220,8 +208,7 @@ pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bou
         stop,
         times: Vec::new(),
         states: Vec::new(),
-        dense: problem.dense_output.then(Dense::default),
-        n: problem.x0.len(),
+        dense: problem.dense_output.then(|| DenseOutput::new(problem.x0.len())),
     };
     let times = problem.times.as_deref().unwrap_or_default();
     let n = problem.x0.len();
@@ -285,18 +272,18 @@ fn is_misuse(kind: &ErrorKind) -> bool {
             | ErrorKind::SampleTimes { .. }
             | ErrorKind::ToleranceCount { .. }
             | ErrorKind::MassMatrix { .. }
-            | ErrorKind::MassMatrixNeedsRadau5
+            | ErrorKind::MassMatrixNeedsImplicit
             | ErrorKind::StepBelowRounding { .. }
     )
 }
 
 /// The error in the words of `pydfo.ode.solve`: what returned a value that is not finite.
-fn message(error: &SimulationError, n: usize) -> String {
+fn message(error: &SimulationError, n: usize, rhs: &str) -> String {
     let message = error.to_string();
     let Some(value) = &error.not_finite else { return message };
     let (number, index, time) = (Number(value.value), value.index, Number(value.time));
     let words = match value.what {
-        Evaluated::Derivative => format!("rhs returned {number} for component {index} at t = {time}"),
+        Evaluated::Derivative => format!("{rhs} returned {number} for component {index} at t = {time}"),
         Evaluated::EventIndicator => format!("event {index} returned {number} at t = {time}"),
         Evaluated::Jacobian => {
             format!("jac returned {number} for entry [{}, {}] at t = {time}", index % n, index / n)
@@ -324,7 +311,7 @@ fn result<'py>(
             };
             (status, message.to_owned(), report.time, &report.stats)
         }
-        Err(e) => (-1, message(e, n), e.time, &e.stats),
+        Err(e) => (-1, message(e, n, system.rhs_name()), e.time, &e.stats),
     };
     let fields = PyDict::new(py);
     let (times, states) =
@@ -343,9 +330,10 @@ fn result<'py>(
     fields.set_item("end_time", end_time)?;
     fields.set_item("stats", Counts::new(stats))?;
     if let Some(dense) = keeper.dense {
-        let steps = dense.spans.len() / 2;
-        fields.set_item("spans", PyArray1::from_vec(py, dense.spans).reshape([steps, 2])?)?;
-        fields.set_item("values", PyArray1::from_vec(py, dense.values).reshape([steps, NODES, n])?)?;
+        let steps = dense.spans().len() / 2;
+        let shape = [steps, DenseOutput::NODES, n];
+        fields.set_item("spans", PyArray1::from_slice(py, dense.spans()).reshape([steps, 2])?)?;
+        fields.set_item("values", PyArray1::from_slice(py, dense.values()).reshape(shape)?)?;
     }
     py.import("pydfo.ode")?.getattr("OdeResult")?.call((), Some(&fields))
 }

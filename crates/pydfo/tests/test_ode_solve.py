@@ -244,12 +244,12 @@ def test_differential_algebraic_system():
 
     mass = np.diag([1.0, 1.0, 0.0])
     reference = solve_ivp(robertson, (0, 1e3), [1, 0, 0], "Radau", [1e3], rtol=1e-11, atol=1e-16, jac=robertson_jacobian)
-    for method in "radau5", "auto":
+    for method, bar in ("radau5", 1e-6), ("auto", 1e-6), ("bdf", 1e-5):
         res = ode.solve(rhs, (0, 1e3), [1, 0, 0], method, [1e3], mass=mass, rtol=1e-8, atol=1e-13)
-        assert np.abs(res.y / reference.y - 1).max() < 1e-6
-        assert abs(res.y.sum() - 1) < 1e-12
-    with pytest.raises(ValueError, match="mass matrix can only be integrated by radau5"):
-        ode.solve(rhs, (0, 1), [1, 0, 0], "bdf", mass=mass)
+        assert np.abs(res.y / reference.y - 1).max() < bar
+        assert abs(res.y.sum() - 1) < 1e-8
+    with pytest.raises(ValueError, match="mass matrix can only be integrated by radau5 or bdf"):
+        ode.solve(rhs, (0, 1), [1, 0, 0], "dop853", mass=mass)
     with pytest.raises(ValueError, match=r"mass must have the shape \(3, 3\), not \(2, 2\)"):
         ode.solve(rhs, (0, 1), [1, 0, 0], mass=np.eye(2))
 
@@ -428,7 +428,7 @@ def test_exceptions_keep_their_identity(method):
         ({"rhs": lambda t, y: ["a", "b"]}, TypeError, "rhs must return numbers"),
         ({"rhs": lambda t, y: [1j, 0]}, TypeError, "rhs must return numbers"),
         ({"rhs": 3}, TypeError, "rhs must be callable, not 3"),
-        ({"t_span": (1, 0)}, ValueError, "from 1 to 0: both must be finite, the end not before the start"),
+        ({"t_span": (1, -math.inf)}, ValueError, "from 1 to -inf: both must be finite"),
         ({"t_span": (0, math.inf)}, ValueError, "from 0 to inf"),
         ({"t_span": 3}, ValueError, "t_span must be two numbers"),
         ({"x0": [1j, 0]}, TypeError, "x0 must be numbers"),

@@ -113,7 +113,7 @@ where
     /// components by any amount.
     pub(super) fn take_slope(&mut self, known: bool) -> Step<()> {
         let Space { x, slope, weights, .. } = &mut *self.space;
-        if known || x.is_empty() || self.fixed_step.is_some() {
+        if known || x.is_empty() || self.fixed_step.is_some() || self.stepper.properties().only_own_slopes {
             slope.copy_from_slice(self.stepper.derivative());
             return Ok(());
         }
@@ -165,7 +165,7 @@ where
         }
         let Space { x, x_mid, slope, weights, .. } = &mut *self.space;
         let before = before - self.same;
-        if before <= self.t {
+        if before <= self.t || self.stepper.properties().only_own_slopes {
             slope.copy_from_slice(self.stepper.derivative());
             return Ok(());
         }
@@ -178,7 +178,7 @@ where
     /// that switches there may do so behind it; then that is the one to go on with.
     fn goes_on_as_here(&mut self, h: f64) -> Step<bool> {
         let (behind, beyond) = (self.t + self.same, self.t + 2.0 * self.same);
-        if self.space.x.is_empty() || beyond > self.end {
+        if self.space.x.is_empty() || beyond > self.end || self.stepper.properties().only_own_slopes {
             return Ok(true);
         }
         let Space { x, x_mid, x_new, slope, weights, .. } = &mut *self.space;
@@ -230,6 +230,7 @@ where
                 Consistency::Impossible { equation, residual } => {
                     return Err(ErrorKind::Inconsistent { equation, residual }.into());
                 }
+                Consistency::HigherIndex => return Err(ErrorKind::HigherIndex.into()),
             }
         }
         let space = &mut *self.space;
@@ -264,6 +265,12 @@ where
         let probe = probe_step(&space.weights, &space.x, dx, span).min(room);
         if probe.is_nan() || probe <= 0.0 {
             self.h = 1e-6 * span;
+            return Ok(());
+        }
+        if self.stepper.properties().only_own_slopes {
+            // As DASSL does: what changes the states by half their tolerances.
+            let most = 0.5 / space.weights.norm(&space.x, dx);
+            self.h = most.min(1e-3 * room);
             return Ok(());
         }
         for ((p, x), d) in space.x_mid.iter_mut().zip(&space.x).zip(dx) {

@@ -27,6 +27,11 @@ where
                 .found(Evaluated::State, &space.x)
                 .or_else(|| self.found(Evaluated::Derivative, self.stepper.derivative()))
                 .or_else(|| self.found(Evaluated::EventIndicator, &space.domains.base));
+            if self.not_finite.is_none() && self.stepper.properties().only_own_slopes {
+                let Space { x, x_new, .. } = &mut *self.space;
+                let _ = self.system.derivatives(self.t, x, x_new);
+                self.not_finite = self.found(Evaluated::Derivative, &self.space.x_new);
+            }
         }
         no_retreat(error)
     }
@@ -41,6 +46,7 @@ where
             ErrorKind::StepTooSmall { discarded: true } => self.look_ahead(),
             ErrorKind::StepTooSmall { discarded: false }
             | ErrorKind::NoConvergence
+            | ErrorKind::HigherIndex
             | ErrorKind::Inconsistent { .. } => {
                 let Self { space, system, stats, stepper, .. } = self;
                 let mut equations = Equations { system: &mut **system, weights: &space.weights, stats };

@@ -11,6 +11,7 @@ use crate::stepper::Stepper;
 use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSystem};
 use crate::tableau::{EULER, RK4, TSIT5};
 
+mod backward;
 mod events;
 mod evidence;
 mod inside;
@@ -22,6 +23,7 @@ mod step;
 mod trial;
 mod watched;
 
+use backward::{Backward, BackwardObserver, turned, turned_end};
 use run::{Exit, Run, Space, Step, finish, no_retreat};
 use trial::{Found, Inside, Shrink, Tried};
 use watched::{CallWatch, Watch, Watched};
@@ -72,6 +74,9 @@ pub struct Driver {
     method: MethodState,
     space: Space,
     stopwatch: CallWatch,
+    /// Of runs that lead backward.
+    turned_times: Vec<f64>,
+    turned_slopes: Vec<f64>,
 }
 
 /// The stepper behind [`Method`].
@@ -98,11 +103,19 @@ impl Driver {
             Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
             Method::Radau5 => MethodState::Radau5(Box::default()),
             Method::Dop853 => MethodState::Dop853(Box::new(ExplicitRk::new(&DOP853))),
-            Method::Bdf => MethodState::Bdf(Box::default()),
+            Method::Bdf => MethodState::Bdf(Box::new(Bdf::new(options.exclude_algebraic))),
             Method::Rk4 => MethodState::Rk4(ExplicitRk::new(&RK4)),
             Method::Euler => MethodState::Euler(ExplicitRk::new(&EULER)),
         };
-        Ok(Self { options, method, space: Space::default(), stopwatch: CallWatch::new() })
+        let (turned_times, turned_slopes) = (Vec::new(), Vec::new());
+        Ok(Self {
+            options,
+            method,
+            space: Space::default(),
+            stopwatch: CallWatch::new(),
+            turned_times,
+            turned_slopes,
+        })
     }
 
     /// The options it was made with.
@@ -112,7 +125,10 @@ impl Driver {
 
     /// Integrates `system` from `start` to `end` and hands the samples at `times` to `observer`.
     ///
-    /// `times` ascend and lie within the span; a time listed twice gives the left limit, then the value after the events
+    /// The end may lie before the start if the system [can run backward](HybridSystem::can_run_backward): then crossings of
+    /// event indicators are seen along the integration (a downward one has the higher value at the later time).
+    ///
+    /// `times` are in the order of the integration and lie within the span; a time listed twice gives the left limit, then the value after the events
     /// of that instant; a time listed once gives the latter. Times are equal within
     /// `100 u max(|t|, end - start)`. Each run is independent of those before.
     ///
@@ -130,7 +146,32 @@ impl Driver {
         S: HybridSystem + ?Sized,
         O: Observer + ?Sized,
     {
-        let Self { options, method, space, stopwatch } = self;
+        if end < start && system.can_run_backward() {
+            let mut turned_times = std::mem::take(&mut self.turned_times);
+            let mut slopes = std::mem::take(&mut self.turned_slopes);
+            turned_times.clear();
+            turned_times.extend(times.iter().map(|t| turned(*t)));
+            let system: &mut dyn HybridSystem = &mut Backward { system, slopes: &mut slopes };
+            let observer: &mut dyn Observer = &mut BackwardObserver(observer);
+            let ended = self.run_forward(system, (turned(start), turned(end)), &turned_times, observer);
+            (self.turned_times, self.turned_slopes) = (turned_times, slopes);
+            return turned_end(ended);
+        }
+        self.run_forward(system, (start, end), times, observer)
+    }
+
+    fn run_forward<S, O>(
+        &mut self,
+        system: &mut S,
+        (start, end): (f64, f64),
+        times: &[f64],
+        observer: &mut O,
+    ) -> Result<Report, Box<SimulationError>>
+    where
+        S: HybridSystem + ?Sized,
+        O: Observer + ?Sized,
+    {
+        let Self { options, method, space, stopwatch, .. } = self;
         let watch = Watch::new(options);
         let system = &mut Watched::new(system, watch, stopwatch);
         macro_rules! run {
@@ -216,8 +257,11 @@ where
                 return Err(ErrorKind::MassMatrix { given: m.len(), states: n }.into());
             }
             if !self.stepper.properties().takes_mass_matrix {
-                return Err(ErrorKind::MassMatrixNeedsRadau5.into());
+                return Err(ErrorKind::MassMatrixNeedsImplicit.into());
             }
+        }
+        if self.system.has_residual() && !self.stepper.properties().takes_residual {
+            return Err(ErrorKind::ResidualNeedsBdf.into());
         }
         self.stepper.begin(&*self.system).map_err(no_retreat)?;
 

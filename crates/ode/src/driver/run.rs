@@ -3,7 +3,7 @@
 use super::sliding::Sliding;
 use super::watched::{Watch, kind_of};
 use crate::control::Weights;
-use crate::error::{ErrorKind, NotFinite, Termination};
+use crate::error::{ErrorKind, NotFinite, Termination, Undetermined};
 use crate::event::Domains;
 use crate::options::Options;
 use crate::sampling::Sampler;
@@ -63,7 +63,7 @@ pub(super) struct Run<'a, S: ?Sized, M, O: ?Sized> {
     pub(super) sliding: Sliding,
     pub(super) discards: u32,
     pub(super) not_finite: Option<NotFinite>,
-    pub(super) undetermined: Option<usize>,
+    pub(super) undetermined: Option<Undetermined>,
     pub(super) worst_state: Option<usize>,
     pub(super) last_event: Option<f64>,
     pub(super) stats: Stats,

@@ -7,7 +7,8 @@ use crate::sparsity::JacobianPattern;
 use crate::stats::{Seconds, Stats};
 use crate::stopwatch::Stopwatch;
 use crate::system::{
-    CallError, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, InputStop, StepAction, hand_on,
+    Argument, CallError, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, InputStop,
+    StepAction, hand_on,
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};

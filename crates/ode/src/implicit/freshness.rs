@@ -81,6 +81,11 @@ impl Freshness {
         &self.jacobian
     }
 
+    /// Whether there is a Jacobian of the current point.
+    pub(super) fn is_here(&self) -> bool {
+        self.has_jacobian && self.age == 0
+    }
+
     /// The Jacobian, for a change of it, and whether there is one.
     pub(super) fn jacobian_mut(&mut self) -> (&mut Jacobian, bool) {
         (&mut self.jacobian, self.has_jacobian)

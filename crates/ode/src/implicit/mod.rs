@@ -1,5 +1,6 @@
 //! Implicit methods for stiff systems: Newton's method and the age of its matrices are the same for all.
 
+mod algebraic;
 mod bdf;
 mod freshness;
 mod newton;

@@ -1,7 +1,8 @@
 """Integrate systems written in Python with the stepper that simulates the models: ``pydfo.ode.solve``.
 
 Arguments and results have the shape of SciPy's ``solve_ivp``; what is new are events that change the state, mass matrices,
-and methods for stiff systems that do not slow down where the system is not stiff.
+and methods for stiff systems that do not slow down where the system is not stiff. `solve_dae` integrates
+``F(t, y, y') = 0``, `solve_second_order` ``x'' = f(t, x, x')``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from . import _core, _options
 from ._keywords import also_called
 from ._trajectory import SimulationStats
 
-__all__ = ["DenseOutput", "OdeResult", "solve"]
+__all__ = ["DenseOutput", "OdeResult", "solve", "solve_dae", "solve_second_order"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -52,6 +53,8 @@ class _Problem:
     max_steps: int | None
     max_events: int | None
     max_time: float | None
+    slopes: list[float] | None
+    exclude_algebraic: bool
 
 
 class DenseOutput:
@@ -60,7 +63,7 @@ class DenseOutput:
     Attributes
     ----------
     ts : ndarray, shape (steps + 1,)
-        The ends of the steps.
+        The ends of the steps, in the order of the integration.
     t_min, t_max : float
         Where it begins and ends; it is not continued beyond.
     """
@@ -69,8 +72,8 @@ class DenseOutput:
         self._spans = spans
         self._values = values
         self.ts = np.append(spans[:, 0], spans[-1:, 1])
-        self.t_min = float(self.ts[0])
-        self.t_max = float(self.ts[-1])
+        self._sign = 1.0 if self.ts[-1] >= self.ts[0] else -1.0
+        self.t_min, self.t_max = float(self.ts.min()), float(self.ts.max())
         m = values.shape[1]
         self._nodes = -np.cos(np.pi * np.arange(m) / (m - 1))
         # Barycentric weights of Chebyshev's extreme points (Berrut and Trefethen, SIAM Review 46 (2004) 501, eq. 5.4).
@@ -90,9 +93,10 @@ class DenseOutput:
         outside = ~((flat >= self.t_min - slack) & (flat <= self.t_max + slack))
         if outside.any():
             raise ValueError(f"t = {flat[outside][0]} lies outside of [{self.t_min}, {self.t_max}]")
-        which = np.clip(np.searchsorted(self._spans[:, 0], flat, side="right") - 1, 0, len(self._spans) - 1)
+        begins = self._sign * self._spans[:, 0]
+        which = np.clip(np.searchsorted(begins, self._sign * flat, side="right") - 1, 0, len(begins) - 1)
         start, end = self._spans[which].T
-        length = np.where(end > start, end - start, 1.0)
+        length = np.where(end != start, end - start, 1.0)
         s = np.clip((2.0 * flat - start - end) / length, -1.0, 1.0)
         distance = s[:, np.newaxis] - self._nodes
         hit = distance == 0.0
@@ -210,7 +214,7 @@ def solve(
         be missed: give two event functions, one that crosses zero where it begins and one where it ends (a single one
         that does both is missed like the pulse), or `max_step`.
     t_span : (float, float)
-        Start and end. The end must not lie before the start.
+        Start and end. Where the end lies before the start the integration leads backward.
     x0 : array_like, shape (n,)
         States at the start.
     method : str
@@ -220,14 +224,15 @@ def solve(
         "LSODA" stand for "tsit5", "radau5" and "auto". "radau5" and "bdf" take dense matrices of n x n entries unless
         `jac_sparsity` tells otherwise; a MemoryError says so before they are too large.
     t_eval : array_like, shape (m,), optional
-        When to store the solution: ascending, within the span. A time at which `on_event` changes the state holds the
+        When to store the solution: in the order of the integration, within the span. A time at which `on_event` changes the state holds the
         value after it; listed twice, the values before and after. By default the ends of the steps are stored.
     dense_output : bool
         Keep the solution as a function of time, too (`OdeResult.sol`).
     events : callable, or list of callables, optional
         ``event(t, y) -> float``: an event occurs where it becomes positive or stops being positive. Its attributes are
         those of SciPy: ``terminal`` (True, or after how many occurrences the run ends) and ``direction`` (positive: only
-        upward, negative: only downward crossings are events; the others do not even end a step). A function that
+        upward, negative: only downward crossings are events, as seen along the integration, also where that leads backward;
+        the others do not even end a step). A function that
         is left at zero by a change of the states in `on_event`, on its way back to the sign it had, has no event when it
         gets there: a ball bounces without a ``direction``, too.
     on_event : callable, optional
@@ -250,8 +255,8 @@ def solve(
         The constant matrix on the left. It may be singular (a differential-algebraic system of index 1). Then the
         equations in which no derivative stands must hold at the start and after each event. Where they do not, within
         the tolerances, the states that they decide are corrected by Newton's method, with ``mass @ y`` as it was: give
-        the others exactly, and for these a guess. If that finds none the integration fails and names the equation. Only
-        for "radau5" and "auto".
+        the others exactly, and for these a guess. If that finds none the integration fails and names the equation. For
+        "radau5", "bdf" and "auto".
     first_step, max_step : float, optional
         First and largest step. By default the first step is estimated, and the largest is the span.
     step : float, optional
@@ -312,8 +317,223 @@ def solve(
     >>> res.message
     'A terminal event occurred.'
     """
-    for name, function in (("rhs", rhs), ("on_event", on_event)):
-        if not callable(function) and (name == "rhs" or function is not None):
+    return _run(
+        ("rhs", rhs),
+        t_span,
+        x0,
+        method=_options.solver(method, "method"),
+        t_eval=t_eval,
+        dense_output=dense_output,
+        events=events,
+        on_event=on_event,
+        args=args,
+        rtol=rtol,
+        atol=atol,
+        jac=jac,
+        jac_sparsity=jac_sparsity,
+        mass=mass,
+        first_step=first_step,
+        max_step=max_step,
+        step=step,
+        interior_samples=interior_samples,
+        chattering=chattering,
+        max_steps=max_steps,
+        max_events=max_events,
+        max_time=max_time,
+    )
+
+
+@also_called(timeout="max_time")
+def solve_dae(
+    residual: Callable[..., npt.ArrayLike],
+    t_span: Sequence[SupportsFloat],
+    x0: npt.ArrayLike,
+    dx0: npt.ArrayLike | None = None,
+    t_eval: npt.ArrayLike | None = None,
+    dense_output: bool = False,
+    events: Callable[..., SupportsFloat] | Sequence[Callable[..., SupportsFloat]] | None = None,
+    *,
+    on_event: Callable[..., npt.ArrayLike | None] | None = None,
+    args: Sequence[Any] = (),
+    rtol: SupportsFloat = 1e-6,
+    atol: npt.ArrayLike | None = None,
+    jac: Callable[..., Sequence[npt.ArrayLike]] | Sequence[npt.ArrayLike] | None = None,
+    jac_sparsity: npt.ArrayLike | None = None,
+    exclude_algebraic: bool = False,
+    first_step: SupportsFloat | None = None,
+    max_step: SupportsFloat | None = None,
+    interior_samples: SupportsIndex | None = None,
+    chattering: Literal["error", "warn", "slide"] = "error",
+    max_steps: SupportsFloat | None = None,
+    max_events: SupportsFloat | None = None,
+    max_time: SupportsFloat | None = None,
+) -> OdeResult:
+    """Integrate ``residual(t, y, y') = 0``, a differential-algebraic system of index 0 or 1, by BDF of order 1 to 5.
+
+    Where the equations are ``mass @ y' = rhs(t, y)`` with a constant matrix, `solve` with its argument `mass` takes them as
+    they are.
+
+    Parameters
+    ----------
+    residual : callable
+        ``residual(t, y, dy) -> array_like, shape (n,)``: what is to be zero. Where it returns NaN or infinity a smaller step is
+        tried.
+    t_span : (float, float)
+        Start and end. Where the end lies before the start the integration leads backward.
+    x0, dx0 : array_like, shape (n,)
+        States and their derivatives at the start; `dx0` is zero by default. Of `x0` counts what has a derivative in the
+        equations (the part that ``dF/dy'`` acts on). The rest, the algebraic variables, and `dx0` are guesses: Newton's
+        method changes them until the equations hold, which need no mark of the algebraic variables.
+    t_eval, dense_output, events, on_event, args, rtol, atol, first_step, max_step, interior_samples, chattering
+        As for `solve`. Events are functions of time and states. After a change of the states the algebraic
+        variables are made consistent again.
+    jac : callable, or a pair of array_like, optional
+        ``jac(t, y, dy) -> (dF/dy, dF/dy')``, both of shape (n, n), or these two where they are constant. By default differences:
+        the two are kept apart, so that a change of the step takes no residual, and ``dF/dy'`` is only evaluated again where
+        one residual shows that it has changed.
+    jac_sparsity : array_like or sparse matrix, shape (n, n), optional
+        Not zero where one of the Jacobians may differ from zero: columns that share no row then come from one difference.
+        Where it makes the matrices sparse (100 states and more, at most 5 % of the places) the values at the start are taken
+        as given, and the index is not looked at.
+    exclude_algebraic : bool
+        Leave variables without a derivative in the equations out of the error test. By default they are in it: with index 1
+        their errors are of the size of the others', and nothing else would limit them.
+    max_steps, max_events, max_time
+        Limits, as for `solve`.
+
+    Returns
+    -------
+    OdeResult
+        As from `solve`; ``nfev`` counts residuals, those for differences included. A system of index 2 or higher has
+        ``success=False`` and a message that names the variables which its equations do not determine.
+
+    Examples
+    --------
+    Robertson's reaction with the conservation of mass, from a wrong guess of the last concentration:
+
+    >>> from pydfo import ode
+    >>> def residual(t, y, dy):
+    ...     r = 0.04 * y[0] - 1e4 * y[1] * y[2]
+    ...     return [dy[0] + r, dy[1] - r + 3e7 * y[1] ** 2, y.sum() - 1]
+    >>> res = ode.solve_dae(residual, (0, 40), [1.0, 0.0, 0.7], rtol=1e-8, atol=1e-12)
+    >>> res.y[:, 0].round(9), res.y[:, -1].round(6)
+    (array([1., 0., 0.]), array([7.15827e-01, 9.00000e-06, 2.84164e-01]))
+    """
+    states = _options.vector("x0", x0)
+    slopes = np.zeros(len(states)) if dx0 is None else _options.vector("dx0", dx0)
+    if len(slopes) != len(states) or not np.isfinite(slopes).all():
+        raise ValueError(f"dx0 must be {len(states)} finite values, as x0, not {slopes}")
+    if jac is not None and not callable(jac):
+        pair = tuple(jac)
+        if len(pair) != 2:
+            raise ValueError(f"jac must be two matrices, dF/dy and dF/dy', not {len(pair)}")
+    return _run(
+        ("residual", residual),
+        t_span,
+        x0,
+        method="bdf",
+        t_eval=t_eval,
+        dense_output=dense_output,
+        events=events,
+        on_event=on_event,
+        args=args,
+        rtol=rtol,
+        atol=atol,
+        jac=jac if jac is None or callable(jac) else lambda t, y, dy, *more: pair,
+        jac_sparsity=jac_sparsity,
+        first_step=first_step,
+        max_step=max_step,
+        interior_samples=interior_samples,
+        chattering=chattering,
+        max_steps=max_steps,
+        max_events=max_events,
+        max_time=max_time,
+        slopes=slopes.tolist(),
+        exclude_algebraic=_options.flag("exclude_algebraic", exclude_algebraic),
+    )
+
+
+@also_called(timeout="max_time")
+def solve_second_order(
+    acceleration: Callable[..., npt.ArrayLike],
+    t_span: Sequence[SupportsFloat],
+    x0: npt.ArrayLike,
+    v0: npt.ArrayLike,
+    *args: Any,
+    **options: Any,
+) -> OdeResult:
+    """Integrate ``x'' = acceleration(t, x, x')``.
+
+    Parameters
+    ----------
+    acceleration : callable
+        ``acceleration(t, x, v) -> array_like, shape (n,)``.
+    t_span : (float, float)
+        Start and end.
+    x0, v0 : array_like, shape (n,)
+        Positions and velocities at the start.
+    *args, **options
+        The further arguments of `solve`, from `method` on; for all of them the states are ``y = [x, v]``, of shape (2 n,).
+
+    Returns
+    -------
+    OdeResult
+        As from `solve`: ``y[:n]`` are the positions, ``y[n:]`` the velocities.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pydfo import ode
+    >>> res = ode.solve_second_order(lambda t, x, v: -x, (0, np.pi), [1.0], [0.0], rtol=1e-9)
+    >>> res.y[:, -1].round(6) + 0.0
+    array([-1.,  0.])
+    """
+    x, v = _options.vector("x0", x0), _options.vector("v0", v0)
+    n = len(x)
+    if len(v) != n:
+        raise ValueError(f"v0 has {len(v)} values, x0 has {n}")
+    if not callable(acceleration):
+        raise TypeError(f"acceleration must be callable, not {acceleration!r}")
+
+    def rhs(t: float, y: FloatArray, *more: Any) -> FloatArray:
+        a = _options.vector("what acceleration returns", acceleration(t, y[:n], y[n:], *more))
+        if len(a) != n:
+            raise ValueError(f"acceleration must return an array of shape ({n},), not one of shape {a.shape}")
+        return np.concatenate((y[n:], a))
+
+    return solve(rhs, t_span, np.concatenate((x, v)), *args, **options)
+
+
+def _run(
+    equations: tuple[str, Callable[..., npt.ArrayLike]],
+    t_span: Sequence[SupportsFloat],
+    x0: npt.ArrayLike,
+    *,
+    method: str,
+    t_eval: npt.ArrayLike | None,
+    dense_output: bool,
+    events: Any,
+    on_event: Callable[..., npt.ArrayLike | None] | None,
+    args: Sequence[Any],
+    rtol: SupportsFloat,
+    atol: npt.ArrayLike | None,
+    jac: Any,
+    jac_sparsity: Any,
+    first_step: SupportsFloat | None,
+    max_step: SupportsFloat | None,
+    interior_samples: SupportsIndex | None,
+    chattering: Literal["error", "warn", "slide"],
+    max_steps: SupportsFloat | None,
+    max_events: SupportsFloat | None,
+    max_time: SupportsFloat | None,
+    mass: Any = None,
+    step: SupportsFloat | None = None,
+    slopes: list[float] | None = None,
+    exclude_algebraic: bool = False,
+) -> OdeResult:
+    """Checks the arguments and integrates; `equations` is the function with its name."""
+    for name, function in (equations, ("on_event", on_event)):
+        if not callable(function) and (name != "on_event" or function is not None):
             raise TypeError(f"{name} must be callable, not {function!r}")
     start, end = _span(t_span)
     x = _options.vector("x0", x0)
@@ -330,11 +550,11 @@ def solve(
 
     times = None if t_eval is None else _options.vector("t_eval", t_eval).tolist()
     problem = _Problem(
-        rhs=bind(rhs),
+        rhs=bind(equations[1]),
         start=start,
         end=end,
         x0=x.tolist(),
-        method=_options.solver(method, "method"),
+        method=method,
         times=times,
         dense_output=_options.flag("dense_output", dense_output),
         events=[(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(events))],
@@ -352,6 +572,8 @@ def solve(
         max_steps=_options.limit("max_steps", max_steps, 0),
         max_events=_options.limit("max_events", max_events, 0),
         max_time=_options.optional_number("max_time", max_time),
+        slopes=slopes,
+        exclude_algebraic=exclude_algebraic,
     )
     result = _core.solve(problem)
     if result.stats.chattering and chattering == "warn":

@@ -6,19 +6,19 @@
 //! The stages are written as increments `z_i = X_i - x`, transformed by `T` to the variables `w` in which the Newton
 //! matrix falls apart into a real and a complex block of the size of the system.
 
+use super::algebraic::Algebraic;
 use super::freshness::{Freshness, Matrix, Rules};
 use super::newton::{Convergence, Newton};
 use crate::control::scaled_norm;
+use crate::error::Undetermined;
 use crate::stepper::{Attempt, Consistency, Equations, Properties, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use nalgebra::Complex;
 
-mod algebraic;
 mod coefficients;
 mod dense;
 mod stages;
 
-use algebraic::Algebraic;
 use coefficients::{E, GAMMA};
 use dense::{Collocation, Terms};
 use stages::{StageEquations, Stages};
@@ -228,7 +228,7 @@ impl Stepper for Radau5 {
             (Some(m), mass) => *mass = Some(m.to_vec()),
         }
         if let Some(mass) = &self.stages.mass {
-            self.algebraic.begin(n, mass)?;
+            self.algebraic.begin(n, mass, 0.0)?;
         }
         let Self { f, f_new, inverse, error, stages, .. } = self;
         // A mass matrix has places of its own.
@@ -310,7 +310,7 @@ impl Stepper for Radau5 {
         equations: &mut Equations<'_, S>,
         t: f64,
         x: &[f64],
-    ) -> Option<usize> {
+    ) -> Option<Undetermined> {
         self.stages.mass.as_ref()?;
         self.freshness.drop_jacobian();
         self.algebraic.undetermined(equations, self.freshness.jacobian_mut().0, t, x)

@@ -6,6 +6,8 @@
 //! L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic Equations, 1996, section 5.3.4;
 //! damped as in P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 3.3).
 
+use crate::control::Weights;
+use crate::error::Undetermined;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stepper::{Consistency, Equations};
@@ -28,12 +30,20 @@ const SINGULAR: f64 = 1e-6;
 pub(super) struct Algebraic {
     n: usize,
     mass: Vec<f64>,
+    /// Entries of the mass matrix below this share of their row and column are zero.
+    noise: f64,
     /// The rows `l`, one after the other, and for each the equation that it is named after: there it is 1.
     rows: Vec<f64>,
     names: Vec<usize>,
-    /// The columns `z`, one after the other.
+    /// The columns `z`, one after the other, and for each the state that it is named after.
     columns: Vec<f64>,
+    states: Vec<usize>,
+    /// For each state that the algebraic part is named after its equation, and what completes the matrix there.
+    partner: Vec<usize>,
+    largest: f64,
     lu: Lu<f64>,
+    /// Rows and columns of the matrix in the order of their pivots.
+    order: (Vec<usize>, Vec<usize>),
     matrix: Vec<f64>,
     residual: Vec<f64>,
     step: Vec<f64>,
@@ -44,12 +54,13 @@ pub(super) struct Algebraic {
 }
 
 impl Algebraic {
-    /// For a mass matrix of `n` states, by columns.
-    pub(super) fn begin(&mut self, n: usize, mass: &[f64]) -> CallResult<()> {
-        if self.n == n && self.mass == mass {
-            return Ok(());
+    /// For a mass matrix of `n` states, by columns, exact up to this share. `true`: it is another one than before.
+    pub(super) fn begin(&mut self, n: usize, mass: &[f64], noise: f64) -> CallResult<bool> {
+        if self.n == n && self.mass == mass && self.noise == noise {
+            return Ok(false);
         }
         self.n = n;
+        self.noise = noise;
         self.mass.clear();
         self.mass.extend_from_slice(mass);
         self.split();
@@ -61,7 +72,14 @@ impl Algebraic {
         for v in [step, start, along, trial, inverse] {
             v.resize(n, 0.0);
         }
-        Ok(())
+        Ok(true)
+    }
+
+    /// What is added to the entry of the mass matrix at place `p`, by columns, so that it can be decomposed, where it has no
+    /// pivot: solutions of its equations without a residual in their algebraic part are as with the matrix itself, and zero
+    /// in the states that the algebraic part is named after.
+    pub(super) fn completion(&self, p: usize) -> f64 {
+        if self.partner.get(p / self.n) == Some(&(p % self.n)) { self.largest } else { 0.0 }
     }
 
     /// Gaussian elimination with complete pivoting of the matrix, its rows and columns scaled to a largest entry of 1.
@@ -86,7 +104,7 @@ impl Algebraic {
             let places = (rank..n).flat_map(|i| (rank..n).map(move |k| (i, k)));
             let size = |&(i, k): &(usize, usize)| a[row[i] + n * column[k]].abs();
             let Some((i, k)) = places.max_by(|p, q| size(p).total_cmp(&size(q))) else { break };
-            if size(&(i, k)) <= 8.0 * n as f64 * U {
+            if size(&(i, k)) <= self.noise.max(8.0 * n as f64 * U) {
                 break;
             }
             row.swap(rank, i);
@@ -104,6 +122,12 @@ impl Algebraic {
             rank += 1;
         }
         self.names = row[rank..].to_vec();
+        self.states = column[rank..].to_vec();
+        self.partner.clear();
+        self.partner.resize(n, usize::MAX);
+        self.states.iter().zip(&self.names).for_each(|(k, i)| self.partner[*k] = *i);
+        let largest = self.mass.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        self.largest = if largest > 0.0 { largest } else { 1.0 };
         self.rows.clear();
         self.columns.clear();
         for (&i, &k) in row[rank..].iter().zip(&column[rank..]) {
@@ -216,32 +240,39 @@ impl Algebraic {
         jacobian: &mut Jacobian,
         t: f64,
         x: &[f64],
-    ) -> Option<usize> {
-        let (n, m) = (self.n, self.names.len());
-        let sizes: Vec<f64> =
-            x.iter().enumerate().map(|(i, x)| x.abs().max(equations.weights.scale(i))).collect();
+    ) -> Option<Undetermined> {
+        let n = self.n;
+        let mut sizes = vec![0.0; n];
+        self::sizes(equations.weights, x, &mut sizes);
         // Shares that have nothing in common.
         let near: Vec<f64> =
             (0..n).map(|i| x[i] + (0.05 + 0.05 * ((i + 1) as f64).sqrt().fract()) * sizes[i]).collect();
         let mut f = vec![0.0; n];
         equations.derivatives(t, &near, &mut f).ok()?;
         jacobian.evaluate(equations, (t, &near, &f)).ok()?;
+        self.deficit(jacobian, &sizes)
+    }
+
+    /// An equation that does not determine the states it should, which are of these sizes, by this Jacobian.
+    pub(super) fn deficit(&mut self, jacobian: &Jacobian, sizes: &[f64]) -> Option<Undetermined> {
+        let (n, m) = (self.n, self.names.len());
         self.fill_matrix(jacobian);
         // Rows in units of the largest effect of a state of its size.
         for (a, l) in self.rows.chunks_exact(n).enumerate() {
             self.along.fill(0.0);
             jacobian.each(|i, k, j| self.along[k] += l[i] * j);
-            let largest = self.along.iter().zip(&sizes).map(|(v, size)| (v * size).abs()).fold(0.0, f64::max);
-            if largest == 0.0 {
-                return Some(self.names[a]);
-            }
+            let largest = self.along.iter().zip(sizes).map(|(v, size)| (v * size).abs()).fold(0.0, f64::max);
+            let largest = if largest == 0.0 { 1.0 } else { largest };
             for (b, z) in self.columns.chunks_exact(n).enumerate() {
-                let size = z.iter().zip(&sizes).filter(|(z, _)| **z != 0.0);
+                let size = z.iter().zip(sizes).filter(|(z, _)| **z != 0.0);
                 let size = size.map(|(z, size)| size / z.abs()).fold(f64::INFINITY, f64::min);
                 self.matrix[a + m * b] *= size / largest;
             }
         }
-        singular_row(&mut self.matrix, m).map(|a| self.names[a])
+        let Self { matrix, order: (rows, columns), .. } = self;
+        let (done, pivot) = rank_deficit(matrix, m, rows, columns)?;
+        let states = columns[done..].iter().map(|b| self.states[*b]).collect();
+        Some(Undetermined { equation: self.names[rows[done]], states, pivot })
     }
 
     /// The equation with the largest residual, seen against what changes of the states within their tolerances make, if
@@ -297,16 +328,31 @@ impl Algebraic {
     }
 }
 
-/// A row of a matrix of `m` rows, by columns, that depends on the others, as far as differences can tell.
-fn singular_row(matrix: &mut [f64], m: usize) -> Option<usize> {
-    let mut rows: Vec<usize> = (0..m).collect();
-    let mut columns = rows.clone();
+/// Fills in the sizes of the states, for what a change of them may mean.
+pub(super) fn sizes(weights: &Weights, x: &[f64], sizes: &mut [f64]) {
+    sizes.iter_mut().enumerate().for_each(|(i, size)| *size = x[i].abs().max(weights.scale(i)));
+}
+
+/// Gaussian elimination with complete pivoting of a matrix of `m` rows, by columns: the number of its pivots where some are
+/// missing, as far as differences can tell, and the largest entry that is left for one. Rows and columns are put in the order
+/// of their pivots.
+fn rank_deficit(
+    matrix: &mut [f64],
+    m: usize,
+    rows: &mut Vec<usize>,
+    columns: &mut Vec<usize>,
+) -> Option<(usize, f64)> {
+    for order in [&mut *rows, &mut *columns] {
+        order.clear();
+        order.extend(0..m);
+    }
     for done in 0..m {
         let places = (done..m).flat_map(|i| (done..m).map(move |k| (i, k)));
         let size = |&(i, k): &(usize, usize)| matrix[rows[i] + m * columns[k]].abs();
         let (i, k) = places.max_by(|p, q| size(p).total_cmp(&size(q)))?;
-        if size(&(i, k)) < SINGULAR {
-            return Some(rows[done]);
+        let pivot = size(&(i, k));
+        if pivot < SINGULAR {
+            return Some((done, pivot));
         }
         rows.swap(done, i);
         columns.swap(done, k);
@@ -329,7 +375,7 @@ mod tests {
     fn split<const N: usize>(m: [[f64; N]; N]) -> (Vec<usize>, Vec<f64>, Vec<f64>) {
         let mut a = Algebraic::default();
         let by_columns: Vec<f64> = (0..N * N).map(|p| m[p % N][p / N]).collect();
-        a.begin(N, &by_columns).unwrap();
+        a.begin(N, &by_columns, 0.0).unwrap();
         (a.names, a.rows, a.columns)
     }
 

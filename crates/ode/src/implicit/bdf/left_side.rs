@@ -1,0 +1,459 @@
+//! What stands on the left of the equations: `x'`, `M x'`, or `F(t, x, x') = 0` as a whole; and consistent initial values.
+//!
+//! Near a point all three are `M x' = f(t, x)`, with `M = dF/dx'`, and a Jacobian `-dF/dx` of the right-hand side. The two
+//! are kept apart, so that a change of the step size takes no evaluation: a new `M` is made where one evaluation along a
+//! vector shows that it has changed.
+//!
+//! Consistent initial values: P. N. Brown, A. C. Hindmarsh, L. R. Petzold, Consistent initial condition calculation for
+//! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. What they let the user mark,
+//! the algebraic variables, is what `M` has no part in here, be it a state or a sum of states.
+
+use crate::control::Weights;
+use crate::error::Undetermined;
+use crate::implicit::algebraic::{Algebraic, sizes};
+use crate::implicit::freshness::Freshness;
+use crate::jacobian::Jacobian;
+use crate::lu::{Lu, make_room};
+use crate::options::AbsoluteTolerance;
+use crate::sparsity::JacobianPattern;
+use crate::stepper::{Consistency, Equations};
+use crate::system::{Argument, CallError, CallResult, EventOutcome, HybridSystem};
+
+/// Entries of a matrix of differences below this share of its largest ones are zero.
+const NOISE: f64 = 1e-6;
+/// A matrix in front of the slopes that is off by less than this share is not evaluated anew: Newton's method loses no
+/// iteration by it.
+const SAME: f64 = 1e-4;
+/// Rounding of residuals, as a share of them.
+const ROUNDING: f64 = 1e-12;
+/// Slopes that Newton's method would change by less than this share are consistent.
+const CONVERGED: f64 = 1e-6;
+const MAX_ROUNDS: u32 = 20;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Kind {
+    #[default]
+    Identity,
+    Mass,
+    Residual,
+}
+
+/// The matrix in front of the slopes.
+#[derive(Debug, Default)]
+pub(super) struct LeftSide {
+    kind: Kind,
+    /// By columns: the mass matrix, or `dF/dx'` where it is dense.
+    mass: Vec<f64>,
+    /// `dF/dx'`.
+    slopes: Jacobian,
+    is_known: bool,
+    /// The residual is an affine function of the slopes; `None`: not known yet.
+    is_affine: Option<bool>,
+    /// The algebraic part is that of this run; the index was found to be 0 or 1.
+    is_split: bool,
+    is_checked: bool,
+    algebraic: Algebraic,
+    /// Of `M`, [completed](Algebraic::completion).
+    lu: Lu<f64>,
+    has_factors: bool,
+    /// States that `M` has no part in are not to be in the error test.
+    exclude: bool,
+    weights: Weights,
+    nominals: Vec<f64>,
+    direction: Vec<f64>,
+    point: Vec<f64>,
+    value: Vec<f64>,
+    last: Vec<f64>,
+}
+
+/// The system `M x' = f(t, x)` or `F(t, x, x') = 0` with slopes that are given: its right-hand side is what is left of
+/// zero, `f(t, x) - M x'` or `-F(t, x, x')`.
+pub(super) struct AtSlopes<'a, S: ?Sized> {
+    system: &'a mut S,
+    kind: Kind,
+    mass: &'a [f64],
+    slopes: &'a [f64],
+}
+
+impl<S: HybridSystem + ?Sized> HybridSystem for AtSlopes<'_, S> {
+    fn n_states(&self) -> usize {
+        self.system.n_states()
+    }
+    fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
+        Err(CallError::Discard)
+    }
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        match self.kind {
+            Kind::Identity => return self.system.derivatives(t, x, dx),
+            Kind::Mass => {
+                self.system.derivatives(t, x, dx)?;
+                for (column, v) in self.mass.chunks_exact(x.len()).zip(self.slopes) {
+                    dx.iter_mut().zip(column).for_each(|(d, m)| *d -= m * v);
+                }
+            }
+            Kind::Residual => {
+                self.system.residual(t, x, self.slopes, dx)?;
+                dx.iter_mut().for_each(|d| *d = -*d);
+            }
+        }
+        if dx.iter().all(|d| d.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
+    }
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        self.system.jacobian_pattern()
+    }
+    fn jacobian_entries(&mut self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+        Ok(self.kind != Kind::Residual && self.system.jacobian_entries(t, x, entries)?)
+    }
+    fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
+        if self.kind != Kind::Residual {
+            return self.system.jacobian(t, x, j);
+        }
+        let known = self.system.residual_jacobian(t, x, self.slopes, Argument::States, j)?;
+        j.iter_mut().for_each(|v| *v = -*v);
+        Ok(known)
+    }
+    fn directional_derivative(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        seed: &[f64],
+        derivative: &mut [f64],
+    ) -> CallResult<bool> {
+        match self.kind {
+            Kind::Residual => Ok(false),
+            _ => self.system.directional_derivative(t, x, seed, derivative),
+        }
+    }
+}
+
+/// The residual as a function of the slopes at a state that is given.
+struct AtState<'a, S: ?Sized> {
+    system: &'a mut S,
+    x: &'a [f64],
+}
+
+impl<S: HybridSystem + ?Sized> HybridSystem for AtState<'_, S> {
+    fn n_states(&self) -> usize {
+        self.system.n_states()
+    }
+    fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
+        Err(CallError::Discard)
+    }
+    fn derivatives(&mut self, t: f64, slopes: &[f64], r: &mut [f64]) -> CallResult<()> {
+        self.system.residual(t, self.x, slopes, r)
+    }
+    fn jacobian(&mut self, t: f64, slopes: &[f64], j: &mut [f64]) -> CallResult<bool> {
+        self.system.residual_jacobian(t, self.x, slopes, Argument::Slopes, j)
+    }
+}
+
+/// Where the system is looked at: time, state, slopes.
+pub(super) type Point<'a> = (f64, &'a [f64], &'a [f64]);
+
+impl LeftSide {
+    /// `exclude`: the error test is to leave out the states that `M` has no part in.
+    pub(super) fn new(exclude: bool) -> Self {
+        Self { exclude, ..Self::default() }
+    }
+
+    /// `x'` alone: the equations are those of an ordinary system.
+    pub(super) fn is_identity(&self) -> bool {
+        self.kind == Kind::Identity
+    }
+
+    /// Makes room for the system.
+    ///
+    /// # Errors
+    /// There is none for matrices of this size.
+    pub(super) fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
+        let n = system.n_states();
+        self.kind = match system.mass_matrix() {
+            _ if system.has_residual() => Kind::Residual,
+            Some(mass) => {
+                self.mass.clear();
+                self.mass.extend_from_slice(mass);
+                Kind::Mass
+            }
+            None => Kind::Identity,
+        };
+        self.is_known = self.kind == Kind::Mass;
+        self.is_affine = system.has_jacobian().then_some(false);
+        self.is_split = false;
+        self.is_checked = false;
+        if self.kind == Kind::Residual {
+            self.slopes.begin(system)?;
+            if !self.slopes.is_sparse() && self.mass.len() != n * n {
+                make_room(&mut self.mass, n, 0.0)?;
+            }
+            self.last.resize(self.slopes.values.len(), 0.0);
+        }
+        if self.kind != Kind::Identity {
+            let Self { nominals, direction, point, value, .. } = self;
+            [nominals, direction, point, value].into_iter().for_each(|v| v.resize(n, 0.0));
+        }
+        Ok(())
+    }
+
+    /// The entry of `M` at a place of the matrix that is decomposed.
+    pub(super) fn entry(&self, place: usize, is_on_diagonal: bool) -> f64 {
+        match self.kind {
+            Kind::Identity => f64::from(is_on_diagonal),
+            Kind::Mass => self.mass[place],
+            Kind::Residual => self.slopes.values[place],
+        }
+    }
+
+    /// The system at these slopes.
+    pub(super) fn at_slopes<'a, S: HybridSystem + ?Sized>(
+        &'a self,
+        system: &'a mut S,
+        slopes: &'a [f64],
+    ) -> AtSlopes<'a, S> {
+        AtSlopes { system, kind: self.kind, mass: &self.mass, slopes }
+    }
+
+    /// What is left of zero at a point; without slopes of its own (`x'` alone) the right-hand side.
+    pub(super) fn defect<S: HybridSystem + ?Sized>(
+        &self,
+        equations: &mut Equations<'_, S>,
+        (t, x, slopes): Point<'_>,
+        defect: &mut [f64],
+    ) -> CallResult<()> {
+        equations.stats.right_hand_sides += 1;
+        self.at_slopes(equations.system, slopes).derivatives(t, x, defect)
+    }
+
+    /// Leaves out of the error test what is to be left out of it, by inverse weights of zero.
+    pub(super) fn choose_tested(&self, inverse: &mut [f64]) {
+        if self.exclude && self.kind != Kind::Identity {
+            self.each_column(|k, is_zero| {
+                if is_zero {
+                    inverse[k] = 0.0;
+                }
+            });
+        }
+    }
+
+    /// Calls `f(k, is_zero)` for each column of `M`.
+    fn each_column(&self, mut f: impl FnMut(usize, bool)) {
+        let n = self.nominals.len();
+        if self.slopes.is_sparse() && self.kind == Kind::Residual {
+            let mut seen = vec![false; n];
+            self.slopes.each(|_, k, m| seen[k] |= m != 0.0);
+            seen.iter().enumerate().for_each(|(k, seen)| f(k, !seen));
+        } else {
+            self.mass.chunks_exact(n.max(1)).enumerate().for_each(|(k, m)| f(k, m.iter().all(|m| *m == 0.0)));
+        }
+    }
+
+    /// After the Jacobian was evaluated at a point, where this is left of zero: evaluates `dF/dx'` there unless it is as it
+    /// was. `true`: it has changed.
+    pub(super) fn renew<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        (t, x, slopes): Point<'_>,
+        defect: &[f64],
+    ) -> CallResult<bool> {
+        if self.kind != Kind::Residual {
+            return Ok(false);
+        }
+        for (i, nominal) in self.nominals.iter_mut().enumerate() {
+            *nominal = slopes[i].abs().max(equations.weights.scale(i));
+        }
+        if self.is_affine.is_none() {
+            self.is_affine = Some(self.look_for_curvature(equations, (t, x, slopes), defect)?);
+        }
+        let is_affine = self.is_affine == Some(true);
+        if self.is_known && is_affine && self.is_as_before(equations, (t, x, slopes), defect)? {
+            return Ok(false);
+        }
+        // Where the residual is affine, differences are the more exact the longer they are.
+        let longer = if is_affine { (f64::EPSILON / 2.0).sqrt().recip() } else { 1.0 };
+        self.nominals.iter_mut().for_each(|nominal| *nominal *= longer);
+        self.weights
+            .set(equations.weights.rtol(), &AbsoluteTolerance::FromNominals, &self.nominals, |_| false);
+        self.last.copy_from_slice(&self.slopes.values);
+        self.value.iter_mut().zip(defect).for_each(|(r, d)| *r = -d);
+        let mut at_state = AtState { system: &mut *equations.system, x };
+        let mut inner =
+            Equations { system: &mut at_state, weights: &self.weights, stats: &mut *equations.stats };
+        self.slopes.evaluate(&mut inner, (t, slopes, &self.value))?;
+        equations.stats.jacobians -= 1;
+        let has_changed = !self.is_known || self.last != self.slopes.values;
+        self.is_known = true;
+        if has_changed && !self.slopes.is_sparse() {
+            self.mass.copy_from_slice(&self.slopes.values);
+        }
+        Ok(has_changed)
+    }
+
+    /// The residual at slopes that are further along the direction.
+    fn ahead<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        (t, x, slopes): Point<'_>,
+        share: f64,
+    ) -> CallResult<bool> {
+        // Shares that have nothing in common.
+        for (i, d) in self.direction.iter_mut().enumerate() {
+            *d = share * self.nominals[i] * (1.0 + 0.5 * ((i + 2) as f64).sqrt().fract());
+        }
+        self.point.iter_mut().zip(slopes.iter().zip(&self.direction)).for_each(|(p, (s, d))| *p = s + d);
+        equations.stats.right_hand_sides += 1;
+        match equations.system.residual(t, x, &self.point, &mut self.value) {
+            Ok(()) => Ok(self.value.iter().all(|v| v.is_finite())),
+            Err(CallError::Discard) => Ok(false),
+            Err(failed) => Err(failed),
+        }
+    }
+
+    /// Whether the residual is an affine function of the slopes, as far as three points on a line can tell.
+    fn look_for_curvature<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        point: Point<'_>,
+        defect: &[f64],
+    ) -> CallResult<bool> {
+        if !self.ahead(equations, point, 1.0)? {
+            return Ok(false);
+        }
+        let mut near = std::mem::take(&mut self.last);
+        near.clear();
+        near.extend_from_slice(&self.value);
+        let is_there = self.ahead(equations, point, 2.0);
+        let affine = (0..near.len()).all(|i| {
+            let (a, b, c) = (-defect[i], near[i], self.value[i]);
+            (c - 2.0 * b + a).abs() <= 1e-8 * (b - a).abs() + ROUNDING * (a.abs() + b.abs() + c.abs())
+        });
+        near.resize(self.slopes.values.len(), 0.0);
+        self.last = near;
+        Ok(is_there? && affine)
+    }
+
+    /// Whether one evaluation shows `dF/dx'` to be as it was.
+    fn is_as_before<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        point: Point<'_>,
+        defect: &[f64],
+    ) -> CallResult<bool> {
+        if !self.ahead(equations, point, 1.0)? {
+            return Ok(false);
+        }
+        let Self { slopes, direction, value, point: allowed, .. } = self;
+        for ((v, allowed), d) in value.iter_mut().zip(allowed.iter_mut()).zip(defect) {
+            *allowed = ROUNDING * (v.abs() + d.abs());
+            *v += d;
+        }
+        slopes.each(|i, k, m| {
+            value[i] -= m * direction[k];
+            allowed[i] += SAME * (m * direction[k]).abs();
+        });
+        Ok(value.iter().zip(allowed).all(|(v, allowed)| v.abs() <= *allowed))
+    }
+
+    /// Sees to it that the equations hold at `(t, x)`, by changing states that `M` has no part in, and the slopes; `defect` is
+    /// what is left of zero there. The first time in a run the index is looked at, too.
+    pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
+        freshness: &mut Freshness,
+    ) -> CallResult<Consistency> {
+        let n = x.len();
+        if self.kind == Kind::Identity || self.slopes.is_sparse() {
+            return Ok(Consistency::Holds);
+        }
+        let mut outcome = Consistency::Holds;
+        for _ in 0..MAX_ROUNDS {
+            let is_new = self.renew(equations, (t, x, slopes), defect)?;
+            let noise = if self.kind == Kind::Mass { 0.0 } else { NOISE };
+            if self.algebraic.begin(n, &self.mass, noise)? || is_new || !self.is_checked {
+                self.lu.begin(n, None)?;
+                equations.stats.decompositions += 1;
+                equations.stats.linear_algebra += self.lu.operations().0;
+                let Self { algebraic, mass, lu, .. } = self;
+                self.has_factors = lu.decompose(|p, _| mass[p] + algebraic.completion(p));
+            }
+            self.is_split = true;
+            let before = equations.stats.jacobians;
+            let Self { algebraic, mass, kind, is_checked, .. } = self;
+            let mut at_slopes = AtSlopes { system: &mut *equations.system, kind: *kind, mass, slopes };
+            let mut inner = Equations {
+                system: &mut at_slopes,
+                weights: equations.weights,
+                stats: &mut *equations.stats,
+            };
+            let found = algebraic.make_consistent(&mut inner, (t, x, defect), freshness.jacobian_mut())?;
+            if inner.stats.jacobians > before {
+                freshness.take_new(found == Consistency::Holds);
+            }
+            match found {
+                Consistency::Holds => {}
+                Consistency::Corrected => outcome = Consistency::Corrected,
+                other => return Ok(other),
+            }
+            if !std::mem::replace(is_checked, true) {
+                if !freshness.is_here() {
+                    freshness.jacobian_mut().0.evaluate(&mut inner, (t, x, defect))?;
+                    freshness.take_new(true);
+                }
+                sizes(inner.weights, x, &mut self.point);
+                if algebraic.deficit(freshness.jacobian(), &self.point).is_some() {
+                    freshness.drop_jacobian();
+                    if algebraic.undetermined(&mut inner, freshness.jacobian_mut().0, t, x).is_some() {
+                        return Ok(Consistency::HigherIndex);
+                    }
+                }
+            }
+            if !self.has_factors {
+                return Ok(outcome);
+            }
+            equations.stats.linear_algebra += self.lu.operations().1;
+            self.point.copy_from_slice(defect);
+            self.lu.solve(&mut self.point);
+            let mut converged = true;
+            for (i, (s, d)) in slopes.iter_mut().zip(&self.point).enumerate() {
+                *s += d;
+                converged &= d.abs() <= CONVERGED * (s.abs() + equations.weights.scale(i));
+            }
+            if self.kind == Kind::Mass || (converged && found == Consistency::Holds) {
+                return Ok(outcome);
+            }
+            self.defect(equations, (t, x, slopes), defect)?;
+        }
+        let worst = (0..n).max_by(|i, k| defect[*i].abs().total_cmp(&defect[*k].abs())).unwrap_or_default();
+        Ok(Consistency::Impossible { equation: worst, residual: -defect[worst] })
+    }
+
+    /// Before a new start on the way: what Newton's method has left of the equations without derivatives would stand as an
+    /// error of the steps to come, however short they are.
+    pub(super) fn correct<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
+        freshness: &mut Freshness,
+    ) -> CallResult<()> {
+        self.defect(equations, (t, x, slopes), defect)?;
+        self.make_consistent(equations, (t, x, slopes, defect), freshness)?;
+        Ok(())
+    }
+
+    /// After a failure: what equations without derivatives do not determine.
+    pub(super) fn undetermined<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        (t, x, slopes): Point<'_>,
+        freshness: &mut Freshness,
+    ) -> Option<Undetermined> {
+        if self.kind == Kind::Identity || self.slopes.is_sparse() || !self.is_split {
+            return None;
+        }
+        freshness.drop_jacobian();
+        let Self { algebraic, mass, kind, .. } = self;
+        let mut at_slopes = AtSlopes { system: &mut *equations.system, kind: *kind, mass, slopes };
+        let mut inner =
+            Equations { system: &mut at_slopes, weights: equations.weights, stats: &mut *equations.stats };
+        algebraic.undetermined(&mut inner, freshness.jacobian_mut().0, t, x)
+    }
+}
