@@ -65,7 +65,7 @@ LAYERS = {
         driver
     """,
     "pydfo": """
-        quad_err threads words
+        dict quad_err threads words
         interrupt logs methods
         fmu_error objective report
         error files values
