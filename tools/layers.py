@@ -66,7 +66,7 @@ LAYERS = {
         solve
     """,
     "pydfo": """
-        quad_err threads words
+        dict quad_err threads words
         interrupt logs methods
         fmu_error objective report
         error files values

@@ -34,6 +34,14 @@ pub enum CalibrationError {
     /// Experiments, outputs or parameters are missing or contradict each other.
     #[error("{0}")]
     Setup(String),
+    /// What is wrong with one of several experiments.
+    #[error("{name}: {source}")]
+    Experiment {
+        /// Its name.
+        name: String,
+        /// What is wrong.
+        source: Box<CalibrationError>,
+    },
     /// The model of a stored problem is another one now.
     #[error("the FMU {} has changed: the problem was made with content {expected}, now it is {found}", path.display())]
     OtherModel {

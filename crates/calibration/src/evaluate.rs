@@ -48,6 +48,7 @@ impl Evaluator {
             .map(|(k, (experiment, name))| {
                 let setup = (&problem.settings, &problem.parameters[..], &elements[..]);
                 Simulation::new(&fmu, (k, name, experiment), setup, &mut warnings)
+                    .map_err(|error| problem.error_in(k, error))
             })
             .collect::<Result<Vec<_>, _>>()?;
         let n_residuals = simulations.iter().map(|s| s.comparison.n_residuals()).sum();

@@ -61,6 +61,11 @@ impl Experiment {
         self
     }
 
+    /// The name of the experiment at a position, counted from 0, if it was given none.
+    pub fn default_name(position: usize) -> String {
+        format!("run{}", position + 1)
+    }
+
     /// The recording.
     pub fn data(&self) -> &Data {
         &self.data

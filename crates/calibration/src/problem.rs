@@ -66,8 +66,20 @@ impl ModelFile {
 impl Problem {
     /// The names of the experiments: as given, else `run1`, `run2` and so on.
     pub fn experiment_names(&self) -> Vec<String> {
-        let name = |(k, e): (usize, &Experiment)| e.name.clone().unwrap_or_else(|| format!("run{}", k + 1));
+        let name =
+            |(k, e): (usize, &Experiment)| e.name.clone().unwrap_or_else(|| Experiment::default_name(k));
         self.experiments.iter().enumerate().map(name).collect()
+    }
+
+    /// An error that names its experiment, where there are several.
+    pub(crate) fn error_in(&self, experiment: usize, error: CalibrationError) -> CalibrationError {
+        match self.experiments.len() {
+            1 => error,
+            _ => {
+                let name = self.experiment_names().swap_remove(experiment);
+                CalibrationError::Experiment { name, source: Box::new(error) }
+            }
+        }
     }
 
     /// The entries of `x`: the parameters in their order, a local one once per experiment in its place.
@@ -117,8 +129,9 @@ impl Problem {
             return Err(CalibrationError::Setup(format!("two experiments are named '{}'", names[twice])));
         }
         let mut warnings = Vec::new();
-        for experiment in &self.experiments {
-            experiment.check_start_values(description, &self.parameters)?;
+        for (k, experiment) in self.experiments.iter().enumerate() {
+            let checked = experiment.check_start_values(description, &self.parameters);
+            checked.map_err(|error| self.error_in(k, error))?;
             warnings.extend(unused_columns(description, experiment));
         }
         warnings.extend(ignored_nominals(&self.parameters));

@@ -7,7 +7,7 @@ use crate::report::{self, LastProgress, Listener};
 use crate::settings::{Options, Settings};
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
-use calibration::{CalibrationError, Entry, FitOptions, Problem, Solver, Verdict};
+use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
 use dfo::{Progress, Termination};
 use fmi::OpenOptions;
 use numpy::PyArray1;
@@ -101,8 +101,14 @@ impl PyCalibration {
             .collect::<PyResult<Vec<_>>>()?;
         let built = py.detach(move || {
             let mut builder = calibration::Calibration::builder(fmu).settings(settings);
-            for (start_values, experiment) in experiments {
-                builder = builder.experiment(experiment.experiment(start_values)?);
+            let several = experiments.len() > 1;
+            for (k, (start_values, experiment)) in experiments.into_iter().enumerate() {
+                let name = experiment.name.clone().unwrap_or_else(|| Experiment::default_name(k));
+                let made = experiment.experiment(start_values).map_err(|e| match several {
+                    true => CalibrationError::Experiment { name, source: Box::new(e) },
+                    false => e,
+                });
+                builder = builder.experiment(made?);
             }
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
         });
@@ -236,7 +242,7 @@ impl PyCalibration {
 
     /// Per experiment: its times, and per output the variable and its values (NaN where missing).
     fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Vec<Recording<'py>>> {
-        let recording = |experiment: &calibration::Experiment| {
+        let recording = |experiment: &Experiment| {
             let data = experiment.data();
             let measured = experiment.outputs().map(|(variable, column)| {
                 let values = data.column(column).map_err(|e| error::calibration(py, &e))?;

@@ -1,6 +1,7 @@
 //! The model description for Python: plain dictionaries, made when they are asked for; `_description.py` gives them
 //! their classes.
 
+use crate::dict::dict;
 use crate::{files, fmu_error, values};
 use fmi::description::{
     BaseUnit, Dimension, DisplayUnit, EnumerationItem, Interface, Terminal, TypeDefinition, Unit,
@@ -55,16 +56,6 @@ impl From<OpenFields> for OpenOptions {
             ..OpenOptions::default()
         }
     }
-}
-
-/// A dictionary of fields of a structure under their names, and of other values.
-macro_rules! dict {
-    ($py:expr; $source:expr => $($field:ident),+ $(,)? $(; $($name:literal: $value:expr),+ $(,)?)?) => {{
-        let dict = PyDict::new($py);
-        $(dict.set_item(stringify!($field), &$source.$field)?;)+
-        $($(dict.set_item($name, $value)?;)+)?
-        dict
-    }};
 }
 
 fn list_of_terminals<'py>(py: Python<'py>, terminals: &[Terminal]) -> PyResult<Bound<'py, PyList>> {

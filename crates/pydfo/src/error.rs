@@ -60,15 +60,17 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
         | E::OptimiserParameter { .. } => BadCalibrationError::new_err(message),
         E::Model(e) => fmu_error::raise(py, e),
         E::Simulation { source: None, .. } => SimulationError::new_err(message),
-        E::Simulation { source: Some(e), .. } => {
-            // Of the class and with the numbers of the cause, but it also says at which parameters.
-            let exception = fmu_error::raise(py, e);
-            let said = exception.value(py).setattr("args", (message,));
-            said.err().unwrap_or(exception)
-        }
+        // Of the class and with the numbers of the cause, but with the parameters or the experiment in the message.
+        E::Simulation { source: Some(e), .. } => reworded(py, fmu_error::raise(py, e), message),
+        E::Experiment { source, .. } => reworded(py, calibration(py, source), message),
         E::Optimiser(e) => optimiser(py, e),
         _ => CalibrationError::new_err(message),
     }
+}
+
+fn reworded(py: Python<'_>, exception: PyErr, message: String) -> PyErr {
+    let done = exception.value(py).setattr("args", (message,));
+    done.err().unwrap_or(exception)
 }
 
 /// Warns the user of the function of `pydfo` that is being called, through Python's `warnings`.

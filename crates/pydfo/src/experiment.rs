@@ -50,7 +50,7 @@ pub(crate) fn check_parameter(py: Python<'_>, parameter: ParameterFields) -> PyR
 /// `pydfo.Experiment`, field by field.
 #[derive(FromPyObject)]
 pub(crate) struct ExperimentFields {
-    name: Option<String>,
+    pub(crate) name: Option<String>,
     /// A CSV file; None: `columns`.
     path: Option<PathBuf>,
     columns: Vec<(String, Vec<f64>)>,

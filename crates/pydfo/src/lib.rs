@@ -4,6 +4,7 @@
 
 mod calibration;
 mod description;
+mod dict;
 mod error;
 mod experiment;
 mod files;

@@ -5,13 +5,14 @@ use crate::inputs::{self, Callbacks, Function, Table};
 use crate::interrupt::{CallingThread, EndRequest, Watch, fits_here};
 use crate::settings::time_limit;
 use crate::threads::lock;
-use crate::trajectory::Record;
+use crate::trajectory;
 use crate::{error, fmu_error, logs, values};
 use fmi::description::Interval;
 use fmi::{InterfaceKind, Session, SimulateOptions};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
@@ -177,7 +178,7 @@ impl Model {
     }
 
     /// On the calling thread if the last simulation of this FMU was short.
-    fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Record<'py>> {
+    fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Bound<'py, PyDict>> {
         let is_here = fits_here(self.fmu.last_run(self.kind));
         let mut loan = self.lend()?;
         // An input function is Python code: what a Ctrl-C does to it is up to our handler.
@@ -214,7 +215,9 @@ impl Model {
             return Err(e);
         }
         match outcome {
-            Some(Ok(trajectory)) if !stop.is_asked() => Record::new(py, self.fmu.description(), trajectory),
+            Some(Ok(trajectory)) if !stop.is_asked() => {
+                trajectory::record(py, self.fmu.description(), trajectory)
+            }
             Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),
             Some(Ok(trajectory)) => Err(interrupted(Some(trajectory.end_time))),
             Some(Err(fmi::FmiError::Simulation(e))) => Err(interrupted(Some(e.time))),

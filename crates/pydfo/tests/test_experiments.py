@@ -14,6 +14,7 @@ import pydfo
 from pydfo import Calibration, Experiment, FMUModel, Parameter, example_fmu
 
 TIME = np.linspace(0.0, 1.0, 11)
+BAD = {"time": [1.0, 0.0], "x": [1.0, 2.0]}
 SHARED = Parameter("k", 1.0, 0.1, 10.0)
 LOCAL = Parameter("x", 1.0, 0.1, 10.0, local=True)
 
@@ -108,6 +109,8 @@ def test_failures_name_the_experiment():
         (([Experiment(decay(1.0), {"x": "y"}, name="a")] * 2, [SHARED]), ValueError, "two experiments are named 'a'"),
         ((decay(1.0), {"x": "y"}), TypeError, "needs the argument 'parameters'"),
         ((decay(1.0),), TypeError, "needs the argument 'outputs'"),
+        (([Experiment(decay(1.0), {"x": "y"}), Experiment(BAD, ["x"])], [SHARED]), ValueError, "^run2: data: time 0 at row 1 comes"),
+        (([Experiment(decay(1.0), {"x": "y"}), Experiment(decay(1.0), {"z": "y"}, name="b")], [SHARED]), KeyError, "b: .*\"z\""),
         (([Experiment(decay(1.0), {"x": "y"}, start_values={"x": 20.0})], [LOCAL]), ValueError, r"'x\[run1\]': start 20 is outside"),
         (([Experiment(decay(1.0), {"x": "y"}, start_values={"k": 2.0})], [SHARED]), ValueError, "'k': it is fitted, and start_values"),
     ],
