@@ -58,6 +58,8 @@ pub(super) struct LeftSide {
     has_factors: bool,
     /// States that `M` has no part in are not to be in the error test.
     exclude: bool,
+    /// Which states `M` has a part in.
+    has_slope: Vec<bool>,
     weights: Weights,
     nominals: Vec<f64>,
     direction: Vec<f64>,
@@ -191,6 +193,9 @@ impl LeftSide {
             let Self { nominals, direction, point, value, .. } = self;
             [nominals, direction, point, value].into_iter().for_each(|v| v.resize(n, 0.0));
         }
+        if self.kind == Kind::Mass {
+            self.find_slopes();
+        }
         Ok(())
     }
 
@@ -226,23 +231,19 @@ impl LeftSide {
     /// Leaves out of the error test what is to be left out of it, by inverse weights of zero.
     pub(super) fn choose_tested(&self, inverse: &mut [f64]) {
         if self.exclude && self.kind != Kind::Identity {
-            self.each_column(|k, is_zero| {
-                if is_zero {
-                    inverse[k] = 0.0;
-                }
-            });
+            let untested = inverse.iter_mut().zip(&self.has_slope).filter(|(_, has_slope)| !**has_slope);
+            untested.for_each(|(inverse, _)| *inverse = 0.0);
         }
     }
 
-    /// Calls `f(k, is_zero)` for each column of `M`.
-    fn each_column(&self, mut f: impl FnMut(usize, bool)) {
-        let n = self.nominals.len();
-        if self.slopes.is_sparse() && self.kind == Kind::Residual {
-            let mut seen = vec![false; n];
-            self.slopes.each(|_, k, m| seen[k] |= m != 0.0);
-            seen.iter().enumerate().for_each(|(k, seen)| f(k, !seen));
-        } else {
-            self.mass.chunks_exact(n.max(1)).enumerate().for_each(|(k, m)| f(k, m.iter().all(|m| *m == 0.0)));
+    /// After `M` was made: which states it has a part in.
+    fn find_slopes(&mut self) {
+        let Self { kind, mass, slopes, has_slope, nominals, .. } = self;
+        has_slope.clear();
+        has_slope.resize(nominals.len(), false);
+        match kind {
+            Kind::Residual => slopes.each(|_, k, m| has_slope[k] |= m != 0.0),
+            _ => mass.iter().enumerate().for_each(|(p, m)| has_slope[p / nominals.len()] |= *m != 0.0),
         }
     }
 
@@ -281,8 +282,11 @@ impl LeftSide {
         equations.stats.jacobians -= 1;
         let has_changed = !self.is_known || self.last != self.slopes.values;
         self.is_known = true;
-        if has_changed && !self.slopes.is_sparse() {
-            self.mass.copy_from_slice(&self.slopes.values);
+        if has_changed {
+            self.find_slopes();
+            if !self.slopes.is_sparse() {
+                self.mass.copy_from_slice(&self.slopes.values);
+            }
         }
         Ok(has_changed)
     }
