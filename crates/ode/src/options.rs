@@ -31,8 +31,9 @@ pub enum Method {
 }
 
 impl Method {
-    /// All methods by the names that [`FromStr`] understands.
-    pub const NAMES: [&'static str; 7] = ["auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"];
+    /// All methods.
+    pub const ALL: [Self; 7] =
+        [Self::Auto, Self::Tsit5, Self::Dop853, Self::Radau5, Self::Bdf, Self::Rk4, Self::Euler];
 
     /// The name that [`FromStr`] understands.
     pub fn name(self) -> &'static str {
@@ -51,22 +52,19 @@ impl Method {
     pub fn is_fixed_step(self) -> bool {
         matches!(self, Self::Rk4 | Self::Euler)
     }
+
+    /// Whether it may take Jacobians.
+    pub fn is_implicit(self) -> bool {
+        matches!(self, Self::Auto | Self::Radau5 | Self::Bdf)
+    }
 }
 
 impl FromStr for Method {
     type Err = OptionsError;
 
     fn from_str(name: &str) -> Result<Self, OptionsError> {
-        match name.to_ascii_lowercase().as_str() {
-            "auto" => Ok(Self::Auto),
-            "tsit5" => Ok(Self::Tsit5),
-            "dop853" => Ok(Self::Dop853),
-            "radau5" => Ok(Self::Radau5),
-            "bdf" => Ok(Self::Bdf),
-            "rk4" => Ok(Self::Rk4),
-            "euler" => Ok(Self::Euler),
-            _ => Err(OptionsError::UnknownMethod(name.to_owned())),
-        }
+        let found = Self::ALL.into_iter().find(|method| method.name().eq_ignore_ascii_case(name));
+        found.ok_or_else(|| OptionsError::UnknownMethod(name.to_owned()))
     }
 }
 

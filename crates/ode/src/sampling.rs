@@ -11,7 +11,7 @@ pub(crate) struct Sampler {
     outputs: Vec<f64>,
     delivered: u64,
     /// Times closer than this are one.
-    same: f64,
+    time_tolerance: f64,
 }
 
 /// Where the system stands: the point at which outputs are evaluated.
@@ -19,7 +19,7 @@ pub(crate) struct Here<'a> {
     pub(crate) t: f64,
     pub(crate) x: &'a [f64],
     /// Requested times this close are this instant.
-    pub(crate) same: f64,
+    pub(crate) time_tolerance: f64,
     /// Also deliver a row if nobody asked for this time.
     pub(crate) record: bool,
 }
@@ -34,8 +34,8 @@ impl Sampler {
         })
     }
 
-    pub(crate) fn begin(&mut self, n_outputs: usize, same: f64) {
-        self.same = same;
+    pub(crate) fn begin(&mut self, n_outputs: usize, time_tolerance: f64) {
+        self.time_tolerance = time_tolerance;
         self.cursor = 0;
         self.delivered = 0;
         self.outputs.clear();
@@ -54,7 +54,7 @@ impl Sampler {
 
     /// Whether the next requested time is listed once more after it.
     fn twice(&self, times: &[f64]) -> bool {
-        self.cursor + 1 < times.len() && times[self.cursor + 1] - times[self.cursor] <= self.same
+        self.cursor + 1 < times.len() && times[self.cursor + 1] - times[self.cursor] <= self.time_tolerance
     }
 
     fn emit<S, O>(
@@ -105,7 +105,7 @@ impl Sampler {
         S: HybridSystem + ?Sized,
         O: Observer + ?Sized,
     {
-        if self.due_before(times, here.t + here.same).is_some() && self.twice(times) {
+        if self.due_before(times, here.t + here.time_tolerance).is_some() && self.twice(times) {
             self.deliver(system, times, here, observer)
         } else if here.record {
             self.emit(system, here, (here.t, None, Side::Left), observer)
@@ -127,7 +127,7 @@ impl Sampler {
         O: Observer + ?Sized,
     {
         let mut any = false;
-        while times.get(self.cursor).is_some_and(|t| *t <= here.t + here.same) {
+        while times.get(self.cursor).is_some_and(|t| *t <= here.t + here.time_tolerance) {
             any = true;
             if self.deliver(system, times, here, observer)?.is_break() {
                 return Ok(ControlFlow::Break(()));

@@ -65,8 +65,8 @@ impl JacobianPattern {
         self.rows.len()
     }
 
-    /// Row and column of all places, column by column.
-    pub(crate) fn entries(&self) -> impl Iterator<Item = (usize, usize)> {
+    /// Row and column of all places, column by column, the rows of each ascending.
+    pub fn entries(&self) -> impl Iterator<Item = (usize, usize)> {
         (0..self.n_states()).flat_map(|k| self.column(k).iter().map(move |&i| (i, k)))
     }
 

@@ -58,8 +58,9 @@ impl HybridSystem for Bad {
 
 #[test]
 fn values_that_are_not_finite_are_named() {
-    for name in Method::NAMES {
-        let method: Method = name.parse().unwrap();
+    for method in Method::ALL {
+        let name = method.name();
+        assert_eq!(name.parse(), Ok(method));
         for what in [Evaluated::State, Evaluated::Derivative, Evaluated::EventIndicator, Evaluated::Jacobian]
         {
             for from in [0.0, 0.625] {

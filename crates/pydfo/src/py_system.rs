@@ -10,7 +10,7 @@ use ode::{
 };
 use pyo3::exceptions::{PyMemoryError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// One event function and what was seen of it.
@@ -33,35 +33,37 @@ pub(crate) enum JacobianSource<'py> {
     Sparse(SparseJacobian<'py>),
 }
 
-/// A Jacobian that is a sparse matrix; the driver asks for its products with vectors.
+/// A Jacobian that is a sparse matrix.
 pub(crate) struct SparseJacobian<'py> {
     /// What gives it; None: it is constant.
     pub(crate) function: Option<Bound<'py, PyAny>>,
-    /// Row, column and value.
+    /// Row, column and value, if it is constant.
     pub(crate) entries: Vec<(usize, usize, f64)>,
-    /// Where these hold.
-    pub(crate) at: (f64, Vec<f64>),
-    /// Places that may differ from zero.
-    pub(crate) places: HashSet<(usize, usize)>,
+    /// The numbers of the places of the pattern.
+    pub(crate) places: HashMap<(usize, usize), usize>,
 }
 
-impl<'py> SparseJacobian<'py> {
-    /// Asks for the matrix at another point.
-    fn read(&self, py: Python<'py>, t: f64, x: &[f64]) -> PyResult<Vec<(usize, usize, f64)>> {
-        let Some(function) = &self.function else { return Ok(self.entries.clone()) };
-        let entries = sparse_entries(&function.call1((t, PyArray1::from_slice(py, x)))?, x.len())?;
-        self.check(&entries, t)?;
-        Ok(entries)
+impl SparseJacobian<'_> {
+    fn read(&self, t: f64, x: Bound<'_, PyArray1<f64>>, into: &mut [f64]) -> PyResult<()> {
+        let Some(function) = &self.function else { return self.fill(&self.entries, t, into) };
+        let n = x.len()?;
+        self.fill(&sparse_entries(&function.call1((t, x))?, n)?, t, into)
     }
 
-    /// Refuses entries where there is no place for them.
-    pub(crate) fn check(&self, entries: &[(usize, usize, f64)], t: f64) -> PyResult<()> {
-        match entries.iter().find(|(i, k, v)| *v != 0.0 && !self.places.contains(&(*i, *k))) {
-            None => Ok(()),
-            Some((i, k, _)) => Err(PyValueError::new_err(format!(
-                "jac has an entry at [{i}, {k}] at t = {t}, where jac_sparsity has none"
-            ))),
+    /// Adds entries at their places; refuses those that have none.
+    pub(crate) fn fill(&self, entries: &[(usize, usize, f64)], t: f64, into: &mut [f64]) -> PyResult<()> {
+        for (i, k, value) in entries {
+            match self.places.get(&(*i, *k)) {
+                Some(place) => into[*place] += value,
+                None if *value == 0.0 => {}
+                None => {
+                    return Err(PyValueError::new_err(format!(
+                        "jac has an entry at [{i}, {k}] at t = {t}, where jac_sparsity has none"
+                    )));
+                }
+            }
         }
+        Ok(())
     }
 }
 
@@ -214,30 +216,11 @@ impl HybridSystem for PySystem<'_> {
         })
     }
 
-    fn directional_derivative(
-        &mut self,
-        t: f64,
-        x: &[f64],
-        seed: &[f64],
-        derivative: &mut [f64],
-    ) -> CallResult<bool> {
-        let JacobianSource::Sparse(sparse) = &self.jacobian else { return Ok(false) };
-        if sparse.function.is_some() && (sparse.at.0 != t || sparse.at.1 != x) {
-            let read = |this: &Self| match &this.jacobian {
-                JacobianSource::Sparse(sparse) => sparse.read(this.py, t, x),
-                _ => Ok(Vec::new()),
-            };
-            let entries = self.ask(read)?;
-            if let JacobianSource::Sparse(sparse) = &mut self.jacobian {
-                sparse.entries = entries;
-                sparse.at.0 = t;
-                sparse.at.1.copy_from_slice(x);
-            }
-        }
-        let JacobianSource::Sparse(sparse) = &self.jacobian else { return Ok(false) };
-        derivative.fill(0.0);
-        sparse.entries.iter().for_each(|(i, k, value)| derivative[*i] += value * seed[*k]);
-        Ok(true)
+    fn jacobian_entries(&mut self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+        self.ask(|this| {
+            let JacobianSource::Sparse(sparse) = &this.jacobian else { return Ok(false) };
+            sparse.read(t, this.array(x), entries).map(|()| true)
+        })
     }
 
     fn mass_matrix(&self) -> Option<&[f64]> {

@@ -111,7 +111,7 @@ impl<'py> Problem<'py> {
     fn warn_of_what_is_ignored(&self, py: Python<'_>) -> PyResult<()> {
         let method: Method = self.method.parse().unwrap_or_default();
         let fixed = method.is_fixed_step();
-        let is_implicit = !fixed && !matches!(method, Method::Tsit5 | Method::Dop853);
+        let is_implicit = method.is_implicit();
         if self.on_event.is_some() && self.events.is_empty() {
             crate::error::warn(py, "on_event has no effect: there are no events")?;
         }
@@ -131,6 +131,7 @@ impl<'py> Problem<'py> {
     fn system(&self, py: Python<'py>, stop: Arc<Stop>) -> PyResult<PySystem<'py>> {
         let n = self.x0.len();
         let mut places = self.sparsity.clone();
+        let pattern_of = |places: &Vec<(usize, usize)>| JacobianPattern::new(n, places.iter().copied());
         let jacobian = match &self.jacobian {
             None => JacobianSource::Differences,
             Some(given) => {
@@ -151,11 +152,11 @@ impl<'py> Problem<'py> {
                             return Err(PyValueError::new_err(format!("jac[{i}, {k}] = {v} must be finite")));
                         }
                         let own = || entries.iter().map(|(i, k, _)| (*i, *k)).collect();
-                        let places = places.get_or_insert_with(own).iter().copied().collect();
+                        let pattern = pattern_of(places.get_or_insert_with(own));
+                        let places = pattern.iter().flat_map(JacobianPattern::entries).zip(0..).collect();
                         let function = called.then(|| given.clone());
-                        let at = (self.start, self.x0.clone());
-                        let sparse = SparseJacobian { function, entries, at, places };
-                        sparse.check(&sparse.entries, self.start)?;
+                        let sparse = SparseJacobian { function, entries, places };
+                        sparse.fill(&sparse.entries, self.start, &mut vec![0.0; sparse.places.len()])?;
                         JacobianSource::Sparse(sparse)
                     }
                     None if called => JacobianSource::Function(given.clone()),
@@ -163,7 +164,7 @@ impl<'py> Problem<'py> {
                 }
             }
         };
-        let pattern = places.and_then(|places| JacobianPattern::new(n, places));
+        let pattern = places.as_ref().and_then(pattern_of);
         let event = |(function, direction, terminal): &(Bound<'py, PyAny>, f64, usize)| Event {
             function: function.clone(),
             direction: match direction {

@@ -131,22 +131,24 @@ where
         // Written so that a NaN counts as a change.
         let same_states = !outcome.states_changed || weights.distance(x, x, x_mid) < 1e-3;
         let reset = outcome.states_changed && x != x_mid;
-        let mut same = !self.evaluate_here(reset)? && same_states;
+        let mut is_unchanged = !self.evaluate_here(reset)? && same_states;
         if outcome.states_changed && self.sliding.step().is_some() && self.hold_at_zero()? {
             self.evaluate_here(true)?;
-            same = false;
+            is_unchanged = false;
         }
         // Still at the start the first step is estimated when its events are over; fixed steps know no past.
         if before == 0.0 || self.fixed_step.is_some() {
             return Ok(());
         }
-        same = same && !outcome.nominals_changed && (!cause.state || self.space.domains.unmoved());
+        is_unchanged =
+            is_unchanged && !outcome.nominals_changed && (!cause.state || self.space.domains.unmoved());
         let Space { x, slope, weights, .. } = &*self.space;
-        same = same && weights.are_close(x, self.stepper.derivative(), slope, SAME_SLOPE / before);
-        if same || (cause.state && on_zero) {
-            same &= self.goes_on_as_here(before)?;
+        is_unchanged =
+            is_unchanged && weights.are_close(x, self.stepper.derivative(), slope, SAME_SLOPE / before);
+        if is_unchanged || (cause.state && on_zero) {
+            is_unchanged &= self.goes_on_as_here(before)?;
         }
-        if !same {
+        if !is_unchanged {
             self.stats.restarts += 1;
             self.stepper.forget();
             if self.sliding.step().is_none() || self.stepper.properties().wants_second_derivative {
@@ -164,7 +166,7 @@ where
             return Ok(());
         }
         let Space { x, x_mid, slope, weights, .. } = &mut *self.space;
-        let before = before - self.same;
+        let before = before - self.time_tolerance;
         if before <= self.t || self.stepper.properties().only_own_slopes {
             slope.copy_from_slice(self.stepper.derivative());
             return Ok(());
@@ -177,7 +179,7 @@ where
     /// Whether the right-hand side right behind the event is that at the event, or comes from it as the solution moves on. One
     /// that switches there may do so behind it; then that is the one to go on with.
     fn goes_on_as_here(&mut self, h: f64) -> Step<bool> {
-        let (behind, beyond) = (self.t + self.same, self.t + 2.0 * self.same);
+        let (behind, beyond) = (self.t + self.time_tolerance, self.t + 2.0 * self.time_tolerance);
         if self.space.x.is_empty() || beyond > self.end || self.stepper.properties().only_own_slopes {
             return Ok(true);
         }
@@ -187,19 +189,19 @@ where
             to.iter_mut().zip(x.iter().zip(dx)).for_each(|(to, (x, d))| *to = x + s * d);
         };
         let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
-        move_along(x_mid, self.same);
+        move_along(x_mid, self.time_tolerance);
         or_change(equations.derivatives(behind, x_mid, x_new), x_new)?;
         if weights.are_close(x, dx, x_new, SAME_SLOPE / h) {
             return Ok(true);
         }
         // What changes with the solution changes twice as much at twice the distance, a switch does not.
-        move_along(x_mid, 2.0 * self.same);
+        move_along(x_mid, 2.0 * self.time_tolerance);
         or_change(equations.derivatives(beyond, x_mid, slope), slope)?;
         if weights.distance(x, dx, slope) > 1.5 * weights.distance(x, dx, x_new) {
             return Ok(true);
         }
         if x_new.iter().all(|d| d.is_finite()) {
-            move_along(x_mid, self.same);
+            move_along(x_mid, self.time_tolerance);
             self.stepper.evaluate(&mut equations, behind, x_mid).map_err(no_retreat)?;
         }
         Ok(false)
@@ -313,7 +315,7 @@ where
 
     pub(super) fn take_event_time(&mut self, next: Option<f64>) -> Step<()> {
         if let Some(next) = next
-            && (next.is_nan() || next < self.t - self.same)
+            && (next.is_nan() || next < self.t - self.time_tolerance)
         {
             return Err(ErrorKind::EventInThePast(next).into());
         }
@@ -328,8 +330,8 @@ where
         let mut any = false;
         let mut looks = 0;
         loop {
-            let time = self.next_time_event.is_some_and(|next| next <= self.t + self.same);
-            let stop = self.input_stop.filter(|stop| stop.time <= self.t + self.same);
+            let time = self.next_time_event.is_some_and(|next| next <= self.t + self.time_tolerance);
+            let stop = self.input_stop.filter(|stop| stop.time <= self.t + self.time_tolerance);
             if let Some(stop) = stop {
                 self.h = self.stepper.kink(self.h);
                 self.input_stop = self.system.next_input_stop(stop.time);

@@ -35,7 +35,7 @@ where
             Ok(bracket) => bracket,
             Err(error) => return self.cannot_stand(h, error),
         };
-        let sampled = self.space.sampler.due_before(self.times, end - self.same).is_some();
+        let sampled = self.space.sampler.due_before(self.times, end - self.time_tolerance).is_some();
         if (bracket.is_some() || sampled || self.observer.wants_steps())
             && let Err(error) = self.make_ready(end, h, &mut ready)
         {
@@ -124,7 +124,8 @@ where
         let Space { x, x_new, x_mid, domains, .. } = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x };
         // The event is at the requested times that it is located next to.
-        let tolerance = (100.0 * U * (self.t.abs() + h)).max(4.0 * U * end.abs()).min(0.25 * self.same);
+        let tolerance =
+            (100.0 * U * (self.t.abs() + h)).max(4.0 * U * end.abs()).min(0.25 * self.time_tolerance);
         let for_jumps = if self.options.loose_jump_indicators { 1e-10 * self.t.abs().max(h) } else { 0.0 };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
         let lo = domains.counts_since().unwrap_or(self.t);
@@ -138,7 +139,7 @@ where
         };
         self.stats.event_indicators += located.evaluations;
         // An event this close to the end of the step is one with whatever happens there.
-        if end - located.time <= self.same {
+        if end - located.time <= self.time_tolerance {
             if located.time != end {
                 self.stats.event_indicators += 1;
                 read_indicators(system, end, x_new, &mut domains.end).map_err(no_retreat)?;
@@ -148,7 +149,7 @@ where
         }
         match self.stepper.properties().step_with_event {
             StepWithEvent::RepeatedToIt => return self.polish(located.time, hi, tolerance),
-            StepWithEvent::RepeatedToBefore if located.before - self.t > self.same => {
+            StepWithEvent::RepeatedToBefore if located.before - self.t > self.time_tolerance => {
                 return self.step_to_before(located.before, located.time);
             }
             _ => {}

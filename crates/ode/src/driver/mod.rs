@@ -235,7 +235,9 @@ where
         if !(start.is_finite() && end.is_finite() && start <= end) {
             return Err(ErrorKind::Span { start, end }.into());
         }
-        if let Some(index) = Sampler::first_bad_time(self.times, start - self.same, end + self.same) {
+        if let Some(index) =
+            Sampler::first_bad_time(self.times, start - self.time_tolerance, end + self.time_tolerance)
+        {
             return Err(ErrorKind::SampleTimes { index, time: self.times[index] }.into());
         }
         let (n, nz) = (self.system.n_states(), self.system.n_event_indicators());
@@ -251,7 +253,7 @@ where
         }
         let system = &*self.system;
         space.domains.begin(nz, |i| system.event_direction(i));
-        space.sampler.begin(self.system.n_outputs(), self.same);
+        space.sampler.begin(self.system.n_outputs(), self.time_tolerance);
         if let Some(m) = self.system.mass_matrix() {
             if m.len() != n * n || m.iter().any(|m| !m.is_finite()) {
                 return Err(ErrorKind::MassMatrix { given: m.len(), states: n }.into());
@@ -266,8 +268,8 @@ where
         self.stepper.begin(&*self.system).map_err(no_retreat)?;
 
         let given = if self.fixed_step.is_some() { self.fixed_step } else { self.options.max_step };
-        if let Some(step) = given.filter(|step| start < end && *step <= 4.0 * self.same) {
-            return Err(ErrorKind::StepBelowRounding { step, least: 4.0 * self.same }.into());
+        if let Some(step) = given.filter(|step| start < end && *step <= 4.0 * self.time_tolerance) {
+            return Err(ErrorKind::StepBelowRounding { step, least: 4.0 * self.time_tolerance }.into());
         }
         let outcome = self.system.start(start, &mut self.space.x);
         let outcome = self.with_states(outcome)?;
@@ -346,7 +348,7 @@ where
         };
         let Found { at, end, h, before } = found;
         let inside = at != end;
-        let crossed = self.space.domains.mark(at - self.t, LOCATED * self.same);
+        let crossed = self.space.domains.mark(at - self.t, LOCATED * self.time_tolerance);
         let mut cause = EventCause { state: crossed.is_some(), ..EventCause::default() };
         if !self.sample_before(at, end, h)? {
             let h = self.stepper.refused(h);
@@ -366,9 +368,9 @@ where
         self.stats.accepted_steps += 1;
 
         let action = self.system.step_completed(at, &self.space.x).map_err(no_retreat)?;
-        let stop = self.input_stop.filter(|stop| stop.time <= at + self.same);
+        let stop = self.input_stop.filter(|stop| stop.time <= at + self.time_tolerance);
         cause.step = action.event;
-        cause.time = self.next_time_event.is_some_and(|next| next <= at + self.same);
+        cause.time = self.next_time_event.is_some_and(|next| next <= at + self.time_tolerance);
         cause.input = stop.is_some_and(|stop| stop.jump);
         self.h = h_next;
         let eventful = cause != EventCause::default();
@@ -391,8 +393,8 @@ where
         }
         let eventful = self.more_events_here(eventful)? || eventful;
         // A crossing so near is at this instant: the samples here wait for it.
-        let waits = !eventful && !action.terminate && self.t < self.end - self.same;
-        if !(waits && self.space.domains.is_about_to_cross(began, self.t, self.same)) {
+        let waits = !eventful && !action.terminate && self.t < self.end - self.time_tolerance;
+        if !(waits && self.space.domains.is_about_to_cross(began, self.t, self.time_tolerance)) {
             self.sample_here(eventful)?;
         }
         if action.terminate {
@@ -410,12 +412,12 @@ where
         let proposed = self.stepper.accept(h, theta);
         match self.fixed_step {
             Some(_) => h,
-            None if h < self.h - self.same => proposed.max(self.h),
+            None if h < self.h - self.time_tolerance => proposed.max(self.h),
             None => proposed,
         }
     }
 
     fn reached_end(&mut self) -> Step<()> {
-        if self.t >= self.end - self.same { finish(Termination::Finished) } else { Ok(()) }
+        if self.t >= self.end - self.time_tolerance { finish(Termination::Finished) } else { Ok(()) }
     }
 }

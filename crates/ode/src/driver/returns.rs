@@ -99,7 +99,8 @@ where
     fn follow(&mut self, i: usize, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
         let Some(slope) = self.space.domains.slope(i) else { return Ok(Return::Nothing) };
         if let Some(step) = self.space.domains.step_of_slope(i, h) {
-            let shorter = Some(step).filter(|step| self.fixed_step.is_none() && *step > RESOLVED * self.same);
+            let shorter =
+                Some(step).filter(|step| self.fixed_step.is_none() && *step > RESOLVED * self.time_tolerance);
             let lost = self.space.domains.is_lost(i);
             return Ok(if lost { Return::Unseen { indicator: i, shorter } } else { Return::Nothing });
         }
@@ -108,7 +109,8 @@ where
         if slope != 0.0 {
             let (mut s, z_end) = (h, self.space.domains.end[i]);
             let (mut turn, top) = self.space.domains.turn(i, (s, z_end));
-            let helps = self.fixed_step.is_none() && turn > self.same && self.space.domains.leaves(i, top);
+            let helps =
+                self.fixed_step.is_none() && turn > self.time_tolerance && self.space.domains.leaves(i, top);
             shorter = helps.then_some(turn).filter(|turn| is_inside(*turn, h));
             while is_inside(turn, s) && self.t + turn > self.t {
                 self.make_ready(end, h, ready)?;

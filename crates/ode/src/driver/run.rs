@@ -52,7 +52,7 @@ pub(super) struct Run<'a, S: ?Sized, M, O: ?Sized> {
     pub(super) start: f64,
     pub(super) end: f64,
     /// Times closer than this are one.
-    pub(super) same: f64,
+    pub(super) time_tolerance: f64,
     pub(super) t: f64,
     /// Step size the controller proposes, before it is cut to hit a target.
     pub(super) h: f64,
@@ -86,7 +86,7 @@ where
         (observer, watch): (&'a mut O, Watch<'a>),
     ) -> Self {
         let span = end - start;
-        let same = 100.0 * U * start.abs().max(end.abs()).max(span);
+        let time_tolerance = 100.0 * U * start.abs().max(end.abs()).max(span);
         let fixed_step =
             (!stepper.properties().has_error_estimate).then(|| options.step_size.unwrap_or(span / 500.0));
         Self {
@@ -98,14 +98,14 @@ where
             observer,
             start,
             end,
-            same,
+            time_tolerance,
             t: start,
             h: 0.0,
             h_tried: 0.0,
             fixed_step,
             next_time_event: None,
             input_stop: None,
-            sliding: Sliding::new(span, same),
+            sliding: Sliding::new(span, time_tolerance),
             discards: 0,
             not_finite: None,
             undetermined: None,

@@ -17,11 +17,11 @@ where
     /// Samples strictly inside the step, up to (not including) `at`. `false`: the model refused one of these points;
     /// nothing is committed, so a smaller step can follow.
     pub(super) fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
-        while let Some(t) = self.space.sampler.due_before(self.times, at - self.same) {
+        while let Some(t) = self.space.sampler.due_before(self.times, at - self.time_tolerance) {
             let Space { x, x_mid, sampler, .. } = &mut *self.space;
             let theta = ((t - self.t) / h).clamp(0.0, 1.0);
             self.stepper.interpolate(Trial { t: self.t, end, h, x }, theta, x_mid);
-            let here = Here { t, x: x_mid, same: 0.0, record: false };
+            let here = Here { t, x: x_mid, time_tolerance: 0.0, record: false };
             match sampler.deliver(self.system, self.times, &here, self.observer) {
                 Err(CallError::Discard) => return Ok(false),
                 flow => follow(flow)?,
@@ -33,7 +33,8 @@ where
     /// The left limit at the current time, where somebody wants it: the time is listed twice, or events are recorded.
     pub(super) fn sample_left(&mut self) -> Step<()> {
         let Space { x, sampler, .. } = &mut *self.space;
-        let here = Here { t: self.t, x, same: self.same, record: self.options.record_events };
+        let here =
+            Here { t: self.t, x, time_tolerance: self.time_tolerance, record: self.options.record_events };
         follow(sampler.deliver_left(self.system, self.times, &here, self.observer))
     }
 
@@ -41,7 +42,7 @@ where
     pub(super) fn sample_here(&mut self, after_event: bool) -> Step<()> {
         let Space { x, sampler, .. } = &mut *self.space;
         let record = after_event && self.options.record_events;
-        let here = Here { t: self.t, x, same: self.same, record };
+        let here = Here { t: self.t, x, time_tolerance: self.time_tolerance, record };
         follow(sampler.deliver_here(self.system, self.times, &here, self.observer))
     }
 

@@ -22,15 +22,15 @@ impl ChatteringGuard {
     /// Time events likewise: a clock may be fast, but it must not stand still.
     const TIME_EVENTS: (f64, f64) = (1e-9, 1e-6);
 
-    /// By how much they must, in a span in which times closer than `same` are one.
-    fn least_in((share, enough): (f64, f64), span: f64, same: f64) -> f64 {
-        (share * span).min(enough.max(Self::still(same)))
+    /// By how much they must, in a span in which times closer than `time_tolerance` are one.
+    fn least_in((share, enough): (f64, f64), span: f64, time_tolerance: f64) -> f64 {
+        (share * span).min(enough.max(Self::still(time_tolerance)))
     }
 
     /// An event is located to a few times what tells two instants apart: in less time than this for all of them, time
     /// stands still.
-    fn still(same: f64) -> f64 {
-        10.0 * Self::EVENTS as f64 * same
+    fn still(time_tolerance: f64) -> f64 {
+        10.0 * Self::EVENTS as f64 * time_tolerance
     }
 
     pub(super) fn new() -> Self {
@@ -69,8 +69,8 @@ pub(super) struct Sliding {
 }
 
 impl Sliding {
-    pub(super) fn new(span: f64, same: f64) -> Self {
-        let least = |limits| ChatteringGuard::least_in(limits, span, same);
+    pub(super) fn new(span: f64, time_tolerance: f64) -> Self {
+        let least = |limits| ChatteringGuard::least_in(limits, span, time_tolerance);
         let ticks = least(ChatteringGuard::TIME_EVENTS);
         Self {
             state_events: ChatteringGuard::new(),
@@ -78,7 +78,7 @@ impl Sliding {
             chatters: least(ChatteringGuard::STATE_EVENTS),
             bounces: least(ChatteringGuard::BOUNCES),
             ticks,
-            stands_still: ticks.max(ChatteringGuard::still(same)),
+            stands_still: ticks.max(ChatteringGuard::still(time_tolerance)),
             usual: ChatteringPolicy::SLIDING_STEP * span,
             step: None,
         }

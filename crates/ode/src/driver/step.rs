@@ -21,7 +21,7 @@ where
     pub(super) fn target(&self) -> f64 {
         let mut target = self.end;
         for stop in [self.next_time_event, self.input_stop.map(|s| s.time)].into_iter().flatten() {
-            if stop > self.t + self.same && stop < target - self.same {
+            if stop > self.t + self.time_tolerance && stop < target - self.time_tolerance {
                 target = stop;
             }
         }
@@ -35,11 +35,11 @@ where
             // Grid points are start + k * step, never sums; an event does not shift them. The one we stand on, up to
             // rounding, is not the next.
             let mut k = ((self.t - self.start) / step).floor() + 1.0;
-            while self.start + k * step <= self.t + self.same {
+            while self.start + k * step <= self.t + self.time_tolerance {
                 k += 1.0;
             }
             let grid = self.start + k * step;
-            return if grid >= target - self.same { remaining } else { grid - self.t };
+            return if grid >= target - self.time_tolerance { remaining } else { grid - self.t };
         }
         if self.space.x.is_empty() && self.space.domains.len() == 0 {
             return remaining;

@@ -68,9 +68,9 @@ impl Domains {
     }
 
     /// Whether an indicator that goes on as in the step before, from `began` to `now`, may change its domain within the time
-    /// `same`.
-    pub(crate) fn is_about_to_cross(&self, began: f64, now: f64, same: f64) -> bool {
-        let reach = 2.0 * same / (now - began);
+    /// `time_tolerance`.
+    pub(crate) fn is_about_to_cross(&self, began: f64, now: f64, time_tolerance: f64) -> bool {
+        let reach = 2.0 * time_tolerance / (now - began);
         self.base.iter().zip(&self.before).any(|(z, last)| z.abs() < reach * (z - last).abs())
     }
 
