@@ -393,8 +393,8 @@ def solve_dae(
         one residual shows that it has changed.
     jac_sparsity : array_like or sparse matrix, shape (n, n), optional
         Not zero where one of the Jacobians may differ from zero: columns that share no row then come from one difference.
-        Where it makes the matrices sparse (100 states and more, at most 5 % of the places) the values at the start are taken
-        as given, and the index is not looked at.
+        Where it makes the matrices sparse (100 states and more, at most 5 % of the places) the index is not looked at, and
+        values at the start are only corrected where each variable either has a derivative in the equations or not.
     exclude_algebraic : bool
         Leave variables without a derivative in the equations out of the error test. By default they are in it: with index 1
         their errors are of the size of the others', and nothing else would limit them.

@@ -8,6 +8,7 @@
 //! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. What they let the user mark,
 //! the algebraic variables, is what `M` has no part in here, be it a state or a sum of states.
 
+use super::fixed::{AtSlopes, AtState, Kind};
 use crate::control::Weights;
 use crate::error::Undetermined;
 use crate::implicit::algebraic::{Algebraic, sizes};
@@ -15,9 +16,8 @@ use crate::implicit::freshness::Freshness;
 use crate::jacobian::Jacobian;
 use crate::lu::{Lu, make_room};
 use crate::options::AbsoluteTolerance;
-use crate::sparsity::JacobianPattern;
 use crate::stepper::{Consistency, Equations};
-use crate::system::{Argument, CallError, CallResult, EventOutcome, HybridSystem};
+use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Entries of a matrix of differences below this share of its largest ones are zero.
 const NOISE: f64 = 1e-6;
@@ -28,15 +28,9 @@ const SAME: f64 = 1e-4;
 const ROUNDING: f64 = 1e-12;
 /// Slopes that Newton's method would change by less than this share are consistent.
 const CONVERGED: f64 = 1e-6;
+/// States that it would move by less than this share of their tolerance are.
+const CONSISTENT: f64 = 1e-3;
 const MAX_ROUNDS: u32 = 20;
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-enum Kind {
-    #[default]
-    Identity,
-    Mass,
-    Residual,
-}
 
 /// The matrix in front of the slopes.
 #[derive(Debug, Default)]
@@ -58,93 +52,14 @@ pub(super) struct LeftSide {
     has_factors: bool,
     /// States that `M` has no part in are not to be in the error test.
     exclude: bool,
+    /// Which states `M` has a part in.
+    has_slope: Vec<bool>,
     weights: Weights,
     nominals: Vec<f64>,
     direction: Vec<f64>,
     point: Vec<f64>,
     value: Vec<f64>,
     last: Vec<f64>,
-}
-
-/// The system `M x' = f(t, x)` or `F(t, x, x') = 0` with slopes that are given: its right-hand side is what is left of
-/// zero, `f(t, x) - M x'` or `-F(t, x, x')`.
-pub(super) struct AtSlopes<'a, S: ?Sized> {
-    system: &'a mut S,
-    kind: Kind,
-    mass: &'a [f64],
-    slopes: &'a [f64],
-}
-
-impl<S: HybridSystem + ?Sized> HybridSystem for AtSlopes<'_, S> {
-    fn n_states(&self) -> usize {
-        self.system.n_states()
-    }
-    fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
-        Err(CallError::Discard)
-    }
-    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
-        match self.kind {
-            Kind::Identity => return self.system.derivatives(t, x, dx),
-            Kind::Mass => {
-                self.system.derivatives(t, x, dx)?;
-                for (column, v) in self.mass.chunks_exact(x.len()).zip(self.slopes) {
-                    dx.iter_mut().zip(column).for_each(|(d, m)| *d -= m * v);
-                }
-            }
-            Kind::Residual => {
-                self.system.residual(t, x, self.slopes, dx)?;
-                dx.iter_mut().for_each(|d| *d = -*d);
-            }
-        }
-        if dx.iter().all(|d| d.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
-    }
-    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
-        self.system.jacobian_pattern()
-    }
-    fn jacobian_entries(&mut self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
-        Ok(self.kind != Kind::Residual && self.system.jacobian_entries(t, x, entries)?)
-    }
-    fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
-        if self.kind != Kind::Residual {
-            return self.system.jacobian(t, x, j);
-        }
-        let known = self.system.residual_jacobian(t, x, self.slopes, Argument::States, j)?;
-        j.iter_mut().for_each(|v| *v = -*v);
-        Ok(known)
-    }
-    fn directional_derivative(
-        &mut self,
-        t: f64,
-        x: &[f64],
-        seed: &[f64],
-        derivative: &mut [f64],
-    ) -> CallResult<bool> {
-        match self.kind {
-            Kind::Residual => Ok(false),
-            _ => self.system.directional_derivative(t, x, seed, derivative),
-        }
-    }
-}
-
-/// The residual as a function of the slopes at a state that is given.
-struct AtState<'a, S: ?Sized> {
-    system: &'a mut S,
-    x: &'a [f64],
-}
-
-impl<S: HybridSystem + ?Sized> HybridSystem for AtState<'_, S> {
-    fn n_states(&self) -> usize {
-        self.system.n_states()
-    }
-    fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
-        Err(CallError::Discard)
-    }
-    fn derivatives(&mut self, t: f64, slopes: &[f64], r: &mut [f64]) -> CallResult<()> {
-        self.system.residual(t, self.x, slopes, r)
-    }
-    fn jacobian(&mut self, t: f64, slopes: &[f64], j: &mut [f64]) -> CallResult<bool> {
-        self.system.residual_jacobian(t, self.x, slopes, Argument::Slopes, j)
-    }
 }
 
 /// Where the system is looked at: time, state, slopes.
@@ -191,6 +106,9 @@ impl LeftSide {
             let Self { nominals, direction, point, value, .. } = self;
             [nominals, direction, point, value].into_iter().for_each(|v| v.resize(n, 0.0));
         }
+        if self.kind == Kind::Mass {
+            self.find_slopes();
+        }
         Ok(())
     }
 
@@ -226,23 +144,19 @@ impl LeftSide {
     /// Leaves out of the error test what is to be left out of it, by inverse weights of zero.
     pub(super) fn choose_tested(&self, inverse: &mut [f64]) {
         if self.exclude && self.kind != Kind::Identity {
-            self.each_column(|k, is_zero| {
-                if is_zero {
-                    inverse[k] = 0.0;
-                }
-            });
+            let untested = inverse.iter_mut().zip(&self.has_slope).filter(|(_, has_slope)| !**has_slope);
+            untested.for_each(|(inverse, _)| *inverse = 0.0);
         }
     }
 
-    /// Calls `f(k, is_zero)` for each column of `M`.
-    fn each_column(&self, mut f: impl FnMut(usize, bool)) {
-        let n = self.nominals.len();
-        if self.slopes.is_sparse() && self.kind == Kind::Residual {
-            let mut seen = vec![false; n];
-            self.slopes.each(|_, k, m| seen[k] |= m != 0.0);
-            seen.iter().enumerate().for_each(|(k, seen)| f(k, !seen));
-        } else {
-            self.mass.chunks_exact(n.max(1)).enumerate().for_each(|(k, m)| f(k, m.iter().all(|m| *m == 0.0)));
+    /// After `M` was made: which states it has a part in.
+    fn find_slopes(&mut self) {
+        let Self { kind, mass, slopes, has_slope, nominals, .. } = self;
+        has_slope.clear();
+        has_slope.resize(nominals.len(), false);
+        match kind {
+            Kind::Residual => slopes.each(|_, k, m| has_slope[k] |= m != 0.0),
+            _ => mass.iter().enumerate().for_each(|(p, m)| has_slope[p / nominals.len()] |= *m != 0.0),
         }
     }
 
@@ -281,8 +195,11 @@ impl LeftSide {
         equations.stats.jacobians -= 1;
         let has_changed = !self.is_known || self.last != self.slopes.values;
         self.is_known = true;
-        if has_changed && !self.slopes.is_sparse() {
-            self.mass.copy_from_slice(&self.slopes.values);
+        if has_changed {
+            self.find_slopes();
+            if !self.slopes.is_sparse() {
+                self.mass.copy_from_slice(&self.slopes.values);
+            }
         }
         Ok(has_changed)
     }
@@ -361,8 +278,11 @@ impl LeftSide {
         freshness: &mut Freshness,
     ) -> CallResult<Consistency> {
         let n = x.len();
-        if self.kind == Kind::Identity || self.slopes.is_sparse() {
+        if self.kind == Kind::Identity {
             return Ok(Consistency::Holds);
+        }
+        if self.slopes.is_sparse() {
+            return self.make_sparse_consistent(equations, (t, x, slopes, defect), freshness);
         }
         let mut outcome = Consistency::Holds;
         for _ in 0..MAX_ROUNDS {
@@ -422,8 +342,71 @@ impl LeftSide {
             }
             self.defect(equations, (t, x, slopes), defect)?;
         }
-        let worst = (0..n).max_by(|i, k| defect[*i].abs().total_cmp(&defect[*k].abs())).unwrap_or_default();
-        Ok(Consistency::Impossible { equation: worst, residual: -defect[worst] })
+        Ok(self.inconsistent(defect))
+    }
+
+    /// The same where matrices are sparse, for systems in which a state either has a slope or not: Newton's method for the slopes
+    /// of those that have one, and for the others themselves. Of other systems, and of those of a higher index, the values
+    /// are taken as they are.
+    fn make_sparse_consistent<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
+        freshness: &mut Freshness,
+    ) -> CallResult<Consistency> {
+        let mut outcome = Consistency::Holds;
+        for _ in 0..MAX_ROUNDS {
+            self.renew(equations, (t, x, slopes), defect)?;
+            let mut at_slopes = self.at_slopes(&mut *equations.system, slopes);
+            let mut inner = Equations {
+                system: &mut at_slopes,
+                weights: equations.weights,
+                stats: &mut *equations.stats,
+            };
+            freshness.jacobian_mut().0.evaluate(&mut inner, (t, x, defect))?;
+            freshness.take_new(true);
+            let jacobian = freshness.jacobian();
+            let Some(pattern) = jacobian.pattern() else { return Ok(outcome) };
+            let columns: Vec<usize> = pattern.with_diagonal().entries().map(|(_, k)| k).collect();
+            self.lu.begin(x.len(), Some(pattern))?;
+            equations.stats.decompositions += 1;
+            let Self { lu, has_slope, slopes: of_slopes, .. } = self;
+            let is_regular =
+                lu.decompose(
+                    |p, _| {
+                        if has_slope[columns[p]] { of_slopes.values[p] } else { -jacobian.values[p] }
+                    },
+                );
+            self.point.copy_from_slice(defect);
+            self.lu.solve(&mut self.point);
+            if !is_regular || !self.point.iter().all(|v| v.is_finite()) {
+                return Ok(outcome);
+            }
+            let mut converged = true;
+            equations.weights.inverse_at(x, 1.0, &mut self.value);
+            for (i, d) in self.point.iter().enumerate() {
+                if self.has_slope[i] {
+                    slopes[i] += d;
+                    converged &= d.abs() <= CONVERGED * (slopes[i].abs() + equations.weights.scale(i));
+                } else if (d * self.value[i]).abs() > CONSISTENT {
+                    x[i] += d;
+                    converged = false;
+                    outcome = Consistency::Corrected;
+                }
+            }
+            if converged {
+                return Ok(outcome);
+            }
+            self.defect(equations, (t, x, slopes), defect)?;
+        }
+        Ok(self.inconsistent(defect))
+    }
+
+    /// The equation with the largest residual.
+    fn inconsistent(&self, defect: &[f64]) -> Consistency {
+        let worst = (0..defect.len()).max_by(|i, k| defect[*i].abs().total_cmp(&defect[*k].abs()));
+        let equation = worst.unwrap_or_default();
+        Consistency::Impossible { equation, residual: -defect[equation] }
     }
 
     /// Before a new start on the way: what Newton's method has left of the equations without derivatives would stand as an

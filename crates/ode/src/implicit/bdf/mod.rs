@@ -25,6 +25,7 @@ use crate::system::{CallError, CallResult, HybridSystem};
 mod array;
 mod coefficients;
 mod corrector;
+mod fixed;
 mod left_side;
 
 use array::add_multiple;

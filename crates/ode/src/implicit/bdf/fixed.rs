@@ -1,0 +1,94 @@
+//! A system with slopes, or with a state, that are given: what is left of zero as a function of the other.
+
+use crate::sparsity::JacobianPattern;
+use crate::system::{Argument, CallError, CallResult, EventOutcome, HybridSystem};
+
+/// How the equations are given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) enum Kind {
+    #[default]
+    Identity,
+    Mass,
+    Residual,
+}
+
+/// The system `M x' = f(t, x)` or `F(t, x, x') = 0` with slopes that are given: its right-hand side is what is left of
+/// zero, `f(t, x) - M x'` or `-F(t, x, x')`.
+pub(super) struct AtSlopes<'a, S: ?Sized> {
+    pub(super) system: &'a mut S,
+    pub(super) kind: Kind,
+    pub(super) mass: &'a [f64],
+    pub(super) slopes: &'a [f64],
+}
+
+impl<S: HybridSystem + ?Sized> HybridSystem for AtSlopes<'_, S> {
+    fn n_states(&self) -> usize {
+        self.system.n_states()
+    }
+    fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
+        Err(CallError::Discard)
+    }
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        match self.kind {
+            Kind::Identity => return self.system.derivatives(t, x, dx),
+            Kind::Mass => {
+                self.system.derivatives(t, x, dx)?;
+                for (column, v) in self.mass.chunks_exact(x.len()).zip(self.slopes) {
+                    dx.iter_mut().zip(column).for_each(|(d, m)| *d -= m * v);
+                }
+            }
+            Kind::Residual => {
+                self.system.residual(t, x, self.slopes, dx)?;
+                dx.iter_mut().for_each(|d| *d = -*d);
+            }
+        }
+        if dx.iter().all(|d| d.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
+    }
+    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
+        self.system.jacobian_pattern()
+    }
+    fn jacobian_entries(&mut self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
+        Ok(self.kind != Kind::Residual && self.system.jacobian_entries(t, x, entries)?)
+    }
+    fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
+        if self.kind != Kind::Residual {
+            return self.system.jacobian(t, x, j);
+        }
+        let known = self.system.residual_jacobian(t, x, self.slopes, Argument::States, j)?;
+        j.iter_mut().for_each(|v| *v = -*v);
+        Ok(known)
+    }
+    fn directional_derivative(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        seed: &[f64],
+        derivative: &mut [f64],
+    ) -> CallResult<bool> {
+        match self.kind {
+            Kind::Residual => Ok(false),
+            _ => self.system.directional_derivative(t, x, seed, derivative),
+        }
+    }
+}
+
+/// The residual as a function of the slopes at a state that is given.
+pub(super) struct AtState<'a, S: ?Sized> {
+    pub(super) system: &'a mut S,
+    pub(super) x: &'a [f64],
+}
+
+impl<S: HybridSystem + ?Sized> HybridSystem for AtState<'_, S> {
+    fn n_states(&self) -> usize {
+        self.system.n_states()
+    }
+    fn start(&mut self, _: f64, _: &mut [f64]) -> CallResult<EventOutcome> {
+        Err(CallError::Discard)
+    }
+    fn derivatives(&mut self, t: f64, slopes: &[f64], r: &mut [f64]) -> CallResult<()> {
+        self.system.residual(t, self.x, slopes, r)
+    }
+    fn jacobian(&mut self, t: f64, slopes: &[f64], j: &mut [f64]) -> CallResult<bool> {
+        self.system.residual_jacobian(t, self.x, slopes, Argument::Slopes, j)
+    }
+}
