@@ -80,7 +80,7 @@ impl LoadedCopy {
     pub(super) fn library(
         &self,
         kind: InterfaceKind,
-        open: &dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
+        open: impl FnOnce(LoadFrom<'_>) -> Result<Library, FmiError>,
     ) -> Result<Arc<Library>, FmiError> {
         let known = |kind: usize| lock(&self.tables[kind]).clone();
         if let Some(library) = known(kind as usize) {

@@ -10,7 +10,7 @@ use crate::sys::environment::{CallEnvironment, OneCall, restore_default};
 use crate::sys::function::{Answer, Function, call};
 use crate::sys::functions::{CommonFunctions, Functions, GetVector, Plain, PointFunctions, derivative};
 use crate::sys::library::Library;
-use crate::sys::types::{Component, ElementDependency, EventInfo, Experiment, Request};
+use crate::sys::types::{Component, Direction, ElementDependency, EventInfo, Experiment, Request, StepInfo};
 use std::ffi::{CString, c_int};
 use std::mem::ManuallyDrop;
 use std::path::PathBuf;
@@ -190,8 +190,8 @@ impl RawInstance {
 
     /// As many values as references, or more where references may stand for arrays (how many is the caller's to know:
     /// the FMU is told the number of values).
-    pub(super) fn lengths(&self, function: &'static str, references: usize, values: usize) -> Outcome {
-        if self.has_arrays { Ok(()) } else { self.length(function, references, values) }
+    pub(super) fn lengths(&self, references: usize, values: usize) -> Outcome {
+        if self.has_arrays { Ok(()) } else { self.length("values by reference", references, values) }
     }
 
     pub(super) fn length(&self, function: &'static str, expected: usize, found: usize) -> Outcome {
@@ -274,27 +274,13 @@ impl RawInstance {
         self.plain(|functions| &functions.common.reset)
     }
 
-    pub(crate) fn directional_derivative(
-        &mut self,
-        unknowns: &[u32],
-        knowns: &[u32],
-        seed: &[f64],
-        sensitivity: &mut [f64],
-    ) -> Outcome {
-        run!(self, |library, c| {
-            library.version.directional_derivative(c, unknowns, knowns, seed, sensitivity)
-        })
+    pub(crate) fn directional_derivative(&mut self, along: Direction<'_>, out: &mut [f64]) -> Outcome {
+        run!(self, |library, c| library.version.directional_derivative(c, along, out))
     }
 
-    pub(crate) fn adjoint_derivative(
-        &mut self,
-        unknowns: &[u32],
-        knowns: &[u32],
-        seed: &[f64],
-        sensitivity: &mut [f64],
-    ) -> Outcome {
+    pub(crate) fn adjoint_derivative(&mut self, along: Direction<'_>, out: &mut [f64]) -> Outcome {
         let function = self.library.functions.common.adjoint_derivative;
-        run!(self, |_library, c| derivative(&function, c, unknowns, knowns, seed, sensitivity))
+        run!(self, |_library, c| derivative(&function, c, along, out))
     }
 
     /// What the elements of a variable depend on.
@@ -363,12 +349,9 @@ impl RawInstance {
     /// Returns whether the model wants an event, and whether it wants to end.
     pub(crate) fn completed_integrator_step(&mut self) -> Result<(bool, bool), Fault> {
         self.callbacks.log().go_on();
-        let (mut event, mut terminate) = (false, false);
-        let no_set_state_prior = !self.saved.may_be_restored();
-        run!(self, |library, c| {
-            library.version.completed_integrator_step(c, no_set_state_prior, &mut event, &mut terminate)
-        })?;
-        Ok((event, terminate))
+        let (mut info, no_set_state_prior) = (StepInfo::default(), !self.saved.may_be_restored());
+        run!(self, |library, c| library.version.completed_integrator_step(c, no_set_state_prior, &mut info))?;
+        Ok((info.event, info.terminate))
     }
 
     pub(crate) fn set_time(&mut self, time: f64) -> Outcome {
