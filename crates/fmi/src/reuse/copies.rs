@@ -147,7 +147,7 @@ impl LoadedCopy {
 
     /// Keeps an instance for later; frees another one if there are many.
     pub(crate) fn put_idle(&self, kind: InterfaceKind, logging: &LogOptions, raw: RawInstance) {
-        if raw.is_dead() {
+        if raw.is_fatal() {
             return;
         }
         let mut idle = lock(&self.idle);

@@ -40,7 +40,7 @@ pub(super) struct Memory {
 pub(crate) struct RawInstance {
     pub(super) component: Component,
     /// The function that returned `Fatal`: nothing is called any more.
-    pub(super) dead: Option<&'static str>,
+    pub(super) fatal: Option<&'static str>,
     pub(super) sizes: Sizes,
     /// Co-simulation: made to have its events handled between steps.
     pub(super) event_mode: bool,
@@ -53,7 +53,7 @@ pub(crate) struct RawInstance {
     pub(super) saved: SavedStates,
     pub(super) buffers: Box<ValueBuffers>,
     pub(super) memory: Box<Memory>,
-    // What the component may reach; given up by hand, after it, and not at all when it is dead.
+    // What the component may reach; given up by hand, after it, and not at all after `Fatal`.
     pub(super) callbacks: ManuallyDrop<Callbacks>,
     pub(super) library: ManuallyDrop<Arc<Library>>,
 }
@@ -66,7 +66,7 @@ unsafe impl Send for RawInstance {}
 impl std::fmt::Debug for RawInstance {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("RawInstance")
-            .field("dead", &self.dead)
+            .field("fatal", &self.fatal)
             .field("time", &self.time)
             .finish_non_exhaustive()
     }
@@ -99,7 +99,7 @@ impl RawInstance {
         library.shared().set_used();
         Ok(Self {
             component,
-            dead: None,
+            fatal: None,
             sizes,
             event_mode: request.event_mode,
             has_arrays: library.values.has_arrays(),
@@ -114,8 +114,8 @@ impl RawInstance {
     }
 
     /// Whether a call of this instance, or of another of the same loaded copy of the library, returned `Fatal`.
-    pub(crate) fn is_dead(&self) -> bool {
-        self.dead.is_some() || self.library.shared().is_fatal()
+    pub(crate) fn is_fatal(&self) -> bool {
+        self.fatal.is_some() || self.library.shared().is_fatal()
     }
 
     /// The file of its library.
@@ -166,7 +166,7 @@ impl RawInstance {
             Status::Discard => return Err(Fault::Discard(function)),
             Status::Missing => return Err(Fault::Missing(function)),
             Status::Fatal => {
-                self.dead = Some(function);
+                self.fatal = Some(function);
                 self.library.shared().set_fatal();
             }
             Status::Error | Status::Pending | Status::Unknown(_) => {}
@@ -174,15 +174,15 @@ impl RawInstance {
         Err(Fault::Failed(Box::new(self.failed(function, status))))
     }
 
-    /// Refuses calls on a dead component, or into a library that is not to be trusted any more.
+    /// Refuses calls on a component after `Fatal`, or into a library that is not to be trusted any more.
     #[inline]
-    pub(super) fn alive(&self) -> Outcome {
-        if self.is_dead() { self.not_alive() } else { Ok(()) }
+    pub(super) fn check_usable(&self) -> Outcome {
+        if self.is_fatal() { self.unusable() } else { Ok(()) }
     }
 
     #[cold]
-    fn not_alive(&self) -> Outcome {
-        Err(match self.dead {
+    fn unusable(&self) -> Outcome {
+        Err(match self.fatal {
             Some(function) => Fault::Failed(Box::new(self.failed(function, Status::Fatal))),
             None => Fault::Unusable(self.library_path()),
         })
@@ -394,7 +394,7 @@ impl RawInstance {
             &self.library.functions.point;
         self.length(set_continuous_states.name, self.sizes.states, states.len())?;
         self.length(get_derivatives.name, self.sizes.states, derivatives.len())?;
-        self.alive()?;
+        self.check_usable()?;
         self.callbacks.log().go_on();
         self.time = Some(time);
         let one = OneCall::enter();
@@ -444,7 +444,7 @@ fn zeros<T: Copy + Default>(n: usize) -> Option<Vec<T>> {
 
 impl Drop for RawInstance {
     fn drop(&mut self) {
-        if self.is_dead() {
+        if self.is_fatal() {
             // Invariant 6: no further call, and what the component may still reach is leaked: library, callbacks, log.
             return;
         }

@@ -4,7 +4,7 @@
 /// The thread is set up for it, and nothing of what it changes there is left.
 macro_rules! run {
     ($self:ident, |$library:ident, $component:ident| $body:expr) => {{
-        match $self.alive() {
+        match $self.check_usable() {
             Err(fault) => Err(fault),
             Ok(()) => {
                 let answer = {
