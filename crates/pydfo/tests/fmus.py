@@ -82,7 +82,7 @@ def compiled(name, path, *defines, replacements=()):
     """One of the FMI 3.0 models in C that the tests of the importer have, as an .fmu with a library for this platform;
     `replacements` are pairs of (old, new) in its description."""
     source = Path(__file__).resolve().parents[2] / "fmi" / "tests" / name
-    frontend = source.parents[1] / "models" / "frontend"
+    frontend = source.parents[2] / "example-models" / "models" / "frontend"
     compiler = shutil.which("cc")
     if compiler is None or sys.platform != "linux":
         pytest.skip("needs a C compiler on Linux")
@@ -101,7 +101,7 @@ def compiled(name, path, *defines, replacements=()):
 def evil(path, *defines):
     """The FMI 2.0 model with faults in C that the tests of the importer have (x' = -k x, y = x), for both kinds."""
     source = Path(__file__).resolve().parents[2] / "fmi" / "tests" / "evil"
-    frontend = source.parents[1] / "models" / "frontend"
+    frontend = source.parents[2] / "example-models" / "models" / "frontend"
     compiler = shutil.which("cc")
     if compiler is None or (sys.platform, platform.machine()) != ("linux", "x86_64"):
         pytest.skip("needs a C compiler on Linux")

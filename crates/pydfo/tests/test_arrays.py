@@ -24,7 +24,7 @@ def path(tmp_path_factory):
     (folder / "m" / "sources").mkdir(parents=True)
     shutil.copy(FMI / "tests/arrays/modelDescription.xml", folder / "m")
     shutil.copy(FMI / "tests/arrays/arrays.c", folder / "m/sources")
-    shutil.copy(FMI / "models/frontend/fmi3.h", folder / "m/sources")
+    shutil.copy(FMI.parent / "example-models/models/frontend/fmi3.h", folder / "m/sources")
     shutil.copy(FMI / "tests/support/rest.c", folder / "m/sources")
     (folder / "m/sources/buildDescription.xml").write_text(BUILD)
     return pydfo.build_fmu(folder / "m", folder / "arrays.fmu")

@@ -1,5 +1,5 @@
 //! The files of an FMU: a `.fmu` archive, unpacked part by part into a private folder that goes when the value goes,
-//! or an unpacked folder as it is. Archives that are not honest are refused before anything is written.
+//! or an unpacked folder as it is. Archives whose entries are not what FMUs hold are refused before anything is written.
 
 mod directory;
 mod entries;
@@ -86,7 +86,7 @@ impl Archive {
     ///
     /// # Errors
     /// [`FmiError::Io`] for what the system refuses; [`FmiError::BadArchive`], [`FmiError::BadEntry`]
-    /// and [`FmiError::ArchiveLimit`] for archives that are damaged, dishonest or too large;
+    /// and [`FmiError::ArchiveLimit`] for archives that are damaged, contradict themselves or are too large;
     /// [`FmiError::NoModelDescription`] for other archives and folders; [`FmiError::Cancelled`].
     pub fn open_with(
         path: impl AsRef<Path>,

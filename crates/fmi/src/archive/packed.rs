@@ -141,7 +141,7 @@ impl Packed {
         let is_first = unpacked.folder.is_none();
         let outcome = self.complete(&mut unpacked, part, cancel);
         if is_first && outcome.is_err() {
-            // Nothing stays of an archive that lies.
+            // Nothing stays of an archive whose contents are not what its directory says.
             *unpacked = Unpacked::default();
         }
         outcome

@@ -83,7 +83,7 @@ pub enum EntryProblem {
         /// Bytes allowed.
         limit: u64,
     },
-    /// Inflates too much to be honest.
+    /// Inflates more than deflated data of a model do.
     #[error("would inflate from {compressed} to {size} bytes, more than {limit} times")]
     Ratio {
         /// Compressed bytes.

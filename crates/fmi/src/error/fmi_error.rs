@@ -40,7 +40,7 @@ pub enum FmiError {
         /// What is wrong with it.
         reason: String,
     },
-    /// An entry of the archive is not what an honest FMU contains; nothing of it was unpacked.
+    /// An entry of the archive is not what an FMU may contain; nothing of it was unpacked.
     #[error("{}: entry \"{}\" {problem}", path.display(), entry.escape_debug())]
     BadEntry {
         /// The archive.

@@ -5,7 +5,7 @@ use super::core::{Core, SetRecord, expand_references};
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::{FmiError, LogLine};
 use crate::fmu::Fmu;
-use crate::sys::{ElementDependency, Experiment, Fault, RawInstance, SavedSlot};
+use crate::sys::{Direction, ElementDependency, Experiment, Fault, RawInstance, SavedSlot};
 use std::marker::PhantomData;
 
 /// A live instance of an FMU in the phase `P`, for model exchange or co-simulation.
@@ -274,7 +274,7 @@ impl<P: Readable, K> Instance<P, K> {
     ) -> Result<(), FmiError> {
         self.core.check_reals("directional_derivative", unknowns, sensitivity.len())?;
         self.core.check_reals("directional_derivative", knowns, seed.len())?;
-        self.core.call(|raw| raw.directional_derivative(unknowns, knowns, seed, sensitivity))
+        self.core.call(|raw| raw.directional_derivative(Direction { unknowns, knowns, seed }, sensitivity))
     }
 
     /// The derivative of the sum of `unknowns`, weighted with `seed`, with respect to each of `knowns` (FMI 3.0: the product of
@@ -291,7 +291,7 @@ impl<P: Readable, K> Instance<P, K> {
     ) -> Result<(), FmiError> {
         self.core.check_reals("adjoint_derivative", unknowns, seed.len())?;
         self.core.check_reals("adjoint_derivative", knowns, sensitivity.len())?;
-        self.core.call(|raw| raw.adjoint_derivative(unknowns, knowns, seed, sensitivity))
+        self.core.call(|raw| raw.adjoint_derivative(Direction { unknowns, knowns, seed }, sensitivity))
     }
 
     /// What a variable depends on with the present structural parameters, element by element (FMI 3.0).

@@ -23,7 +23,7 @@ pub enum FolderNames {
 ///
 /// FMI 1.0 and 2.0 name them `linux64`, `win64`, `darwin64` and know no processor but x86; FMUs for ARM use
 /// FMI 3.0's names, or put an ARM library into the x86 folder, so both are looked at and
-/// [`BinaryHeader::runs_here`] decides.
+/// [`BinaryHeader::runs_here`](super::BinaryHeader::runs_here) decides.
 pub fn binary_folders(names: FolderNames) -> Vec<String> {
     let modern = format!("{}-{}", modern_processor(), modern_system());
     let classic = format!("{}{}", classic_system(), usize::BITS);

@@ -80,7 +80,7 @@ impl LoadedCopy {
     pub(super) fn library(
         &self,
         kind: InterfaceKind,
-        open: &dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
+        open: impl FnOnce(LoadFrom<'_>) -> Result<Library, FmiError>,
     ) -> Result<Arc<Library>, FmiError> {
         let known = |kind: usize| lock(&self.tables[kind]).clone();
         if let Some(library) = known(kind as usize) {
@@ -147,7 +147,7 @@ impl LoadedCopy {
 
     /// Keeps an instance for later; frees another one if there are many.
     pub(crate) fn put_idle(&self, kind: InterfaceKind, logging: &LogOptions, raw: RawInstance) {
-        if raw.is_dead() {
+        if raw.is_fatal() {
             return;
         }
         let mut idle = lock(&self.idle);

@@ -3,6 +3,7 @@
 use super::copies::LoadedCopy;
 use super::source::Source;
 use crate::error::FmiError;
+use crate::fmu::Fmu;
 use crate::simulation::Sharing;
 use crate::sys::{InterfaceKind, Library, LoadFrom};
 use std::sync::{Arc, Weak};
@@ -50,7 +51,7 @@ impl State {
     }
 
     /// Notes a holder of a copy.
-    pub(super) fn note_use(&mut self, copy: &Arc<LoadedCopy>, request: &CopyRequest<'_>) -> u64 {
+    pub(super) fn note_use(&mut self, copy: &Arc<LoadedCopy>, request: &CopyRequest) -> u64 {
         self.last_lease += 1;
         let holder = (self.last_lease, request.owner.clone());
         match self.in_use.iter_mut().find(|in_use| Arc::ptr_eq(&in_use.copy, copy)) {
@@ -86,11 +87,22 @@ pub(crate) enum Release {
 }
 
 /// Who wants a copy, and how.
-pub(crate) struct CopyRequest<'a> {
+pub(crate) struct CopyRequest {
+    pub(crate) fmu: Fmu,
     pub(crate) kind: InterfaceKind,
     pub(crate) sharing: Sharing,
     /// `None`: the owner does not give it up.
     pub(crate) owner: Option<Weak<dyn CopyOwner>>,
+}
+
+impl CopyRequest {
+    /// Of an owner that does not give its copy up.
+    pub(crate) fn for_good(fmu: &Fmu, kind: InterfaceKind) -> Self {
+        Self { fmu: fmu.clone(), kind, sharing: Sharing::Copies, owner: None }
+    }
+
     /// Loads the library.
-    pub(crate) open: &'a dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
+    pub(super) fn load(&self, from: LoadFrom<'_>) -> Result<Library, FmiError> {
+        self.fmu.load(from, self.kind)
+    }
 }

@@ -1,6 +1,6 @@
 //! What a runner keeps while it makes a run again elsewhere.
 
-use super::store::CopyLease;
+use super::lend::CopyLease;
 use crate::simulation::digest::Digest;
 use crate::sys::RawInstance;
 

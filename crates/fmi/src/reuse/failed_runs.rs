@@ -1,7 +1,7 @@
 //! Failed runs made again in a newly loaded copy of the library: shows whether a failure depends on earlier runs.
 //!
 //! Of failures of one sort (the same function, status and kind of error) these are the first four, and those with the numbers 8, 16,
-//! 32, ...: models fail at many points honestly, and then every time.
+//! 32, ...: models may fail at many points whatever ran before, and then every time.
 
 use super::history::{Polled, is_from_outside};
 use super::runner::Runner;

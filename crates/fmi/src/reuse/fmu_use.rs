@@ -12,7 +12,7 @@ use crate::error::FmiError;
 use crate::fmu::{Fmu, Kind};
 use crate::platform;
 use crate::simulation::Sharing;
-use crate::sys::{InterfaceKind, LoadFrom};
+use crate::sys::InterfaceKind;
 use std::collections::HashMap;
 use std::ops::Deref;
 use std::path::Path;
@@ -119,9 +119,7 @@ impl Fmu {
     pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<(), FmiError> {
         let kind = self.choose(kind)?;
         let store = self.store_unless(kind, cancel)?;
-        let open = |from: LoadFrom<'_>| self.load(from, kind);
-        store
-            .lend(&CopyRequest { kind, sharing: Sharing::Copies, owner: None, open: &open }, &mut || false)?;
+        store.lend(&CopyRequest::for_good(self, kind), &mut || false)?;
         Ok(())
     }
 

@@ -9,15 +9,16 @@
 
 use super::copy_use::CopyRequest;
 use super::earlier_run::{EarlierRun, PreviousCopy};
+use super::lend::CopyLease;
 use super::runner::{Runner, SharedRunner};
-use super::store::{CopyLease, CopyStore};
+use super::store::CopyStore;
 use super::verdict::Reuse;
 use crate::error::FmiError;
 use crate::simulation::Sharing;
 use crate::simulation::digest::Digest;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::no_instance;
-use crate::sys::{CallEnvironment, LoadFrom, RawInstance};
+use crate::sys::{CallEnvironment, RawInstance};
 use ode::{ErrorKind, Observer, Report, Sample, Termination};
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -155,9 +156,7 @@ impl Runner {
     }
 
     fn new_copy_of(&self, store: &Arc<CopyStore>) -> Option<CopyLease> {
-        let fmu = self.plan.fmu();
-        let open = |from: LoadFrom<'_>| fmu.load(from, self.plan.kind);
-        let request = CopyRequest { sharing: Sharing::Copies, ..self.request(&open) };
+        let request = CopyRequest { sharing: Sharing::Copies, ..self.request() };
         store.lend_if_free(&request, |copy| !copy.is_used())
     }
 

@@ -2,7 +2,7 @@
 
 use super::copies::LoadedCopy;
 use super::copy_use::CopyRequest;
-use super::store::CopyLease;
+use super::lend::CopyLease;
 use super::unset::set_again;
 use crate::description::Variable;
 use crate::error::FmiError;
@@ -10,9 +10,8 @@ use crate::fmu::Fmu;
 use crate::instance::{CoSimulation, Core, Instance, Instantiated, SetRecord};
 use crate::log::LogFilter;
 use crate::open_options::LogOptions;
-use crate::simulation::Sharing;
 use crate::simulation::running::no_instance;
-use crate::sys::{InterfaceKind, Library, LoadFrom, RawInstance, Request, Sizes};
+use crate::sys::{InterfaceKind, Library, RawInstance, Request, Sizes};
 use std::ffi::CString;
 use std::sync::Arc;
 
@@ -73,8 +72,7 @@ impl Fmu {
     ) -> Result<(Core, CopyLease), FmiError> {
         let store = self.store(kind)?;
         self.running_root()?;
-        let open = |from: LoadFrom<'_>| self.load(from, kind);
-        let request = CopyRequest { kind, sharing: Sharing::Copies, owner: None, open: &open };
+        let request = CopyRequest::for_good(self, kind);
         let is_new = |copy: &LoadedCopy| copy.record().keys().is_empty();
         let make = |lease: CopyLease| -> Result<_, FmiError> {
             lease.copy().free_idle();

@@ -9,6 +9,7 @@ mod files;
 mod fmu_use;
 mod history;
 mod instantiate;
+mod lend;
 mod linkage;
 mod pool;
 mod probe;

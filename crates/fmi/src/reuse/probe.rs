@@ -5,10 +5,9 @@ use super::runner::Runner;
 use super::verdict::Reuse;
 use crate::error::FmiError;
 use crate::simulation::digest::Digest;
-use crate::simulation::parameters::StartValues;
+use crate::simulation::parameters::RunInput;
 use crate::sys::{CallEnvironment, RawInstance};
 use ode::{ErrorKind, Ignore, Observer};
-use std::sync::Arc;
 
 /// Steps after which a check of reset is sure enough: what reset forgets shows in the first right-hand sides.
 pub(crate) const PROBE_STEPS: u64 = 50;
@@ -30,22 +29,21 @@ pub(crate) enum Probe {
 }
 
 impl Runner {
-    /// Brings an instance that is new or was reset to the start of a trial run; whether that went well.
-    fn begin_probe(&mut self, raw: RawInstance, start_values: &StartValues, parameters: &[f64]) -> bool {
-        let _environment = CallEnvironment::enter();
-        self.engine.initialize(raw, start_values, parameters).is_ok()
-    }
-
-    /// Makes the trial run, and returns the digest of what the FMU answered.
+    /// The trial run of an instance that is new or was reset.
     ///
     /// # Errors
     /// It was cancelled. A simulation that fails is part of the digest.
-    pub(crate) fn finish_probe(
+    fn probe(
         &mut self,
+        raw: RawInstance,
+        input: RunInput<'_>,
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
         let _environment = CallEnvironment::enter();
+        if self.engine.initialize(raw, input).is_err() {
+            return Ok(Probe::Nothing);
+        }
         self.engine.running().begin_digest(Digest::default());
         let outcome = self.engine.run(&self.plan, steps, observer);
         let digest =
@@ -60,15 +58,16 @@ impl Runner {
         }
     }
 
-    /// Brings a new instance to the start of a trial run; whether that went well.
+    /// A trial run on a new instance.
     ///
     /// # Errors
-    /// There is no new instance to be had.
-    pub(crate) fn begin_new(
+    /// It was cancelled; there is no new instance to be had.
+    pub(crate) fn probe_new(
         &mut self,
-        start_values: &StartValues,
-        parameters: &[f64],
-    ) -> Result<bool, FmiError> {
+        input: RunInput<'_>,
+        steps: Option<u64>,
+        observer: &mut dyn Observer,
+    ) -> Result<Probe, FmiError> {
         let raw = match self.fresh.take() {
             Some(raw) => raw,
             None => {
@@ -76,37 +75,7 @@ impl Runner {
                 self.new_instance()?
             }
         };
-        Ok(self.begin_probe(raw, start_values, parameters))
-    }
-
-    /// A trial run on a new instance.
-    ///
-    /// # Errors
-    /// It was cancelled; there is no new instance to be had.
-    pub(crate) fn probe_new(
-        &mut self,
-        start_values: &StartValues,
-        parameters: &[f64],
-        steps: Option<u64>,
-        observer: &mut dyn Observer,
-    ) -> Result<Probe, FmiError> {
-        match self.begin_new(start_values, parameters)? {
-            true => self.finish_probe(steps, observer),
-            false => Ok(Probe::Nothing),
-        }
-    }
-
-    /// Makes a new instance for the next trial run, if that has to be one that can be brought back in a certain way.
-    ///
-    /// # Errors
-    /// There is no new instance to be had.
-    pub(crate) fn renewable(&mut self, reuse: Reuse) -> Result<(), FmiError> {
-        if reuse == Reuse::Restore {
-            self.fresh = None;
-            drop(self.engine.running().retire());
-            self.fresh = Some(self.new_with_origin()?);
-        }
-        Ok(())
+        self.probe(raw, input, steps, observer)
     }
 
     /// A trial run on a new instance that can be brought back in this way afterwards.
@@ -116,31 +85,29 @@ impl Runner {
     pub(crate) fn probe_first(
         &mut self,
         reuse: Reuse,
-        parameters: &[f64],
+        input: RunInput<'_>,
         steps: Option<u64>,
     ) -> Result<Probe, FmiError> {
-        self.renewable(reuse)?;
-        let plan = Arc::clone(&self.plan);
-        self.probe_new(&plan.values.start, parameters, steps, &mut Ignore)
+        if reuse == Reuse::Restore {
+            self.fresh = None;
+            drop(self.engine.running().retire());
+            self.fresh = Some(self.new_with_origin()?);
+        }
+        self.probe_new(input, steps, &mut Ignore)
     }
 
-    /// A trial run on this simulator's instance, brought back to its beginning; `None` if it cannot be brought back.
+    /// A trial run on this simulator's instance, brought back to its start; `None` if it cannot be brought back.
     ///
     /// # Errors
     /// It was cancelled.
     pub(crate) fn probe_again(
         &mut self,
         reuse: Reuse,
-        start_values: &StartValues,
-        parameters: &[f64],
+        input: RunInput<'_>,
         steps: Option<u64>,
-        observer: &mut dyn Observer,
     ) -> Result<Option<Probe>, FmiError> {
         let Some(used) = self.engine.running().retire() else { return Ok(Some(Probe::Gone)) };
         let Ok(raw) = reset(used, self.plan.fmu(), reuse) else { return Ok(None) };
-        match self.begin_probe(raw, start_values, parameters) {
-            true => self.finish_probe(steps, observer).map(Some),
-            false => Ok(Some(Probe::Nothing)),
-        }
+        self.probe(raw, input, steps, &mut Ignore).map(Some)
     }
 }

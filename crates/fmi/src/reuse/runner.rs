@@ -2,7 +2,7 @@
 
 use super::copy_use::{CopyOwner, CopyRequest, Release};
 use super::earlier_run::{EarlierRun, PreviousCopy};
-use super::store::CopyLease;
+use super::lend::CopyLease;
 use super::verdict::Reuse;
 use crate::description::{Value, Variable};
 use crate::error::FmiError;
@@ -11,7 +11,7 @@ use crate::simulation::digest::Digest;
 use crate::simulation::engine::Engine;
 use crate::simulation::plan::{ReadBackBuffers, Setting, SimulationPlan};
 use crate::simulation::running::no_instance;
-use crate::sys::{CallEnvironment, InterfaceKind, Library, LoadFrom, RawInstance};
+use crate::sys::{CallEnvironment, InterfaceKind, Library, RawInstance};
 use ode::{ErrorKind, Ignore, Observer, Report, Seconds, SimulationError, Stats};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError, Weak};
@@ -269,8 +269,7 @@ impl Runner {
             let stopped = observer.as_mut().is_some_and(|observer| observer.poll().is_break());
             !stopped && !cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed))
         };
-        let open = |from: LoadFrom<'_>| fmu.load(from, self.plan.kind);
-        let lease = store.lend(&self.request(&open), &mut wait)?;
+        let lease = store.lend(&self.request(), &mut wait)?;
         lease.ok_or_else(|| self.cancelled())
     }
 
@@ -290,12 +289,10 @@ impl Runner {
     }
 
     /// What is asked of the store.
-    pub(crate) fn request<'a>(
-        &self,
-        open: &'a dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
-    ) -> CopyRequest<'a> {
+    pub(crate) fn request(&self) -> CopyRequest {
         let owner: Weak<dyn CopyOwner> = self.owner.clone();
-        CopyRequest { kind: self.plan.kind, sharing: self.sharing, owner: Some(owner), open }
+        let (fmu, kind) = (self.plan.fmu().clone(), self.plan.kind);
+        CopyRequest { fmu, kind, sharing: self.sharing, owner: Some(owner) }
     }
 
     /// Gives the copy back, with the instance for whoever needs one next.
@@ -411,7 +408,7 @@ impl Runner {
             }
             outcome => outcome?,
         };
-        self.engine.initialize(instance, &self.plan.values.start, parameters)?;
+        self.engine.initialize(instance, self.plan.values.input(parameters))?;
         if !is_used || self.has_values(parameters).is_ok_and(|agrees| agrees) {
             return Ok(());
         }
@@ -434,7 +431,7 @@ impl Runner {
     fn start_new(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         drop(self.engine.running().retire());
         let raw = self.new_instance()?;
-        self.engine.initialize(raw, &self.plan.values.start, parameters)
+        self.engine.initialize(raw, self.plan.values.input(parameters))
     }
 
     fn has_values(&mut self, parameters: &[f64]) -> Result<bool, FmiError> {

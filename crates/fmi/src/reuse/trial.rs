@@ -4,7 +4,7 @@ use super::probe::{DIFFERS, PROBE_STEPS, Probe};
 use super::runner::Runner;
 use super::verdict::Reuse;
 use crate::error::FmiError;
-use crate::simulation::parameters::StartValues;
+use crate::simulation::parameters::{RunInput, StartValues};
 use crate::simulation::plan::SimulationPlan;
 use crate::sys::RawInstance;
 use ode::{Ignore, Observer, Sample};
@@ -17,8 +17,7 @@ const LONG: Duration = Duration::from_secs(2);
 
 /// What a run on a new instance gives, with which all others are compared; see [`Pool`](crate::Pool).
 pub(crate) struct Trial<'a> {
-    plan: &'a Arc<SimulationPlan>,
-    base: &'a [f64],
+    base: RunInput<'a>,
     /// Start values and parameters a little off.
     others: (StartValues, Vec<f64>),
     /// `None`: from start to end.
@@ -37,7 +36,7 @@ impl Runner {
         // One at a time: the FMU may not allow two.
         drop(used);
         let plan = Arc::clone(&self.plan);
-        let examined = Trial::with_steps(&plan, parameters, Some(PROBE_STEPS), self)
+        let examined = Trial::short(&plan, parameters, self)
             .and_then(|trial| trial.map_or(Ok(None), |trial| trial.reuse(self)));
         self.began = Instant::now();
         if self.is_fatal() {
@@ -66,37 +65,38 @@ impl<'a> Trial<'a> {
     /// # Errors
     /// It was cancelled; there is no new instance to be had.
     pub(crate) fn new(
-        plan: &'a Arc<SimulationPlan>,
-        base: &'a [f64],
+        plan: &'a SimulationPlan,
+        parameters: &'a [f64],
         runner: &mut Runner,
     ) -> Result<Option<Self>, FmiError> {
+        let base = plan.values.input(parameters);
         let mut clock = Clock { end: Instant::now() + LONG, over: false };
-        let truth = runner.probe_new(&plan.values.start, base, None, &mut clock)?;
-        match clock.over {
-            true => Self::with_steps(plan, base, Some(PROBE_STEPS), runner),
-            false => Ok(Self::with_truth(plan, base, None, truth)),
+        let truth = runner.probe_new(base, None, &mut clock)?;
+        if clock.over {
+            return Self::short(plan, parameters, runner);
         }
+        Ok(Self::with_truth(plan, base, None, truth))
     }
 
-    /// The same with so many steps at most.
-    fn with_steps(
-        plan: &'a Arc<SimulationPlan>,
-        base: &'a [f64],
-        steps: Option<u64>,
+    /// The same with the first steps only.
+    fn short(
+        plan: &'a SimulationPlan,
+        parameters: &'a [f64],
         runner: &mut Runner,
     ) -> Result<Option<Self>, FmiError> {
-        let truth = runner.probe_new(&plan.values.start, base, steps, &mut Ignore)?;
+        let (base, steps) = (plan.values.input(parameters), Some(PROBE_STEPS));
+        let truth = runner.probe_new(base, steps, &mut Ignore)?;
         Ok(Self::with_truth(plan, base, steps, truth))
     }
 
     fn with_truth(
-        plan: &'a Arc<SimulationPlan>,
-        base: &'a [f64],
+        plan: &SimulationPlan,
+        base: RunInput<'a>,
         steps: Option<u64>,
         truth: Probe,
     ) -> Option<Self> {
-        let others = plan.values.others(plan.fmu().description(), base);
-        matches!(truth, Probe::Digest(_)).then_some(Self { plan, base, others, steps, truth })
+        let others = plan.values.perturbed(plan.fmu().description(), base.parameters);
+        matches!(truth, Probe::Digest(_)).then_some(Self { base, others, steps, truth })
     }
 
     /// The first way of bringing an instance back to its beginning that passes; `None`: the runs say nothing, for they fail or a time
@@ -127,8 +127,8 @@ impl<'a> Trial<'a> {
     /// base values, one with others, and one with the base values again.
     fn passes(&self, reuse: Reuse, runner: &mut Runner) -> Result<Option<bool>, FmiError> {
         let short = Some(PROBE_STEPS);
-        let others = (&self.others.0, &self.others.1[..]);
-        let other_truth = runner.probe_new(others.0, others.1, short, &mut Ignore)?;
+        let others = RunInput { start: &self.others.0, parameters: &self.others.1 };
+        let other_truth = runner.probe_new(others, short, &mut Ignore)?;
         let first = runner.probe_first(reuse, self.base, self.steps)?;
         // What cannot be started on a new instance any more says nothing of the old ones: an input function may have ended.
         if matches!(first, Probe::TimedOut | Probe::Nothing) || other_truth == Probe::TimedOut {
@@ -137,10 +137,8 @@ impl<'a> Trial<'a> {
         if first != self.truth {
             return Ok(Some(false));
         }
-        let again = |runner: &mut Runner| {
-            runner.probe_again(reuse, &self.plan.values.start, self.base, self.steps, &mut Ignore)
-        };
-        let last = match runner.probe_again(reuse, others.0, others.1, short, &mut Ignore)? {
+        let again = |runner: &mut Runner| runner.probe_again(reuse, self.base, self.steps);
+        let last = match runner.probe_again(reuse, others, short)? {
             // The run with the base values fails: there is nothing to bring back.
             Some(Probe::TimedOut | Probe::Gone) => return Ok(None),
             Some(probe) if probe != other_truth => return Ok(Some(false)),

@@ -4,8 +4,9 @@
 
 use super::copies::{Defaults, SetKey};
 use super::copy_use::CopyRequest;
+use super::lend::CopyLease;
 use super::runner::{Prepared, Runner};
-use super::store::{CopyLease, CopyStore};
+use super::store::CopyStore;
 use crate::description::{Causality, QuirkKind, Structure, Variable};
 use crate::error::FmiError;
 use crate::fmu::Fmu;
@@ -14,7 +15,7 @@ use crate::instance::assignments::{check_settable_at_start, convert};
 use crate::simulation::Sharing;
 use crate::simulation::parameters::Unset;
 use crate::simulation::plan::Setting;
-use crate::sys::{CallEnvironment, Experiment, InterfaceKind, Library, LoadFrom, RawInstance};
+use crate::sys::{CallEnvironment, Experiment, InterfaceKind, Library, RawInstance};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -32,9 +33,8 @@ impl Runner {
         }
         // There is no way back for these: another copy, in which they were not set.
         let (plan, fmu) = (Arc::clone(&self.plan), self.plan.fmu().clone());
-        let open = |from: LoadFrom<'_>| fmu.load(from, plan.kind);
         let store = fmu.store(plan.kind)?;
-        let other = store.lend_if_free(&self.request(&open), |copy| !copy.record().has_any(&without));
+        let other = store.lend_if_free(&self.request(), |copy| !copy.record().has_any(&without));
         if let Some(other) = other {
             self.release_copy();
             self.lease = Some(other);
@@ -76,8 +76,7 @@ impl Runner {
         let unknown: Vec<SetKey> = unset.iter().filter(|key| !is_known(key)).copied().collect();
         if !unknown.is_empty() {
             let fmu = plan.fmu();
-            let open = |from: LoadFrom<'_>| fmu.load(from, plan.kind);
-            let request = CopyRequest { owner: None, ..self.request(&open) };
+            let request = CopyRequest { owner: None, ..self.request() };
             learn(fmu, &store, &request, &unknown);
         }
         let (values, without) = unset_values(plan.fmu(), plan.structure(), &unset, &store.defaults());
@@ -94,7 +93,7 @@ impl Runner {
 }
 
 /// Finds out what these variables are in a new instance: in a copy where they were never set, if there is one to be had.
-fn learn(fmu: &Fmu, store: &Arc<CopyStore>, request: &CopyRequest<'_>, keys: &[SetKey]) {
+fn learn(fmu: &Fmu, store: &Arc<CopyStore>, request: &CopyRequest, keys: &[SetKey]) {
     let defaults = match store.lend_if_free(request, |copy| !copy.record().has_any(keys)) {
         Some(other) => {
             other.copy().free_idle();
@@ -116,8 +115,7 @@ pub(crate) fn set_again(core: &mut Core, kind: InterfaceKind, lease: &CopyLease)
     let unknown: Vec<SetKey> =
         recorded.iter().filter(|key| !store.defaults().contains_key(*key)).copied().collect();
     if !unknown.is_empty() {
-        let open = |from: LoadFrom<'_>| fmu.load(from, kind);
-        let request = CopyRequest { kind, sharing: Sharing::Copies, owner: None, open: &open };
+        let request = CopyRequest::for_good(&fmu, kind);
         learn(&fmu, store, &request, &unknown);
     }
     let (unset, without) = unset_values(&fmu, &Structure::default(), &recorded, &store.defaults());

@@ -28,7 +28,7 @@ impl Column {
     }
 
     /// Where the piecewise linear function jumps or changes its slope.
-    pub(crate) fn linear_stops(&self, same: f64, stops: &mut Vec<InputStop>) {
+    pub(crate) fn linear_stops(&self, time_tolerance: f64, stops: &mut Vec<InputStop>) {
         let (times, values) = (&self.times, &self.values);
         // Slope and rounding error of the slope left of the present row; before the first row the value is held.
         let mut slope = (0.0, 0.0);
@@ -36,7 +36,7 @@ impl Column {
         while row < times.len() {
             let time = times[row];
             let mut last = row;
-            while last + 1 < times.len() && times[last + 1] - time <= same {
+            while last + 1 < times.len() && times[last + 1] - time <= time_tolerance {
                 last += 1;
             }
             let next = if last + 1 < times.len() {
@@ -65,11 +65,15 @@ impl Column {
         }
     }
 
-    /// Moves rows that are within `same` of one of the instants onto it.
-    pub(crate) fn snap(&mut self, instants: &[f64], same: f64) {
+    /// Moves rows that are within `time_tolerance` of one of the instants onto it.
+    pub(crate) fn snap(&mut self, instants: &[f64], time_tolerance: f64) {
         let target = |time: f64| {
-            let at = instants.partition_point(|instant| *instant < time - same);
-            instants.get(at).copied().filter(|instant| (instant - time).abs() <= same).unwrap_or(time)
+            let at = instants.partition_point(|instant| *instant < time - time_tolerance);
+            instants
+                .get(at)
+                .copied()
+                .filter(|instant| (instant - time).abs() <= time_tolerance)
+                .unwrap_or(time)
         };
         if self.times.iter().any(|time| target(*time) != *time) {
             self.times = self.times.iter().map(|time| target(*time)).collect();

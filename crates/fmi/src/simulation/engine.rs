@@ -4,7 +4,7 @@ use crate::description::{Value, Variable};
 use crate::error::FmiError;
 use crate::simulation::co_simulation::Stepping;
 use crate::simulation::model_exchange::System;
-use crate::simulation::parameters::StartValues;
+use crate::simulation::parameters::RunInput;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
 use crate::sys::{InterfaceKind, RawInstance};
@@ -38,15 +38,10 @@ impl Engine {
     }
 
     /// Brings a fresh instance to the start, with the start values of the plan or others for the same variables.
-    pub(crate) fn initialize(
-        &mut self,
-        raw: RawInstance,
-        start_values: &StartValues,
-        parameters: &[f64],
-    ) -> Result<(), FmiError> {
+    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
         match self {
-            Engine::Integrated { system, .. } => system.initialize(raw, start_values, parameters),
-            Engine::Stepping(stepping) => stepping.initialize(raw, start_values, parameters),
+            Engine::Integrated { system, .. } => system.initialize(raw, input),
+            Engine::Stepping(stepping) => stepping.initialize(raw, input),
         }
     }
 

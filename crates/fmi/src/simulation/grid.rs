@@ -42,22 +42,22 @@ impl SimulateOptions {
                 Number(end)
             )));
         }
-        let same = 100.0 * U * start.abs().max(end.abs()).max(end - start);
+        let time_tolerance = 100.0 * U * start.abs().max(end.abs()).max(end - start);
         let mut interval = self.output_interval;
         let times: Vec<f64> = match (&self.times, self.output_interval, self.ncp) {
-            (Some(times), ..) => snap(times, start, end, same)?,
-            (_, Some(interval), _) => intervals(start, end, same, interval)?,
+            (Some(times), ..) => snap(times, start, end, time_tolerance)?,
+            (_, Some(interval), _) => intervals(start, end, time_tolerance, interval)?,
             (_, _, Some(0)) => return Err(setting("ncp = 0: at least one interval is needed".to_owned())),
             (_, _, ncp) => {
                 let n = ncp.unwrap_or(DEFAULT_INTERVALS);
                 interval = Some((end - start) / n as f64);
-                uniform(start, end, same, n)?
+                uniform(start, end, time_tolerance, n)?
             }
         };
         if self.times.is_some() {
-            interval = common_interval(&times, start, same);
+            interval = common_interval(&times, start, time_tolerance);
         }
-        Ok(Grid { start, end, same, times, interval })
+        Ok(Grid { start, end, time_tolerance, times, interval })
     }
 }
 
@@ -67,7 +67,7 @@ pub(crate) struct Grid {
     pub(crate) start: f64,
     pub(crate) end: f64,
     /// Times closer than this are one.
-    pub(crate) same: f64,
+    pub(crate) time_tolerance: f64,
     pub(crate) times: Vec<f64>,
     /// Distance of the rows, where they have one.
     pub(crate) interval: Option<f64>,
@@ -78,7 +78,7 @@ fn setting(problem: String) -> FmiError {
 }
 
 /// `n` equal intervals: `start + k h`, never a sum, and the end itself; fewer where the rows could not be told apart.
-fn uniform(start: f64, end: f64, same: f64, n: usize) -> Result<Vec<f64>, FmiError> {
+fn uniform(start: f64, end: f64, time_tolerance: f64, n: usize) -> Result<Vec<f64>, FmiError> {
     if start == end {
         return Ok(vec![start]);
     }
@@ -89,7 +89,7 @@ fn uniform(start: f64, end: f64, same: f64, n: usize) -> Result<Vec<f64>, FmiErr
     let mut times = vec![start];
     let mut last = start;
     for t in (1..n).map(|k| start + k as f64 * h) {
-        if t - last > same && end - t > same {
+        if t - last > time_tolerance && end - t > time_tolerance {
             times.push(t);
             last = t;
         }
@@ -99,21 +99,22 @@ fn uniform(start: f64, end: f64, same: f64, n: usize) -> Result<Vec<f64>, FmiErr
 }
 
 /// The distance of rows that are given one by one, if it is the same for all and the first is at the start.
-fn common_interval(times: &[f64], start: f64, same: f64) -> Option<f64> {
+fn common_interval(times: &[f64], start: f64, time_tolerance: f64) -> Option<f64> {
     let (first, last) = (times.first()?, times.last()?);
     let n = times.len() - 1;
     let interval = (last - first) / n as f64;
-    let is_regular = |(k, time): (usize, &f64)| (time - (start + k as f64 * interval)).abs() <= same;
-    (n > 1 && interval > same && times.iter().enumerate().all(is_regular)).then_some(interval)
+    let is_regular =
+        |(k, time): (usize, &f64)| (time - (start + k as f64 * interval)).abs() <= time_tolerance;
+    (n > 1 && interval > time_tolerance && times.iter().enumerate().all(is_regular)).then_some(interval)
 }
 
 /// Rows `interval` apart, and one at the end.
-fn intervals(start: f64, end: f64, same: f64, interval: f64) -> Result<Vec<f64>, FmiError> {
+fn intervals(start: f64, end: f64, time_tolerance: f64, interval: f64) -> Result<Vec<f64>, FmiError> {
     if !(interval > 0.0 && interval.is_finite()) {
         return Err(setting(format!("output_interval = {} must be positive and finite", Number(interval))));
     }
     let count = ((end - start) / interval).ceil();
-    if count > MAX_ROWS as f64 || interval <= same {
+    if count > MAX_ROWS as f64 || interval <= time_tolerance {
         return Err(setting(format!(
             "output_interval = {} from {} to {} makes more rows than the limit of {MAX_ROWS}",
             Number(interval),
@@ -123,16 +124,16 @@ fn intervals(start: f64, end: f64, same: f64, interval: f64) -> Result<Vec<f64>,
     }
     Ok((0..=count as usize)
         .map(|k| start + k as f64 * interval)
-        .take_while(|t| *t < end - same)
+        .take_while(|t| *t < end - time_tolerance)
         .chain([end])
         .collect())
 }
 
 /// Checks given times, and makes those one that are within rounding of each other or of the ends of the span.
-fn snap(times: &[f64], start: f64, end: f64, same: f64) -> Result<Vec<f64>, FmiError> {
+fn snap(times: &[f64], start: f64, end: f64, time_tolerance: f64) -> Result<Vec<f64>, FmiError> {
     let mut snapped: Vec<f64> = memory::list_of("the list of times", times.len())?;
     for (i, &time) in times.iter().enumerate() {
-        if !(time >= start - same && time <= end + same) {
+        if !(time >= start - time_tolerance && time <= end + time_tolerance) {
             return Err(setting(format!(
                 "times[{i}] = {} is not within the span of the simulation, {} to {}",
                 Number(time),
@@ -140,9 +141,9 @@ fn snap(times: &[f64], start: f64, end: f64, same: f64) -> Result<Vec<f64>, FmiE
                 Number(end)
             )));
         }
-        let mut time = if time <= start + same {
+        let mut time = if time <= start + time_tolerance {
             start
-        } else if time >= end - same {
+        } else if time >= end - time_tolerance {
             end
         } else {
             time
@@ -155,7 +156,7 @@ fn snap(times: &[f64], start: f64, end: f64, same: f64) -> Result<Vec<f64>, FmiE
                     Number(times[i - 1])
                 )));
             }
-            if time - before <= same {
+            if time - before <= time_tolerance {
                 time = before;
             }
             if i > 1 && time == snapped[i - 2] {
@@ -201,7 +202,7 @@ mod tests {
         assert_eq!((g.times[0], *g.times.last().unwrap()), (1e9, 1e9 + 1e-5));
         assert!(g.times.windows(2).all(|pair| pair[1] > pair[0]), "{:?}", g.times);
         let g = grid(&SimulateOptions::new().start_time(1e9).final_time(1e9 + 1.0));
-        assert!(g.times.len() > 400 && g.times.windows(2).all(|pair| pair[1] - pair[0] > g.same));
+        assert!(g.times.len() > 400 && g.times.windows(2).all(|pair| pair[1] - pair[0] > g.time_tolerance));
         assert!(
             problem(&SimulateOptions::new().start_time(-1.5e308).final_time(1.5e308)).contains("too long")
         );

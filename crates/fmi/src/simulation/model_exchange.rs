@@ -4,10 +4,10 @@ use crate::description::Variable;
 use crate::error::FmiError;
 use crate::instance::{Core, Initialization, Instance};
 use crate::simulation::inputs::{InputPlan, InputState};
-use crate::simulation::parameters::StartValues;
+use crate::simulation::parameters::RunInput;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Phase, Running};
-use crate::sys::{Fault, RawInstance, look_now_and_then};
+use crate::sys::{Direction, Fault, RawInstance, look_now_and_then};
 use ode::{
     CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
 };
@@ -85,15 +85,9 @@ impl System {
     }
 
     /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
-    pub(crate) fn initialize(
-        &mut self,
-        raw: RawInstance,
-        start_values: &StartValues,
-        parameters: &[f64],
-    ) -> Result<(), FmiError> {
+    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
         let (start, end) = (self.running.plan.start, self.running.plan.end);
-        let instance: Instance<Initialization> =
-            self.running.begin(raw, start_values, parameters, Some(end))?;
+        let instance: Instance<Initialization> = self.running.begin(raw, input, Some(end))?;
         self.sent.clone_from(&self.running.inputs.continuous);
         self.running.current.phase = Phase::Event(instance.exit_initialization()?);
         self.set_time = None;
@@ -412,8 +406,9 @@ impl HybridSystem for System {
         self.set_point(t, x)?;
         let Running { plan, current, .. } = &mut self.running;
         let Some(sides) = &plan.jacobian.directional else { return Ok(false) };
+        let along = Direction { unknowns: &sides.derivatives, knowns: &sides.states, seed };
         let is_there = current.call(|raw| {
-            match raw.directional_derivative(&sides.derivatives, &sides.states, seed, derivative) {
+            match raw.directional_derivative(along, derivative) {
                 // Promised, but not in the library.
                 Err(Fault::Missing(_)) => Ok(false),
                 outcome => outcome.map(|()| true),
@@ -447,7 +442,7 @@ impl HybridSystem for System {
             self.read_outputs()?;
         }
         let Running { plan, buffers, .. } = &mut self.running;
-        buffers.row(plan.outputs(), t, plan.same, x, y);
+        buffers.row(plan.outputs(), t, plan.time_tolerance, x, y);
         self.running.note(y);
         Ok(())
     }
@@ -468,7 +463,9 @@ impl HybridSystem for System {
         let (t, plan) = (visit.time, &self.running.plan);
         // Of two instants within rounding the model must see the later one, or its time event would not be due.
         let seen = match self.announced {
-            Some(next) if visit.cause.time && next > t && next - t <= plan.same => next.min(plan.end.max(t)),
+            Some(next) if visit.cause.time && next > t && next - t <= plan.time_tolerance => {
+                next.min(plan.end.max(t))
+            }
             _ => t,
         };
         self.set_point(seen, x)?;

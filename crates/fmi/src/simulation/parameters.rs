@@ -165,6 +165,13 @@ pub(crate) struct StartValues {
     pub(crate) inputs: Assignments,
 }
 
+/// What one run is given: start values, those of the plan or others for the same variables, and the values of its parameters.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RunInput<'a> {
+    pub(crate) start: &'a StartValues,
+    pub(crate) parameters: &'a [f64],
+}
+
 /// What a run sets besides the settings of its plan: variables that were set in the copy by earlier runs with other plans.
 #[derive(Debug, Default)]
 pub(crate) struct Unset {

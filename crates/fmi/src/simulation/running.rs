@@ -29,7 +29,7 @@ pub(crate) enum Phase {
     Stepping(Instance<StepMode, CoSimulation>),
 }
 
-/// The instance of a run, and whether it is still good for use.
+/// The instance of a run, and whether it can still be used.
 #[derive(Debug, Default)]
 pub(crate) struct Current {
     pub(crate) phase: Phase,
@@ -156,7 +156,7 @@ impl Running {
         self.current = Current { phase: Phase::Spare(raw), ..Current::default() };
     }
 
-    /// Ends the run of the instance, if there is one that is still good for another run, and gives it up.
+    /// Ends the run of the instance, if there is one that can be used for another run, and gives it up.
     pub(crate) fn retire(&mut self) -> Option<RawInstance> {
         let raw = match std::mem::replace(&mut self.current.phase, Phase::Gone) {
             Phase::Gone => return None,

@@ -2,7 +2,7 @@
 
 use crate::error::FmiError;
 use crate::instance::{Core, Initialization, Instance, Instantiated};
-use crate::simulation::parameters::StartValues;
+use crate::simulation::parameters::RunInput;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Current, Running};
 use crate::sys::{InterfaceKind, RawInstance};
@@ -16,19 +16,18 @@ impl Running {
     pub(super) fn begin<K>(
         &mut self,
         raw: RawInstance,
-        start_values: &StartValues,
-        parameters: &[f64],
+        input: RunInput<'_>,
         stop: Option<f64>,
     ) -> Result<Instance<Initialization, K>, FmiError> {
         self.current = Current::default();
         self.buffers.begin();
         let Self { plan, inputs, clocks, unset, signed, .. } = self;
         let mut instance: Instance<Instantiated, K> = Instance::from_raw(raw, plan.fmu().clone());
-        plan.values.set_up(instance.core(), unset, start_values, parameters, signed)?;
+        plan.values.set_up(instance.core(), unset, input, signed)?;
         let mut instance =
             instance.enter_initialization(plan.start, stop, Some(plan.options.relative_tolerance))?;
         instance.core().apply(&unset.inputs)?;
-        plan.values.set_up_inputs(instance.core(), start_values, parameters, signed)?;
+        plan.values.set_up_inputs(instance.core(), input, signed)?;
         inputs.begin(&plan.inputs, plan.start);
         if !inputs.continuous_at(&plan.inputs, plan.start) {
             return Err(inputs.bad_function_value(plan.start));

@@ -7,7 +7,7 @@ use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi1_log, fmufit_free}
 use super::function::{Answer, call};
 use super::functions::Functions;
 use super::symbols::{Symbols, table};
-use super::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri};
+use super::types::{Component, Direction, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri};
 use super::version::{Step, Version};
 use crate::error::{FmiError, Status};
 use std::ffi::{c_char, c_int, c_void};
@@ -154,19 +154,14 @@ impl Version for Fmi1 {
         }
     }
 
-    unsafe fn set_debug_logging(&self, component: Component, on: bool, _: &[*const c_char]) -> Answer {
-        call!(self.common.set_debug_logging, component, on.into())
+    unsafe fn set_debug_logging(&self, c: Component, on: bool, _: &[*const c_char]) -> Answer {
+        call!(self.common.set_debug_logging, c, on.into())
     }
 
     /// Model exchange begins with the time; co-simulation has no mode of its own for the initialization.
-    unsafe fn enter_initialization(
-        &self,
-        functions: &Functions,
-        component: Component,
-        experiment: &Experiment,
-    ) -> Answer {
+    unsafe fn enter_initialization(&self, f: &Functions, c: Component, experiment: &Experiment) -> Answer {
         match self.kind {
-            InterfaceKind::ModelExchange => call!(functions.point.set_time, component, experiment.start),
+            InterfaceKind::ModelExchange => call!(f.point.set_time, c, experiment.start),
             InterfaceKind::CoSimulation => Answer { function: "fmiInitializeSlave", status: Status::Ok },
         }
     }
@@ -174,7 +169,7 @@ impl Version for Fmi1 {
     unsafe fn exit_initialization(
         &self,
         _: &Functions,
-        component: Component,
+        c: Component,
         experiment: &Experiment,
         announced: &mut Option<EventInfo>,
     ) -> Answer {
@@ -184,65 +179,40 @@ impl Version for Fmi1 {
                 let mut info = RawEventInfo::default();
                 let (is_controlled, tolerance) = (tolerance.is_some().into(), tolerance.unwrap_or(0.0));
                 let answer =
-                    call!(self.model_exchange.initialize, component, is_controlled, tolerance, &raw mut info);
+                    call!(self.model_exchange.initialize, c, is_controlled, tolerance, &raw mut info);
                 *announced = Some(info.info());
                 answer
             }
             InterfaceKind::CoSimulation => {
-                call!(
-                    self.co_simulation.initialize,
-                    component,
-                    start,
-                    stop.is_some().into(),
-                    stop.unwrap_or(0.0)
-                )
+                call!(self.co_simulation.initialize, c, start, stop.is_some().into(), stop.unwrap_or(0.0))
             }
         }
     }
 
-    unsafe fn directional_derivative(
-        &self,
-        _: Component,
-        _: &[u32],
-        _: &[u32],
-        _: &[f64],
-        _: &mut [f64],
-    ) -> Answer {
+    unsafe fn directional_derivative(&self, _: Component, _: Direction<'_>, _: &mut [f64]) -> Answer {
         Answer { function: "(directional derivatives)", status: Status::Missing }
     }
 
-    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Answer {
+    unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer {
         let mut raw = RawEventInfo::default();
         // fmiFalse: the FMU iterates by itself and returns when it is done. That is what every other importer asks for;
         // one that returns before is asked again.
-        let answer = call!(self.model_exchange.event_update, component, 0, &raw mut raw);
+        let answer = call!(self.model_exchange.event_update, c, 0, &raw mut raw);
         *info = raw.info();
         answer
     }
 
-    unsafe fn completed_integrator_step(
-        &self,
-        component: Component,
-        _: bool,
-        event: &mut bool,
-        terminate: &mut bool,
-    ) -> Answer {
+    unsafe fn completed_integrator_step(&self, c: Component, _: bool, info: &mut StepInfo) -> Answer {
         let mut raw: Boolean = 0;
-        let answer = call!(self.model_exchange.completed_integrator_step, component, &raw mut raw);
-        (*event, *terminate) = (raw != 0, false);
+        let answer = call!(self.model_exchange.completed_integrator_step, c, &raw mut raw);
+        (info.event, info.terminate) = (raw != 0, false);
         answer
     }
 
-    unsafe fn do_step(
-        &self,
-        functions: &Functions,
-        component: Component,
-        step: Step,
-        info: &mut StepInfo,
-    ) -> Answer {
-        let answer = call!(self.co_simulation.do_step, component, step.time, step.size, step.is_new.into());
+    unsafe fn do_step(&self, f: &Functions, c: Component, step: Step, info: &mut StepInfo) -> Answer {
+        let answer = call!(self.co_simulation.do_step, c, step.time, step.size, step.is_new.into());
         // SAFETY: as for this call.
-        unsafe { functions.steps.explain(component, answer.status, info) };
+        unsafe { f.steps.explain(c, answer.status, info) };
         answer
     }
 

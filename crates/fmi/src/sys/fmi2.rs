@@ -4,7 +4,7 @@ use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi2_log, fmufit_free}
 use super::function::{Answer, call};
 use super::functions::{Functions, Plain};
 use super::symbols::{Symbols, table};
-use super::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri};
+use super::types::{Component, Direction, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri};
 use super::version::{Step, Version};
 use crate::error::FmiError;
 use std::ffi::{c_char, c_int, c_void};
@@ -137,43 +137,26 @@ impl Version for Fmi2 {
         })
     }
 
-    unsafe fn set_debug_logging(
-        &self,
-        component: Component,
-        on: bool,
-        categories: &[*const c_char],
-    ) -> Answer {
+    unsafe fn set_debug_logging(&self, c: Component, on: bool, categories: &[*const c_char]) -> Answer {
         let (list, n) = (categories.as_ptr(), categories.len());
-        call!(self.common.set_debug_logging, component, on.into(), n, list)
+        call!(self.common.set_debug_logging, c, on.into(), n, list)
     }
 
-    unsafe fn enter_initialization(&self, _: &Functions, component: Component, _: &Experiment) -> Answer {
-        call!(self.common.enter_initialization, component)
+    unsafe fn enter_initialization(&self, _: &Functions, c: Component, _: &Experiment) -> Answer {
+        call!(self.common.enter_initialization, c)
     }
 
-    unsafe fn directional_derivative(
-        &self,
-        component: Component,
-        unknowns: &[u32],
-        knowns: &[u32],
-        seed: &[f64],
-        sensitivity: &mut [f64],
-    ) -> Answer {
-        call!(
-            self.common.directional_derivative,
-            component,
-            unknowns.as_ptr(),
-            unknowns.len(),
-            knowns.as_ptr(),
-            knowns.len(),
-            seed.as_ptr(),
-            sensitivity.as_mut_ptr()
-        )
+    unsafe fn directional_derivative(&self, c: Component, along: Direction<'_>, out: &mut [f64]) -> Answer {
+        let Direction { unknowns, knowns, seed } = along;
+        let (list, n) = (unknowns.as_ptr(), unknowns.len());
+        let (known, n_known) = (knowns.as_ptr(), knowns.len());
+        let function = &self.common.directional_derivative;
+        call!(function, c, list, n, known, n_known, seed.as_ptr(), out.as_mut_ptr())
     }
 
-    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Answer {
+    unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer {
         let mut raw = RawEventInfo::default();
-        let answer = call!(self.model_exchange.new_discrete_states, component, &raw mut raw);
+        let answer = call!(self.model_exchange.new_discrete_states, c, &raw mut raw);
         *info = EventInfo {
             new_discrete_states_needed: raw.new_discrete_states_needed != 0,
             terminate: raw.terminate_simulation != 0,
@@ -184,36 +167,24 @@ impl Version for Fmi2 {
         answer
     }
 
-    unsafe fn completed_integrator_step(
-        &self,
-        component: Component,
-        no_set_state_prior: bool,
-        event: &mut bool,
-        terminate: &mut bool,
-    ) -> Answer {
+    unsafe fn completed_integrator_step(&self, c: Component, no_prior: bool, info: &mut StepInfo) -> Answer {
         let (mut raw_event, mut raw_terminate): (Boolean, Boolean) = (0, 0);
         let answer = call!(
             self.model_exchange.completed_integrator_step,
-            component,
-            no_set_state_prior.into(),
+            c,
+            no_prior.into(),
             &raw mut raw_event,
             &raw mut raw_terminate
         );
-        (*event, *terminate) = (raw_event != 0, raw_terminate != 0);
+        (info.event, info.terminate) = (raw_event != 0, raw_terminate != 0);
         answer
     }
 
-    unsafe fn do_step(
-        &self,
-        functions: &Functions,
-        component: Component,
-        step: Step,
-        info: &mut StepInfo,
-    ) -> Answer {
+    unsafe fn do_step(&self, f: &Functions, c: Component, step: Step, info: &mut StepInfo) -> Answer {
         let Step { time, size, no_set_state_prior, .. } = step;
-        let answer = call!(self.co_simulation.do_step, component, time, size, no_set_state_prior.into());
+        let answer = call!(self.co_simulation.do_step, c, time, size, no_set_state_prior.into());
         // SAFETY: as for this call.
-        unsafe { functions.steps.explain(component, answer.status, info) };
+        unsafe { f.steps.explain(c, answer.status, info) };
         answer
     }
 

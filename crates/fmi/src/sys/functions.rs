@@ -7,7 +7,7 @@
 
 use super::function::{Answer, Function, call};
 use super::symbols::table;
-use super::types::{Component, StatePointer, StepInfo, status};
+use super::types::{Component, Direction, StatePointer, StepInfo, status};
 use crate::error::Status;
 use std::ffi::{c_char, c_int};
 
@@ -143,16 +143,15 @@ pub(super) struct Functions {
 /// As for the methods of [`Version`](super::version::Version).
 pub(super) unsafe fn derivative(
     function: &Function<Derivative>,
-    component: Component,
-    unknowns: &[u32],
-    knowns: &[u32],
-    seed: &[f64],
-    sensitivity: &mut [f64],
+    c: Component,
+    along: Direction<'_>,
+    out: &mut [f64],
 ) -> Answer {
+    let Direction { unknowns, knowns, seed } = along;
     let (list, n) = (unknowns.as_ptr(), unknowns.len());
-    let (seed, n_seed) = (seed.as_ptr(), seed.len());
-    let (result, n_result) = (sensitivity.as_mut_ptr(), sensitivity.len());
-    call!(function, component, list, n, knowns.as_ptr(), knowns.len(), seed, n_seed, result, n_result)
+    let (known, n_known) = (knowns.as_ptr(), knowns.len());
+    let (out, n_out) = (out.as_mut_ptr(), out.len());
+    call!(function, c, list, n, known, n_known, seed.as_ptr(), seed.len(), out, n_out)
 }
 
 /// `fmiStatusKind` and `fmi2StatusKind`.
@@ -165,14 +164,14 @@ impl StepFunctions {
     ///
     /// # Safety
     /// As for the methods of [`Version`](super::version::Version).
-    pub(super) unsafe fn status(&self, component: Component, info: &mut StepInfo) -> Answer {
+    pub(super) unsafe fn status(&self, c: Component, info: &mut StepInfo) -> Answer {
         let mut code = 0;
-        let mut answer = call!(self.get_status, component, DO_STEP_STATUS, &raw mut code);
+        let mut answer = call!(self.get_status, c, DO_STEP_STATUS, &raw mut code);
         if answer.status == Status::Ok {
             answer.status = status(code);
         }
         // SAFETY: as for this call.
-        unsafe { self.explain(component, answer.status, info) };
+        unsafe { self.explain(c, answer.status, info) };
         answer
     }
 

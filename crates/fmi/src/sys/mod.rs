@@ -54,8 +54,8 @@ pub(crate) use environment::{CallEnvironment, look_now_and_then};
 pub(crate) use library::{Library, LoadFrom};
 pub use platform::LoaderOptions;
 pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};
+pub(crate) use types::{Direction, EventInfo, Experiment, IntervalAnswer, Qualifier, Request, StepInfo};
 pub use types::{ElementDependency, InterfaceKind};
-pub(crate) use types::{EventInfo, Experiment, IntervalAnswer, Qualifier, Request, StepInfo};
 
 #[cfg(test)]
 mod tests {

@@ -24,46 +24,22 @@ table! {
 }
 
 impl<B: Element> Values for ScalarValues<B> {
-    fn getter(&self, kind: VariableKind) -> &'static str {
-        match kind {
-            VariableKind::Real => self.get_real.name,
-            VariableKind::Boolean => self.get_boolean.name,
-            VariableKind::String => self.get_string.name,
-            _ => self.get_integer.name,
-        }
+    unsafe fn get_real(&self, c: Component, refs: &[u32], values: &mut [f64]) -> Answer {
+        call!(self.get_real, c, refs.as_ptr(), values.len(), values.as_mut_ptr())
     }
 
-    fn setter(&self, kind: VariableKind) -> &'static str {
-        match kind {
-            VariableKind::Real => self.set_real.name,
-            VariableKind::Boolean => self.set_boolean.name,
-            VariableKind::String => self.set_string.name,
-            _ => self.set_integer.name,
-        }
+    unsafe fn set_real(&self, c: Component, refs: &[u32], values: &[f64]) -> Answer {
+        call!(self.set_real, c, refs.as_ptr(), values.len(), values.as_ptr())
     }
 
-    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Answer {
-        call!(self.get_real, component, references.as_ptr(), values.len(), values.as_mut_ptr())
-    }
-
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Answer {
-        call!(self.set_real, component, references.as_ptr(), values.len(), values.as_ptr())
-    }
-
-    unsafe fn get_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        words: &mut [i64],
-    ) -> Answer {
-        let (list, n) = (references.as_ptr(), references.len());
+    unsafe fn get_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer {
+        let (list, n) = (refs.as_ptr(), refs.len());
         match kind {
             VariableKind::Integer | VariableKind::Enumeration => {
-                packed::get(words, |values| call!(self.get_integer, component, list, n, values))
+                packed::get(words, |values| call!(self.get_integer, c, list, n, values))
             }
             VariableKind::Boolean => {
-                let answer = packed::get(words, |values| call!(self.get_boolean, component, list, n, values));
+                let answer = packed::get(words, |values| call!(self.get_boolean, c, list, n, values));
                 packed::normalize(words);
                 answer
             }
@@ -71,40 +47,22 @@ impl<B: Element> Values for ScalarValues<B> {
         }
     }
 
-    unsafe fn set_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        words: &mut [i64],
-    ) -> Answer {
-        let (list, n) = (references.as_ptr(), references.len());
+    unsafe fn set_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer {
+        let (list, n) = (refs.as_ptr(), refs.len());
         match kind {
             VariableKind::Integer | VariableKind::Enumeration => {
-                packed::set(words, |values| call!(self.set_integer, component, list, n, values))
+                packed::set(words, |values| call!(self.set_integer, c, list, n, values))
             }
-            VariableKind::Boolean => {
-                packed::set(words, |values| call!(self.set_boolean, component, list, n, values))
-            }
+            VariableKind::Boolean => packed::set(words, |values| call!(self.set_boolean, c, list, n, values)),
             _ => NO_SUCH_TYPE,
         }
     }
 
-    unsafe fn get_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &mut [*const c_char],
-    ) -> Answer {
-        call!(self.get_string, component, references.as_ptr(), values.len(), values.as_mut_ptr())
+    unsafe fn get_string(&self, c: Component, refs: &[u32], values: &mut [*const c_char]) -> Answer {
+        call!(self.get_string, c, refs.as_ptr(), values.len(), values.as_mut_ptr())
     }
 
-    unsafe fn set_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &[*const c_char],
-    ) -> Answer {
-        call!(self.set_string, component, references.as_ptr(), values.len(), values.as_ptr())
+    unsafe fn set_string(&self, c: Component, refs: &[u32], values: &[*const c_char]) -> Answer {
+        call!(self.set_string, c, refs.as_ptr(), values.len(), values.as_ptr())
     }
 }

@@ -145,6 +145,15 @@ pub struct ElementDependency {
     pub kind: DependencyKind,
 }
 
+/// A derivative that is asked for: of `unknowns` along `seed` in the space of `knowns`; adjoint: with respect to `knowns`, weighted
+/// with `seed` in the space of `unknowns`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Direction<'a> {
+    pub(crate) unknowns: &'a [u32],
+    pub(crate) knowns: &'a [u32],
+    pub(crate) seed: &'a [f64],
+}
+
 /// What an instance is made with.
 #[derive(Debug)]
 pub(crate) struct Request<'a> {

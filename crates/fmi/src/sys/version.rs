@@ -3,7 +3,7 @@
 use super::callbacks::Callbacks;
 use super::function::{Answer, call};
 use super::functions::Functions;
-use super::types::{Component, EventInfo, Experiment, Request, StepInfo};
+use super::types::{Component, Direction, EventInfo, Experiment, Request, StepInfo};
 use crate::error::Status;
 use crate::value::VariableKind;
 use std::ffi::{c_char, c_int};
@@ -20,68 +20,39 @@ pub(super) trait Version: Send + Sync {
     /// another live component.
     unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> (Component, &'static str);
     /// Messages of these categories; of all, if there are none. FMI 1.0 has no choice of categories.
-    unsafe fn set_debug_logging(
-        &self,
-        component: Component,
-        on: bool,
-        categories: &[*const c_char],
-    ) -> Answer;
-    unsafe fn enter_initialization(
-        &self,
-        functions: &Functions,
-        component: Component,
-        experiment: &Experiment,
-    ) -> Answer;
+    unsafe fn set_debug_logging(&self, c: Component, on: bool, categories: &[*const c_char]) -> Answer;
+    unsafe fn enter_initialization(&self, f: &Functions, c: Component, experiment: &Experiment) -> Answer;
     /// `announced`: what the initialization has already said about events (FMI 1.0).
     unsafe fn exit_initialization(
         &self,
-        functions: &Functions,
-        component: Component,
+        f: &Functions,
+        c: Component,
         experiment: &Experiment,
         announced: &mut Option<EventInfo>,
     ) -> Answer {
         let _ = (experiment, announced);
-        call!(functions.common.exit_initialization, component)
+        call!(f.common.exit_initialization, c)
     }
-    unsafe fn directional_derivative(
-        &self,
-        component: Component,
-        unknowns: &[u32],
-        knowns: &[u32],
-        seed: &[f64],
-        sensitivity: &mut [f64],
-    ) -> Answer;
-    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Answer;
-    unsafe fn completed_integrator_step(
-        &self,
-        component: Component,
-        no_set_state_prior: bool,
-        event: &mut bool,
-        terminate: &mut bool,
-    ) -> Answer;
+    unsafe fn directional_derivative(&self, c: Component, along: Direction<'_>, out: &mut [f64]) -> Answer;
+    unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer;
+    unsafe fn completed_integrator_step(&self, c: Component, no_prior: bool, info: &mut StepInfo) -> Answer;
     /// One communication step from `time` on; `is_new`: not the one tried last. `Discard` is for steps of which nothing or only
     /// a part was computed, also because the model ends the simulation; `Pending` for steps that go on.
-    unsafe fn do_step(
-        &self,
-        functions: &Functions,
-        component: Component,
-        step: Step,
-        info: &mut StepInfo,
-    ) -> Answer;
+    unsafe fn do_step(&self, f: &Functions, c: Component, step: Step, info: &mut StepInfo) -> Answer;
     /// Name of the function that makes a step.
     fn step_function(&self) -> &'static str;
     /// Derivatives (of these orders) of real outputs with respect to time, at the end of the last step.
     unsafe fn get_output_derivatives(
         &self,
-        functions: &Functions,
-        component: Component,
-        references: &[u32],
+        f: &Functions,
+        c: Component,
+        refs: &[u32],
         orders: &[c_int],
         values: &mut [f64],
     ) -> Answer {
-        let function = functions.steps.get_output_derivatives;
-        let (list, n) = (references.as_ptr(), references.len());
-        call!(function, component, list, n, orders.as_ptr(), values.as_mut_ptr())
+        let function = f.steps.get_output_derivatives;
+        let (list, n) = (refs.as_ptr(), refs.len());
+        call!(function, c, list, n, orders.as_ptr(), values.as_mut_ptr())
     }
 }
 
@@ -105,55 +76,28 @@ pub(super) trait Values: Send + Sync {
     fn has_arrays(&self) -> bool {
         false
     }
-    /// Name of the function that reads variables of a type.
-    fn getter(&self, kind: VariableKind) -> &'static str;
-    /// Name of the function that sets variables of a type.
-    fn setter(&self, kind: VariableKind) -> &'static str;
-    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Answer;
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Answer;
+    unsafe fn get_real(&self, c: Component, refs: &[u32], values: &mut [f64]) -> Answer;
+    unsafe fn set_real(&self, c: Component, refs: &[u32], values: &[f64]) -> Answer;
     /// Values of all other kinds of numbers, in words of 64 bits (see `instance/integer_codec.rs`).
-    unsafe fn get_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        words: &mut [i64],
-    ) -> Answer;
+    unsafe fn get_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer;
     /// The words are used up.
-    unsafe fn set_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        words: &mut [i64],
-    ) -> Answer;
-    unsafe fn get_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &mut [*const c_char],
-    ) -> Answer;
+    unsafe fn set_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer;
+    unsafe fn get_string(&self, c: Component, refs: &[u32], values: &mut [*const c_char]) -> Answer;
     unsafe fn set_string(&self, component: Component, references: &[u32], values: &[*const c_char])
     -> Answer;
     /// Addresses and sizes of binary values; they stay valid until the next call on the component.
     unsafe fn get_binary(
         &self,
-        component: Component,
-        references: &[u32],
+        c: Component,
+        refs: &[u32],
         sizes: &mut [usize],
         values: &mut [*const u8],
     ) -> Answer {
-        let _ = (component, references, sizes, values);
+        let _ = (c, refs, sizes, values);
         NO_SUCH_TYPE
     }
-    unsafe fn set_binary(
-        &self,
-        component: Component,
-        references: &[u32],
-        sizes: &[usize],
-        values: &[*const u8],
-    ) -> Answer {
-        let _ = (component, references, sizes, values);
+    unsafe fn set_binary(&self, c: Component, refs: &[u32], sizes: &[usize], values: &[*const u8]) -> Answer {
+        let _ = (c, refs, sizes, values);
         NO_SUCH_TYPE
     }
 }

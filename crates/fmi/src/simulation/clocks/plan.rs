@@ -79,7 +79,7 @@ pub(crate) struct ClockPlan {
     /// With the value references of their clocks.
     pub(super) clocked: Vec<(Clocked, Vec<u32>)>,
     /// Times closer than this are one.
-    pub(super) same: f64,
+    pub(super) time_tolerance: f64,
 }
 
 impl ClockPlan {
@@ -91,7 +91,7 @@ impl ClockPlan {
         description: &ModelDescription,
         inputs: &ClockInputs,
         intervals: &[(String, Interval)],
-        same: f64,
+        time_tolerance: f64,
     ) -> Result<Self, FmiError> {
         let mut given = HashMap::new();
         for (name, interval) in intervals {
@@ -99,7 +99,7 @@ impl ClockPlan {
             check_interval(&description.variables[index], *interval)?;
             given.insert(index, *interval);
         }
-        let mut plan = Self { same, ..Self::default() };
+        let mut plan = Self { time_tolerance, ..Self::default() };
         let name = |variable: &Variable| Arc::from(variable.name.as_str());
         for (index, variable) in description.variables.iter().enumerate() {
             let Some(timing) = variable.clock.as_deref().filter(|_| variable.kind == VariableKind::Clock)

@@ -59,7 +59,9 @@ impl ClockState {
         self.passed.clear();
         // Ticks before the start are none of this run.
         self.passed.extend(
-            plan.triggered.iter().map(|clock| clock.times.partition_point(|time| *time < start - plan.same)),
+            plan.triggered
+                .iter()
+                .map(|clock| clock.times.partition_point(|time| *time < start - plan.time_tolerance)),
         );
         for clock in &plan.timed {
             let schedule = clock.first(core, start)?;
@@ -87,19 +89,19 @@ impl ClockState {
         self.ticked.clear();
         self.active.clear();
         for (i, (clock, schedule)) in plan.timed.iter().zip(&mut self.schedules).enumerate() {
-            let Some(time) = schedule.next.filter(|next| *next <= t + plan.same) else { continue };
+            let Some(time) = schedule.next.filter(|next| *next <= t + plan.time_tolerance) else { continue };
             match clock.timing.kind {
                 ClockKind::Changing | ClockKind::Countdown => schedule.next = None,
                 _ => schedule.advance(),
             }
             self.ticked.push((i, time));
-            if clock.enabled.as_ref().is_none_or(|enabled| enabled.held(t + plan.same) != 0.0) {
+            if clock.enabled.as_ref().is_none_or(|enabled| enabled.held(t + plan.time_tolerance) != 0.0) {
                 self.active.push(clock.reference);
                 self.ticks.push(Tick { time, clock: Arc::clone(&clock.name) });
             }
         }
         for (clock, passed) in plan.triggered.iter().zip(&mut self.passed) {
-            let happened = clock.times.partition_point(|time| *time <= t + plan.same);
+            let happened = clock.times.partition_point(|time| *time <= t + plan.time_tolerance);
             if happened > *passed {
                 *passed = happened;
                 self.active.push(clock.reference);
@@ -119,7 +121,7 @@ impl ClockState {
         outputs: (&[u32], &mut OutputBuffers),
     ) -> Result<(EventOutcome, Option<f64>), FmiError> {
         if plan.is_empty() {
-            let outcome = core.iterate_events(t, plan.same, MAX_EVENT_ITERATIONS)?;
+            let outcome = core.iterate_events(t, plan.time_tolerance, MAX_EVENT_ITERATIONS)?;
             return Ok((outcome, outcome.next_time));
         }
         let first = self.ticks.len();
@@ -127,9 +129,10 @@ impl ClockState {
         for _ in 0..MAX_EVENT_ITERATIONS {
             self.take_due(plan, t);
             self.activate(plan, core, t)?;
-            let outcome = core.iterate_events_watched(t, plan.same, MAX_EVENT_ITERATIONS, &mut |core| {
-                self.watch(plan, core, t)
-            })?;
+            let outcome =
+                core.iterate_events_watched(t, plan.time_tolerance, MAX_EVENT_ITERATIONS, &mut |core| {
+                    self.watch(plan, core, t)
+                })?;
             total.states_changed |= outcome.states_changed;
             total.nominals_changed |= outcome.nominals_changed;
             total.terminate |= outcome.terminate;
@@ -139,11 +142,11 @@ impl ClockState {
             }
             self.learn(plan, core, t)?;
             // An interval of 0: the next tick of this instant.
-            if self.next(plan).is_none_or(|next| next > t + plan.same) {
+            if self.next(plan).is_none_or(|next| next > t + plan.time_tolerance) {
                 break;
             }
         }
-        if self.next(plan).is_some_and(|next| next <= t + plan.same) && !total.terminate {
+        if self.next(plan).is_some_and(|next| next <= t + plan.time_tolerance) && !total.terminate {
             return Err(FmiError::EventIteration { time: t, limit: MAX_EVENT_ITERATIONS });
         }
         let (references, buffers) = outputs;
@@ -169,7 +172,7 @@ impl ClockState {
         core.call(|raw| raw.set_packed(VariableKind::Clock, active, words))?;
         for (clocked, clocks) in &plan.clocked {
             if clocks.iter().any(|clock| active.contains(clock)) {
-                clocked.set(core, t + plan.same)?;
+                clocked.set(core, t + plan.time_tolerance)?;
             }
         }
         Ok(())

@@ -61,7 +61,7 @@ pub(super) struct Run<'a> {
 
 /// On which side of a step.
 #[derive(Clone, Copy)]
-pub(super) enum VariableElement {
+pub(super) enum StepSide {
     Before,
     After,
 }
@@ -107,7 +107,7 @@ impl Run<'_> {
         // Only a model that cannot stop at a row makes it necessary to look on both sides of it.
         let row_inside = self.row_before(target.time).is_some();
         if row_inside {
-            self.read(VariableElement::Before)?;
+            self.read(StepSide::Before)?;
         }
         if !self.plan.inputs.driven.is_empty() {
             self.timed(Call::Inputs, |run| run.set_inputs(&target))?;
@@ -141,13 +141,13 @@ impl Run<'_> {
     /// A step of which only a part was computed, or nothing.
     fn cut_short(&mut self, target: &Target, outcome: &StepOutcome, row_inside: bool) -> Step<()> {
         let StepOutcome { reached, early, terminate, event, may_have_ended, .. } = *outcome;
-        let same = self.plan.same;
+        let time_tolerance = self.plan.time_tolerance;
         let can_retry = self.communication.variable;
         let reached = reached.map_or(self.t, |reached| reached.clamp(self.t, target.time));
-        if reached > self.t + same && (can_retry || early || terminate || may_have_ended) {
+        if reached > self.t + time_tolerance && (can_retry || early || terminate || may_have_ended) {
             // The model stands there and goes on from there.
             self.discards = 0;
-            let regular = target.regular && reached >= target.time - same;
+            let regular = target.regular && reached >= target.time - time_tolerance;
             self.arrive(reached, regular, row_inside, event && !terminate)?;
             if !can_retry && !regular {
                 (self.origin, self.passed, self.on_grid) = (reached, 0, true);
@@ -191,7 +191,7 @@ impl Run<'_> {
     fn arrive(&mut self, time: f64, regular: bool, row_inside: bool, event: bool) -> Step<()> {
         self.stats.accepted_steps += 1;
         if row_inside {
-            self.read(VariableElement::After)?;
+            self.read(StepSide::After)?;
             self.timed(Call::Outputs, Self::read_slopes)?;
             self.sample_inside(time)?;
         }
@@ -208,7 +208,7 @@ impl Run<'_> {
         self.sample_left()?;
         if self.stepping.running.digest.is_some() {
             // Steps between requested times count too.
-            self.read(VariableElement::After)?;
+            self.read(StepSide::After)?;
             self.stepping.running.note(&self.stepping.after);
         }
         let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
@@ -221,7 +221,7 @@ impl Run<'_> {
     }
 
     fn reached_end(&self) -> Step<()> {
-        if self.t >= self.plan.end - self.plan.same {
+        if self.t >= self.plan.end - self.plan.time_tolerance {
             return Err(Exit::Normal(Termination::Finished));
         }
         Ok(())
@@ -247,7 +247,7 @@ impl Run<'_> {
     }
 
     fn target(&mut self) -> Target {
-        let (plan, same) = (self.plan, self.plan.same);
+        let (plan, time_tolerance) = (self.plan, self.plan.time_tolerance);
         let grid = self.communication.step.map(|step| (self.origin + (self.passed + 1) as f64 * step, step));
         if !self.communication.variable
             && let Some((time, step)) = grid
@@ -255,18 +255,18 @@ impl Run<'_> {
             return Target { time, step, regular: true };
         }
         let mut time = plan.end;
-        if let Some((next, _)) = grid.filter(|(next, _)| *next < time + same) {
+        if let Some((next, _)) = grid.filter(|(next, _)| *next < time + time_tolerance) {
             time = next.min(time);
         }
         let input = plan.inputs.next_stop(self.t).map(|stop| stop.time);
-        let event = self.next_event.filter(|next| *next > self.t + same);
+        let event = self.next_event.filter(|next| *next > self.t + time_tolerance);
         let retry = Some(self.t + self.longest);
-        for stop in [self.row_before(time - same), input, event, retry].into_iter().flatten() {
-            if stop < time - same {
+        for stop in [self.row_before(time - time_tolerance), input, event, retry].into_iter().flatten() {
+            if stop < time - time_tolerance {
                 time = stop;
             }
         }
-        let regular = grid.is_some_and(|(next, _)| (next - time).abs() <= same);
+        let regular = grid.is_some_and(|(next, _)| (next - time).abs() <= time_tolerance);
         let step = match grid {
             // From one regular point to the next, unless rounding would lead beyond the end.
             Some((_, step)) if regular && self.on_grid && self.t + step <= plan.end => step,
@@ -277,8 +277,9 @@ impl Run<'_> {
 
     /// A length that was used before, where this one is the same but for rounding.
     fn length(&mut self, length: f64) -> f64 {
-        let is_same =
-            |known: &&f64| (**known - length).abs() <= self.plan.same && self.t + **known <= self.plan.end;
+        let is_same = |known: &&f64| {
+            (**known - length).abs() <= self.plan.time_tolerance && self.t + **known <= self.plan.end
+        };
         if let Some(known) = self.lengths.iter().find(is_same) {
             return *known;
         }
@@ -289,9 +290,9 @@ impl Run<'_> {
 
     /// Refuses to step over a tick: a model that takes steps of one length only may not be able to stop there.
     fn check_ticks(&self, target: &Target) -> Step<()> {
-        let (clocks, same) = (&self.stepping.running.clocks, self.plan.same);
+        let (clocks, time_tolerance) = (&self.stepping.running.clocks, self.plan.time_tolerance);
         match clocks.next(&self.plan.clocks) {
-            Some(tick) if tick < target.time - same && !self.communication.variable => {
+            Some(tick) if tick < target.time - time_tolerance && !self.communication.variable => {
                 let name = clocks.name_of_next(&self.plan.clocks).unwrap_or_default();
                 let problem = format!(
                     "the clock {name} ticks at {tick}, within the step from {} to {}, and the model takes no steps of \
@@ -307,7 +308,7 @@ impl Run<'_> {
     /// The next requested time, if it lies between here and `limit`.
     pub(super) fn row_before(&self, limit: f64) -> Option<f64> {
         let row = self.plan.times.get(self.next_row).copied();
-        row.filter(|row| *row > self.t + self.plan.same && *row < limit - self.plan.same)
+        row.filter(|row| *row > self.t + self.plan.time_tolerance && *row < limit - self.plan.time_tolerance)
     }
 
     fn set_input_derivatives(&mut self, target: &Target) -> Step<()> {
@@ -335,14 +336,14 @@ impl Run<'_> {
         let cause = EventCause {
             input: jumped,
             step: event,
-            time: self.next_event.is_some_and(|next| next <= self.t + self.plan.same),
+            time: self.next_event.is_some_and(|next| next <= self.t + self.plan.time_tolerance),
             state: false,
         };
         if cause == EventCause::default() {
             return Ok(false);
         }
         let outcome = self.timed(Call::Events, Self::visit_event_mode)?;
-        self.next_event = outcome.next_time.filter(|next| *next > self.t + self.plan.same);
+        self.next_event = outcome.next_time.filter(|next| *next > self.t + self.plan.time_tolerance);
         self.stats.events += 1;
         self.stats.input_events += u64::from(cause.input);
         self.stats.step_events += u64::from(cause.step);

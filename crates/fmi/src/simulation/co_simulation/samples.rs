@@ -1,6 +1,6 @@
 //! The samples of a co-simulation: at communication points as the model gives them, between two of them interpolated.
 
-use super::run::{Exit, Run, Step, VariableElement};
+use super::run::{Exit, Run, Step, StepSide};
 use super::stepping::{Call, Stepping};
 use crate::simulation::running::Running;
 use crate::sys::Fault;
@@ -9,20 +9,20 @@ use std::ops::ControlFlow;
 
 impl Run<'_> {
     /// Reads the outputs where the model stands.
-    pub(super) fn read(&mut self, place: VariableElement) -> Step<()> {
+    pub(super) fn read(&mut self, place: StepSide) -> Step<()> {
         self.timed(Call::Outputs, |run| run.read_into(place))
     }
 
-    fn read_into(&mut self, place: VariableElement) -> Step<()> {
+    fn read_into(&mut self, place: StepSide) -> Step<()> {
         let time = self.t;
         let Stepping { running: Running { current, buffers, .. }, before, after, .. } = &mut *self.stepping;
         let outputs = self.plan.outputs();
         current.core()?.call(|raw| buffers.read(outputs, raw))?;
         let row = match place {
-            VariableElement::Before => before,
-            VariableElement::After => after,
+            StepSide::Before => before,
+            StepSide::After => after,
         };
-        buffers.row(outputs, time, self.plan.same, &[], row);
+        buffers.row(outputs, time, self.plan.time_tolerance, &[], row);
         Ok(())
     }
 
@@ -33,7 +33,7 @@ impl Run<'_> {
     }
 
     fn is_here(&self) -> bool {
-        self.plan.times.get(self.next_row).is_some_and(|row| *row <= self.t + self.plan.same)
+        self.plan.times.get(self.next_row).is_some_and(|row| *row <= self.t + self.plan.time_tolerance)
     }
 
     /// Reads the derivatives of outputs at the end of a step, if the FMU offers them.
@@ -93,7 +93,7 @@ impl Run<'_> {
     /// The limit from the left, where somebody wants it.
     pub(super) fn sample_left(&mut self) -> Step<()> {
         if self.is_here() && self.twice() {
-            self.read(VariableElement::After)?;
+            self.read(StepSide::After)?;
             self.deliver_after()?;
         }
         Ok(())
@@ -104,7 +104,7 @@ impl Run<'_> {
         if !self.is_here() {
             return Ok(());
         }
-        self.read(VariableElement::After)?;
+        self.read(StepSide::After)?;
         while self.is_here() {
             self.deliver_after()?;
         }

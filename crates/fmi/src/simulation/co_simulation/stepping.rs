@@ -2,7 +2,7 @@
 
 use crate::description::Variable;
 use crate::error::FmiError;
-use crate::simulation::parameters::StartValues;
+use crate::simulation::parameters::RunInput;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Phase, Running};
 use crate::sys::RawInstance;
@@ -41,16 +41,11 @@ impl Stepping {
     }
 
     /// Brings a fresh instance to its first communication point: values, inputs, initialization.
-    pub(crate) fn initialize(
-        &mut self,
-        raw: RawInstance,
-        start_values: &StartValues,
-        parameters: &[f64],
-    ) -> Result<(), FmiError> {
+    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
         let plan = &self.running.plan;
         let ends_exactly = plan.communication.as_ref().is_some_and(|c| c.ends_exactly);
         let stop = ends_exactly.then_some(plan.end);
-        let instance = self.running.begin(raw, start_values, parameters, stop)?;
+        let instance = self.running.begin(raw, input, stop)?;
         let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let (instance, outcome) = instance.begin_steps(|core, time| {
             let recorded = &plan.outputs().clocks;

@@ -177,7 +177,7 @@ pub(crate) struct InputPlan {
     /// Jumps and kinks, ascending.
     pub(super) stops: Vec<InputStop>,
     /// Times closer than this are one.
-    pub(super) same: f64,
+    pub(super) time_tolerance: f64,
     /// What is driven.
     pub(crate) driven: Vec<VariableElement>,
     /// What is said about clocks and their inputs.
@@ -195,13 +195,13 @@ impl fmt::Debug for InputPlan {
 }
 
 impl InputPlan {
-    /// Resolves and checks the inputs; `same` is the distance within which times are equal.
+    /// Resolves and checks the inputs; `time_tolerance` is the distance within which times are equal.
     ///
     /// # Errors
     /// Unknown names, variables that are not inputs, tables whose rows cannot be used.
-    pub(crate) fn new(starts: &Starts<'_>, inputs: &Inputs, same: f64) -> Result<Self, FmiError> {
+    pub(crate) fn new(starts: &Starts<'_>, inputs: &Inputs, time_tolerance: f64) -> Result<Self, FmiError> {
         let description = starts.description;
-        let mut plan = Self { same, ..Self::default() };
+        let mut plan = Self { time_tolerance, ..Self::default() };
         let mut stops = Vec::new();
         for source in &inputs.sources {
             let Source { name, values: source } = source;
@@ -287,7 +287,7 @@ impl InputPlan {
         let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
         if is_linear(variable) {
             let column = column.times(if variable.negated { -1.0 } else { 1.0 });
-            column.linear_stops(self.same, stops);
+            column.linear_stops(self.time_tolerance, stops);
             let at = self.place_continuous(starts, place)?;
             self.linear.push((column, at));
             return Ok(());
@@ -389,7 +389,7 @@ impl InputPlan {
         let mut first = f64::NEG_INFINITY;
         for stop in stops {
             match self.stops.last_mut() {
-                Some(last) if stop.time - first <= self.same => {
+                Some(last) if stop.time - first <= self.time_tolerance => {
                     last.time = stop.time;
                     last.jump |= stop.jump;
                 }
@@ -402,7 +402,7 @@ impl InputPlan {
         self.jumps = self.stops.iter().filter(|stop| stop.jump).map(|stop| stop.time).collect();
         let linear = self.linear.iter_mut().map(|(column, _)| column);
         for column in linear.chain(self.held.iter_mut().map(|held| &mut held.column.column)) {
-            column.snap(&self.jumps, self.same);
+            column.snap(&self.jumps, self.time_tolerance);
         }
     }
 
@@ -418,7 +418,7 @@ impl InputPlan {
 
     /// The first stop after `t`.
     pub(crate) fn next_stop(&self, t: f64) -> Option<InputStop> {
-        let next = self.stops.partition_point(|stop| stop.time <= t + self.same);
+        let next = self.stops.partition_point(|stop| stop.time <= t + self.time_tolerance);
         self.stops.get(next).copied()
     }
 }

@@ -57,7 +57,7 @@ impl InputState {
     /// Lets the jumps up to `t` happen and takes over the held values; whether there were any.
     pub(crate) fn pass(&mut self, plan: &InputPlan, t: f64) -> bool {
         let before = self.passed;
-        let happened = plan.jumps.partition_point(|jump| *jump <= t + plan.same);
+        let happened = plan.jumps.partition_point(|jump| *jump <= t + plan.time_tolerance);
         self.passed = self.passed.max(happened);
         let now = match self.passed.checked_sub(1).and_then(|last| plan.jumps.get(last)) {
             Some(jump) => jump.max(t),
@@ -128,9 +128,9 @@ mod tests {
     }
 
     fn plan_of(linear: Vec<Column>, held: Vec<Column>) -> InputPlan {
-        let mut plan = InputPlan { same: 1e-14, ..InputPlan::default() };
+        let mut plan = InputPlan { time_tolerance: 1e-14, ..InputPlan::default() };
         let mut stops = Vec::new();
-        linear.iter().for_each(|c| c.linear_stops(plan.same, &mut stops));
+        linear.iter().for_each(|c| c.linear_stops(plan.time_tolerance, &mut stops));
         held.iter().for_each(|c| c.held_stops(&mut stops));
         plan.held_reals.start = vec![0.0; held.len()];
         plan.continuous.start = vec![0.0; linear.len()];

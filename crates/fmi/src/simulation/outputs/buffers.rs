@@ -13,15 +13,15 @@ pub(crate) enum OutputSource {
     Time,
     /// A state or an alias of one: copied, without a call.
     State(usize),
-    /// VariableElement among the values of type `Real`.
+    /// Place among the values of type `Real`.
     Real(usize),
-    /// VariableElement among the words of all other numbers.
+    /// Place among the words of all other numbers.
     Packed(usize, VariableKind),
     /// The upper or lower half of such a word.
     Half(usize, VariableKind, bool),
-    /// VariableElement among the texts.
+    /// Place among the texts.
     Text(usize),
-    /// VariableElement among the binary values.
+    /// Place among the binary values.
     Bytes(usize),
     /// Whether a clock ticked at this instant: place among the clocks recorded.
     Tick(usize),
@@ -350,8 +350,8 @@ impl OutputBuffers {
         reals.into_iter().all(|(now, then)| now.to_bits() == then.to_bits()) && self.words == self.kept.1
     }
 
-    /// Puts the row together; times closer than `same` are one.
-    pub(crate) fn row(&self, plan: &OutputPlan, t: f64, same: f64, x: &[f64], y: &mut [f64]) {
+    /// Puts the row together; times closer than `time_tolerance` are one.
+    pub(crate) fn row(&self, plan: &OutputPlan, t: f64, time_tolerance: f64, x: &[f64], y: &mut [f64]) {
         for (column, value) in plan.columns.iter().zip(y.iter_mut()) {
             *value = match column.source {
                 OutputSource::Time => t,
@@ -361,7 +361,7 @@ impl OutputBuffers {
                 OutputSource::Half(i, _, upper) => texts::half(self.words[i], upper),
                 OutputSource::Text(i) => self.texts[i],
                 OutputSource::Bytes(i) => self.binaries[i],
-                OutputSource::Tick(i) => f64::from(u8::from((t - self.ticked[i]).abs() <= same)),
+                OutputSource::Tick(i) => f64::from(u8::from((t - self.ticked[i]).abs() <= time_tolerance)),
             };
             if column.negated {
                 *value = match column.source {

@@ -37,7 +37,8 @@ impl Communication {
         grid: &Grid,
     ) -> Result<Self, FmiError> {
         let span = grid.end - grid.start;
-        let makes_sense = |step: &f64| step.is_finite() && *step > grid.same && span / *step <= MAX_STEPS;
+        let makes_sense =
+            |step: &f64| step.is_finite() && *step > grid.time_tolerance && span / *step <= MAX_STEPS;
         if let Some(step) = options.step_size.filter(|step| !makes_sense(step)) {
             let problem = format!(
                 "step_size = {} from {} to {}: it must be positive, finite, and not make more than {MAX_STEPS:e} steps",

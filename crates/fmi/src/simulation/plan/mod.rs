@@ -33,7 +33,7 @@ pub struct SimulationPlan {
     pub(crate) options: ode::Options,
     pub(crate) start: f64,
     pub(crate) end: f64,
-    pub(crate) same: f64,
+    pub(crate) time_tolerance: f64,
     pub(crate) times: Vec<f64>,
     pub(crate) values: RunValues,
     pub(crate) inputs: InputPlan,
@@ -84,10 +84,11 @@ impl SimulationPlan {
         let (given, structure) = values::resolve(description, &options.start_values)?;
         let starts = Starts { description, structure: &structure, given: &given };
         let no_inputs = Inputs::default();
-        let inputs = InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.same)?;
+        let inputs =
+            InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.time_tolerance)?;
         let has_events = kind == InterfaceKind::ModelExchange || interface.capabilities.uses_event_mode();
         let clocks = if has_events {
-            ClockPlan::new(description, &inputs.clocks, &options.clock_intervals, grid.same)?
+            ClockPlan::new(description, &inputs.clocks, &options.clock_intervals, grid.time_tolerance)?
         } else {
             ClockPlan::without_event_mode(description, &inputs.clocks, &options.clock_intervals)?
         };
@@ -107,7 +108,7 @@ impl SimulationPlan {
             options: method,
             start: grid.start,
             end: grid.end,
-            same: grid.same,
+            time_tolerance: grid.time_tolerance,
             times: grid.times,
             settings: values.settings(&inputs),
             values,

@@ -6,7 +6,7 @@ use crate::error::FmiError;
 use crate::instance::Core;
 use crate::instance::assignments::{self, Assignments, check_settable_at_start};
 use crate::simulation::inputs::InputPlan;
-use crate::simulation::parameters::{Slots, StartValues, Starts, Unset, VariableElement};
+use crate::simulation::parameters::{RunInput, Slots, StartValues, Starts, Unset, VariableElement};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -146,23 +146,28 @@ impl RunValues {
         settings.into()
     }
 
+    /// The start values of the plan, and these parameters.
+    pub(crate) fn input<'a>(&'a self, parameters: &'a [f64]) -> RunInput<'a> {
+        RunInput { start: &self.start, parameters }
+    }
+
     /// Start values and parameters a little off, within their bounds: for trial runs whose traces must not be found
     /// again in the next run. Integers and the like stay as they are: they may choose another model altogether.
-    pub(crate) fn others(
+    pub(crate) fn perturbed(
         &self,
         description: &ModelDescription,
         parameters: &[f64],
     ) -> (StartValues, Vec<f64>) {
         let mut others = self.start.clone();
-        self.nudge_all(description, &mut others.early);
-        self.nudge_all(description, &mut others.inputs);
+        self.perturb_all(description, &mut others.early);
+        self.perturb_all(description, &mut others.inputs);
         let variable = |parameter: &RunParameter| &description.variables[parameter.place.variable];
         let parameters = self.parameters.iter().zip(parameters);
-        let parameters = parameters.map(|(parameter, value)| nudge(variable(parameter), *value)).collect();
+        let parameters = parameters.map(|(parameter, value)| perturb(variable(parameter), *value)).collect();
         (others, parameters)
     }
 
-    fn nudge_all(&self, description: &ModelDescription, values: &mut Assignments) {
+    fn perturb_all(&self, description: &ModelDescription, values: &mut Assignments) {
         if values.reals.0.is_empty() {
             return;
         }
@@ -176,7 +181,7 @@ impl RunValues {
         for reference in &values.reals.0 {
             let Some(variable) = variables.get(reference) else { break };
             let (values, others) = rest.split_at_mut(self.structure.elements(description, variable));
-            values.iter_mut().for_each(|value| *value = nudge(variable, *value));
+            values.iter_mut().for_each(|value| *value = perturb(variable, *value));
             rest = others;
         }
     }
@@ -187,8 +192,7 @@ impl RunValues {
         &self,
         core: &mut Core,
         unset: &Unset,
-        start_values: &StartValues,
-        parameters: &[f64],
+        input: RunInput<'_>,
         buffer: &mut Vec<f64>,
     ) -> Result<(), FmiError> {
         if !unset.structural.is_empty() {
@@ -198,20 +202,19 @@ impl RunValues {
             core.configure(&self.structural, &self.structure)?;
         }
         core.apply(&unset.early)?;
-        core.apply(&start_values.early)?;
-        self.set_parameters(core, &self.parameter_slots, false, parameters, buffer)
+        core.apply(&input.start.early)?;
+        self.set_parameters(core, &self.parameter_slots, false, input.parameters, buffer)
     }
 
     /// Gives the inputs that do not vary their values, in initialization mode; `buffer` is used on the way.
     pub(crate) fn set_up_inputs(
         &self,
         core: &mut Core,
-        start_values: &StartValues,
-        parameters: &[f64],
+        input: RunInput<'_>,
         buffer: &mut Vec<f64>,
     ) -> Result<(), FmiError> {
-        core.apply(&start_values.inputs)?;
-        self.set_parameters(core, &self.input_slots, true, parameters, buffer)
+        core.apply(&input.start.inputs)?;
+        self.set_parameters(core, &self.input_slots, true, input.parameters, buffer)
     }
 
     /// Sets the parameters of a run that are inputs, or the others.
@@ -299,7 +302,7 @@ pub(super) fn resolve(
 }
 
 /// A value a little off, within the variable's bounds.
-fn nudge(variable: &Variable, value: f64) -> f64 {
+fn perturb(variable: &Variable, value: f64) -> f64 {
     let size = if value != 0.0 {
         value.abs()
     } else {

@@ -5,7 +5,7 @@ use crate::sys::callbacks::{Callbacks, fmi3_log};
 use crate::sys::function::{Answer, call};
 use crate::sys::functions::{Derivative, Functions, derivative};
 use crate::sys::symbols::{Symbols, table};
-use crate::sys::types::{Component, EventInfo, Experiment, InterfaceKind, Request, StepInfo};
+use crate::sys::types::{Component, Direction, EventInfo, Experiment, InterfaceKind, Request, StepInfo};
 use crate::sys::version::{Step, Version};
 use std::ffi::{CString, c_char, c_int, c_void};
 
@@ -134,25 +134,15 @@ impl Version for Fmi3 {
         }
     }
 
-    unsafe fn set_debug_logging(
-        &self,
-        component: Component,
-        on: bool,
-        categories: &[*const c_char],
-    ) -> Answer {
-        call!(self.common.set_debug_logging, component, on, categories.len(), categories.as_ptr())
+    unsafe fn set_debug_logging(&self, c: Component, on: bool, categories: &[*const c_char]) -> Answer {
+        call!(self.common.set_debug_logging, c, on, categories.len(), categories.as_ptr())
     }
 
-    unsafe fn enter_initialization(
-        &self,
-        _: &Functions,
-        component: Component,
-        experiment: &Experiment,
-    ) -> Answer {
+    unsafe fn enter_initialization(&self, _: &Functions, c: Component, experiment: &Experiment) -> Answer {
         let Experiment { tolerance, start, stop } = *experiment;
         call!(
             self.common.enter_initialization,
-            component,
+            c,
             tolerance.is_some(),
             tolerance.unwrap_or(0.0),
             start,
@@ -161,26 +151,17 @@ impl Version for Fmi3 {
         )
     }
 
-    unsafe fn directional_derivative(
-        &self,
-        component: Component,
-        unknowns: &[u32],
-        knowns: &[u32],
-        seed: &[f64],
-        sensitivity: &mut [f64],
-    ) -> Answer {
+    unsafe fn directional_derivative(&self, c: Component, along: Direction<'_>, out: &mut [f64]) -> Answer {
         // SAFETY: as for this call.
-        unsafe {
-            derivative(&self.common.directional_derivative, component, unknowns, knowns, seed, sensitivity)
-        }
+        unsafe { derivative(&self.common.directional_derivative, c, along, out) }
     }
 
-    unsafe fn new_discrete_states(&self, component: Component, info: &mut EventInfo) -> Answer {
+    unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer {
         let (mut again, mut terminate, mut nominals, mut values, mut defined) = (0, 0, 0, 0, 0);
         let mut next = 0.0;
         let answer = call!(
             self.common.update_discrete_states,
-            component,
+            c,
             &raw mut again,
             &raw mut terminate,
             &raw mut nominals,
@@ -198,32 +179,26 @@ impl Version for Fmi3 {
         answer
     }
 
-    unsafe fn completed_integrator_step(
-        &self,
-        component: Component,
-        no_set_state_prior: bool,
-        event: &mut bool,
-        terminate: &mut bool,
-    ) -> Answer {
+    unsafe fn completed_integrator_step(&self, c: Component, no_prior: bool, info: &mut StepInfo) -> Answer {
         let (mut raw_event, mut raw_terminate): (Flag, Flag) = (0, 0);
         let answer = call!(
             self.model_exchange.completed_integrator_step,
-            component,
-            no_set_state_prior,
+            c,
+            no_prior,
             &raw mut raw_event,
             &raw mut raw_terminate
         );
-        (*event, *terminate) = (raw_event != 0, raw_terminate != 0);
+        (info.event, info.terminate) = (raw_event != 0, raw_terminate != 0);
         answer
     }
 
-    unsafe fn do_step(&self, _: &Functions, component: Component, step: Step, info: &mut StepInfo) -> Answer {
+    unsafe fn do_step(&self, _: &Functions, c: Component, step: Step, info: &mut StepInfo) -> Answer {
         let Step { time, size, no_set_state_prior, .. } = step;
         let (mut event, mut terminate, mut early): (Flag, Flag, Flag) = (0, 0, 0);
         let mut reached = f64::NAN;
         let answer = call!(
             self.co_simulation.do_step,
-            component,
+            c,
             time,
             size,
             no_set_state_prior,
@@ -247,16 +222,16 @@ impl Version for Fmi3 {
     unsafe fn get_output_derivatives(
         &self,
         _: &Functions,
-        component: Component,
-        references: &[u32],
+        c: Component,
+        refs: &[u32],
         orders: &[c_int],
         values: &mut [f64],
     ) -> Answer {
         call!(
             self.co_simulation.get_output_derivatives,
-            component,
-            references.as_ptr(),
-            references.len(),
+            c,
+            refs.as_ptr(),
+            refs.len(),
             orders.as_ptr(),
             values.as_mut_ptr(),
             values.len()

@@ -156,50 +156,26 @@ impl Values for Fmi3Values {
         true
     }
 
-    fn getter(&self, kind: VariableKind) -> &'static str {
-        with_getter!(self, kind, |function| function.name, else match kind {
-            VariableKind::Real => self.get_float64.name,
-            VariableKind::String => self.get_string.name,
-            VariableKind::Binary => self.get_binary.name,
-            _ => self.get_clock.name,
-        })
+    unsafe fn get_real(&self, c: Component, refs: &[u32], values: &mut [f64]) -> Answer {
+        let (list, n) = (refs.as_ptr(), refs.len());
+        call!(self.get_float64, c, list, n, values.as_mut_ptr(), values.len())
     }
 
-    fn setter(&self, kind: VariableKind) -> &'static str {
-        with_setter!(self, kind, |function| function.name, else match kind {
-            VariableKind::Real => self.set_float64.name,
-            VariableKind::String => self.set_string.name,
-            VariableKind::Binary => self.set_binary.name,
-            _ => self.set_clock.name,
-        })
+    unsafe fn set_real(&self, c: Component, refs: &[u32], values: &[f64]) -> Answer {
+        let (list, n) = (refs.as_ptr(), refs.len());
+        call!(self.set_float64, c, list, n, values.as_ptr(), values.len())
     }
 
-    unsafe fn get_real(&self, component: Component, references: &[u32], values: &mut [f64]) -> Answer {
-        let (list, n) = (references.as_ptr(), references.len());
-        call!(self.get_float64, component, list, n, values.as_mut_ptr(), values.len())
-    }
-
-    unsafe fn set_real(&self, component: Component, references: &[u32], values: &[f64]) -> Answer {
-        let (list, n) = (references.as_ptr(), references.len());
-        call!(self.set_float64, component, list, n, values.as_ptr(), values.len())
-    }
-
-    unsafe fn get_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        words: &mut [i64],
-    ) -> Answer {
-        let (list, n, count) = (references.as_ptr(), references.len(), words.len());
+    unsafe fn get_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer {
+        let (list, n, count) = (refs.as_ptr(), refs.len(), words.len());
         let answer = with_getter!(
             self,
             kind,
-            |function| packed::get(words, |values| call!(function, component, list, n, values, count)),
+            |function| packed::get(words, |values| call!(function, c, list, n, values, count)),
             else match kind {
                 // One value for each clock: the FMU is not told how many there are.
                 VariableKind::Clock if n == count => {
-                    packed::get(words, |values| call!(self.get_clock, component, list, n, values))
+                    packed::get(words, |values| call!(self.get_clock, c, list, n, values))
                 }
                 VariableKind::Clock => Answer { function: self.get_clock.name, status: Status::Error },
                 _ => NO_SUCH_TYPE,
@@ -211,21 +187,15 @@ impl Values for Fmi3Values {
         answer
     }
 
-    unsafe fn set_packed(
-        &self,
-        component: Component,
-        kind: VariableKind,
-        references: &[u32],
-        words: &mut [i64],
-    ) -> Answer {
-        let (list, n, count) = (references.as_ptr(), references.len(), words.len());
+    unsafe fn set_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer {
+        let (list, n, count) = (refs.as_ptr(), refs.len(), words.len());
         with_setter!(
             self,
             kind,
-            |function| packed::set(words, |values| call!(function, component, list, n, values, count)),
+            |function| packed::set(words, |values| call!(function, c, list, n, values, count)),
             else match kind {
                 VariableKind::Clock if n == count => {
-                    packed::set(words, |values| call!(self.set_clock, component, list, n, values))
+                    packed::set(words, |values| call!(self.set_clock, c, list, n, values))
                 }
                 VariableKind::Clock => Answer { function: self.set_clock.name, status: Status::Error },
                 _ => NO_SUCH_TYPE,
@@ -233,45 +203,29 @@ impl Values for Fmi3Values {
         )
     }
 
-    unsafe fn get_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &mut [*const c_char],
-    ) -> Answer {
-        let (list, n) = (references.as_ptr(), references.len());
-        call!(self.get_string, component, list, n, values.as_mut_ptr(), values.len())
+    unsafe fn get_string(&self, c: Component, refs: &[u32], values: &mut [*const c_char]) -> Answer {
+        let (list, n) = (refs.as_ptr(), refs.len());
+        call!(self.get_string, c, list, n, values.as_mut_ptr(), values.len())
     }
 
-    unsafe fn set_string(
-        &self,
-        component: Component,
-        references: &[u32],
-        values: &[*const c_char],
-    ) -> Answer {
-        let (list, n) = (references.as_ptr(), references.len());
-        call!(self.set_string, component, list, n, values.as_ptr(), values.len())
+    unsafe fn set_string(&self, c: Component, refs: &[u32], values: &[*const c_char]) -> Answer {
+        let (list, n) = (refs.as_ptr(), refs.len());
+        call!(self.set_string, c, list, n, values.as_ptr(), values.len())
     }
 
     unsafe fn get_binary(
         &self,
-        component: Component,
-        references: &[u32],
+        c: Component,
+        refs: &[u32],
         sizes: &mut [usize],
         values: &mut [*const u8],
     ) -> Answer {
-        let (list, n) = (references.as_ptr(), references.len());
-        call!(self.get_binary, component, list, n, sizes.as_mut_ptr(), values.as_mut_ptr(), values.len())
+        let (list, n) = (refs.as_ptr(), refs.len());
+        call!(self.get_binary, c, list, n, sizes.as_mut_ptr(), values.as_mut_ptr(), values.len())
     }
 
-    unsafe fn set_binary(
-        &self,
-        component: Component,
-        references: &[u32],
-        sizes: &[usize],
-        values: &[*const u8],
-    ) -> Answer {
-        let (list, n) = (references.as_ptr(), references.len());
-        call!(self.set_binary, component, list, n, sizes.as_ptr(), values.as_ptr(), values.len())
+    unsafe fn set_binary(&self, c: Component, refs: &[u32], sizes: &[usize], values: &[*const u8]) -> Answer {
+        let (list, n) = (refs.as_ptr(), refs.len());
+        call!(self.set_binary, c, list, n, sizes.as_ptr(), values.as_ptr(), values.len())
     }
 }

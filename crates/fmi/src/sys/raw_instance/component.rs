@@ -10,7 +10,7 @@ use crate::sys::environment::{CallEnvironment, OneCall, restore_default};
 use crate::sys::function::{Answer, Function, call};
 use crate::sys::functions::{CommonFunctions, Functions, GetVector, Plain, PointFunctions, derivative};
 use crate::sys::library::Library;
-use crate::sys::types::{Component, ElementDependency, EventInfo, Experiment, Request};
+use crate::sys::types::{Component, Direction, ElementDependency, EventInfo, Experiment, Request, StepInfo};
 use std::ffi::{CString, c_int};
 use std::mem::ManuallyDrop;
 use std::path::PathBuf;
@@ -40,7 +40,7 @@ pub(super) struct Memory {
 pub(crate) struct RawInstance {
     pub(super) component: Component,
     /// The function that returned `Fatal`: nothing is called any more.
-    pub(super) dead: Option<&'static str>,
+    pub(super) fatal: Option<&'static str>,
     pub(super) sizes: Sizes,
     /// Co-simulation: made to have its events handled between steps.
     pub(super) event_mode: bool,
@@ -53,7 +53,7 @@ pub(crate) struct RawInstance {
     pub(super) saved: SavedStates,
     pub(super) buffers: Box<ValueBuffers>,
     pub(super) memory: Box<Memory>,
-    // What the component may reach; given up by hand, after it, and not at all when it is dead.
+    // What the component may reach; given up by hand, after it, and not at all after `Fatal`.
     pub(super) callbacks: ManuallyDrop<Callbacks>,
     pub(super) library: ManuallyDrop<Arc<Library>>,
 }
@@ -66,7 +66,7 @@ unsafe impl Send for RawInstance {}
 impl std::fmt::Debug for RawInstance {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("RawInstance")
-            .field("dead", &self.dead)
+            .field("fatal", &self.fatal)
             .field("time", &self.time)
             .finish_non_exhaustive()
     }
@@ -99,7 +99,7 @@ impl RawInstance {
         library.shared().set_used();
         Ok(Self {
             component,
-            dead: None,
+            fatal: None,
             sizes,
             event_mode: request.event_mode,
             has_arrays: library.values.has_arrays(),
@@ -114,8 +114,8 @@ impl RawInstance {
     }
 
     /// Whether a call of this instance, or of another of the same loaded copy of the library, returned `Fatal`.
-    pub(crate) fn is_dead(&self) -> bool {
-        self.dead.is_some() || self.library.shared().is_fatal()
+    pub(crate) fn is_fatal(&self) -> bool {
+        self.fatal.is_some() || self.library.shared().is_fatal()
     }
 
     /// The file of its library.
@@ -166,7 +166,7 @@ impl RawInstance {
             Status::Discard => return Err(Fault::Discard(function)),
             Status::Missing => return Err(Fault::Missing(function)),
             Status::Fatal => {
-                self.dead = Some(function);
+                self.fatal = Some(function);
                 self.library.shared().set_fatal();
             }
             Status::Error | Status::Pending | Status::Unknown(_) => {}
@@ -174,15 +174,15 @@ impl RawInstance {
         Err(Fault::Failed(Box::new(self.failed(function, status))))
     }
 
-    /// Refuses calls on a dead component, or into a library that is not to be trusted any more.
+    /// Refuses calls on a component after `Fatal`, or into a library that is not to be trusted any more.
     #[inline]
-    pub(super) fn alive(&self) -> Outcome {
-        if self.is_dead() { self.not_alive() } else { Ok(()) }
+    pub(super) fn check_usable(&self) -> Outcome {
+        if self.is_fatal() { self.unusable() } else { Ok(()) }
     }
 
     #[cold]
-    fn not_alive(&self) -> Outcome {
-        Err(match self.dead {
+    fn unusable(&self) -> Outcome {
+        Err(match self.fatal {
             Some(function) => Fault::Failed(Box::new(self.failed(function, Status::Fatal))),
             None => Fault::Unusable(self.library_path()),
         })
@@ -190,8 +190,8 @@ impl RawInstance {
 
     /// As many values as references, or more where references may stand for arrays (how many is the caller's to know:
     /// the FMU is told the number of values).
-    pub(super) fn lengths(&self, function: &'static str, references: usize, values: usize) -> Outcome {
-        if self.has_arrays { Ok(()) } else { self.length(function, references, values) }
+    pub(super) fn lengths(&self, references: usize, values: usize) -> Outcome {
+        if self.has_arrays { Ok(()) } else { self.length("values by reference", references, values) }
     }
 
     pub(super) fn length(&self, function: &'static str, expected: usize, found: usize) -> Outcome {
@@ -274,27 +274,13 @@ impl RawInstance {
         self.plain(|functions| &functions.common.reset)
     }
 
-    pub(crate) fn directional_derivative(
-        &mut self,
-        unknowns: &[u32],
-        knowns: &[u32],
-        seed: &[f64],
-        sensitivity: &mut [f64],
-    ) -> Outcome {
-        run!(self, |library, c| {
-            library.version.directional_derivative(c, unknowns, knowns, seed, sensitivity)
-        })
+    pub(crate) fn directional_derivative(&mut self, along: Direction<'_>, out: &mut [f64]) -> Outcome {
+        run!(self, |library, c| library.version.directional_derivative(c, along, out))
     }
 
-    pub(crate) fn adjoint_derivative(
-        &mut self,
-        unknowns: &[u32],
-        knowns: &[u32],
-        seed: &[f64],
-        sensitivity: &mut [f64],
-    ) -> Outcome {
+    pub(crate) fn adjoint_derivative(&mut self, along: Direction<'_>, out: &mut [f64]) -> Outcome {
         let function = self.library.functions.common.adjoint_derivative;
-        run!(self, |_library, c| derivative(&function, c, unknowns, knowns, seed, sensitivity))
+        run!(self, |_library, c| derivative(&function, c, along, out))
     }
 
     /// What the elements of a variable depend on.
@@ -363,12 +349,9 @@ impl RawInstance {
     /// Returns whether the model wants an event, and whether it wants to end.
     pub(crate) fn completed_integrator_step(&mut self) -> Result<(bool, bool), Fault> {
         self.callbacks.log().go_on();
-        let (mut event, mut terminate) = (false, false);
-        let no_set_state_prior = !self.saved.may_be_restored();
-        run!(self, |library, c| {
-            library.version.completed_integrator_step(c, no_set_state_prior, &mut event, &mut terminate)
-        })?;
-        Ok((event, terminate))
+        let (mut info, no_set_state_prior) = (StepInfo::default(), !self.saved.may_be_restored());
+        run!(self, |library, c| library.version.completed_integrator_step(c, no_set_state_prior, &mut info))?;
+        Ok((info.event, info.terminate))
     }
 
     pub(crate) fn set_time(&mut self, time: f64) -> Outcome {
@@ -411,7 +394,7 @@ impl RawInstance {
             &self.library.functions.point;
         self.length(set_continuous_states.name, self.sizes.states, states.len())?;
         self.length(get_derivatives.name, self.sizes.states, derivatives.len())?;
-        self.alive()?;
+        self.check_usable()?;
         self.callbacks.log().go_on();
         self.time = Some(time);
         let one = OneCall::enter();
@@ -461,7 +444,7 @@ fn zeros<T: Copy + Default>(n: usize) -> Option<Vec<T>> {
 
 impl Drop for RawInstance {
     fn drop(&mut self) {
-        if self.is_dead() {
+        if self.is_fatal() {
             // Invariant 6: no further call, and what the component may still reach is leaked: library, callbacks, log.
             return;
         }

@@ -4,19 +4,23 @@
 /// The thread is set up for it, and nothing of what it changes there is left.
 macro_rules! run {
     ($self:ident, |$library:ident, $component:ident| $body:expr) => {{
-        $self.alive()?;
-        let answer = {
-            let ($library, $component) = (&**$self.library, $self.component);
-            let _call = crate::sys::environment::OneCall::enter();
-            let _current = $self.callbacks.enter();
-            // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of this
-            // macro or are those of the slices passed.
-            #[allow(unused_unsafe)]
-            unsafe {
-                $body
+        match $self.check_usable() {
+            Err(fault) => Err(fault),
+            Ok(()) => {
+                let answer = {
+                    let ($library, $component) = (&**$self.library, $self.component);
+                    let _call = crate::sys::environment::OneCall::enter();
+                    let _current = $self.callbacks.enter();
+                    // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of
+                    // this macro or are those of the slices passed.
+                    #[allow(unused_unsafe)]
+                    unsafe {
+                        $body
+                    }
+                };
+                $self.check(answer)
             }
-        };
-        $self.check(answer)
+        }
     }};
 }
 

@@ -42,7 +42,7 @@ impl RawInstance {
         let cancel = self.library.functions.steps.cancel;
         let mut give_up = || run!(self, |_library, c| call!(cancel, c));
         if give_up().is_err() {
-            self.dead.get_or_insert(cancel.name);
+            self.fatal.get_or_insert(cancel.name);
         }
     }
 

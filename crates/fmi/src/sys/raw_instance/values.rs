@@ -3,23 +3,39 @@
 use super::component::RawInstance;
 use super::fault::{Fault, Outcome};
 use crate::description::VariableKind;
-use std::ffi::{CStr, CString, c_char};
+use std::ffi::{CStr, CString};
 
 impl RawInstance {
     pub(crate) fn get_real(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
-        self.lengths(self.library.values.getter(VariableKind::Real), references.len(), values.len())?;
+        self.lengths(references.len(), values.len())?;
         run!(self, |library, c| library.values.get_real(c, references, values))
     }
 
-    /// Values of any kind of number but `Real`, in words.
+    pub(crate) fn set_real(&mut self, references: &[u32], values: &[f64]) -> Outcome {
+        self.lengths(references.len(), values.len())?;
+        run!(self, |library, c| library.values.set_real(c, references, values))
+    }
+
+    /// Values of any kind of number but `Real`, in words of 64 bits.
     pub(crate) fn get_packed(
         &mut self,
         kind: VariableKind,
         references: &[u32],
         words: &mut [i64],
     ) -> Outcome {
-        self.lengths(self.library.values.getter(kind), references.len(), words.len())?;
+        self.lengths(references.len(), words.len())?;
         run!(self, |library, c| library.values.get_packed(c, kind, references, words))
+    }
+
+    /// Values of any kind of number but `Real`, in words of 64 bits.
+    pub(crate) fn set_packed(&mut self, kind: VariableKind, references: &[u32], words: &[i64]) -> Outcome {
+        self.lengths(references.len(), words.len())?;
+        let mut copy = std::mem::take(&mut self.buffers.words);
+        copy.clear();
+        copy.extend_from_slice(words);
+        let outcome = run!(self, |library, c| library.values.set_packed(c, kind, references, &mut copy));
+        self.buffers.words = copy;
+        outcome
     }
 
     /// Reads texts and hands each, `count` in all, to `take` in turn; what is not UTF-8 is replaced.
@@ -29,11 +45,11 @@ impl RawInstance {
         count: usize,
         mut take: impl FnMut(&str),
     ) -> Outcome {
-        self.lengths(self.library.values.getter(VariableKind::String), references.len(), count)?;
+        self.lengths(references.len(), count)?;
         let mut pointers = std::mem::take(&mut self.buffers.texts);
         pointers.clear();
         pointers.resize(count, std::ptr::null());
-        let outcome = self.read_strings(references, &mut pointers);
+        let outcome = run!(self, |library, c| library.values.get_string(c, references, &mut pointers));
         if outcome.is_ok() {
             for pointer in &pointers {
                 if pointer.is_null() {
@@ -49,8 +65,14 @@ impl RawInstance {
         outcome
     }
 
-    fn read_strings(&mut self, references: &[u32], pointers: &mut [*const c_char]) -> Outcome {
-        run!(self, |library, c| library.values.get_string(c, references, pointers))
+    pub(crate) fn set_string(&mut self, references: &[u32], values: &[CString]) -> Outcome {
+        self.lengths(references.len(), values.len())?;
+        let mut pointers = std::mem::take(&mut self.buffers.texts);
+        pointers.clear();
+        pointers.extend(values.iter().map(|value| value.as_ptr()));
+        let outcome = run!(self, |library, c| library.values.set_string(c, references, &pointers));
+        self.buffers.texts = pointers;
+        outcome
     }
 
     /// Reads binary values and hands each, `count` in all, to `take` in turn.
@@ -60,17 +82,16 @@ impl RawInstance {
         count: usize,
         mut take: impl FnMut(&[u8]),
     ) -> Outcome {
-        self.lengths(self.library.values.getter(VariableKind::Binary), references.len(), count)?;
+        self.lengths(references.len(), count)?;
         let (mut sizes, mut pointers) = self.buffers.take_binaries();
         sizes.resize(count, 0);
         pointers.resize(count, std::ptr::null());
-        let outcome = self.read_binaries(references, &mut sizes, &mut pointers);
+        let read =
+            run!(self, |library, c| library.values.get_binary(c, references, &mut sizes, &mut pointers));
         let largest = sizes.iter().copied().max().unwrap_or(0);
         let outcome = match isize::try_from(largest) {
-            Err(_) if outcome.is_ok() => {
-                Err(Fault::TooLarge { call: self.library.values.getter(VariableKind::Binary), size: largest })
-            }
-            _ => outcome,
+            Err(_) if read.is_ok() => Err(Fault::TooLarge { call: "fmi3GetBinary", size: largest }),
+            _ => read,
         };
         if outcome.is_ok() {
             for (pointer, size) in pointers.iter().zip(&sizes) {
@@ -87,60 +108,13 @@ impl RawInstance {
         outcome
     }
 
-    fn read_binaries(
-        &mut self,
-        references: &[u32],
-        sizes: &mut [usize],
-        pointers: &mut [*const u8],
-    ) -> Outcome {
-        run!(self, |library, c| library.values.get_binary(c, references, sizes, pointers))
-    }
-
-    pub(crate) fn set_real(&mut self, references: &[u32], values: &[f64]) -> Outcome {
-        self.lengths(self.library.values.setter(VariableKind::Real), references.len(), values.len())?;
-        run!(self, |library, c| library.values.set_real(c, references, values))
-    }
-
-    /// Values of any kind of number but `Real`, in words.
-    pub(crate) fn set_packed(&mut self, kind: VariableKind, references: &[u32], words: &[i64]) -> Outcome {
-        self.lengths(self.library.values.setter(kind), references.len(), words.len())?;
-        let mut copy = std::mem::take(&mut self.buffers.words);
-        copy.clear();
-        copy.extend_from_slice(words);
-        let outcome = self.set_copied(kind, references, &mut copy);
-        self.buffers.words = copy;
-        outcome
-    }
-
-    fn set_copied(&mut self, kind: VariableKind, references: &[u32], words: &mut [i64]) -> Outcome {
-        run!(self, |library, c| library.values.set_packed(c, kind, references, words))
-    }
-
-    pub(crate) fn set_string(&mut self, references: &[u32], values: &[CString]) -> Outcome {
-        self.lengths(self.library.values.setter(VariableKind::String), references.len(), values.len())?;
-        let mut pointers = std::mem::take(&mut self.buffers.texts);
-        pointers.clear();
-        pointers.extend(values.iter().map(|value| value.as_ptr()));
-        let outcome = self.write_strings(references, &pointers);
-        self.buffers.texts = pointers;
-        outcome
-    }
-
-    fn write_strings(&mut self, references: &[u32], pointers: &[*const c_char]) -> Outcome {
-        run!(self, |library, c| library.values.set_string(c, references, pointers))
-    }
-
     pub(crate) fn set_binary(&mut self, references: &[u32], values: &[Vec<u8>]) -> Outcome {
-        self.lengths(self.library.values.setter(VariableKind::Binary), references.len(), values.len())?;
+        self.lengths(references.len(), values.len())?;
         let (mut sizes, mut pointers) = self.buffers.take_binaries();
         sizes.extend(values.iter().map(Vec::len));
         pointers.extend(values.iter().map(|value| value.as_ptr()));
-        let outcome = self.write_binaries(references, &sizes, &pointers);
+        let outcome = run!(self, |library, c| library.values.set_binary(c, references, &sizes, &pointers));
         (self.buffers.sizes, self.buffers.binaries) = (sizes, pointers);
         outcome
-    }
-
-    fn write_binaries(&mut self, references: &[u32], sizes: &[usize], pointers: &[*const u8]) -> Outcome {
-        run!(self, |library, c| library.values.set_binary(c, references, sizes, pointers))
     }
 }
