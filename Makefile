@@ -51,6 +51,7 @@ bench: build benches/env/.venv/.done  ## side by side with the peers, in one run
 	benches/env/.venv/bin/python benches/against_fmpy.py
 	benches/env/.venv/bin/python benches/open_large.py
 	benches/env/.venv/bin/python benches/against_optimisers.py
+	benches/env/.venv/bin/python benches/dae.py
 	cargo bench --workspace
 
 # Both want a nightly compiler; what each seed and each finding of the fuzzer showed is replayed by `make test`.

@@ -57,17 +57,13 @@ impl Sampler {
         self.cursor + 1 < times.len() && times[self.cursor + 1] - times[self.cursor] <= self.time_tolerance
     }
 
-    fn emit<S, O>(
+    fn emit(
         &mut self,
-        system: &mut S,
+        system: &mut (impl HybridSystem + ?Sized),
         here: &Here<'_>,
         row: (f64, Option<usize>, Side),
-        observer: &mut O,
-    ) -> CallResult<ControlFlow<()>>
-    where
-        S: HybridSystem + ?Sized,
-        O: Observer + ?Sized,
-    {
+        observer: &mut (impl Observer + ?Sized),
+    ) -> CallResult<ControlFlow<()>> {
         let (time, index, side) = row;
         system.outputs(here.t, here.x, &mut self.outputs)?;
         self.delivered += 1;
@@ -75,17 +71,13 @@ impl Sampler {
     }
 
     /// Delivers the next requested time; the caller stands there.
-    pub(crate) fn deliver<S, O>(
+    pub(crate) fn deliver(
         &mut self,
-        system: &mut S,
+        system: &mut (impl HybridSystem + ?Sized),
         times: &[f64],
         here: &Here<'_>,
-        observer: &mut O,
-    ) -> CallResult<ControlFlow<()>>
-    where
-        S: HybridSystem + ?Sized,
-        O: Observer + ?Sized,
-    {
+        observer: &mut (impl Observer + ?Sized),
+    ) -> CallResult<ControlFlow<()>> {
         let index = self.cursor;
         let side = if self.twice(times) { Side::Left } else { Side::Right };
         let flow = self.emit(system, here, (times[index], Some(index), side), observer)?;
@@ -94,17 +86,13 @@ impl Sampler {
     }
 
     /// The left limit right before an event, if its time is listed twice or events are recorded.
-    pub(crate) fn deliver_left<S, O>(
+    pub(crate) fn deliver_left(
         &mut self,
-        system: &mut S,
+        system: &mut (impl HybridSystem + ?Sized),
         times: &[f64],
         here: &Here<'_>,
-        observer: &mut O,
-    ) -> CallResult<ControlFlow<()>>
-    where
-        S: HybridSystem + ?Sized,
-        O: Observer + ?Sized,
-    {
+        observer: &mut (impl Observer + ?Sized),
+    ) -> CallResult<ControlFlow<()>> {
         if self.due_before(times, here.t + here.time_tolerance).is_some() && self.twice(times) {
             self.deliver(system, times, here, observer)
         } else if here.record {
@@ -115,17 +103,13 @@ impl Sampler {
     }
 
     /// Every requested time that is this instant, after all that happens here; one row at least if `here.record`.
-    pub(crate) fn deliver_here<S, O>(
+    pub(crate) fn deliver_here(
         &mut self,
-        system: &mut S,
+        system: &mut (impl HybridSystem + ?Sized),
         times: &[f64],
         here: &Here<'_>,
-        observer: &mut O,
-    ) -> CallResult<ControlFlow<()>>
-    where
-        S: HybridSystem + ?Sized,
-        O: Observer + ?Sized,
-    {
+        observer: &mut (impl Observer + ?Sized),
+    ) -> CallResult<ControlFlow<()>> {
         let mut any = false;
         while times.get(self.cursor).is_some_and(|t| *t <= here.t + here.time_tolerance) {
             any = true;

@@ -49,14 +49,16 @@ impl Iteration for Corrector<'_> {
         equations.stats.linear_algebra += self.lu.operations().1;
         let Self { gamma, share, .. } = *self;
         let Iterate { correction, x, slopes, rhs, increment } = &mut *self.iterate;
+        let is_identity = self.left.is_identity();
         if !is_first {
             for (i, e) in correction.iter().enumerate() {
                 x[i] = self.z[0][i] + e;
-                slopes[i] = (share * self.z[1][i] + e) / gamma;
+                if !is_identity {
+                    slopes[i] = (share * self.z[1][i] + e) / gamma;
+                }
             }
             self.left.defect(equations, (self.end, x, slopes), rhs)?;
         }
-        let is_identity = self.left.is_identity();
         for (i, b) in increment.iter_mut().enumerate() {
             *b = gamma * rhs[i];
             if is_identity {
