@@ -1,6 +1,6 @@
 //! Fit the parameters of Functional Mock-up Units (FMUs) to measurements, without derivatives.
 //!
-//! This crate only re-exports the rooms of the house; each of them can be used alone.
+//! This crate only re-exports the others; each of them can be used alone.
 #![forbid(unsafe_code)]
 
 pub use calibration;

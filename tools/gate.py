@@ -1,4 +1,4 @@
-"""Refuses what must not stand in library code: unfinished work, unchecked unwraps, unsafe outside its room, imports from
+"""Refuses what must not stand in library code: unfinished work, unchecked unwraps, unsafe outside `sys`, imports from
 higher layers.
 
 Looks at every Rust source below crates/*/src and src. Test modules (from `#[cfg(test)]` to the end of the file) may
