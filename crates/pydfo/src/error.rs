@@ -76,8 +76,13 @@ fn reworded(py: Python<'_>, exception: PyErr, message: String) -> PyErr {
 /// Warns the user of the function of `pydfo` that is being called, through Python's `warnings`.
 pub(crate) fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
     let text = std::ffi::CString::new(message).unwrap_or_default();
-    // From here over that function and what looks at its keywords to the line that called it.
-    PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 3)
+    // From here over the functions of the package to the line that called the first of them.
+    let (mut frame, mut level) = (py.import("sys")?.call_method1("_getframe", (0,))?, 1);
+    while frame.getattr("f_globals")?.get_item("__name__")?.extract::<String>()?.starts_with("pydfo.") {
+        frame = frame.getattr("f_back")?;
+        level += 1;
+    }
+    PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, level)
 }
 
 /// An error of the operating system; Python chooses FileNotFoundError and its like by the number.

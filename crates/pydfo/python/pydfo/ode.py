@@ -453,7 +453,6 @@ def solve_dae(
     )
 
 
-@also_called(timeout="max_time")
 def solve_second_order(
     acceleration: Callable[..., npt.ArrayLike],
     t_span: Sequence[SupportsFloat],
