@@ -11,7 +11,7 @@ use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 
 /// Samples may differ by this many tolerances: what differs more makes the cost of a fit noisy.
-const AGREEMENT: f64 = 5.0;
+const MOST_DIFFERENCE: f64 = 5.0;
 /// The simulation that shows what is right: its share of the tolerance, and how much more work than the first it may be.
 /// Differences below that share are its own.
 const TIGHTER: f64 = 0.1;
@@ -196,7 +196,7 @@ impl Race {
                 let distance = right.map(|right| tolerance.distance(&samples, right));
                 let verdict = match distance {
                     None => Verdict::NotCompared,
-                    Some(distance) if distance <= AGREEMENT => Verdict::Agrees(distance),
+                    Some(distance) if distance <= MOST_DIFFERENCE => Verdict::Agrees(distance),
                     Some(distance) => Verdict::Differs(distance),
                 };
                 (Some(stats.work(n_states)), verdict)

@@ -120,7 +120,7 @@ struct Written {
     version: String,
 }
 
-/// The same, lent: for writing.
+/// A [`Snapshot`] with borrowed fields, for writing.
 #[derive(Serialize)]
 struct SnapshotRef<'a> {
     version: &'a str,

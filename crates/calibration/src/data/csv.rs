@@ -1,6 +1,6 @@
 //! CSV files as tables, as spreadsheets and data loggers write them.
 
-use super::table::{Column, Data, two_signs};
+use super::table::{Column, Data, mixed_decimal_signs};
 use super::time_column::TimeColumn;
 use crate::error::CalibrationError;
 use std::borrow::Cow;
@@ -110,7 +110,7 @@ impl Data {
             let hint = "; there is one column only: columns are separated by commas, semicolons or tabs";
             bad(if names.len() == 1 { message + hint } else { message })
         })?;
-        if let Some(message) = two_signs(&columns, &columns[time_column.index]) {
+        if let Some(message) = mixed_decimal_signs(&columns, &columns[time_column.index]) {
             return Err(bad(message));
         }
         let mut time = columns.remove(time_column.index);

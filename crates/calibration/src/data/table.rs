@@ -173,7 +173,7 @@ impl Data {
                  or null"
             )));
         }
-        if let Some(message) = two_signs(&self.columns, column) {
+        if let Some(message) = mixed_decimal_signs(&self.columns, column) {
             return Err(bad(message));
         }
         if let Some(row) = column.values.iter().position(|v| v.is_infinite()) {
@@ -231,7 +231,7 @@ impl Column {
 
 /// Why the numbers of a column are ambiguous: some in the file have a comma, others a point, and one of the two may
 /// separate thousands.
-pub(super) fn two_signs(all: &[Column], column: &Column) -> Option<String> {
+pub(super) fn mixed_decimal_signs(all: &[Column], column: &Column) -> Option<String> {
     let first = |mark: fn(&Column) -> Option<&Cell>| {
         let own = std::iter::once(column).chain(all.iter().filter(|c| c.text.is_none()));
         own.into_iter().find_map(|c| mark(c).map(|cell| (&c.name, cell)))

@@ -18,7 +18,7 @@ const FIRST_WAIT: usize = 32;
 /// Each time that a width turns out to be slower it waits twice as long, and longer by the square of how much slower it was.
 const LONGEST_WAIT: usize = 4096;
 /// A width is worth another look only if it was not slower than this, in units of the fastest.
-const HOPELESS: f64 = 3.0;
+const MOST_SLOWDOWN: f64 = 3.0;
 /// So many points at once at most: what the path may need farther ahead, it seldom does.
 const WIDEST: usize = 64;
 /// Evaluations whose median says how long one takes, and rounds whose median says how long handing over takes.
@@ -215,7 +215,9 @@ impl WidthControl {
         let least = self.widths[fastest?].seconds?;
         let fits = |k: &usize| {
             let width = &self.widths[*k];
-            Some(*k) != fastest && width.due_in == 0 && width.seconds.is_some_and(|s| s < HOPELESS * least)
+            Some(*k) != fastest
+                && width.due_in == 0
+                && width.seconds.is_some_and(|s| s < MOST_SLOWDOWN * least)
         };
         (0..self.widths.len()).find(fits)
     }

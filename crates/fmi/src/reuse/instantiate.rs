@@ -3,7 +3,7 @@
 use super::copies::LoadedCopy;
 use super::copy_use::CopyRequest;
 use super::lend::CopyLease;
-use super::unset::set_again;
+use super::restored_values::set_again;
 use crate::description::Variable;
 use crate::error::FmiError;
 use crate::fmu::Fmu;

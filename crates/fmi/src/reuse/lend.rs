@@ -14,7 +14,7 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 /// How long a thread that waits for a copy does not look whether it is to go on waiting.
-const PATIENCE: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// One owner that waits.
 struct Waiting<'a>(&'a AtomicUsize);
@@ -86,7 +86,7 @@ impl CopyStore {
                         return Err(self.nothing_free());
                     }
                     let unchanged = |state: &mut State| state.changes == seen;
-                    drop(self.changed.wait_timeout_while(self.state(), PATIENCE, unchanged));
+                    drop(self.changed.wait_timeout_while(self.state(), POLL_INTERVAL, unchanged));
                     if !wait() {
                         return Ok(None);
                     }

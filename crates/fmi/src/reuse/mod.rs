@@ -14,12 +14,12 @@ mod linkage;
 mod pool;
 mod probe;
 mod reset;
+mod restored_values;
 mod runner;
 mod simulator;
 mod source;
 mod store;
 mod trial;
-mod unset;
 mod verdict;
 
 pub use instantiate::InstanceOptions;

@@ -5,7 +5,7 @@ use super::runner::Runner;
 use super::verdict::Reuse;
 use crate::error::FmiError;
 use crate::simulation::digest::Digest;
-use crate::simulation::parameters::RunInput;
+use crate::simulation::variable_elements::RunInput;
 use crate::sys::{CallEnvironment, RawInstance};
 use ode::{ErrorKind, Ignore, Observer};
 

@@ -3,9 +3,9 @@
 use super::runner::{RunnerGuard, SharedRunner};
 use crate::description::Value;
 use crate::error::FmiError;
-use crate::simulation::parameters::{VariableElement, element_value};
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::trajectory::{Recorder, Trajectory};
+use crate::simulation::variable_elements::{VariableElement, element_value};
 use ode::{Observer, Report};
 use std::cell::Cell;
 use std::marker::PhantomData;

@@ -12,12 +12,12 @@ mod model_exchange;
 mod no_effect;
 mod options;
 mod outputs;
-pub(crate) mod parameters;
 pub(crate) mod plan;
 pub(crate) mod running;
 mod sharing;
 mod start;
 pub(crate) mod trajectory;
+pub(crate) mod variable_elements;
 
 pub use clocks::Tick;
 pub use inputs::{InputFunction, Inputs};

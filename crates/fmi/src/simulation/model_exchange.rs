@@ -4,9 +4,9 @@ use crate::description::Variable;
 use crate::error::FmiError;
 use crate::instance::{Core, Initialization, Instance};
 use crate::simulation::inputs::{InputPlan, InputState};
-use crate::simulation::parameters::RunInput;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Phase, Running};
+use crate::simulation::variable_elements::RunInput;
 use crate::sys::{Direction, Fault, RawInstance, look_now_and_then};
 use ode::{
     CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,

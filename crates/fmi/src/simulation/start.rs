@@ -2,9 +2,9 @@
 
 use crate::error::FmiError;
 use crate::instance::{Core, Initialization, Instance, Instantiated};
-use crate::simulation::parameters::RunInput;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Current, Running};
+use crate::simulation::variable_elements::RunInput;
 use crate::sys::{InterfaceKind, RawInstance};
 
 impl Running {

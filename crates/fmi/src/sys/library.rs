@@ -2,10 +2,10 @@
 
 use super::callbacks::Callbacks;
 use super::environment::CallEnvironment;
+use super::fmi1_fmi2_values::ScalarValues;
 use super::function::Function;
 use super::functions::{CommonFunctions, Functions, PointFunctions, StepFunctions, Text};
 use super::platform::{self, Handle, LoaderOptions};
-use super::scalar_values::ScalarValues;
 use super::symbols::{Dialect, Symbols};
 use super::types::InterfaceKind;
 use super::version::{Values, Version};

@@ -37,6 +37,7 @@
 mod callbacks;
 mod environment;
 mod fmi1;
+mod fmi1_fmi2_values;
 mod fmi2;
 mod fmi3;
 mod function;
@@ -45,7 +46,6 @@ mod library;
 mod packed;
 mod platform;
 mod raw_instance;
-mod scalar_values;
 mod symbols;
 mod types;
 mod version;
@@ -92,9 +92,9 @@ mod tests {
 
     #[test]
     fn functions_are_called_what_the_standard_calls_them() {
+        use super::fmi1_fmi2_values::ScalarValues;
         use super::fmi3::Fmi3Values;
         use super::functions::{CommonFunctions, PointFunctions, StepFunctions};
-        use super::scalar_values::ScalarValues;
         let tables = [
             CommonFunctions::NAMES,
             PointFunctions::NAMES,

@@ -12,9 +12,9 @@ use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSyste
 use crate::tableau::{EULER, RK4, TSIT5};
 
 mod backward;
-mod events;
-mod evidence;
-mod inside;
+mod event_handling;
+mod events_in_step;
+mod failure_reasons;
 mod returns;
 mod run;
 mod samples;

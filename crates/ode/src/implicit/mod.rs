@@ -2,7 +2,7 @@
 
 mod algebraic;
 mod bdf;
-mod freshness;
+mod jacobian_update;
 mod newton;
 mod radau5;
 

@@ -9,7 +9,7 @@ use crate::system::{CallError, CallResult, HybridSystem};
 
 const U: f64 = f64::EPSILON / 2.0;
 /// The rate of convergence before two increments have shown it.
-pub(super) const SLOW: f64 = 1e-3;
+pub(super) const INITIAL_RATE: f64 = 1e-3;
 
 /// The equations of a step at the current iterate.
 pub(super) trait Iteration {
@@ -39,18 +39,18 @@ pub(super) struct Convergence {
     limit: u32,
     count: u32,
     rate: f64,
-    /// The error that is left, in units of the last increment.
-    left: f64,
+    /// The error after an increment, in units of that increment: theta / (1 - theta), radau5's FACCON.
+    error_per_increment: f64,
 }
 
 impl Convergence {
     pub(super) fn new(limit: u32) -> Self {
-        Self { limit, count: 0, rate: SLOW, left: 1.0 }
+        Self { limit, count: 0, rate: INITIAL_RATE, error_per_increment: 1.0 }
     }
 
     /// Nothing is known of the equations any more, or their matrix is another one.
     pub(super) fn forget(&mut self) {
-        (self.rate, self.left) = (SLOW, 1.0);
+        (self.rate, self.error_per_increment) = (INITIAL_RATE, 1.0);
     }
 
     /// Iterations of the last step.
@@ -72,10 +72,10 @@ impl Convergence {
         tolerance: f64,
         change: f64,
     ) -> CallResult<Newton> {
-        self.left = self.left.max(U).powf(0.8);
-        self.rate = SLOW;
+        self.error_per_increment = self.error_per_increment.max(U).powf(0.8);
+        self.rate = INITIAL_RATE;
         let (mut last_norm, mut last_quotient) = (0.0, 0.0);
-        let mut left = self.left.max(change / (1.0 - change));
+        let mut error_per_increment = self.error_per_increment.max(change / (1.0 - change));
         for count in 1..self.limit {
             equations.stats.newton_iterations += 1;
             let norm = iteration.solve(equations, count == 1)?;
@@ -89,17 +89,17 @@ impl Convergence {
                 if self.rate >= 0.99 {
                     return Ok(Newton::Failed(0.5));
                 }
-                left = self.rate / (1.0 - self.rate);
-                self.left = left;
+                error_per_increment = self.rate / (1.0 - self.rate);
+                self.error_per_increment = error_per_increment;
                 let more = (self.limit - 1 - count) as i32;
-                let predicted = left * norm * self.rate.powi(more) / tolerance;
+                let predicted = error_per_increment * norm * self.rate.powi(more) / tolerance;
                 if predicted > 1.0 {
                     return Ok(Newton::Failed(0.8 * predicted.min(20.0).powf(-1.0 / f64::from(4 + more))));
                 }
             }
             last_norm = norm.max(U);
             iteration.advance();
-            if left * norm <= tolerance {
+            if error_per_increment * norm <= tolerance {
                 self.count = count;
                 return Ok(Newton::Converged);
             }

@@ -48,7 +48,7 @@ impl NelderMeadState {
     }
 
     /// The cost of a trial point: `Ok(None)` if it is no candidate, `Err` if it is not known yet.
-    fn consult(&self, trial: Trial) -> Result<Option<f64>, Trial> {
+    fn trial_cost(&self, trial: Trial) -> Result<Option<f64>, Trial> {
         match self.trials[trial as usize].seen {
             Seen::Unknown => Err(trial),
             Seen::Cost(v) => Ok(Some(v)),
@@ -58,14 +58,14 @@ impl NelderMeadState {
 
     /// The decision of an iteration (Lagarias et al. 1998, section 2, steps 2 to 5): the point to accept, or none for
     /// a shrink. `Err`: this point is needed.
-    fn verdict(&self) -> Result<Option<(Trial, f64)>, Trial> {
+    fn accepted_trial(&self) -> Result<Option<(Trial, f64)>, Trial> {
         let [best, second_worst, worst] =
             [self.simplex.best(), self.simplex.second_worst(), self.simplex.worst()]
                 .map(|s| self.simplex.cost(s));
-        let reflected = self.consult(Trial::Reflection)?;
+        let reflected = self.trial_cost(Trial::Reflection)?;
         let reflection_beats = |cost| reflected.is_some_and(|r| Cost::Value(r).better_than(cost));
         if let Some(r) = reflected.filter(|_| reflection_beats(best)) {
-            return Ok(Some(match self.consult(Trial::Expansion)? {
+            return Ok(Some(match self.trial_cost(Trial::Expansion)? {
                 Some(e) if e < r => (Trial::Expansion, e),
                 _ => (Trial::Reflection, r),
             }));
@@ -74,16 +74,16 @@ impl NelderMeadState {
             return Ok(Some((Trial::Reflection, r)));
         }
         if let Some(r) = reflected.filter(|_| reflection_beats(worst)) {
-            let outside = self.consult(Trial::Outside)?.filter(|c| *c <= r);
+            let outside = self.trial_cost(Trial::Outside)?.filter(|c| *c <= r);
             return Ok(outside.map(|c| (Trial::Outside, c)));
         }
-        let inside = self.consult(Trial::Inside)?.filter(|c| Cost::Value(*c).better_than(worst));
+        let inside = self.trial_cost(Trial::Inside)?.filter(|c| Cost::Value(*c).better_than(worst));
         Ok(inside.map(|c| (Trial::Inside, c)))
     }
 
     /// Carries out what the trial points decide.
     pub(super) fn decide(&mut self) -> Result<Operation, Trial> {
-        match self.verdict()? {
+        match self.accepted_trial()? {
             Some((trial, value)) => {
                 let point = &self.trials[trial as usize];
                 self.simplex.replace_worst(&point.u, &point.x, value);
@@ -134,7 +134,7 @@ impl NelderMeadState {
                 self.sizes =
                     Some(SizeSearch::beside(&self.setup.space, from, tests.f_limit, self.sizes.as_ref()));
                 self.phase = Phase::Checking;
-                self.sizes_told();
+                self.size_step_told();
             } else {
                 self.end(Termination::Converged);
             }
@@ -146,8 +146,8 @@ impl NelderMeadState {
         }
     }
 
-    /// Whether the simplex deserves to be built anew although the tests passed: it is flat, not because of a bound, and
-    /// the last restart, if there was one, brought something.
+    /// Whether the simplex is built anew although the tests passed: it is flat, not because of a bound, and
+    /// the last restart, if there was one, lowered the cost by more than the f test allows.
     fn may_restart(&mut self, tests: &Tests) -> bool {
         let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);
         if self.restarts == 0 || useless || !restart::is_flat(&self.simplex, &self.setup.space) {
@@ -164,13 +164,13 @@ impl NelderMeadState {
     }
 
     /// A step in search of sizes, or the start point that they start from, is known.
-    pub(super) fn sizes_told(&mut self) {
+    pub(super) fn size_step_told(&mut self) {
         let space = &mut self.setup.space;
         match (&self.sizes, self.simplex.cost(0)) {
             (None, Cost::Pending) => {}
             (None, Cost::Value(f_0)) => {
                 self.sizes = Some(SizeSearch::from_start(space, self.simplex.x(0), f_0));
-                self.sizes_told();
+                self.size_step_told();
             }
             // Nothing to compare with.
             (None, Cost::Failed) => self.phase = Phase::Starting,

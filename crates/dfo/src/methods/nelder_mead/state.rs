@@ -255,7 +255,7 @@ impl Method for NelderMeadState {
                     self.vertices_known();
                 }
             }
-            Phase::Sizing | Phase::Checking => self.sizes_told(),
+            Phase::Sizing | Phase::Checking => self.size_step_told(),
             Phase::Moving => {
                 let Some(parallel) = &mut self.parallel else { return Ok(()) };
                 match parallel.conclude(&mut self.simplex) {

@@ -2,9 +2,9 @@
 
 use crate::description::Variable;
 use crate::error::FmiError;
-use crate::simulation::parameters::RunInput;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Phase, Running};
+use crate::simulation::variable_elements::RunInput;
 use crate::sys::RawInstance;
 use ode::{EventOutcome, Stopwatch};
 use std::sync::Arc;

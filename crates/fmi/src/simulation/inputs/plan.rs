@@ -7,7 +7,7 @@ use crate::instance::assignments::convert_one;
 use crate::instance::integer_codec;
 use crate::simulation::clocks::{ClockInputs, Clocked};
 use crate::simulation::column::{Column, HeldColumn};
-use crate::simulation::parameters::{Slots, Starts, VariableElement};
+use crate::simulation::variable_elements::{Slots, Starts, VariableElement};
 use ode::InputStop;
 use std::fmt;
 use std::sync::Arc;

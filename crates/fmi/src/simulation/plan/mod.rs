@@ -2,12 +2,12 @@
 
 mod communication;
 mod jacobian;
+mod parameters;
 mod read_back;
-mod values;
 
 pub(crate) use communication::Communication;
+pub(crate) use parameters::{RunValues, Setting};
 pub(crate) use read_back::ReadBackBuffers;
-pub(crate) use values::{RunValues, Setting};
 
 use crate::description::{ModelDescription, QuirkKind, Structure};
 use crate::error::FmiError;
@@ -17,8 +17,8 @@ use crate::simulation::digest::Digest;
 use crate::simulation::inputs::{InputPlan, Inputs};
 use crate::simulation::options::SimulateOptions;
 use crate::simulation::outputs::{OutputContext, OutputPlan, Recorded, Selection, states};
-use crate::simulation::parameters::Starts;
 use crate::simulation::sharing::Sharing;
+use crate::simulation::variable_elements::Starts;
 use crate::sys::InterfaceKind;
 use jacobian::JacobianPlan;
 use std::collections::HashMap;
@@ -81,7 +81,7 @@ impl SimulationPlan {
         };
         let method = options.method_options(&description.default_experiment);
         method.check()?;
-        let (given, structure) = values::resolve(description, &options.start_values)?;
+        let (given, structure) = parameters::resolve_start_values(description, &options.start_values)?;
         let starts = Starts { description, structure: &structure, given: &given };
         let no_inputs = Inputs::default();
         let inputs =

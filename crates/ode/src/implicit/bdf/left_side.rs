@@ -12,7 +12,7 @@ use super::fixed::{AtSlopes, AtState, Kind};
 use crate::control::Weights;
 use crate::error::Undetermined;
 use crate::implicit::algebraic::{Algebraic, sizes};
-use crate::implicit::freshness::Freshness;
+use crate::implicit::jacobian_update::Freshness;
 use crate::jacobian::Jacobian;
 use crate::lu::{Lu, make_room};
 use crate::options::AbsoluteTolerance;

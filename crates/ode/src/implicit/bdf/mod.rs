@@ -12,7 +12,7 @@
 //! solved in the same way, with `x' = (e + z_1 / l_1) / gamma` (K. E. Brenan, S. L. Campbell, L. R. Petzold, Numerical
 //! Solution of Initial-Value Problems in Differential-Algebraic Equations, 1996, chapter 5).
 
-use super::freshness::{Freshness, Matrix, Rules};
+use super::jacobian_update::{Freshness, Matrix, Rules};
 use super::newton::{Convergence, Newton};
 use crate::control::scaled_norm;
 use crate::error::Undetermined;

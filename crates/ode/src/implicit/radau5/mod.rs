@@ -7,7 +7,7 @@
 //! matrix falls apart into a real and a complex block of the size of the system.
 
 use super::algebraic::Algebraic;
-use super::freshness::{Freshness, Matrix, Rules};
+use super::jacobian_update::{Freshness, Matrix, Rules};
 use super::newton::{Convergence, Newton};
 use crate::control::scaled_norm;
 use crate::error::Undetermined;

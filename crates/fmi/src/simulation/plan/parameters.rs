@@ -6,7 +6,7 @@ use crate::error::FmiError;
 use crate::instance::Core;
 use crate::instance::assignments::{self, Assignments, check_settable_at_start};
 use crate::simulation::inputs::InputPlan;
-use crate::simulation::parameters::{RunInput, Slots, StartValues, Starts, Unset, VariableElement};
+use crate::simulation::variable_elements::{RunInput, Slots, StartValues, Starts, Unset, VariableElement};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -260,7 +260,7 @@ impl RunValues {
 }
 
 /// Positions and values of what is given by name, each position once (the last value counts), and the structure that they make.
-pub(super) fn resolve(
+pub(super) fn resolve_start_values(
     description: &ModelDescription,
     values: &[(String, Value)],
 ) -> Result<(Vec<(usize, Value)>, Structure), FmiError> {

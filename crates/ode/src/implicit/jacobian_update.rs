@@ -1,6 +1,6 @@
 //! When the Jacobian is evaluated anew, and when the matrix of Newton's method is decomposed anew.
 
-use super::newton::SLOW;
+use super::newton::INITIAL_RATE;
 use crate::jacobian::Jacobian;
 use crate::stats::Stats;
 use crate::stepper::Equations;
@@ -201,7 +201,7 @@ impl Freshness {
     pub(super) fn accepted(&mut self, iterations: u32, rate: f64) {
         self.age += 1;
         self.decomposition_age += 1;
-        let is_slow = rate > SLOW && (iterations > ITERATIONS || self.is_cheap());
+        let is_slow = rate > INITIAL_RATE && (iterations > ITERATIONS || self.is_cheap());
         self.wants_jacobian = is_slow && (self.is_before_event || !self.rules.only_after_events);
     }
 }
