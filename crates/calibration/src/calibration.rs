@@ -10,7 +10,7 @@ use crate::problem::{ModelFile, Problem};
 use crate::solver::{Choice, Solver};
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
 use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, Want};
-use fmi::{Fmu, Pool, Trajectory};
+use fmi::{FmiError, Fmu, Pool, Trajectory};
 use ode::{Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
 
@@ -288,10 +288,13 @@ impl Calibration {
 
     /// Has the model tested before its first use (once per process): how instances are reused, and whether several can be
     /// used at once.
-    pub(crate) fn prepare(&self) -> Result<(), CalibrationError> {
+    pub(crate) fn prepare(&self, cancelled: &dyn Fn() -> bool) -> Result<(), CalibrationError> {
         for k in 0..self.problem().experiments.len() {
-            if let Ok(pool) = self.pool(k, &|| false) {
-                pool.is_concurrent()?;
+            if let Ok(pool) = self.pool(k, cancelled) {
+                pool.prepare(cancelled).map_err(|error| match error {
+                    FmiError::Cancelled => CalibrationError::Cancelled,
+                    error => error.into(),
+                })?;
             }
         }
         Ok(())
@@ -379,7 +382,8 @@ impl Calibration {
         loop {
             let cost = self.evaluator.evaluate(x, ends, out, stats, |k, x, observer| {
                 let pool = self.pool(k, ends.1)?;
-                Ok(pool.lend().and_then(|mut simulator| simulator.run(x, observer)))
+                let lent = pool.prepare(ends.1).and_then(|()| pool.lend());
+                Ok(lent.and_then(|mut simulator| simulator.run(x, observer)))
             });
             if !cost.as_ref().is_err_and(NoCost::is_by_history) {
                 return cost;

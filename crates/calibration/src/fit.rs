@@ -200,7 +200,7 @@ impl Calibration {
         let is_asked = || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
         // The race and the model's first-use test are not part of the time that the fit is given.
         let solver = self.solver_until(&is_asked)?;
-        self.prepare()?;
+        self.prepare(&is_asked)?;
         let max_time = described.limits.max_time;
         let late = max_time.and_then(|limit| Instant::now().checked_add(limit));
         let is_late = || late.is_some_and(|late| Instant::now() >= late);

@@ -42,8 +42,10 @@ impl NoCost {
 /// Sorts a failed simulation: its kind, and a reason that is the same for all failures of that sort.
 impl From<FmiError> for NoCost {
     fn from(error: FmiError) -> Self {
-        if matches!(error, FmiError::NoCopy { .. }) {
-            return NoCost::Over(Box::new(error));
+        match error {
+            FmiError::NoCopy { .. } => return NoCost::Over(Box::new(error)),
+            FmiError::Cancelled => return NoCost::Cancelled,
+            _ => {}
         }
         let mut kind = FailureKind::Error;
         let reason = match &error {

@@ -234,6 +234,25 @@ fn a_cancelled_test_is_no_verdict() {
 }
 
 #[test]
+fn the_check_of_a_pool_ends_when_it_is_told() {
+    let folder = evil(&["STATIC_SCRATCH"]);
+    for most in [0, 1, 20, 200, 2000] {
+        let (fmu, n_asked) = (folder.open(), std::cell::Cell::new(0));
+        let pool = pool(&fmu, &with_k().max_step(1e-3));
+        let cancelled = || {
+            n_asked.set(n_asked.get() + 1);
+            n_asked.get() > most
+        };
+        match pool.prepare(&cancelled) {
+            // Once it was told it made no further step.
+            Err(FmiError::Cancelled) => assert_eq!(n_asked.get(), most + 1),
+            other => assert!(other.is_ok() && n_asked.get() <= most, "{most}: {other:?}"),
+        }
+        assert_eq!(pool.reuse().unwrap(), Reuse::Reset, "{most}");
+    }
+}
+
+#[test]
 fn a_test_that_times_out_binds_only_its_pool() {
     let folder = evil(&["STATIC_SCRATCH"]);
     let fmu = folder.open();

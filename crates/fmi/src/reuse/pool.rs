@@ -2,7 +2,7 @@
 
 use super::runner::Runner;
 use super::simulator::Simulator;
-use super::trial::Trial;
+use super::trial::{Trial, Watch};
 use super::verdict::Reuse;
 use crate::error::FmiError;
 use crate::simulation::Sharing;
@@ -63,12 +63,21 @@ impl Pool {
         &self.plan
     }
 
+    /// Checks how instances are reset, if it was not yet. `cancelled` is asked before every step; a check that it ended is made again
+    /// by the next call that needs it.
+    ///
+    /// # Errors
+    /// The FMU cannot be instantiated; [`FmiError::Cancelled`].
+    pub fn prepare(&self, cancelled: &dyn Fn() -> bool) -> Result<(), FmiError> {
+        self.check(&mut self.state(), cancelled).map(|_| ())
+    }
+
     /// How instances are reset.
     ///
     /// # Errors
     /// The FMU has to be checked first and cannot be instantiated.
     pub fn reuse(&self) -> Result<Reuse, FmiError> {
-        let checked = self.check(&mut self.state())?;
+        let checked = self.check(&mut self.state(), &|| false)?;
         let known = self.plan.fmu().reuse_of(self.plan.kind());
         Ok(known.map_or(checked, |known| known.max(checked)))
     }
@@ -87,7 +96,7 @@ impl Pool {
     /// # Errors
     /// The FMU has to be checked first and cannot be instantiated.
     pub fn sharing(&self) -> Result<Sharing, FmiError> {
-        self.check(&mut self.state())?;
+        self.check(&mut self.state(), &|| false)?;
         match self.plan.sharing {
             Sharing::Copies => self.plan.fmu().store(self.plan.kind()).map(|store| store.sharing()),
             asked => Ok(asked),
@@ -101,7 +110,7 @@ impl Pool {
     /// The FMU has to be checked first and cannot be instantiated.
     pub fn written_resource(&self) -> Result<Option<PathBuf>, FmiError> {
         let mut state = self.state();
-        self.check(&mut state)?;
+        self.check(&mut state, &|| false)?;
         Ok(state.written.clone())
     }
 
@@ -112,7 +121,7 @@ impl Pool {
     /// The FMU cannot be loaded or instantiated.
     pub fn lend(&self) -> Result<Lease<'_>, FmiError> {
         let mut state = self.state();
-        self.check(&mut state)?;
+        self.check(&mut state, &|| false)?;
         let idle = state.idle.pop();
         drop(state);
         let mut simulator = match idle {
@@ -172,7 +181,7 @@ impl Pool {
     }
 
     /// Checks the ways of resetting, once. The lock is held meanwhile: nobody can use a simulator before the check is over.
-    fn check(&self, state: &mut State) -> Result<Reuse, FmiError> {
+    fn check(&self, state: &mut State, cancelled: &dyn Fn() -> bool) -> Result<Reuse, FmiError> {
         if let Some(checked) = state.checked {
             return Ok(checked);
         }
@@ -181,7 +190,7 @@ impl Pool {
         let mut simulator = Simulator::new(Arc::clone(&self.plan))?;
         let mut runner = simulator.runner();
         runner.ensure_copy(None)?;
-        let examined = self.examine(&mut runner);
+        let examined = self.examine(&mut runner, cancelled);
         let store = fmu.store(self.plan.kind())?;
         state.written = store.written_resource();
         let reuse = if runner.is_fatal() {
@@ -206,9 +215,11 @@ impl Pool {
     }
 
     /// The runs of the check; `None`: they say nothing.
-    fn examine(&self, runner: &mut Runner) -> Result<Option<Reuse>, FmiError> {
-        let Some(trial) = Trial::new(&self.plan, &self.reference, runner)? else { return Ok(None) };
-        let reuse = trial.reuse(runner)?;
+    fn examine(&self, runner: &mut Runner, cancelled: &dyn Fn() -> bool) -> Result<Option<Reuse>, FmiError> {
+        let mut watch = Watch::new(cancelled);
+        let trial = Trial::new(&self.plan, &self.reference, runner, &mut watch)?;
+        let Some(trial) = trial else { return Ok(None) };
+        let reuse = trial.reuse(runner, &mut watch)?;
         if let Some(reuse) = reuse {
             runner.set_reuse(reuse);
         }

@@ -7,7 +7,7 @@ use crate::error::FmiError;
 use crate::simulation::digest::Digest;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{CallEnvironment, RawInstance};
-use ode::{ErrorKind, Ignore, Observer};
+use ode::{ErrorKind, Observer};
 
 /// Steps after which a check of reset is sure enough: what reset forgets shows in the first right-hand sides.
 pub(crate) const PROBE_STEPS: u64 = 50;
@@ -87,13 +87,14 @@ impl Runner {
         reuse: Reuse,
         input: RunInput<'_>,
         steps: Option<u64>,
+        observer: &mut dyn Observer,
     ) -> Result<Probe, FmiError> {
         if reuse == Reuse::Restore {
             self.fresh = None;
             drop(self.engine.running().retire());
             self.fresh = Some(self.new_with_origin()?);
         }
-        self.probe_new(input, steps, &mut Ignore)
+        self.probe_new(input, steps, observer)
     }
 
     /// A trial run on this simulator's instance, brought back to its start; `None` if it cannot be brought back.
@@ -105,9 +106,10 @@ impl Runner {
         reuse: Reuse,
         input: RunInput<'_>,
         steps: Option<u64>,
+        observer: &mut dyn Observer,
     ) -> Result<Option<Probe>, FmiError> {
         let Some(used) = self.engine.running().retire() else { return Ok(Some(Probe::Gone)) };
         let Ok(raw) = reset(used, self.plan.fmu(), reuse) else { return Ok(None) };
-        self.probe(raw, input, steps, &mut Ignore).map(Some)
+        self.probe(raw, input, steps, observer).map(Some)
     }
 }

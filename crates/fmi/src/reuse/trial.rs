@@ -7,7 +7,7 @@ use crate::error::FmiError;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::variable_elements::{RunInput, StartValues};
 use crate::sys::RawInstance;
-use ode::{Ignore, Observer, Sample};
+use ode::{Observer, Sample};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -36,8 +36,10 @@ impl Runner {
         // One at a time: the FMU may not allow two.
         drop(used);
         let plan = Arc::clone(&self.plan);
-        let examined = Trial::short(&plan, parameters, self)
-            .and_then(|trial| trial.map_or(Ok(None), |trial| trial.reuse(self)));
+        let never = || false;
+        let mut watch = Watch::new(&never);
+        let examined = Trial::short(&plan, parameters, self, &mut watch)
+            .and_then(|trial| trial.map_or(Ok(None), |trial| trial.reuse(self, &mut watch)));
         self.began = Instant::now();
         if self.is_fatal() {
             // At the other values, perhaps; another check could end so, too.
@@ -68,12 +70,14 @@ impl<'a> Trial<'a> {
         plan: &'a SimulationPlan,
         parameters: &'a [f64],
         runner: &mut Runner,
+        watch: &mut Watch<'_>,
     ) -> Result<Option<Self>, FmiError> {
         let base = plan.values.input(parameters);
-        let mut clock = Clock { end: Instant::now() + LONG, over: false };
-        let truth = runner.probe_new(base, None, &mut clock)?;
-        if clock.over {
-            return Self::short(plan, parameters, runner);
+        watch.end = Some(Instant::now() + LONG);
+        let truth = watch.over(|watch| runner.probe_new(base, None, watch))?;
+        watch.end = None;
+        if std::mem::take(&mut watch.is_over) {
+            return Self::short(plan, parameters, runner, watch);
         }
         Ok(Self::with_truth(plan, base, None, truth))
     }
@@ -83,9 +87,10 @@ impl<'a> Trial<'a> {
         plan: &'a SimulationPlan,
         parameters: &'a [f64],
         runner: &mut Runner,
+        watch: &mut Watch<'_>,
     ) -> Result<Option<Self>, FmiError> {
         let (base, steps) = (plan.values.input(parameters), Some(PROBE_STEPS));
-        let truth = runner.probe_new(base, steps, &mut Ignore)?;
+        let truth = watch.over(|watch| runner.probe_new(base, steps, watch))?;
         Ok(Self::with_truth(plan, base, steps, truth))
     }
 
@@ -104,7 +109,11 @@ impl<'a> Trial<'a> {
     ///
     /// # Errors
     /// It was cancelled; there is no new instance to be had.
-    pub(crate) fn reuse(&self, runner: &mut Runner) -> Result<Option<Reuse>, FmiError> {
+    pub(crate) fn reuse(
+        &self,
+        runner: &mut Runner,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Reuse>, FmiError> {
         let known = runner.reuse();
         if known >= Some(Reuse::Reinstantiate) {
             return Ok(known);
@@ -114,7 +123,7 @@ impl<'a> Trial<'a> {
             if is_out || known.is_some_and(|known| known > reuse) {
                 continue;
             }
-            match self.passes(reuse, runner)? {
+            match self.passes(reuse, runner, watch)? {
                 None => return Ok(None),
                 Some(true) => return Ok(Some(reuse)),
                 Some(false) => runner.give_up_reuse(reuse, DIFFERS),
@@ -125,11 +134,16 @@ impl<'a> Trial<'a> {
 
     /// Whether runs on one instance, brought back to its beginning in between, are those of new instances: one with the
     /// base values, one with others, and one with the base values again.
-    fn passes(&self, reuse: Reuse, runner: &mut Runner) -> Result<Option<bool>, FmiError> {
+    fn passes(
+        &self,
+        reuse: Reuse,
+        runner: &mut Runner,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<bool>, FmiError> {
         let short = Some(PROBE_STEPS);
         let others = RunInput { start: &self.others.0, parameters: &self.others.1 };
-        let other_truth = runner.probe_new(others, short, &mut Ignore)?;
-        let first = runner.probe_first(reuse, self.base, self.steps)?;
+        let other_truth = watch.over(|watch| runner.probe_new(others, short, watch))?;
+        let first = watch.over(|watch| runner.probe_first(reuse, self.base, self.steps, watch))?;
         // What cannot be started on a new instance any more says nothing of the old ones: an input function may have ended.
         if matches!(first, Probe::TimedOut | Probe::Nothing) || other_truth == Probe::TimedOut {
             return Ok(None);
@@ -137,19 +151,21 @@ impl<'a> Trial<'a> {
         if first != self.truth {
             return Ok(Some(false));
         }
-        let again = |runner: &mut Runner| runner.probe_again(reuse, self.base, self.steps);
-        let last = match runner.probe_again(reuse, others, short)? {
+        let again = |runner: &mut Runner, watch: &mut Watch<'_>| {
+            watch.over(|watch| runner.probe_again(reuse, self.base, self.steps, watch))
+        };
+        let last = match watch.over(|watch| runner.probe_again(reuse, others, short, watch))? {
             // The run with the base values fails: there is nothing to bring back.
             Some(Probe::TimedOut | Probe::Gone) => return Ok(None),
             Some(probe) if probe != other_truth => return Ok(Some(false)),
-            Some(_) => again(runner)?,
+            Some(_) => again(runner, watch)?,
             None => None,
         };
         let last = match last {
             // A run that fails leaves no instance to bring back: then at least the same run twice.
             None | Some(Probe::Gone) => {
-                runner.probe_first(reuse, self.base, self.steps)?;
-                again(runner)?
+                watch.over(|watch| runner.probe_first(reuse, self.base, self.steps, watch))?;
+                again(runner, watch)?
             }
             last => last,
         };
@@ -158,19 +174,34 @@ impl<'a> Trial<'a> {
     }
 }
 
-/// Ends a run that takes too long to be made again and again.
-struct Clock {
-    end: Instant,
-    over: bool,
+/// Ends a run that takes too long to be made again and again, and all of them where that is asked for.
+pub(super) struct Watch<'a> {
+    end: Option<Instant>,
+    is_over: bool,
+    cancelled: &'a dyn Fn() -> bool,
+    is_cancelled: bool,
 }
 
-impl Observer for Clock {
+impl<'a> Watch<'a> {
+    pub(super) fn new(cancelled: &'a dyn Fn() -> bool) -> Self {
+        Self { end: None, is_over: false, cancelled, is_cancelled: false }
+    }
+
+    /// What a run gives that this watches; an error where it was cancelled.
+    fn over<T>(&mut self, run: impl FnOnce(&mut Self) -> Result<T, FmiError>) -> Result<T, FmiError> {
+        let result = run(self);
+        if self.is_cancelled { Err(FmiError::Cancelled) } else { result }
+    }
+}
+
+impl Observer for Watch<'_> {
     fn sample(&mut self, _: &Sample<'_>) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }
 
     fn poll(&mut self) -> ControlFlow<()> {
-        self.over |= Instant::now() > self.end;
-        if self.over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        self.is_cancelled |= (self.cancelled)();
+        self.is_over |= self.end.is_some_and(|end| Instant::now() > end);
+        if self.is_over || self.is_cancelled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 }
