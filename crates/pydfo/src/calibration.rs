@@ -295,11 +295,12 @@ impl PyCalibration {
         };
         let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
         let result = match outcome {
-            Ok(fit) => {
+            Ok(mut fit) => {
                 // No simulation can be made any more.
                 if let (None, Termination::Aborted(reason)) = (&raised, &fit.report.termination) {
                     raised = Some(fmu_error::unusable(reason));
                 }
+                report::set_raised(&mut fit.report, raised.as_ref());
                 let result = report::to_python(py, &fit.report)?;
                 result.setattr("stats", Counts::new(&fit.stats))?;
                 let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));

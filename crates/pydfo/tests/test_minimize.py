@@ -230,7 +230,9 @@ def test_the_callback_sees_progress_and_may_stop():
 
     with pytest.raises(KeyError) as info:
         minimize(rosenbrock, **RUN, callback=raising, workers=map)
-    assert info.value is error and error.partial_result.nfev >= 3
+    partial = error.partial_result
+    assert info.value is error and partial.nfev >= 3
+    assert (partial.status, partial.termination, partial.message) == (6, "aborted", "aborted by the callback: KeyError: 'mine'")
 
 
 def test_seeds_are_given_drawn_and_reported():
