@@ -135,6 +135,14 @@ impl Problem {
             }
         }
         let names = self.experiment_names();
+        let is_bad = |name: &&String| {
+            name.is_empty() || name.contains(|c: char| matches!(c, '[' | ']') || c.is_control())
+        };
+        if let Some(name) = names.iter().find(is_bad) {
+            return Err(CalibrationError::Setup(format!(
+                "the name of an experiment must not be empty, nor hold brackets or line breaks: {name:?}"
+            )));
+        }
         if let Some(twice) = (1..names.len()).find(|&k| names[..k].contains(&names[k])) {
             return Err(CalibrationError::Setup(format!("two experiments are named '{}'", names[twice])));
         }

@@ -149,6 +149,8 @@ def test_failures_name_the_experiment():
         (([Experiment(decay(1.0), {"x": "y"}, name="a")] * 2, [SHARED]), ValueError, "two experiments are named 'a'"),
         ((decay(1.0), {"x": "y"}), TypeError, "needs the argument 'parameters'"),
         ((decay(1.0),), TypeError, "needs the argument 'outputs'"),
+        (([Experiment(decay(1.0), {"x": "y"}, name="")], [SHARED]), ValueError, 'must not be empty, .*: ""'),
+        (([Experiment(decay(1.0), {"x": "y"}, name="a[1]")], [SHARED]), ValueError, 'nor hold brackets .*: "a'),
         (([], [SHARED]), ValueError, "there are no experiments"),
         (([Experiment(decay(1.0), {"x": "y"}), decay(1.0)], [SHARED]), TypeError, "entry 1 of the list is a dict, not an Exp"),
         (({"a": Experiment(decay(1.0), {"x": "y"})}, [SHARED]), TypeError, "must be a list, not a dict"),

@@ -41,7 +41,8 @@ class Experiment:
     time : str, optional
         Name of the column of times, where it is not ``time``.
     name : str, optional
-        Its name, in those of local parameters as well (``T0[cold]``); default: "run1", "run2" and so on.
+        Its name, in those of local parameters as well (``T0[cold]``); default: "run1", "run2" and so on. Not empty, without
+        brackets and line breaks.
 
     Raises
     ------
