@@ -47,10 +47,17 @@ impl Evaluator {
         let simulations = (problem.experiments.iter().zip(problem.experiment_names()).enumerate())
             .map(|(k, (experiment, name))| {
                 let setup = (&problem.settings, &problem.parameters[..], &elements[..]);
-                Simulation::new(&fmu, (k, name, experiment), setup, &mut warnings)
-                    .map_err(|error| problem.error_in(k, error))
+                let (simulation, in_doubt) = Simulation::new(&fmu, (k, name, experiment), setup)
+                    .map_err(|error| problem.error_in(k, error))?;
+                for warning in in_doubt.into_iter().map(|warning| problem.warning_in(k, warning)) {
+                    // A setting that is ignored is the same in all experiments.
+                    if !warnings.contains(&warning) {
+                        warnings.push(warning);
+                    }
+                }
+                Ok(simulation)
             })
-            .collect::<Result<Vec<_>, _>>()?;
+            .collect::<Result<Vec<_>, CalibrationError>>()?;
         let n_residuals = simulations.iter().map(|s| s.comparison.n_residuals()).sum();
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
         Ok(Self { fmu, problem, parameters, simulations, n_residuals, warnings })
@@ -131,12 +138,12 @@ impl Evaluator {
 }
 
 impl Simulation {
+    /// The simulation of an experiment, and what is in doubt about it.
     fn new(
         fmu: &Fmu,
         (k, name, experiment): (usize, String, &Experiment),
         (settings, parameters, elements): (&SimulationSettings, &[Parameter], &[Element]),
-        warnings: &mut Vec<SetupWarning>,
-    ) -> Result<Self, CalibrationError> {
+    ) -> Result<(Self, Vec<SetupWarning>), CalibrationError> {
         let own = |e: &&Element| e.experiment.is_none_or(|only| only == k);
         let varied: Vec<&Parameter> = elements.iter().filter(own).map(|e| &e.parameter).collect();
         let names: Vec<String> = varied.iter().map(|p| p.variable().to_owned()).collect();
@@ -145,7 +152,7 @@ impl Simulation {
         let weights: Vec<f64> = experiment.outputs.iter().map(|o| o.weight).collect();
         let (times, comparison) = Comparison::new(&times, &columns, &weights);
         let start_time = start_time(fmu, experiment, &times)?;
-        warnings.extend(held_inputs(experiment, (start_time, times[times.len() - 1])));
+        let mut warnings = held_inputs(experiment, (start_time, times[times.len() - 1]));
         let is_constant = |(name, _): &&(String, _)| !Experiment::is_start_of_local(name, parameters);
         let options = SimulateOptions {
             start_time: Some(start_time),
@@ -169,12 +176,11 @@ impl Simulation {
         let plan = SimulationPlan::new(fmu, &options)?;
         plan.require_single_numbers()?;
         experiment.check_outputs(fmu.description(), &names)?;
-        let ignored = options.without_effect(plan.kind()).into_iter().map(SetupWarning::NoEffect);
-        warnings.extend(ignored.filter(|warning| !warnings.contains(warning)).collect::<Vec<_>>());
+        warnings.extend(options.without_effect(plan.kind()).into_iter().map(SetupWarning::NoEffect));
         let pool = Pool::with_reference(Arc::new(plan), &start)?;
         let numbers = elements.iter().enumerate().filter(|(_, e)| own(e)).map(|(i, _)| i);
         let elements = (names.len() < elements.len()).then(|| numbers.collect());
-        Ok(Self { name, pool, options, comparison, elements })
+        Ok((Self { name, pool, options, comparison, elements }, warnings))
     }
 
     /// The values of its parameters at `x`.

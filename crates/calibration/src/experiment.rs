@@ -54,7 +54,7 @@ impl Experiment {
     }
 
     /// Names it: in the names of [local](Parameter::local) parameters, in messages and reports; default: `run1`, `run2` and
-    /// so on, by its position.
+    /// so on, by its position. Not empty, without brackets and line breaks.
     #[must_use]
     pub fn named(mut self, name: impl Into<String>) -> Self {
         self.name = Some(name.into());

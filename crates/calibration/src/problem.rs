@@ -71,14 +71,24 @@ impl Problem {
         self.experiments.iter().enumerate().map(name).collect()
     }
 
+    /// The name of an experiment, where there are several.
+    fn name_of_several(&self, experiment: usize) -> Option<String> {
+        (self.experiments.len() > 1).then(|| self.experiment_names().swap_remove(experiment))
+    }
+
     /// An error that names its experiment, where there are several.
     pub(crate) fn error_in(&self, experiment: usize, error: CalibrationError) -> CalibrationError {
-        match self.experiments.len() {
-            1 => error,
-            _ => {
-                let name = self.experiment_names().swap_remove(experiment);
-                CalibrationError::Experiment { name, source: Box::new(error) }
-            }
+        match self.name_of_several(experiment) {
+            Some(name) => CalibrationError::Experiment { name, source: Box::new(error) },
+            None => error,
+        }
+    }
+
+    /// A warning that names its experiment, where there are several; not one about the settings, which are those of all.
+    pub(crate) fn warning_in(&self, experiment: usize, warning: SetupWarning) -> SetupWarning {
+        match (self.name_of_several(experiment), warning) {
+            (Some(_), warning @ SetupWarning::NoEffect(_)) | (None, warning) => warning,
+            (Some(name), warning) => SetupWarning::Experiment { name, warning: Box::new(warning) },
         }
     }
 
@@ -125,6 +135,14 @@ impl Problem {
             }
         }
         let names = self.experiment_names();
+        let is_bad = |name: &&String| {
+            name.is_empty() || name.contains(|c: char| matches!(c, '[' | ']') || c.is_control())
+        };
+        if let Some(name) = names.iter().find(is_bad) {
+            return Err(CalibrationError::Setup(format!(
+                "the name of an experiment must not be empty, nor hold brackets or line breaks: {name:?}"
+            )));
+        }
         if let Some(twice) = (1..names.len()).find(|&k| names[..k].contains(&names[k])) {
             return Err(CalibrationError::Setup(format!("two experiments are named '{}'", names[twice])));
         }
@@ -132,7 +150,8 @@ impl Problem {
         for (k, experiment) in self.experiments.iter().enumerate() {
             let checked = experiment.check_start_values(description, &self.parameters);
             checked.map_err(|error| self.error_in(k, error))?;
-            warnings.extend(unused_columns(description, experiment));
+            let unused = unused_columns(description, experiment).into_iter();
+            warnings.extend(unused.map(|warning| self.warning_in(k, warning)));
         }
         warnings.extend(ignored_nominals(&self.parameters));
         Ok(warnings)

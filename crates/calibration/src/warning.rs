@@ -37,6 +37,13 @@ pub enum SetupWarning {
     },
     /// A setting that is ignored; the sentence says which, and why.
     NoEffect(String),
+    /// What is in doubt about one of several experiments.
+    Experiment {
+        /// Its name.
+        name: String,
+        /// What is in doubt.
+        warning: Box<SetupWarning>,
+    },
 }
 
 impl fmt::Display for SetupWarning {
@@ -48,6 +55,7 @@ impl fmt::Display for SetupWarning {
                  among the inputs, if it is its recording"
             ),
             Self::NoEffect(sentence) => f.write_str(sentence),
+            Self::Experiment { name, warning } => write!(f, "{name}: {warning}"),
             Self::InputHeld { data, input, recorded, simulated } => {
                 let [r0, r1, s0, s1] = [recorded.0, recorded.1, simulated.0, simulated.1].map(Number);
                 write!(

@@ -4,6 +4,7 @@
 
 mod support;
 
+use example_models::{ExampleKind, example_fmu_as};
 use fmi::ode::Ignore;
 use fmi::{Fmu, InterfaceKind, Kind, Pool, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
@@ -147,6 +148,14 @@ fn the_bundled_models_come_back_by_their_states() {
     let pool = Pool::new(Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap()));
     assert_eq!(pool.reuse().unwrap(), Reuse::Restore);
     assert!(pool.is_concurrent().unwrap());
+}
+
+#[test]
+fn a_reset_function_that_the_standard_does_not_have_is_no_quirk() {
+    let fmu = Fmu::open(example_fmu_as("dahlquist", ExampleKind::Fmi1ModelExchange).unwrap()).unwrap();
+    let pool = Pool::new(plan(&fmu, Kind::ModelExchange));
+    assert_eq!(pool.reuse().unwrap(), Reuse::Reinstantiate);
+    assert_eq!(fmu.quirks_seen(), []);
 }
 
 #[test]

@@ -315,13 +315,13 @@ fn bad_tables_name_variable_row_and_number() {
     for (inputs, text) in [
         (
             new().series("u", vec![0.0, 2.0, 1.0], vec![0.0; 3]),
-            "input u: times must ascend: row 3 has 1 after 2",
+            "input u: times must ascend: row 2 has 1 after 2",
         ),
         (new().series("u", vec![0.0, 1.0], vec![0.0; 3]), "input u: 3 values for 2 times"),
-        (new().series("u", vec![0.0, 1.0], vec![0.0, f64::NAN]), "row 2 (time 1, value NaN)"),
+        (new().series("u", vec![0.0, 1.0], vec![0.0, f64::NAN]), "row 1 (time 1, value NaN)"),
         (new().series("u", vec![], vec![]), "no rows"),
-        (new().series("gear", vec![0.0, 1.0], vec![1.0, 1.5]), "input gear: 1.5 in row 2 is not an integer"),
-        (new().series("enabled", vec![0.0, 1.0], vec![1.0, 2.0]), "input enabled: 2 in row 2 is not 0 or 1"),
+        (new().series("gear", vec![0.0, 1.0], vec![1.0, 1.5]), "input gear: 1.5 in row 1 is not an integer"),
+        (new().series("enabled", vec![0.0, 1.0], vec![1.0, 2.0]), "input enabled: 2 in row 1 is not 0 or 1"),
         (new().function("gear", |t| t), "continuous real inputs only"),
         (new().function("u", |t| t).function("u", |t| t), "input u: it is given twice"),
         (new().function("K", |t| t), "input K: it is not an input"),

@@ -95,18 +95,27 @@ impl PyCalibration {
         };
         let settings = settings.check(py)?;
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
-        let experiments = experiments
-            .into_iter()
-            .map(|experiment| Ok((experiment.start_values(py, &fmu)?, experiment)))
-            .collect::<PyResult<Vec<_>>>()?;
+        // The name of an experiment, where there are several.
+        let is_one = experiments.len() == 1;
+        let named = |(k, experiment): (usize, ExperimentFields)| {
+            let name = || experiment.name.clone().unwrap_or_else(|| Experiment::default_name(k));
+            let name = (!is_one).then(name);
+            let start_values = experiment.start_values(py, &fmu).map_err(|e| match &name {
+                Some(name) => {
+                    let message = format!("{name}: {}", e.value(py));
+                    error::reworded(py, e, message)
+                }
+                None => e,
+            })?;
+            Ok((name, start_values, experiment))
+        };
+        let experiments = experiments.into_iter().enumerate().map(named).collect::<PyResult<Vec<_>>>()?;
         let built = py.detach(move || {
             let mut builder = calibration::Calibration::builder(fmu).settings(settings);
-            let several = experiments.len() > 1;
-            for (k, (start_values, experiment)) in experiments.into_iter().enumerate() {
-                let name = experiment.name.clone().unwrap_or_else(|| Experiment::default_name(k));
-                let made = experiment.experiment(start_values).map_err(|e| match several {
-                    true => CalibrationError::Experiment { name, source: Box::new(e) },
-                    false => e,
+            for (name, start_values, experiment) in experiments {
+                let made = experiment.experiment(start_values).map_err(|e| match name {
+                    Some(name) => CalibrationError::Experiment { name, source: Box::new(e) },
+                    None => e,
                 });
                 builder = builder.experiment(made?);
             }
@@ -286,11 +295,12 @@ impl PyCalibration {
         };
         let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
         let result = match outcome {
-            Ok(fit) => {
+            Ok(mut fit) => {
                 // No simulation can be made any more.
                 if let (None, Termination::Aborted(reason)) = (&raised, &fit.report.termination) {
                     raised = Some(fmu_error::unusable(reason));
                 }
+                report::set_raised(&mut fit.report, raised.as_ref());
                 let result = report::to_python(py, &fit.report)?;
                 result.setattr("stats", Counts::new(&fit.stats))?;
                 let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));

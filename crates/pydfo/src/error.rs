@@ -68,7 +68,8 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
     }
 }
 
-fn reworded(py: Python<'_>, exception: PyErr, message: String) -> PyErr {
+/// The exception with another message.
+pub(crate) fn reworded(py: Python<'_>, exception: PyErr, message: String) -> PyErr {
     let done = exception.value(py).setattr("args", (message,));
     done.err().unwrap_or(exception)
 }

@@ -81,6 +81,9 @@ fn places(method: &str, form: &Value) -> BTreeMap<String, String> {
     places
 }
 
+/// Up to here, floating-point numbers tell all whole numbers apart.
+const MOST_EXACT: f64 = 9_007_199_254_740_992.0;
+
 /// A Python value as plain data; an empty object, which fits nowhere, stands for what is none.
 fn plain(value: &Bound<'_, PyAny>) -> Value {
     if let Ok(list) = value.call_method0("tolist") {
@@ -93,6 +96,10 @@ fn plain(value: &Bound<'_, PyAny>) -> Value {
     } else if let Ok(count) = value.extract::<i64>() {
         Value::Number(count.into())
     } else if let Ok(number) = value.extract::<f64>() {
+        // Floats like 1e4 are counts, too.
+        if (1.0..=MOST_EXACT).contains(&number) && number.fract() == 0.0 {
+            return Value::Number((number as u64).into());
+        }
         Number::from_f64(number).map_or_else(|| Value::Object(Map::new()), Value::Number)
     } else if let Ok(text) = value.extract::<String>() {
         Value::String(text.replace('_', "-"))
@@ -147,7 +154,13 @@ fn unfit(
     };
     let or_none = if is_optional { " or None" } else { "" };
     let text = given.repr().map_or_else(|_| "?".to_owned(), |r| r.to_string());
-    PyTypeError::new_err(format!("option '{option}' of {method} must be {what}{or_none}, not {text}"))
+    let message = format!("option '{option}' of {method} must be {what}{or_none}, not {text}");
+    // Whole numbers, NaN and infinities have the right type where numbers are expected.
+    let is_whole = || given.extract::<f64>().is_ok_and(|number| number.fract() == 0.0 || !number.is_finite());
+    match what.contains("number") && !given.is_instance_of::<PyBool>() && is_whole() {
+        true => PyValueError::new_err(message),
+        false => PyTypeError::new_err(message),
+    }
 }
 
 /// The error for an option that there is not, with the one that is most like it.

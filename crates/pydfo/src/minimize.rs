@@ -116,7 +116,10 @@ fn conclude<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let raised = raised.or_else(|| stop.take_raised());
     let result = match outcome {
-        Ok(report) => Some(report::to_python(py, &report)?),
+        Ok(mut report) => {
+            report::set_raised(&mut report, raised.as_ref());
+            Some(report::to_python(py, &report)?)
+        }
         Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::optimiser(py, &e)),
         Err(_) => None,
     };

@@ -2,7 +2,7 @@
 
 use crate::interrupt::CallingThread;
 use crate::threads::lock;
-use dfo::{Outcome, Progress, Report, Simplex, Tests, Trace, TraceEntry};
+use dfo::{Outcome, Progress, Report, Simplex, Termination, Tests, Trace, TraceEntry};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
@@ -151,6 +151,14 @@ impl LastProgress {
 /// `pydfo.OptimizeResult` from its fields.
 fn result<'py>(py: Python<'py>, fields: &Bound<'py, PyDict>) -> PyResult<Bound<'py, PyAny>> {
     py.import("pydfo._result")?.getattr("OptimizeResult")?.call((), Some(fields))
+}
+
+/// A run that an observer ended with an exception was not stopped, but aborted.
+pub(crate) fn set_raised(report: &mut Report, raised: Option<&PyErr>) {
+    if let (Some(e), Termination::StoppedByObserver) = (raised, &report.termination) {
+        report.message = format!("aborted by the callback: {e}");
+        report.termination = Termination::Aborted(e.to_string());
+    }
 }
 
 /// `pydfo.OptimizeResult` of a run that has ended.

@@ -177,7 +177,9 @@ def test_progress_and_callbacks(dahlquist, capsys):
 
     with pytest.raises(RuntimeError) as info:
         decay(dahlquist).fit(callback=callback)
-    assert info.value is error and isinstance(error.partial_result, Fit) and "k" in error.partial_result.parameters
+    partial = error.partial_result
+    assert info.value is error and isinstance(partial, Fit) and "k" in partial.parameters
+    assert (partial.status, partial.termination) == (6, "aborted")
 
 
 def test_simulations_that_fail(dahlquist):

@@ -96,6 +96,46 @@ def test_inputs_belong_to_their_experiment():
     np.testing.assert_allclose(calibration.fit().x, [truth], rtol=1e-3)
 
 
+def test_what_is_wrong_with_one_of_several_names_it(tmp_path):
+    def built(**more):
+        runs = [Experiment(decay(1.0), {"x": "y"}, name="cold"), Experiment(decay(1.0), {"x": "y"}, **{"name": "hot", **more})]
+        return Calibration(example_fmu("dahlquist"), runs, SHARED)
+
+    with pytest.raises(ValueError, match="^hot: weights: there is no output 'z'"):
+        built(weights={"z": 1.0})
+    with pytest.raises(KeyError, match='^hot: the model has no variable "zz"'):
+        built(start_values={"zz": 1.0})
+    with pytest.raises(KeyError, match='^run2: the model has no variable "zz"'):
+        built(start_values={"zz": 1.0}, name=None)
+    with pytest.raises(ValueError, match="^hot: data: there is no column 'z'"):
+        Experiment(decay(1.0), {"x": "z"}, name="hot")
+    path = tmp_path / "hot.csv"
+    path.write_text("time,y\n0,1\n1,2\n")
+    with pytest.raises(ValueError, match="^hot: .*'z'"):
+        runs = [Experiment(decay(1.0), {"x": "y"}), Experiment(path, {"x": "z"}, name="hot")]
+        Calibration(example_fmu("dahlquist"), runs, SHARED)
+
+
+def test_warnings_about_one_of_several_name_it():
+    time = np.linspace(0.0, 3.0, 4)
+    data = {"time": time, "u1": np.full(4, 5.0), "u2": np.full(4, 5.0), "x1": np.full(4, 1e-2)}
+    runs = [Experiment(data, {"qt.x1": "x1"}, inputs, name=name) for name, inputs in [("cold", ["u1", "u2"]), ("hot", ["u1"])]]
+    parameter = Parameter("qt.a1", 3e-6, 2e-6, 4e-6)
+    for experiments, said in [(runs, "hot: data: column 'u2'"), (runs[1:], "data: column 'u2'")]:
+        with pytest.warns(pydfo.CalibrationWarning) as caught:
+            Calibration(example_fmu("quad_tank"), experiments, parameter, step_size=0.1)
+        messages = [str(warning.message) for warning in caught]
+        assert len(messages) == 2 and any(message.startswith(said) for message in messages)
+        # The settings are those of all.
+        assert sum(message.startswith("step_size") for message in messages) == 1
+
+
+def test_experiments_may_come_from_a_generator():
+    runs = (Experiment(decay(x0), {"x": "y"}, start_values={"x": x0}) for x0 in (1.5, 3.0))
+    calibration = Calibration(example_fmu("dahlquist"), runs, SHARED)
+    assert calibration.experiments == ["run1", "run2"] and calibration.n_residuals == 22
+
+
 def test_failures_name_the_experiment():
     runs = [Experiment(decay(1.0), {"x": "y"}), Experiment(decay(1.0), {"x": "y"}, name="late", start_values={"x": 1e308})]
     with pytest.raises(pydfo.SimulationError, match="late: "):
@@ -109,6 +149,11 @@ def test_failures_name_the_experiment():
         (([Experiment(decay(1.0), {"x": "y"}, name="a")] * 2, [SHARED]), ValueError, "two experiments are named 'a'"),
         ((decay(1.0), {"x": "y"}), TypeError, "needs the argument 'parameters'"),
         ((decay(1.0),), TypeError, "needs the argument 'outputs'"),
+        (([Experiment(decay(1.0), {"x": "y"}, name="")], [SHARED]), ValueError, 'must not be empty, .*: ""'),
+        (([Experiment(decay(1.0), {"x": "y"}, name="a[1]")], [SHARED]), ValueError, 'nor hold brackets .*: "a'),
+        (([], [SHARED]), ValueError, "there are no experiments"),
+        (([Experiment(decay(1.0), {"x": "y"}), decay(1.0)], [SHARED]), TypeError, "entry 1 of the list is a dict, not an Exp"),
+        (({"a": Experiment(decay(1.0), {"x": "y"})}, [SHARED]), TypeError, "must be a list, not a dict"),
         (([Experiment(decay(1.0), {"x": "y"}), Experiment(BAD, ["x"])], [SHARED]), ValueError, "^run2: data: time 0 at row 1 comes"),
         (([Experiment(decay(1.0), {"x": "y"}), Experiment(decay(1.0), {"z": "y"}, name="b")], [SHARED]), KeyError, "b: .*\"z\""),
         (([Experiment(decay(1.0), {"x": "y"}, start_values={"x": 20.0})], [LOCAL]), ValueError, r"'x\[run1\]': start 20 is outside"),

@@ -230,7 +230,9 @@ def test_the_callback_sees_progress_and_may_stop():
 
     with pytest.raises(KeyError) as info:
         minimize(rosenbrock, **RUN, callback=raising, workers=map)
-    assert info.value is error and error.partial_result.nfev >= 3
+    partial = error.partial_result
+    assert info.value is error and partial.nfev >= 3
+    assert (partial.status, partial.termination, partial.message) == (6, "aborted", "aborted by the callback: KeyError: 'mine'")
 
 
 def test_seeds_are_given_drawn_and_reported():
@@ -292,6 +294,7 @@ def test_sizes_scales_and_warm_starts_are_options():
         ("de-classic", {"strategy": "best1", "crossover": "exponential", "weight": (0.5, 1.0), "probability": 0.7}),
         ("de-classic", {"strategy": "current_to_best1", "weight": 0.6}),
         ("ga", {"population": 20, "selection": 3, "crossover_rate": 0.6, "mutation_rate": 0.02, "elite": 2, "gray": np.True_}),
+        ("ga", {"population": 20.0, "selection": 3.0, "elite": np.float64(2), "stall": 1e9}),
         ("ga", {"selection": "fitness", "resolution": [0.01, 0.01], "sampling": "uniform", "stall": None, "cache": 0}),
     ],
 )
@@ -323,6 +326,12 @@ def test_every_option_of_every_method_reaches_it(method, options):
         ({"method": "de", "options": {"crossover": "binomial"}}, ValueError, "de has no option 'crossover'; it has archive"),
         ({"options": {"restarts": 1.5}}, TypeError, "option 'restarts' of nelder-mead must be a whole number"),
         ({"options": {"restarts": True}}, TypeError, "option 'restarts' of nelder-mead must be a whole number"),
+        ({"options": {"restarts": -1}}, ValueError, "option 'restarts' of nelder-mead must be a whole number, at least 0.* not -1"),
+        ({"method": "de", "options": {"population": -1.0}}, ValueError, "'population' of de must be a whole number.* not -1.0"),
+        ({"method": "de", "options": {"memory": 1e30}}, ValueError, r"'memory' of de must be a whole number.* not 1e\+30"),
+        ({"method": "ga", "options": {"selection": -3}}, ValueError, "'selection' of ga must be 'fitness', or a number"),
+        ({"method": "ga", "options": {"mutation_rate": np.nan}}, ValueError, "'mutation_rate' of ga must be a number.* not nan"),
+        ({"options": {"batch": 6}}, TypeError, "option 'batch' of nelder-mead must be a string"),
         ({"options": {"batch": "six"}}, ValueError, "batch = 'six' is none of 'auto', 'serial'"),
         ({"options": {"coefficients": (1, 2)}}, TypeError, "option 'coefficients' of nelder-mead must be 'auto'"),
         ({"options": {"coefficients": (1, 0.5, 0.5, 0.5)}}, ValueError, "expansion = 0.5 must be above 1"),
@@ -339,6 +348,10 @@ def test_every_option_of_every_method_reaches_it(method, options):
         ({"bounds": [(0, 1)]}, ValueError, "bounds has 1 pairs for 2 parameters"),
         ({"bounds": [(0, 1), (0, 1, 2)]}, ValueError, r"bounds\[1\] has 3 values"),
         ({"bounds": 3}, TypeError, "bounds must be pairs"),
+        ({"bounds": "de"}, TypeError, "bounds must be pairs of numbers or None, not 'de'; did you mean method='de'?"),
+        ({"popluation": 30}, TypeError, "did you mean options={'population': ...}"),
+        ({"options": {"initial_simplex": [0.1, np.nan]}}, ValueError, r"initial_simplex\[1\] = nan must be finite"),
+        ({"options": {"initial_simplex": [[0, 0], [1, np.inf], [2, 0]]}}, ValueError, r"initial_simplex\[1, 1\] = inf must be"),
         ({"bounds": [(1, 0), (0, 1)]}, ValueError, "lower bound 1 is above"),
         ({"bounds": None, "method": "de"}, ValueError, "de searches a box"),
         ({"x0": None, "bounds": None}, ValueError, "x0 is needed"),

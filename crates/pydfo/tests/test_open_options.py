@@ -12,7 +12,7 @@ from pydfo import FMUModel, FmuError, example_fmu, load_fmu
 
 
 def shown(caplog, *arguments, simulations=1, **options):
-    """What is logged of simulations with three bounces each."""
+    """What is logged of simulations with two bounces each."""
     caplog.clear()
     model = load_fmu(example_fmu("bouncing_ball"), *arguments, **options)
     with caplog.at_level(logging.DEBUG, logger="pydfo"):
@@ -51,9 +51,19 @@ def test_categories_of_the_log_are_chosen_by_name(caplog):
     assert shown(caplog, log_level=7, logging=("logStatusError",)) == []
     with pytest.raises(ValueError, match='no log category "logAll"; there are: logEvents, logStatusDiscard, logStatusError'):
         load_fmu(example_fmu("dahlquist"), logging=["logAll"]).simulate(final_time=1)
-    for bad in ([], [1], "logEvents", 2):
-        with pytest.raises(TypeError, match="logging"):
+    assert messages == [line.getMessage() for line in shown(caplog, log_level=7, logging="logEvents")]
+    for bad in ([], [1], 2):
+        with pytest.raises(TypeError, match="logging must be True, False or a list of log categories"):
             load_fmu(example_fmu("dahlquist"), logging=bad)
+
+
+@pytest.mark.parametrize(("version", "kind"), [("1.0", "ME"), ("1.0", "CS"), ("2.0", "ME"), ("2.0", "CS"), ("3.0", "ME"), ("3.0", "CS")])
+def test_the_bundled_models_log_their_events_in_all_versions_and_kinds(version, kind, caplog):
+    model = FMUModel(example_fmu("bouncing_ball", version, kind), kind, log_level=7, logging=["logEvents"])
+    with caplog.at_level(logging.INFO, logger="pydfo"):
+        model.simulate(final_time=1.6)
+    bounces = [record.getMessage() for record in caplog.records if "states changed" in record.getMessage()]
+    assert len(bounces) == 3, caplog.messages
 
 
 def test_a_model_keeps_the_options_it_was_opened_with(tmp_path):

@@ -33,16 +33,10 @@ FMI1_EXPORT fmiStatus FMI1(fmiSetTime)(fmiComponent component, fmiReal time) {
 
 /* Updates the discrete variables, once or until they settle, and says what happened. */
 static ModelStatus update_events(Instance *in, int once, fmiEventInfo *info, const char *function) {
-    ModelEvents events = {0, 0, 0, 0, 0};
+    ModelEvents events;
     int changed = 0, rounds = 0;
     do {
-        ModelProblem problem = {""};
-        ModelStatus status = MODEL_OK;
-        memset(&events, 0, sizeof events);
-        if (model.update != NULL) {
-            status = settle(in, model.update(in->memory, in->now.time, &events, &problem), &problem, function);
-            in->now.stale = 1;
-        }
+        const ModelStatus status = update_once(in, &events, function);
         if (status != MODEL_OK) {
             return status;
         }

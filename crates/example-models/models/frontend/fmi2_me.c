@@ -26,20 +26,15 @@ fmi2Status fmi2EnterEventMode(fmi2Component component) {
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component component, fmi2EventInfo *info) {
     Instance *in = admit(component, EVENT, "fmi2NewDiscreteStates");
-    ModelEvents events = {0, 0, 0, 0, 0};
-    ModelStatus status = MODEL_OK;
+    ModelEvents events;
+    ModelStatus status;
     if (in == NULL) {
         return fmi2Error;
     }
     if (info == NULL) {
         return translate(fail(in, "fmi2NewDiscreteStates", "info is NULL"));
     }
-    if (model.update != NULL) {
-        ModelProblem problem = {""};
-        status = settle(in, model.update(in->memory, in->now.time, &events, &problem), &problem,
-                        "fmi2NewDiscreteStates");
-        in->now.stale = 1;
-    }
+    status = update_once(in, &events, "fmi2NewDiscreteStates");
     if (status != MODEL_OK) {
         return translate(status);
     }
@@ -50,11 +45,6 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component component, fmi2EventInfo *info) {
     info->valuesOfContinuousStatesChanged = events.states_changed ? fmi2True : fmi2False;
     info->nextEventTimeDefined = events.next_event ? fmi2True : fmi2False;
     info->nextEventTime = events.next_event ? events.next_event_time : 0.0;
-    if (in->logging & LOG_EVENTS) {
-        tell(in, LOG_EVENTS, "fmi2NewDiscreteStates", "t = %.17g%s%s%s", in->now.time,
-             events.states_changed ? ", states changed" : "", events.again ? ", once more" : "",
-             events.terminate ? ", the model ends the simulation" : "");
-    }
     return fmi2OK;
 }
 

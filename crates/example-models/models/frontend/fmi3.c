@@ -389,8 +389,8 @@ FMI3_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boole
                                                 fmi3Boolean *nominals_changed, fmi3Boolean *values_changed,
                                                 fmi3Boolean *next_defined, fmi3Float64 *next) {
     Instance *in = admit(instance, EVENT, "fmi3UpdateDiscreteStates");
-    ModelEvents events = {0, 0, 0, 0, 0};
-    ModelStatus status = MODEL_OK;
+    ModelEvents events;
+    ModelStatus status;
     if (in == NULL) {
         return fmi3Error;
     }
@@ -398,12 +398,7 @@ FMI3_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boole
         next_defined == NULL || next == NULL) {
         return translate(fail(in, "fmi3UpdateDiscreteStates", "NULL argument"));
     }
-    if (model.update != NULL) {
-        ModelProblem problem = {""};
-        status = settle(in, model.update(in->memory, in->now.time, &events, &problem), &problem,
-                        "fmi3UpdateDiscreteStates");
-        in->now.stale = 1;
-    }
+    status = update_once(in, &events, "fmi3UpdateDiscreteStates");
     in->now.again = events.again != 0;
     in->now.ended |= events.terminate != 0;
     in->now.next_event = events.next_event ? events.next_event_time : HUGE_VAL;

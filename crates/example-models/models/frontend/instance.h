@@ -409,6 +409,22 @@ static inline int wants_event(const Instance *in) {
     return model.wants_event != NULL && model.wants_event(in->memory, in->now.time);
 }
 
+/* One round of the event iteration, and what it brought in the log. */
+static inline ModelStatus update_once(Instance *in, ModelEvents *events, const char *function) {
+    ModelStatus status = MODEL_OK;
+    memset(events, 0, sizeof *events);
+    if (model.update != NULL) {
+        ModelProblem problem = {""};
+        status = settle(in, model.update(in->memory, in->now.time, events, &problem), &problem, function);
+        in->now.stale = 1;
+    }
+    if (status == MODEL_OK && (in->logging & LOG_EVENTS)) {
+        tell(in, LOG_EVENTS, function, "t = %.17g%s%s%s", in->now.time, events->states_changed ? ", states changed" : "",
+             events->again ? ", once more" : "", events->terminate ? ", the model ends the simulation" : "");
+    }
+    return status;
+}
+
 static inline void move_states(Instance *in, const double states[], size_t n) {
     /* Importers set the same point again before they ask for something else there: that costs no calculation. */
     if (n > 0 && memcmp(in->memory + model.states, states, n * sizeof(double)) != 0) {

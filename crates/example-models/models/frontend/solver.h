@@ -82,13 +82,8 @@ static inline int crossed(const double before[], const double after[]) {
 static inline ModelStatus happen(Instance *in, const char *function) {
     int rounds;
     for (rounds = 0; rounds < 100; rounds++) {
-        ModelEvents events = {0, 0, 0, 0, 0};
-        ModelProblem problem = {""};
-        ModelStatus status = MODEL_OK;
-        if (model.update != NULL) {
-            status = settle(in, model.update(in->memory, in->now.time, &events, &problem), &problem, function);
-        }
-        in->now.stale = 1;
+        ModelEvents events;
+        const ModelStatus status = update_once(in, &events, function);
         if (status != MODEL_OK) {
             return status;
         }

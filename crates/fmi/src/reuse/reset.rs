@@ -6,7 +6,7 @@ use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::fmu::Fmu;
 use crate::instance::{Instance, Instantiated};
-use crate::sys::RawInstance;
+use crate::sys::{InterfaceKind, RawInstance};
 
 impl Runner {
     /// A new instance; where saved states bring instances back, with the state to bring back.
@@ -87,6 +87,11 @@ impl Runner {
             }
             _ => {
                 self.set_reuse(Reuse::Reinstantiate);
+                let is_fmi1 = self.plan.fmu().description().fmi_version.major < 2;
+                if is_fmi1 && self.plan.kind == InterfaceKind::ModelExchange {
+                    // FMI 1.0 has a reset function for co-simulation only.
+                    return;
+                }
                 "the reset function"
             }
         };

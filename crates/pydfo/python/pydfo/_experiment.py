@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, SupportsFloat
 
@@ -40,12 +41,13 @@ class Experiment:
     time : str, optional
         Name of the column of times, where it is not ``time``.
     name : str, optional
-        Its name, in those of local parameters as well (``T0[cold]``); default: "run1", "run2" and so on.
+        Its name, in those of local parameters as well (``T0[cold]``); default: "run1", "run2" and so on. Not empty, without
+        brackets and line breaks.
 
     Raises
     ------
-    OSError, ValueError, TypeError
-        As `Calibration`.
+    ValueError, TypeError
+        As `Calibration`, which reads a CSV file, and raises what is wrong with it.
 
     Examples
     --------
@@ -85,31 +87,43 @@ class Experiment:
         time: str | None = None,
         name: str | None = None,
     ) -> None:
-        pairs = pairs_of_columns("outputs", outputs)
-        driven = pairs_of_columns("inputs", inputs)
-        named = None if time is None else _options.choice("time", time)
-        table = _data.read(data, [column for _, column in pairs + driven], named)
-        span = None
-        if window is not None:
-            if np.shape(window) != (2,):
-                raise ValueError(f"window must be two times, not {_options.show(window)}")
-            span = (_options.number("window", window[0]), _options.number("window", window[1]))
         put = object.__setattr__
         put(self, "name", None if name is None else _options.choice("name", name))
-        put(self, "path", table.path)
-        put(self, "columns", table.columns)
-        put(self, "left_out", table.left_out)
-        put(self, "time", named)
-        put(self, "outputs", weighted(pairs, weights))
-        put(self, "inputs", driven)
-        put(self, "start_values", _options.pairs("start_values", start_values))
-        put(self, "window", span)
-        put(self, "start_time", _options.optional_number("start_time", start_time))
+        with _errors_name(self.name):
+            pairs = pairs_of_columns("outputs", outputs)
+            driven = pairs_of_columns("inputs", inputs)
+            named = None if time is None else _options.choice("time", time)
+            table = _data.read(data, [column for _, column in pairs + driven], named)
+            span = None
+            if window is not None:
+                if np.shape(window) != (2,):
+                    raise ValueError(f"window must be two times, not {_options.show(window)}")
+                span = (_options.number("window", window[0]), _options.number("window", window[1]))
+            put(self, "path", table.path)
+            put(self, "columns", table.columns)
+            put(self, "left_out", table.left_out)
+            put(self, "time", named)
+            put(self, "outputs", weighted(pairs, weights))
+            put(self, "inputs", driven)
+            put(self, "start_values", _options.pairs("start_values", start_values))
+            put(self, "window", span)
+            put(self, "start_time", _options.optional_number("start_time", start_time))
 
     def __repr__(self) -> str:
         source = self.path if self.path is not None else f"{len(self.columns[0][1])} rows"
         outputs = ", ".join(variable for variable, _, _ in self.outputs)
         return f"<Experiment{'' if self.name is None else ' ' + self.name}: {outputs} from {source}>"
+
+
+@contextmanager
+def _errors_name(experiment: str | None) -> Iterator[None]:
+    """Errors begin with the name of the experiment, if it has one."""
+    try:
+        yield
+    except (TypeError, ValueError) as e:
+        if experiment is not None:
+            e.args = (f"{experiment}: {e}",)
+        raise
 
 
 @dataclass(frozen=True)
@@ -130,8 +144,8 @@ class Settings:
 def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:
     """The experiments and the parameters of a calibration, from its arguments: one recording with what belongs to it, or
     experiments, which the parameters follow."""
-    experiments = [data] if isinstance(data, Experiment) else data
-    if isinstance(experiments, (list, tuple)) and experiments and all(isinstance(one, Experiment) for one in experiments):
+    experiments = _listed(data)
+    if experiments is not None:
         if parameters is None:
             outputs, parameters = None, outputs
         given = {"outputs": outputs, "inputs": inputs, **own}
@@ -143,7 +157,26 @@ def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any)
         experiments = [Experiment(data, outputs, inputs, **own)]
     if parameters is None:
         raise TypeError("Calibration() needs the argument 'parameters'")
-    return list(experiments), parameters
+    return experiments, parameters
+
+
+def _listed(data: Any) -> list[Experiment] | None:
+    """The experiments, where `data` is one or several; None: it is a recording."""
+    if isinstance(data, Experiment):
+        return [data]
+    if isinstance(data, Mapping):
+        if any(isinstance(value, Experiment) for value in data.values()):
+            raise TypeError("experiments must be a list, not a dict; Experiment(..., name=...) names each")
+        return None
+    if isinstance(data, (str, bytes)) or not isinstance(data, Iterable) or hasattr(data, "dtype") or hasattr(data, "columns"):
+        return None
+    experiments = list(data)
+    if not experiments:
+        raise BadCalibrationError("there are no experiments: the list is empty")
+    for index, one in enumerate(experiments):
+        if not isinstance(one, Experiment):
+            raise TypeError(f"entry {index} of the list is a {type(one).__name__}, not an Experiment")
+    return experiments
 
 
 def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> list[tuple[str, str]]:

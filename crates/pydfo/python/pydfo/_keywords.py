@@ -84,7 +84,7 @@ def _hint(name: str, arguments: Collection[str], among_options: bool = False) ->
             return f"; here it is {ours}"
     if name in _ABSENT:
         return f"; {_ABSENT[name]}"
-    near = difflib.get_close_matches(name, arguments, 1) or difflib.get_close_matches(name, options, 1)
+    near = difflib.get_close_matches(name, {*arguments, *options}, 1)
     if not near:
         return f"; there are: {', '.join(arguments)}"
     return f"; did you mean {near[0]}?" if near[0] in arguments else f"; did you mean options={{{near[0]!r}: ...}}?"

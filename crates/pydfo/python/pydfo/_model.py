@@ -68,13 +68,16 @@ def _log_level(level: int | str | None) -> int:
     return number
 
 
-def _log_categories(logging: bool | Sequence[str]) -> tuple[str, ...]:
-    """The categories that are asked for by name."""
-    if not isinstance(logging, (list, tuple)):
-        return ()
-    if not logging or not all(isinstance(name, str) for name in logging):
-        raise TypeError(f"logging must be True, False or names of categories, not {_options.show(logging)}")
-    return tuple(logging)
+def _log_request(logging: bool | str | Sequence[str]) -> tuple[bool, tuple[str, ...]]:
+    """Whether the FMU is asked to log, and the categories that are asked for by name."""
+    names = (logging,) if isinstance(logging, str) else tuple(logging) if isinstance(logging, (list, tuple)) else ()
+    if names and all(isinstance(name, str) for name in names):
+        return True, names
+    try:
+        return _options.flag("logging", logging), ()
+    except TypeError:
+        what = "True, False or a list of log categories (['logEvents'])"
+        raise TypeError(f"logging must be {what}, not {_options.show(logging)}") from None
 
 
 class FMUModel:
@@ -103,8 +106,8 @@ class FMUModel:
         `logging` at the level INFO. The levels are PyFMI's: 0 "nothing", 1 "fatal", 2 "error" (both let errors of any kind
         pass), 3 "warning", 4 "info", 5 "verbose", 6 "debug", 7 "all" (all lines, with all four). Default: all lines are
         kept, the last of them are part of the message of every error, and none are shown.
-    logging : bool or list of str
-        The FMU is asked to log; FMUs log what they think important without being asked, too. A list: of these categories
+    logging : bool, str or list of str
+        The FMU is asked to log; FMUs log what they think important without being asked, too. Names: of these categories
         only (``description.log_categories`` has their names; FMI 1.0 has none in advance, and any will do).
     deepbind : bool
         Symbols of the FMU's library come before those of the process (RTLD_DEEPBIND, Linux): for libraries that would get a
@@ -146,7 +149,7 @@ class FMUModel:
         kind: str = "auto",
         log_level: int | str | None = None,
         *,
-        logging: bool | Sequence[str] = False,
+        logging: bool | str | Sequence[str] = False,
         deepbind: bool = False,
         lazy: bool = False,
         tool_is_present: bool = False,
@@ -155,10 +158,10 @@ class FMUModel:
     ) -> None:
         if not isinstance(kind, str):
             raise TypeError(f"kind must be a string, not {kind!r}")
-        categories = _log_categories(logging)
+        is_asked, categories = _log_request(logging)
         self._opened = OpenOptions(
             log_level=_log_level(log_level),
-            logging=bool(categories) or _options.flag("logging", logging),
+            logging=is_asked,
             log_categories=categories,
             show_log=log_level is not None,
             deepbind=_options.flag("deepbind", deepbind),

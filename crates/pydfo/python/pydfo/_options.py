@@ -264,6 +264,8 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
         # SciPy makes arrays of length one of scalars, which hold for all parameters.
         lower, upper = (side[0] if np.shape(side) == (1,) else side for side in (bounds.lb, bounds.ub))
         return bound("bounds.lb", lower, n, -np.inf), bound("bounds.ub", upper, n, np.inf)
+    if isinstance(bounds, str):
+        raise TypeError(f"bounds must be pairs of numbers or None, not {bounds!r}; did you mean method={bounds!r}?")
     try:
         pairs = [tuple(pair) for pair in bounds]
     except TypeError:
@@ -386,6 +388,9 @@ def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | No
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise TypeError(f"initial_simplex must be numbers, not {show(value)}") from None
+    if not np.isfinite(array).all():
+        index = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise ValueError(f"initial_simplex{index} = {array[tuple(index)]} must be finite")
     if array.ndim == 2 and array.shape[1] == n:
         return array.tolist(), None
     if array.shape == (n,):

@@ -467,7 +467,7 @@ fn check_held(variable: &Variable, column: Column) -> Result<Column, FmiError> {
         VariableKind::Integer | VariableKind::Enumeration => "an integer".to_owned(),
         kind => format!("of type {kind}"),
     };
-    Err(bad(variable, format!("{} in row {} is not {what}", column.values[row], row + 1)))
+    Err(bad(variable, format!("{} in row {} is not {what}", column.values[row], row)))
 }
 
 fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<(), FmiError> {
@@ -479,14 +479,11 @@ fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<(), 
     }
     for (row, (time, value)) in times.iter().zip(values).enumerate() {
         if !time.is_finite() || !value.is_finite() {
-            return Err(bad(variable, format!("row {} (time {time}, value {value}) is not finite", row + 1)));
+            return Err(bad(variable, format!("row {} (time {time}, value {value}) is not finite", row)));
         }
         if row > 0 && *time < times[row - 1] {
             let before = times[row - 1];
-            return Err(bad(
-                variable,
-                format!("times must ascend: row {} has {time} after {before}", row + 1),
-            ));
+            return Err(bad(variable, format!("times must ascend: row {} has {time} after {before}", row)));
         }
     }
     Ok(())

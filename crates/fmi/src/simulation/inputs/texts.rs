@@ -52,7 +52,7 @@ impl TextInput {
                 match &mut values {
                     Values::Texts(texts) => texts.push(
                         CString::new(bytes)
-                            .map_err(|_| bad(format!("the text in row {} has a NUL in it", row + 1)))?,
+                            .map_err(|_| bad(format!("the text in row {} has a NUL in it", row)))?,
                     ),
                     Values::Bytes(all) => all.push(bytes.to_vec()),
                 }
