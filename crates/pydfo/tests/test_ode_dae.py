@@ -106,12 +106,24 @@ def test_events_make_consistent_again():
         ({"x0": [math.inf, 0, 0]}, ValueError, "x0 must be finite"),
         ({"t_eval": [0.5, 0.2]}, ValueError, "not in the order of the integration"),
         ({"mass": np.eye(3)}, TypeError, "mass"),
+        ({"events": 3}, TypeError, "events must be a function, or several in a list, not 3"),
+        ({"t_span": (0, math.inf)}, ValueError, "from 0 to inf: both must be finite$"),
     ],
 )
 def test_bad_arguments(wrong, error, words):
     given = {"residual": robertson, "t_span": (0, 1), "x0": [1.0, 0.0, 0.0], **wrong}
     with pytest.raises(error, match=words):
         ode.solve_dae(**given)
+
+
+def test_a_guess_that_hides_a_derivative():
+    res = ode.solve_dae(lambda t, y, dy: [y[1] * dy[0] + y[0], y[1] - 2], (0, 1), [1.0, 0.0], rtol=1e-8)
+    assert res.y[:, 0].tolist() == [1, 2] and abs(res.y[0, -1] - math.exp(-0.5)) < 1e-6
+    jac = [[-1.0]], [[0.0]]
+    for given in {}, {"jac": lambda t, y, dy: (jac[0], [[2 * dy[0]]])}:
+        res = ode.solve_dae(lambda t, y, dy: [dy[0] ** 2 - y[0]], (0, 1), [1.0], **given)
+        assert not res.success and res.y[0, 0] == 1
+        assert "equation 0 has the residual -1; give derivatives (dx0)" in res.message
 
 
 def test_failures_say_why():
