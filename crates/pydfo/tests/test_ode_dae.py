@@ -126,6 +126,35 @@ def test_a_guess_that_hides_a_derivative():
         assert "equation 0 has the residual -1; give derivatives (dx0)" in res.message
 
 
+def test_a_pattern_that_lacks_places_is_named():
+    n = 100
+
+    def residual(t, y, dy):
+        return np.concatenate([dy[:n] - y[n:], y[n:] + y[:n]])
+
+    def swapped(t, y, dy):
+        return np.concatenate([y[:n] + y[n:], dy[:n] - y[n:]])
+
+    for equations in residual, swapped:
+        res = ode.solve_dae(equations, (0, 1), np.r_[np.ones(n), -np.ones(n)], jac_sparsity=np.eye(2 * n))
+        assert not res.success and "places that jac_sparsity lacks" in res.message
+
+
+def test_sparse_index_2_with_a_wrong_start():
+    n = 40
+    eye, zero = np.eye(n), np.zeros((n, n))
+    pattern = np.block([[eye, eye, zero], [eye, eye, eye], [zero, eye, zero]])
+
+    def residual(t, y, dy):
+        x, u, force = y.reshape(3, n)
+        return np.concatenate([dy[:n] - u, dy[n : 2 * n] - force + x, u - np.cos(t)])
+
+    for force in 0.0, 5.0:
+        start = np.repeat([0.0, 1.0, force], n)
+        res = ode.solve_dae(residual, (0, 1), start, jac_sparsity=pattern, exclude_algebraic=True)
+        assert not res.success and "index 2 or higher" in res.message and "equation 80" in res.message
+
+
 def test_failures_say_why():
     res = ode.solve_dae(lambda t, y, dy: [dy[0] + math.nan], (0, 1), [1.0])
     assert not res.success and "residual returned NaN for component 0 at t = 0" in res.message
