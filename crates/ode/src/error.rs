@@ -94,6 +94,16 @@ pub enum ErrorKind {
         /// What is left there of zero.
         residual: f64,
     },
+    /// A residual is not zero at the start or after an event, and no slopes (and values of what has no slope) were found from
+    /// those given for which it is.
+    InconsistentSlopes {
+        /// The equation with the largest residual at the values given.
+        equation: usize,
+        /// The residual.
+        residual: f64,
+        /// `dF/dx'` has a smaller rank there than near them, so that it does not show which states have a slope.
+        is_singular: bool,
+    },
     /// The model refused its own starting point (or the point right after an event), or a state or derivative is not
     /// finite there.
     DiscardedAtRestart,
@@ -151,6 +161,7 @@ impl ErrorKind {
             Self::ResidualNeedsBdf => "a residual needs solver bdf".to_owned(),
             Self::HigherIndex => "the index is above 1".to_owned(),
             Self::Inconsistent { .. } => "the states are not consistent".to_owned(),
+            Self::InconsistentSlopes { .. } => "the derivatives are not consistent".to_owned(),
             Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
             Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
             Self::TooManyEvents(n) => format!("the limit of {n} events was reached"),
@@ -303,11 +314,10 @@ impl fmt::Display for SimulationError {
         let (t, h) = (Number(self.time), Number(self.step));
         match &self.kind {
             ErrorKind::Span { start, end } => {
+                let is_finite = start.is_finite() && end.is_finite();
                 let (start, end) = (Number(*start), Number(*end));
-                return write!(
-                    f,
-                    "cannot simulate from {start} to {end}: both must be finite, the end not before the start"
-                );
+                let why = if is_finite { "this system cannot run backward" } else { "both must be finite" };
+                return write!(f, "cannot simulate from {start} to {end}: {why}");
             }
             ErrorKind::SampleTimes { index, time } => {
                 let time = Number(*time);
@@ -362,6 +372,19 @@ impl fmt::Display for SimulationError {
                     f,
                     "the states at t = {t} are not consistent, and no others with the same left-hand side are: \
                      equation {equation}, in which no derivative stands, has the residual {residual}"
+                )?;
+            }
+            ErrorKind::InconsistentSlopes { equation, residual, is_singular } => {
+                let residual = Number(*residual);
+                let why = if *is_singular {
+                    "the Jacobian with respect to the derivatives is singular there, but not near"
+                } else {
+                    "Newton's method finds no others from there"
+                };
+                write!(
+                    f,
+                    "the states and derivatives at t = {t} are not consistent, and {why}: equation {equation} has the \
+                     residual {residual}; give derivatives (dx0), or better guesses of states without a derivative"
                 )?;
             }
             ErrorKind::DiscardedAtRestart => match &self.not_finite {

@@ -52,6 +52,9 @@ pub(crate) enum Consistency {
     Impossible { equation: usize, residual: f64 },
     /// They do not decide the states.
     HigherIndex,
+    /// No slopes were found for which a residual is zero: this equation has this residual at the values given. `is_singular`: the
+    /// matrix in front of the slopes has a smaller rank there than near them.
+    NoSlopes { equation: usize, residual: f64, is_singular: bool },
 }
 
 /// What is done with a step inside of which an event was located.

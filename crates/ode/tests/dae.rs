@@ -196,13 +196,137 @@ fn what_cannot_be_solved_is_an_error() {
     let Err(SolveError::Simulation(error)) = solve_dae(none, 0.0..1.0, &[1.0, 2.0], &[0.0; 2]).run() else {
         panic!("solved")
     };
-    assert!(matches!(error.kind, ErrorKind::Inconsistent { equation: 1, .. }), "{error}");
+    let ErrorKind::Inconsistent { equation: 1, residual } = error.kind else { panic!("{error}") };
+    assert_eq!(residual, 5.0);
     // Two equations, of which one is the other.
     let twice = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r.fill(d[0] + x[1] - x[0]);
     let Err(SolveError::Simulation(error)) = solve_dae(twice, 0.0..1.0, &[1.0, 2.0], &[0.0; 2]).run() else {
         panic!("solved")
     };
     assert!(matches!(error.kind, ErrorKind::HigherIndex), "{error}");
+}
+
+/// `dF/dx'` is singular at the guess alone: states that have a derivative at consistent values keep theirs.
+#[test]
+fn guesses_at_which_a_derivative_has_no_part_do_not_change_its_state() {
+    let product = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
+        r.copy_from_slice(&[x[1] * d[0] + x[0], x[1] - 2.0]);
+    };
+    let slopes = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
+        r.copy_from_slice(&[d[1] * d[0] + x[0], d[1] - 1.0]);
+    };
+    let halved = solve_dae(product, 0.0..1.0, &[1.0, 0.0], &[0.0; 2]).relative_tolerance(1e-8).run().unwrap();
+    assert_eq!(halved.states[0], [1.0, 2.0]);
+    assert!((halved.last()[0] - (-0.5f64).exp()).abs() < 1e-6, "{:?}", halved.last());
+    let whole = solve_dae(slopes, 0.0..1.0, &[1.0, 0.0], &[0.0; 2]).relative_tolerance(1e-8).run().unwrap();
+    assert_eq!(whole.states[0], [1.0, 0.0]);
+    assert!((whole.last()[0] - (-1f64).exp()).abs() < 1e-6, "{:?}", whole.last());
+    // The same for a hundred such pairs with sparse Jacobians.
+    let n = 100;
+    let many = move |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
+        for i in 0..n {
+            (r[i], r[n + i]) = (x[n + i] * d[i] + x[i], x[n + i] - 2.0);
+        }
+    };
+    let places = (0..n).flat_map(|i| [(i, i), (i, n + i), (n + i, n + i)]);
+    let x0: Vec<f64> = (0..2 * n).map(|i| if i < n { 1.0 } else { 0.0 }).collect();
+    let sparse = solve_dae(many, 0.0..1.0, &x0, &vec![0.0; 2 * n])
+        .pattern(JacobianPattern::new(2 * n, places).unwrap())
+        .relative_tolerance(1e-8)
+        .run()
+        .unwrap();
+    assert_eq!((sparse.states[0][0], sparse.states[0][n]), (1.0, 2.0));
+    assert!((sparse.last()[0] - (-0.5f64).exp()).abs() < 1e-6, "{:?}", sparse.last()[0]);
+}
+
+/// Slopes of 0 as a guess, where `dF/dx'` is 0: no state is moved, and the message has the residual of what was given.
+#[test]
+fn slopes_at_which_the_jacobian_is_singular_are_an_error() {
+    type Scalar = fn(f64, f64) -> f64;
+    let cases: [(Scalar, f64, f64); 4] = [
+        (|x, d| d.powi(3) + x - 1.0, 0.0, 1.0),
+        (|x, d| d.powi(3) - x, 1.0, 1.0),
+        (|x, d| d * d - x, 1.0, 1.0),
+        (|x, d| d * d.abs() - x, 1.0, 1.0),
+    ];
+    for (f, x0, slope) in cases {
+        let residual = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r[0] = f(x[0], d[0]);
+        let failed = solve_dae(residual, 0.0..1.0, &[x0], &[0.0]).run();
+        let Err(SolveError::Simulation(error)) = failed else { panic!("{failed:?}") };
+        let ErrorKind::InconsistentSlopes { equation: 0, residual: left, is_singular: true } = error.kind
+        else {
+            panic!("{error}")
+        };
+        assert_eq!(left, f(x0, 0.0));
+        let solution = solve_dae(residual, 0.0..1.0, &[x0], &[slope]).run().unwrap();
+        assert_eq!(solution.states[0], [x0]);
+    }
+    // With the slope: y' = y^(1/3), y = (1 + 2 t / 3)^(3/2).
+    let cube = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r[0] = d[0].powi(3) - x[0];
+    let solution = solve_dae(cube, 0.0..1.0, &[1.0], &[1.0]).relative_tolerance(1e-8).run().unwrap();
+    assert!((solution.last()[0] - (5f64 / 3.0).powf(1.5)).abs() < 1e-5);
+    // No slope at all has d^2 + 1 = 0.
+    let none = |_: f64, _: &[f64], d: &[f64], r: &mut [f64]| r[0] = d[0] * d[0] + 1.0;
+    let failed = solve_dae(none, 0.0..1.0, &[1.0], &[1.0]).run();
+    let Err(SolveError::Simulation(error)) = failed else { panic!("{failed:?}") };
+    let ErrorKind::InconsistentSlopes { residual: 2.0, is_singular: false, .. } = error.kind else {
+        panic!("{error}")
+    };
+}
+
+/// `x' = u`, `u' = l - x` and an equation without `l` that decides `u` (index 2) or `x` (index 3), many times.
+fn bound(n: usize, index: usize, start: f64, exclude: bool) -> Result<Solution, SolveError> {
+    let residual = move |t: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
+        for i in 0..n {
+            r[i] = d[i] - x[n + i];
+            r[n + i] = d[n + i] - x[2 * n + i] + x[i];
+            r[2 * n + i] = if index == 2 { x[n + i] - t.cos() } else { x[i] - t.sin() };
+        }
+    };
+    let decided = if index == 2 { n } else { 0 };
+    let places = (0..n).flat_map(|i| {
+        let of_states = [(i, i), (i, n + i), (n + i, i), (n + i, n + i), (n + i, 2 * n + i)];
+        of_states.into_iter().chain([(2 * n + i, decided + i)])
+    });
+    let x0: Vec<f64> = (0..3 * n).map(|i| if i / n == 1 { start } else { 0.0 }).collect();
+    solve_dae(residual, 0.0..1.0, &x0, &vec![0.0; 3 * n])
+        .pattern(JacobianPattern::new(3 * n, places).unwrap())
+        .options(|o| o.exclude_algebraic = exclude)
+        .run()
+}
+
+#[test]
+fn a_higher_index_is_named_where_matrices_are_sparse() {
+    for (index, start, exclude) in [(2, 1.0, false), (2, 1.0, true), (2, 5.0, true), (3, 1.0, false)] {
+        let Err(SolveError::Simulation(error)) = bound(40, index, start, exclude) else { panic!("solved") };
+        let undetermined = error.undetermined.as_ref().unwrap_or_else(|| panic!("{error}"));
+        assert!(undetermined.states.iter().all(|k| (80..120).contains(k)), "{error}");
+        assert!(error.to_string().contains("index 2 or higher"), "{error}");
+    }
+    // Too large to be looked at as dense: states that do not fulfil an equation are an error at least.
+    let Err(SolveError::Simulation(error)) = bound(200, 2, 5.0, true) else { panic!("solved") };
+    assert!(matches!(error.kind, ErrorKind::Inconsistent { equation: 400, residual: 4.0 }), "{error}");
+}
+
+/// Equations and states in pairs, so that no column of `dF/dx'` is zero, sparse: consistent values are found.
+#[test]
+fn mixed_states_of_sparse_systems_are_corrected() {
+    let n = 60;
+    let residual = move |t: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
+        for ((x, d), r) in x.chunks(2).zip(d.chunks(2)).zip(r.chunks_mut(2)) {
+            mixed(t, x, d, r);
+        }
+    };
+    let places = (0..n).flat_map(|i| [0, 1, 2, 3].map(|k| (2 * i + k / 2, 2 * i + k % 2)));
+    let x0: Vec<f64> = (0..2 * n).map(|i| if i % 2 == 0 { 7.0 / 3.0 } else { -4.0 / 3.0 }).collect();
+    let solution = solve_dae(residual, 0.0..2.0, &x0, &vec![0.0; 2 * n])
+        .pattern(JacobianPattern::new(2 * n, places).unwrap())
+        .relative_tolerance(1e-8)
+        .run()
+        .unwrap();
+    let (start, end) = (&solution.states[0], solution.last());
+    assert!((start[0] - 1.0).abs() < 1e-8 && start[1].abs() < 1e-8, "{:?}", &start[..2]);
+    assert!((end[2 * n - 2] + end[2 * n - 1] - exact(2.0)).abs() < 2e-7, "{:?}", &end[..2]);
 }
 
 /// Where the residual is NaN smaller steps are tried, up to the place itself.

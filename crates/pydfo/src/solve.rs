@@ -7,8 +7,9 @@ use crate::settings::time_limit;
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{
-    AbsoluteTolerance, DenseOutput, Direction, Driver, ErrorKind, Evaluated, JacobianPattern, Limits, Method,
-    Number, Observer, Options, OptionsError, Report, Sample, SimulationError, StepView, Termination,
+    AbsoluteTolerance, DenseOutput, Direction, Driver, ErrorKind, Evaluated, HybridSystem, JacobianPattern,
+    Limits, Method, Number, Observer, Options, OptionsError, Report, Sample, SimulationError, StepView,
+    Termination,
 };
 use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
@@ -312,7 +313,18 @@ fn result<'py>(
             };
             (status, message.to_owned(), report.time, &report.stats)
         }
-        Err(e) => (-1, message(e, n, system.rhs_name()), e.time, &e.stats),
+        Err(e) => {
+            let mut message = message(e, n, system.rhs_name());
+            let kind = &e.kind;
+            if matches!(
+                kind,
+                ErrorKind::NoConvergence | ErrorKind::InconsistentSlopes { is_singular: false, .. }
+            ) && system.jacobian_pattern().is_some()
+            {
+                message.push_str("; places that jac_sparsity lacks may make the Jacobian wrong or singular");
+            }
+            (-1, message, e.time, &e.stats)
+        }
     };
     let fields = PyDict::new(py);
     let (times, states) =

@@ -106,12 +106,53 @@ def test_events_make_consistent_again():
         ({"x0": [math.inf, 0, 0]}, ValueError, "x0 must be finite"),
         ({"t_eval": [0.5, 0.2]}, ValueError, "not in the order of the integration"),
         ({"mass": np.eye(3)}, TypeError, "mass"),
+        ({"events": 3}, TypeError, "events must be a function, or several in a list, not 3"),
+        ({"t_span": (0, math.inf)}, ValueError, "from 0 to inf: both must be finite$"),
     ],
 )
 def test_bad_arguments(wrong, error, words):
     given = {"residual": robertson, "t_span": (0, 1), "x0": [1.0, 0.0, 0.0], **wrong}
     with pytest.raises(error, match=words):
         ode.solve_dae(**given)
+
+
+def test_a_guess_that_hides_a_derivative():
+    res = ode.solve_dae(lambda t, y, dy: [y[1] * dy[0] + y[0], y[1] - 2], (0, 1), [1.0, 0.0], rtol=1e-8)
+    assert res.y[:, 0].tolist() == [1, 2] and abs(res.y[0, -1] - math.exp(-0.5)) < 1e-6
+    jac = [[-1.0]], [[0.0]]
+    for given in {}, {"jac": lambda t, y, dy: (jac[0], [[2 * dy[0]]])}:
+        res = ode.solve_dae(lambda t, y, dy: [dy[0] ** 2 - y[0]], (0, 1), [1.0], **given)
+        assert not res.success and res.y[0, 0] == 1
+        assert "equation 0 has the residual -1; give derivatives (dx0)" in res.message
+
+
+def test_a_pattern_that_lacks_places_is_named():
+    n = 100
+
+    def residual(t, y, dy):
+        return np.concatenate([dy[:n] - y[n:], y[n:] + y[:n]])
+
+    def swapped(t, y, dy):
+        return np.concatenate([y[:n] + y[n:], dy[:n] - y[n:]])
+
+    for equations in residual, swapped:
+        res = ode.solve_dae(equations, (0, 1), np.r_[np.ones(n), -np.ones(n)], jac_sparsity=np.eye(2 * n))
+        assert not res.success and "places that jac_sparsity lacks" in res.message
+
+
+def test_sparse_index_2_with_a_wrong_start():
+    n = 40
+    eye, zero = np.eye(n), np.zeros((n, n))
+    pattern = np.block([[eye, eye, zero], [eye, eye, eye], [zero, eye, zero]])
+
+    def residual(t, y, dy):
+        x, u, force = y.reshape(3, n)
+        return np.concatenate([dy[:n] - u, dy[n : 2 * n] - force + x, u - np.cos(t)])
+
+    for force in 0.0, 5.0:
+        start = np.repeat([0.0, 1.0, force], n)
+        res = ode.solve_dae(residual, (0, 1), start, jac_sparsity=pattern, exclude_algebraic=True)
+        assert not res.success and "index 2 or higher" in res.message and "equation 80" in res.message
 
 
 def test_failures_say_why():

@@ -232,6 +232,9 @@ where
                 Consistency::Impossible { equation, residual } => {
                     return Err(ErrorKind::Inconsistent { equation, residual }.into());
                 }
+                Consistency::NoSlopes { equation, residual, is_singular } => {
+                    return Err(ErrorKind::InconsistentSlopes { equation, residual, is_singular }.into());
+                }
                 Consistency::HigherIndex => return Err(ErrorKind::HigherIndex.into()),
             }
         }

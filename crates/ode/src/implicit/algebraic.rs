@@ -75,6 +75,21 @@ impl Algebraic {
         Ok(true)
     }
 
+    /// How many equations and states the algebraic part has.
+    pub(super) fn count(&self) -> usize {
+        self.names.len()
+    }
+
+    /// Makes of `x` the state nearest to it, by the states that the algebraic part is named after, that differs from `guess` in
+    /// the algebraic part only.
+    pub(super) fn move_from(&self, guess: &[f64], x: &mut [f64]) {
+        let along: Vec<f64> = self.states.iter().map(|k| x[*k] - guess[*k]).collect();
+        x.copy_from_slice(guess);
+        for (z, share) in self.columns.chunks_exact(self.n.max(1)).zip(along) {
+            x.iter_mut().zip(z).for_each(|(x, z)| *x += share * z);
+        }
+    }
+
     /// What is added to the entry of the mass matrix at place `p`, by columns, so that it can be decomposed, where it has no
     /// pivot: solutions of its equations without a residual in their algebraic part are as with the matrix itself, and zero
     /// in the states that the algebraic part is named after.

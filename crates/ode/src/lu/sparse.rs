@@ -1,6 +1,6 @@
 //! Sparse decomposition by the library faer: the pattern is analysed once, numbers are decomposed as often as wanted.
 //!
-//! Unlike the dense one it allocates: 37 times for a decomposition (its factors, and room to work in), once for a solution.
+//! Unlike the dense one it allocates: 39 times for a decomposition (its factors, and room to work in), once for a solution.
 //! Everything is given back with the next decomposition.
 
 use super::scalar::Scalar;
@@ -42,8 +42,8 @@ impl<T: Scalar> SparseLu<T> {
         &self.pattern
     }
 
-    /// Reads the entries of the pattern and decomposes; `false`: some are not finite, or the pattern is singular. A
-    /// matrix that is singular by its numbers gives solutions that are not finite.
+    /// Reads the entries of the pattern and decomposes; `false`: some are not finite, or the matrix is singular: the factors of
+    /// one that is so by its numbers give solutions that are not finite.
     pub(crate) fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
         for (p, (value, on_diagonal)) in self.values.iter_mut().zip(&self.on_diagonal).enumerate() {
             *value = entry(p, *on_diagonal);
@@ -53,7 +53,9 @@ impl<T: Scalar> SparseLu<T> {
         }
         let matrix = SparseColMatRef::new(self.places.as_ref(), &self.values[..]);
         self.factors = Lu::try_new_with_symbolic(self.analysis.clone(), matrix).ok();
-        self.factors.is_some()
+        let mut probe = vec![<T as nalgebra::ComplexField>::from_real(1.0); self.pattern.n_states()];
+        self.solve(&mut probe);
+        self.factors.is_some() && probe.iter().all(nalgebra::ComplexField::is_finite)
     }
 
     /// Solves `A x = b` in place of `b`.

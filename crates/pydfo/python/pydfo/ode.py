@@ -383,7 +383,8 @@ def solve_dae(
     x0, dx0 : array_like, shape (n,)
         States and their derivatives at the start; `dx0` is zero by default. Of `x0` counts what has a derivative in the
         equations (the part that ``dF/dy'`` acts on). The rest, the algebraic variables, and `dx0` are guesses: Newton's
-        method changes them until the equations hold, which need no mark of the algebraic variables.
+        method changes them until the equations hold, which need no mark of the algebraic variables. A guess at which
+        ``dF/dy'`` is singular while it is not near it (``dy**3 - y`` with ``dx0 = 0``) is an error that says so.
     t_eval, dense_output, events, on_event, args, rtol, atol, first_step, max_step, interior_samples, chattering
         As for `solve`. Events are functions of time and states. After a change of the states the algebraic
         variables are made consistent again.
@@ -393,8 +394,9 @@ def solve_dae(
         one residual shows that it has changed.
     jac_sparsity : array_like or sparse matrix, shape (n, n), optional
         Not zero where one of the Jacobians may differ from zero: columns that share no row then come from one difference.
-        Where it makes the matrices sparse (100 states and more, at most 5 % of the places) the index is not looked at, and
-        values at the start are only corrected where each variable either has a derivative in the equations or not.
+        Where it makes the matrices sparse (100 states and more, at most 5 % of the places) and there are more than 500
+        states, the index is not named, and values at the start are only corrected where each variable either has a
+        derivative in the equations or not; equations without a derivative that do not hold are an error.
     exclude_algebraic : bool
         Leave variables without a derivative in the equations out of the error test. By default they are in it: with index 1
         their errors are of the size of the others', and nothing else would limit them.
@@ -405,7 +407,8 @@ def solve_dae(
     -------
     OdeResult
         As from `solve`; ``nfev`` counts residuals, those for differences included. A system of index 2 or higher has
-        ``success=False`` and a message that names the variables which its equations do not determine.
+        ``success=False`` and a message that names the variables which its equations do not determine (for more than 500
+        states with sparse matrices see `jac_sparsity`).
 
     Examples
     --------
@@ -589,7 +592,10 @@ def _span(t_span: Sequence[SupportsFloat]) -> tuple[float, float]:
 
 
 def _listed(events: Any) -> list[Callable[..., Any]]:
-    functions = [] if events is None else [events] if callable(events) else list(events)
+    try:
+        functions = [] if events is None else [events] if callable(events) else list(events)
+    except TypeError:
+        raise TypeError(f"events must be a function, or several in a list, not {events!r}") from None
     for i, function in enumerate(functions):
         if not callable(function):
             raise TypeError(f"event {i} must be callable, not {function!r}")

@@ -1,23 +1,21 @@
-//! What stands on the left of the equations: `x'`, `M x'`, or `F(t, x, x') = 0` as a whole; and consistent initial values.
+//! What stands on the left of the equations: `x'`, `M x'`, or `F(t, x, x') = 0` as a whole.
 //!
 //! Near a point all three are `M x' = f(t, x)`, with `M = dF/dx'`, and a Jacobian `-dF/dx` of the right-hand side. The two
 //! are kept apart, so that a change of the step size takes no evaluation: a new `M` is made where one evaluation along a
 //! vector shows that it has changed.
-//!
-//! Consistent initial values: P. N. Brown, A. C. Hindmarsh, L. R. Petzold, Consistent initial condition calculation for
-//! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. What they let the user mark,
-//! the algebraic variables, is what `M` has no part in here, be it a state or a sum of states.
 
 use super::fixed::{AtSlopes, AtState, Kind};
 use crate::control::Weights;
 use crate::error::Undetermined;
-use crate::implicit::algebraic::{Algebraic, sizes};
+use crate::implicit::algebraic::Algebraic;
 use crate::implicit::jacobian_update::Freshness;
 use crate::jacobian::Jacobian;
 use crate::lu::{Lu, make_room};
 use crate::options::AbsoluteTolerance;
-use crate::stepper::{Consistency, Equations};
+use crate::stepper::Equations;
 use crate::system::{CallError, CallResult, HybridSystem};
+
+mod consistent;
 
 /// Entries of a matrix of differences below this share of its largest ones are zero.
 const NOISE: f64 = 1e-6;
@@ -26,11 +24,6 @@ const NOISE: f64 = 1e-6;
 const SAME: f64 = 1e-4;
 /// Rounding of residuals, as a share of them.
 const ROUNDING: f64 = 1e-12;
-/// Slopes that Newton's method would change by less than this share are consistent.
-const CONVERGED: f64 = 1e-6;
-/// States that it would move by less than this share of their tolerance are.
-const CONSISTENT: f64 = 1e-3;
-const MAX_ROUNDS: u32 = 20;
 
 /// The matrix in front of the slopes.
 #[derive(Debug, Default)]
@@ -60,6 +53,8 @@ pub(super) struct LeftSide {
     point: Vec<f64>,
     value: Vec<f64>,
     last: Vec<f64>,
+    /// States and slopes that consistent ones are looked for from.
+    guess: (Vec<f64>, Vec<f64>),
 }
 
 /// Where the system is looked at: time, state, slopes.
@@ -269,146 +264,6 @@ impl LeftSide {
         Ok(value.iter().zip(allowed).all(|(v, allowed)| v.abs() <= *allowed))
     }
 
-    /// Sees to it that the equations hold at `(t, x)`, by changing states that `M` has no part in, and the slopes; `defect` is
-    /// what is left of zero there. The first time in a run the index is looked at, too.
-    pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
-        freshness: &mut Freshness,
-    ) -> CallResult<Consistency> {
-        let n = x.len();
-        if self.kind == Kind::Identity {
-            return Ok(Consistency::Holds);
-        }
-        if self.slopes.is_sparse() {
-            return self.make_sparse_consistent(equations, (t, x, slopes, defect), freshness);
-        }
-        let mut outcome = Consistency::Holds;
-        for _ in 0..MAX_ROUNDS {
-            let is_new = self.renew(equations, (t, x, slopes), defect)?;
-            let noise = if self.kind == Kind::Mass { 0.0 } else { NOISE };
-            if self.algebraic.begin(n, &self.mass, noise)? || is_new || !self.is_checked {
-                self.lu.begin(n, None)?;
-                equations.stats.decompositions += 1;
-                equations.stats.linear_algebra += self.lu.operations().0;
-                let Self { algebraic, mass, lu, .. } = self;
-                self.has_factors = lu.decompose(|p, _| mass[p] + algebraic.completion(p));
-            }
-            self.is_split = true;
-            let before = equations.stats.jacobians;
-            let Self { algebraic, mass, kind, is_checked, .. } = self;
-            let mut at_slopes = AtSlopes { system: &mut *equations.system, kind: *kind, mass, slopes };
-            let mut inner = Equations {
-                system: &mut at_slopes,
-                weights: equations.weights,
-                stats: &mut *equations.stats,
-            };
-            let found = algebraic.make_consistent(&mut inner, (t, x, defect), freshness.jacobian_mut())?;
-            if inner.stats.jacobians > before {
-                freshness.take_new(found == Consistency::Holds);
-            }
-            match found {
-                Consistency::Holds => {}
-                Consistency::Corrected => outcome = Consistency::Corrected,
-                other => return Ok(other),
-            }
-            if !std::mem::replace(is_checked, true) {
-                if !freshness.is_here() {
-                    freshness.jacobian_mut().0.evaluate(&mut inner, (t, x, defect))?;
-                    freshness.take_new(true);
-                }
-                sizes(inner.weights, x, &mut self.point);
-                if algebraic.deficit(freshness.jacobian(), &self.point).is_some() {
-                    freshness.drop_jacobian();
-                    if algebraic.undetermined(&mut inner, freshness.jacobian_mut().0, t, x).is_some() {
-                        return Ok(Consistency::HigherIndex);
-                    }
-                }
-            }
-            if !self.has_factors {
-                return Ok(outcome);
-            }
-            equations.stats.linear_algebra += self.lu.operations().1;
-            self.point.copy_from_slice(defect);
-            self.lu.solve(&mut self.point);
-            let mut converged = true;
-            for (i, (s, d)) in slopes.iter_mut().zip(&self.point).enumerate() {
-                *s += d;
-                converged &= d.abs() <= CONVERGED * (s.abs() + equations.weights.scale(i));
-            }
-            if self.kind == Kind::Mass || (converged && found == Consistency::Holds) {
-                return Ok(outcome);
-            }
-            self.defect(equations, (t, x, slopes), defect)?;
-        }
-        Ok(self.inconsistent(defect))
-    }
-
-    /// The same where matrices are sparse, for systems in which a state either has a slope or not: Newton's method for the slopes
-    /// of those that have one, and for the others themselves. Of other systems, and of those of a higher index, the values
-    /// are taken as they are.
-    fn make_sparse_consistent<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
-        freshness: &mut Freshness,
-    ) -> CallResult<Consistency> {
-        let mut outcome = Consistency::Holds;
-        for _ in 0..MAX_ROUNDS {
-            self.renew(equations, (t, x, slopes), defect)?;
-            let mut at_slopes = self.at_slopes(&mut *equations.system, slopes);
-            let mut inner = Equations {
-                system: &mut at_slopes,
-                weights: equations.weights,
-                stats: &mut *equations.stats,
-            };
-            freshness.jacobian_mut().0.evaluate(&mut inner, (t, x, defect))?;
-            freshness.take_new(true);
-            let jacobian = freshness.jacobian();
-            let Some(pattern) = jacobian.pattern() else { return Ok(outcome) };
-            let columns: Vec<usize> = pattern.with_diagonal().entries().map(|(_, k)| k).collect();
-            self.lu.begin(x.len(), Some(pattern))?;
-            equations.stats.decompositions += 1;
-            let Self { lu, has_slope, slopes: of_slopes, .. } = self;
-            let is_regular =
-                lu.decompose(
-                    |p, _| {
-                        if has_slope[columns[p]] { of_slopes.values[p] } else { -jacobian.values[p] }
-                    },
-                );
-            self.point.copy_from_slice(defect);
-            self.lu.solve(&mut self.point);
-            if !is_regular || !self.point.iter().all(|v| v.is_finite()) {
-                return Ok(outcome);
-            }
-            let mut converged = true;
-            equations.weights.inverse_at(x, 1.0, &mut self.value);
-            for (i, d) in self.point.iter().enumerate() {
-                if self.has_slope[i] {
-                    slopes[i] += d;
-                    converged &= d.abs() <= CONVERGED * (slopes[i].abs() + equations.weights.scale(i));
-                } else if (d * self.value[i]).abs() > CONSISTENT {
-                    x[i] += d;
-                    converged = false;
-                    outcome = Consistency::Corrected;
-                }
-            }
-            if converged {
-                return Ok(outcome);
-            }
-            self.defect(equations, (t, x, slopes), defect)?;
-        }
-        Ok(self.inconsistent(defect))
-    }
-
-    /// The equation with the largest residual.
-    fn inconsistent(&self, defect: &[f64]) -> Consistency {
-        let worst = (0..defect.len()).max_by(|i, k| defect[*i].abs().total_cmp(&defect[*k].abs()));
-        let equation = worst.unwrap_or_default();
-        Consistency::Impossible { equation, residual: -defect[equation] }
-    }
-
     /// Before a new start on the way: what Newton's method has left of the equations without derivatives would stand as an
     /// error of the steps to come, however short they are.
     pub(super) fn correct<S: HybridSystem + ?Sized>(
@@ -429,7 +284,7 @@ impl LeftSide {
         (t, x, slopes): Point<'_>,
         freshness: &mut Freshness,
     ) -> Option<Undetermined> {
-        if self.kind == Kind::Identity || self.slopes.is_sparse() || !self.is_split {
+        if self.kind == Kind::Identity || !self.is_split {
             return None;
         }
         freshness.drop_jacobian();
