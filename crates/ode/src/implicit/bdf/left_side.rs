@@ -15,10 +15,8 @@ use crate::options::AbsoluteTolerance;
 use crate::stepper::Equations;
 use crate::system::{CallError, CallResult, HybridSystem};
 
-mod consistent;
-
 /// Entries of a matrix of differences below this share of its largest ones are zero.
-const NOISE: f64 = 1e-6;
+pub(super) const NOISE: f64 = 1e-6;
 /// A matrix in front of the slopes that is off by less than this share is not evaluated anew: Newton's method loses no
 /// iteration by it.
 const SAME: f64 = 1e-4;
@@ -28,33 +26,33 @@ const ROUNDING: f64 = 1e-12;
 /// The matrix in front of the slopes.
 #[derive(Debug, Default)]
 pub(super) struct LeftSide {
-    kind: Kind,
+    pub(super) kind: Kind,
     /// By columns: the mass matrix, or `dF/dx'` where it is dense.
-    mass: Vec<f64>,
+    pub(super) mass: Vec<f64>,
     /// `dF/dx'`.
-    slopes: Jacobian,
-    is_known: bool,
+    pub(super) slopes: Jacobian,
+    pub(super) is_known: bool,
     /// The residual is an affine function of the slopes; `None`: not known yet.
-    is_affine: Option<bool>,
+    pub(super) is_affine: Option<bool>,
     /// The algebraic part is that of this run; the index was found to be 0 or 1.
-    is_split: bool,
-    is_checked: bool,
-    algebraic: Algebraic,
+    pub(super) is_split: bool,
+    pub(super) is_checked: bool,
+    pub(super) algebraic: Algebraic,
     /// Of `M`, [completed](Algebraic::completion).
-    lu: Lu<f64>,
-    has_factors: bool,
+    pub(super) lu: Lu<f64>,
+    pub(super) has_factors: bool,
     /// States that `M` has no part in are not to be in the error test.
     exclude: bool,
     /// Which states `M` has a part in.
-    has_slope: Vec<bool>,
+    pub(super) has_slope: Vec<bool>,
     weights: Weights,
     nominals: Vec<f64>,
     direction: Vec<f64>,
-    point: Vec<f64>,
-    value: Vec<f64>,
+    pub(super) point: Vec<f64>,
+    pub(super) value: Vec<f64>,
     last: Vec<f64>,
     /// States and slopes that consistent ones are looked for from.
-    guess: (Vec<f64>, Vec<f64>),
+    pub(super) guess: (Vec<f64>, Vec<f64>),
 }
 
 /// Where the system is looked at: time, state, slopes.
@@ -145,7 +143,7 @@ impl LeftSide {
     }
 
     /// After `M` was made: which states it has a part in.
-    fn find_slopes(&mut self) {
+    pub(super) fn find_slopes(&mut self) {
         let Self { kind, mass, slopes, has_slope, nominals, .. } = self;
         has_slope.clear();
         has_slope.resize(nominals.len(), false);
@@ -262,19 +260,6 @@ impl LeftSide {
             allowed[i] += SAME * (m * direction[k]).abs();
         });
         Ok(value.iter().zip(allowed).all(|(v, allowed)| v.abs() <= *allowed))
-    }
-
-    /// Before a new start on the way: what Newton's method has left of the equations without derivatives would stand as an
-    /// error of the steps to come, however short they are.
-    pub(super) fn correct<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
-        freshness: &mut Freshness,
-    ) -> CallResult<()> {
-        self.defect(equations, (t, x, slopes), defect)?;
-        self.make_consistent(equations, (t, x, slopes, defect), freshness)?;
-        Ok(())
     }
 
     /// After a failure: what equations without derivatives do not determine.

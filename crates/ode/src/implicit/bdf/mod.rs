@@ -24,6 +24,7 @@ use crate::system::{CallError, CallResult, HybridSystem};
 
 mod array;
 mod coefficients;
+mod consistent;
 mod corrector;
 mod fixed;
 mod left_side;

@@ -4,7 +4,8 @@
 //! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. What they let the user mark,
 //! the algebraic variables, is what `M` has no part in here, be it a state or a sum of states.
 
-use super::{AtSlopes, Kind, LeftSide, NOISE, Point};
+use super::fixed::{AtSlopes, Kind};
+use super::left_side::{LeftSide, NOISE, Point};
 use crate::control::Weights;
 use crate::implicit::algebraic::{Algebraic, sizes};
 use crate::implicit::jacobian_update::Freshness;
@@ -25,7 +26,7 @@ const NO_SLOPES: Consistency = Consistency::NoSlopes { equation: 0, residual: 0.
 impl LeftSide {
     /// Sees to it that the equations hold at `(t, x)`, by changing states that `M` has no part in, and the slopes; `defect` is
     /// what is left of zero there. The first time in a run the index is looked at, too.
-    pub(in super::super) fn make_consistent<S: HybridSystem + ?Sized>(
+    pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
         (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
@@ -313,5 +314,18 @@ impl LeftSide {
             Some(equation) => Consistency::Impossible { equation, residual: defect[equation] },
             None => Consistency::Holds,
         }
+    }
+
+    /// Before a new start on the way: what Newton's method has left of the equations without derivatives would stand as an
+    /// error of the steps to come, however short they are.
+    pub(super) fn correct<S: HybridSystem + ?Sized>(
+        &mut self,
+        equations: &mut Equations<'_, S>,
+        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
+        freshness: &mut Freshness,
+    ) -> CallResult<()> {
+        self.defect(equations, (t, x, slopes), defect)?;
+        self.make_consistent(equations, (t, x, slopes, defect), freshness)?;
+        Ok(())
     }
 }
