@@ -40,9 +40,9 @@ def test_the_four_points_of_a_round_are_evaluated_at_once():
         with lock:
             count += 1
             mine = count
-        # Shorter evaluations would not be handed over. The three vertices come first, then rounds of four points: the one
-        # that is needed and the most probable of those that may be.
-        time.sleep(0.002)
+        # Shorter evaluations may not be handed over where handing over has just taken long, as on a busy machine. The three
+        # vertices come first, then rounds of four points: the one that is needed and the most probable of those that may be.
+        time.sleep(0.1)
         if mine > 3:
             barrier.wait(PATIENCE)
         return rosenbrock(x)
@@ -56,7 +56,7 @@ def test_four_workers_start_four_of_the_vertices_together(n):
     barrier = threading.Barrier(4)
 
     def func(x):
-        time.sleep(0.002)
+        time.sleep(0.1)
         barrier.wait(PATIENCE)
         return float(np.sum(x**2))
 
