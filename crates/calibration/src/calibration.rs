@@ -382,8 +382,7 @@ impl Calibration {
         loop {
             let cost = self.evaluator.evaluate(x, ends, out, stats, |k, x, observer| {
                 let pool = self.pool(k, ends.1)?;
-                let lent = pool.prepare(ends.1).and_then(|()| pool.lend());
-                Ok(lent.and_then(|mut simulator| simulator.run(x, observer)))
+                Ok(pool.lend_until(ends.1).and_then(|mut simulator| simulator.run(x, observer)))
             });
             if !cost.as_ref().is_err_and(NoCost::is_by_history) {
                 return cost;

@@ -15,7 +15,7 @@ pub struct Cancel {
 }
 
 impl Cancel {
-    /// Work ends, with [`FmiError::Cancelled`], soon after somebody has raised `flag`.
+    /// Work ends, with [`FmiError::Cancelled`], soon after `flag` was raised.
     pub fn when(flag: Arc<AtomicBool>) -> Self {
         Self { flag: Some(flag), at: None }
     }

@@ -40,7 +40,7 @@ pub(crate) enum Dense<const S: usize> {
     /// `x(t + theta h) = x + h * sum_i (sum_k p[i][k] theta^(k+1)) k_i`.
     Polynomials([[f64; 4]; S]),
     /// Weights of the four highest of the seven terms of dop853.f, on stages behind the end that are evaluated for steps
-    /// that somebody looks into.
+    /// in which samples or events lie.
     Terms([Weights; 4]),
 }
 

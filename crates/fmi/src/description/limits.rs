@@ -28,7 +28,7 @@ const MEMORY_PER_BYTE: u64 = 8;
 /// Of it, for what is there for a moment only: attributes as they are read, a list that grows.
 const TRANSIENT_PER_BYTE: u64 = 2;
 
-/// What is left of the memory for reading one document, and whether somebody wants the reading to end.
+/// What is left of the memory for reading one document, and whether the reading is cancelled.
 #[derive(Debug)]
 pub(super) struct Budget {
     pub(super) limits: DescriptionLimits,
@@ -69,7 +69,7 @@ impl Budget {
         list.push(item);
     }
 
-    /// Refuses to go on if more was taken than there is, or somebody wants the reading to end.
+    /// Refuses to go on if more was taken than there is, or the reading is cancelled.
     pub(super) fn check(&self, line: u32) -> Result<(), FmiError> {
         self.cancel.check()?;
         let refusal = |message| FmiError::Description { file: MODEL_DESCRIPTION, line, message };

@@ -120,8 +120,16 @@ impl Pool {
     /// # Errors
     /// The FMU cannot be loaded or instantiated.
     pub fn lend(&self) -> Result<Lease<'_>, FmiError> {
+        self.lend_until(&|| false)
+    }
+
+    /// As [`lend`](Self::lend), with a check as [`prepare`](Self::prepare) makes it.
+    ///
+    /// # Errors
+    /// As [`lend`](Self::lend), and [`FmiError::Cancelled`].
+    pub fn lend_until(&self, cancelled: &dyn Fn() -> bool) -> Result<Lease<'_>, FmiError> {
         let mut state = self.state();
-        self.check(&mut state, &|| false)?;
+        self.check(&mut state, cancelled)?;
         let idle = state.idle.pop();
         drop(state);
         let mut simulator = match idle {

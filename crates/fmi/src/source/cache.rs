@@ -70,7 +70,7 @@ pub(super) fn get_or_make(
         Ok(()) => {
             let _ = unfinished.keep(); // moved away: nothing to remove
         }
-        Err(_) if file.is_file() => {} // somebody else was faster
+        Err(_) if file.is_file() => {} // another process was faster
         Err(error) => return Err(FmiError::io("create", kept)(error)),
     }
     evict(&folder, &kept, MOST_ENTRIES, MOST_BYTES);

@@ -30,7 +30,7 @@ where
         Ok(true)
     }
 
-    /// The left limit at the current time, where somebody wants it: the time is listed twice, or events are recorded.
+    /// The left limit at the current time, where it is wanted: the time is listed twice, or events are recorded.
     pub(super) fn sample_left(&mut self) -> Step<()> {
         let Space { x, sampler, .. } = &mut *self.space;
         let here =

@@ -8,7 +8,7 @@ use crate::system::{CallResult, HybridSystem};
 
 /// More iterations than this are slow.
 const ITERATIONS: u32 = 2;
-/// After a failure the Jacobian is to blame where the coefficient has changed by less than this since the decomposition.
+/// After a failure the Jacobian is taken as the cause where the coefficient has changed by less than this since the decomposition.
 const SAME_MATRIX: f64 = 0.2;
 
 /// The numbers of a method.
@@ -102,7 +102,7 @@ impl Freshness {
         self.coefficient = 0.0;
     }
 
-    /// The Jacobian was evaluated by somebody else; at the current point or, of no use, elsewhere.
+    /// The Jacobian was evaluated by another part: at the current point, or elsewhere, where it is of no use.
     pub(super) fn take_new(&mut self, is_here: bool) {
         self.has_jacobian = is_here;
         self.age = u32::from(!is_here);

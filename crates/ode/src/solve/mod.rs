@@ -35,7 +35,7 @@ pub fn solve<'a>(rhs: impl FnMut(f64, &[f64], &mut [f64]) + 'a, span: Range<f64>
 
 /// Integrates `F(t, x, x') = 0` (index 0 or 1): `residual(t, x, dx, r)` fills in `F`. Of `x0` what has a derivative in the
 /// equations counts; the rest of it, and `dx0`, are guesses: they are corrected until the equations hold. A system of a
-/// higher index ends with [`ErrorKind::HigherIndex`](crate::ErrorKind), which names the states that are to blame (not
+/// higher index ends with [`ErrorKind::HigherIndex`](crate::ErrorKind), which names the states concerned (not
 /// with sparse matrices of more than 500 states). A guess at which `dF/dx'` is singular while it is not near it is an
 /// [`ErrorKind::InconsistentSlopes`](crate::ErrorKind). The method is [`Method::Bdf`].
 ///

@@ -90,7 +90,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The limit from the left, where somebody wants it.
+    /// The limit from the left, where it is wanted.
     pub(super) fn sample_left(&mut self) -> Step<()> {
         if self.is_here() && self.twice() {
             self.read(StepSide::After)?;

@@ -17,7 +17,7 @@ pub(crate) struct SavedSlot {
 #[derive(Default)]
 pub(super) struct SavedStates {
     pub(super) slots: Vec<Slot>,
-    /// The state it had when it was new, where somebody wants to go back to it.
+    /// The state it had when it was new, where it is to be restored.
     pub(super) origin: Option<SavedSlot>,
     identity: Arc<()>,
 }
@@ -42,7 +42,7 @@ impl SavedStates {
         self.slots.clear();
     }
 
-    /// Whether somebody holds a state of a point passed, to which this run may be taken back. The state that the instance
+    /// Whether a state of a point passed is held, to which this run may be taken back. The state that the instance
     /// had when it was new begins another run.
     pub(super) fn may_be_restored(&self) -> bool {
         let held = self.slots.iter().filter(|slot| slot.token.strong_count() > 0).count();
