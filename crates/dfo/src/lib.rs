@@ -75,8 +75,8 @@ pub use method::{
 };
 pub use methods::{
     Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, Coefficients, Crossover,
-    DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex, NelderMead,
-    NelderMeadState, Repair, Scheme, Selection, Strategy, Weight,
+    DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex, LeastSquares,
+    LeastSquaresState, NelderMead, NelderMeadState, Repair, Scheme, Selection, Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
 pub use objective::{

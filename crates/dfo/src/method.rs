@@ -178,6 +178,8 @@ pub enum Operation {
     Restart,
     /// A generation was evaluated and selected from.
     Generation,
+    /// The best point of a model within its trust region was tried.
+    TrustRegionStep,
 }
 
 impl fmt::Display for Operation {
@@ -192,6 +194,7 @@ impl fmt::Display for Operation {
             Self::ParallelMoves => "parallel moves",
             Self::Restart => "restart",
             Self::Generation => "generation",
+            Self::TrustRegionStep => "trust region step",
         })
     }
 }

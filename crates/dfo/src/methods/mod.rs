@@ -3,6 +3,7 @@
 mod barrier;
 mod differential_evolution;
 mod genetic;
+mod least_squares;
 mod nelder_mead;
 mod shared;
 
@@ -11,6 +12,7 @@ pub use differential_evolution::{
     Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
 };
 pub use genetic::{Genetic, GeneticState, Selection};
+pub use least_squares::{LeastSquares, LeastSquaresState};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
 
 use crate::answer::Answers;
@@ -50,18 +52,21 @@ pub enum AnyMethod {
     DifferentialEvolution(DifferentialEvolution),
     /// `ga`, number 4.
     Genetic(Genetic),
+    /// `least-squares`, for objectives with residuals.
+    LeastSquares(LeastSquares),
 }
 
 /// A method's name, its number in `fmin`, and its default options.
 type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
 
 /// The methods: a new one is added here.
-const LIST: [Listed; 5] = [
+const LIST: [Listed; 6] = [
     ("nelder-mead", Some(1), || NelderMead::default().into()),
     ("barrier", Some(2), || Barrier::default().into()),
     ("de", None, || DifferentialEvolution::default().into()),
     ("de-classic", Some(3), || DifferentialEvolution::classic().into()),
     ("ga", Some(4), || Genetic::default().into()),
+    ("least-squares", None, || LeastSquares::default().into()),
 ];
 
 impl AnyMethod {
@@ -95,6 +100,7 @@ impl AnyMethod {
             Self::Barrier(_) => "barrier",
             Self::DifferentialEvolution(options) => options.name(),
             Self::Genetic(_) => "ga",
+            Self::LeastSquares(_) => "least-squares",
         }
     }
 
@@ -145,7 +151,7 @@ macro_rules! from_options {
     };
 }
 
-from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic);
+from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares);
 
 /// The same call on whichever method it is.
 macro_rules! each {
@@ -155,6 +161,7 @@ macro_rules! each {
             AnyMethod::Barrier($options) => $call,
             AnyMethod::DifferentialEvolution($options) => $call,
             AnyMethod::Genetic($options) => $call,
+            AnyMethod::LeastSquares($options) => $call,
         }
     };
 }

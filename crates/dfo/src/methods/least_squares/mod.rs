@@ -1,0 +1,41 @@
+//! Gauss-Newton in a trust region on linear interpolation models of the residuals (Zhang, Conn and Scheinberg 2010; Cartis, Fiala,
+//! Marteau and Roberts, ACM TOMS 45, 2019): n + 1 points, each evaluated once, make a model of every residual; its sum of squares
+//! is smallest at the next trial point, within a radius that grows and shrinks with the success of the predictions.
+
+mod model;
+mod options;
+mod state;
+mod subproblem;
+
+pub use options::LeastSquares;
+pub use state::LeastSquaresState;
+
+use crate::error::Error;
+use crate::memory;
+use crate::method::{MethodOptions, Setup, restored};
+use crate::option_texts;
+
+impl MethodOptions for LeastSquares {
+    type Method = LeastSquaresState;
+
+    fn begin(&self, setup: &Setup) -> Result<LeastSquaresState, Error> {
+        setup.tolerances.check()?;
+        self.check()?;
+        setup.space.require_continuous("least-squares")?;
+        let (n, n_user) = (setup.space.n_free(), setup.space.n());
+        memory::check("a model of so many parameters", &[n + 1, 4 * n + 2 * n_user])?;
+        Ok(LeastSquaresState::new(setup, self.radius))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<LeastSquaresState, Error> {
+        restored(state, |s: &LeastSquaresState| s.is_sound(setup))
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        option_texts::fields(self)
+    }
+
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
+        (Some(1000usize.saturating_mul(n + 1)), None)
+    }
+}

@@ -1,0 +1,149 @@
+//! The step of a Gauss-Newton model within a ball and a box.
+
+use nalgebra::{DMatrix, DVector};
+
+/// Newton steps for the multiplier of the ball: from a good bracket it takes three or four.
+const MOST_STEPS: usize = 60;
+
+/// A step from the best point: `|s| <= radius` and `lower <= s <= upper`, such that `|r + J s|` is (nearly) smallest.
+///
+/// The problem in the ball alone is solved exactly by the singular values of `J` (Moré and Sorensen 1983, with `J'J` in place of the
+/// Hessian). Where the solution leaves the box, the coordinate that reaches its bound first is set there, and the rest is solved again.
+pub(super) struct Subproblem<'a> {
+    pub(super) jacobian: &'a DMatrix<f64>,
+    pub(super) residuals: &'a [f64],
+    pub(super) radius: f64,
+    pub(super) lower: &'a [f64],
+    pub(super) upper: &'a [f64],
+}
+
+impl Subproblem<'_> {
+    /// The step, and the decrease of the sum of squares that the model predicts.
+    pub(super) fn solve(&self) -> (Vec<f64>, f64) {
+        let (m, n) = self.jacobian.shape();
+        let r = DVector::from_column_slice(self.residuals);
+        // What the columns of J can reach of r.
+        let (factor, reached) = if m > n {
+            let qr = self.jacobian.clone().qr();
+            let mut reached = r.clone();
+            qr.q_tr_mul(&mut reached);
+            (qr.r(), reached.rows(0, n).into_owned())
+        } else {
+            (self.jacobian.clone(), r.clone())
+        };
+        let gradient = factor.tr_mul(&reached);
+        let mut step = vec![0.0; n];
+        // At a bound with the descent leading out.
+        let blocked = |k: usize| {
+            (self.lower[k] >= 0.0 && gradient[k] > 0.0) || (self.upper[k] <= 0.0 && gradient[k] < 0.0)
+        };
+        let mut free: Vec<usize> = (0..n).filter(|&k| !blocked(k)).collect();
+        let mut left = self.radius * self.radius;
+        let mut rest = reached.clone();
+        while !free.is_empty() && left > 0.0 {
+            let part = within_ball(&factor.select_columns(&free), &rest, left.sqrt());
+            let share = |(place, &k): (usize, &usize)| {
+                let s = part[place];
+                let bound = if s > 0.0 { self.upper[k] } else { self.lower[k] };
+                if s != 0.0 && (bound / s) < 1.0 { bound / s } else { 1.0 }
+            };
+            let shares: Vec<f64> = free.iter().enumerate().map(share).collect();
+            let first = shares.iter().copied().fold(1.0, f64::min);
+            if first >= 1.0 {
+                free.iter().enumerate().for_each(|(place, &k)| step[k] = part[place]);
+                break;
+            }
+            let mut still = Vec::with_capacity(free.len());
+            for (place, &k) in free.iter().enumerate() {
+                if shares[place] > first {
+                    still.push(k);
+                    continue;
+                }
+                step[k] = if part[place] > 0.0 { self.upper[k] } else { self.lower[k] };
+                left -= step[k] * step[k];
+                rest += factor.column(k) * step[k];
+            }
+            free = still;
+        }
+        let after = &reached + &factor * DVector::from_column_slice(&step);
+        (step, reached.norm_squared() - after.norm_squared())
+    }
+}
+
+/// The shortest of the steps that make `|r + A s|` smallest within `|s| <= radius`.
+fn within_ball(a: &DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
+    let svd = a.clone().svd(true, true);
+    let (Some(u), Some(v_t)) = (&svd.u, &svd.v_t) else { return DVector::zeros(a.ncols()) };
+    let sigma = &svd.singular_values;
+    let c = u.tr_mul(r);
+    let largest = sigma.max();
+    let at = |multiplier: f64| {
+        DVector::from_iterator(
+            sigma.len(),
+            sigma
+                .iter()
+                .zip(c.iter())
+                .map(|(s, c)| if *s <= f64::EPSILON * largest { 0.0 } else { -s * c / (s * s + multiplier) }),
+        )
+    };
+    let mut part = at(0.0);
+    if part.norm() > radius {
+        // 1 / |s| is nearly linear in the multiplier; Newton's method from below ends from below.
+        let gradient = DVector::from_iterator(sigma.len(), sigma.iter().zip(c.iter()).map(|(s, c)| s * c));
+        let (mut low, mut high) = (0.0f64, gradient.norm() / radius);
+        let mut multiplier = 0.0;
+        for _ in 0..MOST_STEPS {
+            part = at(multiplier);
+            let norm = part.norm();
+            if (norm / radius - 1.0).abs() < 1e-6 {
+                break;
+            }
+            if norm > radius {
+                low = multiplier
+            } else {
+                high = multiplier
+            }
+            let slope: f64 = part
+                .iter()
+                .zip(sigma.iter())
+                .filter(|(p, _)| **p != 0.0)
+                .map(|(p, s)| p * p / (s * s + multiplier))
+                .sum();
+            let next = multiplier + (norm / radius - 1.0) * norm * norm / slope;
+            multiplier = if next > low && next < high { next } else { 0.5 * (low + high) };
+        }
+        let norm = part.norm();
+        if norm > radius {
+            part *= radius / norm;
+        }
+    }
+    v_t.tr_mul(&part)
+}
+
+/// The point of a ball and a box where `|g s|` is largest: along `g` or against it, coordinates that reach their bounds set there.
+pub(super) fn longest(g: &[f64], radius: f64, lower: &[f64], upper: &[f64]) -> Vec<f64> {
+    let along = |sign: f64| {
+        let mut step = vec![0.0; g.len()];
+        let mut free: Vec<usize> = (0..g.len()).filter(|&k| g[k] != 0.0).collect();
+        let mut left = radius * radius;
+        while !free.is_empty() && left > 0.0 {
+            let norm = free.iter().map(|&k| g[k] * g[k]).sum::<f64>().sqrt();
+            let wanted = |k: usize| sign * g[k] / norm * left.sqrt();
+            let set: Vec<usize> =
+                free.iter().copied().filter(|&k| !(lower[k]..=upper[k]).contains(&wanted(k))).collect();
+            if set.is_empty() {
+                free.iter().for_each(|&k| step[k] = wanted(k));
+                break;
+            }
+            for k in set {
+                step[k] = wanted(k).clamp(lower[k], upper[k]);
+                free.retain(|&other| other != k);
+            }
+            left = radius * radius - step.iter().map(|s| s * s).sum::<f64>();
+        }
+        step
+    };
+    let value = |step: &[f64]| g.iter().zip(step).map(|(g, s)| g * s).sum::<f64>().abs();
+    let (forth, back) = (along(1.0), along(-1.0));
+    if value(&back) > value(&forth) { back } else { forth }
+}
