@@ -21,6 +21,13 @@ impl Fit {
         sum / scale
     }
 
+    /// Its residuals, in the same unit.
+    pub fn residuals(&self, p: &[f64]) -> Vec<f64> {
+        let mean = self.data.iter().sum::<f64>() / self.data.len() as f64;
+        let scale: f64 = self.data.iter().map(|y| (y - mean).powi(2)).sum::<f64>().sqrt();
+        (self.model)(p).iter().zip(&self.data).map(|(a, b)| (a - b) / scale).collect()
+    }
+
     /// Three starts: too high and too low in turn, by factors up to 2.5; and all too low, all too high by less.
     pub fn starts(&self) -> [Vec<f64>; 3] {
         let by = |factors: [f64; 4]| {
