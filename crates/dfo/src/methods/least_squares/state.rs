@@ -14,6 +14,10 @@ use serde::{Deserialize, Serialize};
 
 /// A radius below this cannot be resolved.
 const SMALLEST: f64 = 1e-15;
+/// Refinements without success that mean noise, restarts without progress that end the run, and what progress is.
+const MOST_REFINED: usize = 4;
+const MOST_USELESS: usize = 30;
+const USELESS: f64 = 1e-9;
 /// How often a starting point that failed is tried nearer to the start.
 const MOST_RETRIES: u32 = 12;
 
@@ -59,6 +63,13 @@ pub struct LeastSquaresState {
     operation: Option<Operation>,
     tests: Option<Tests>,
     f_0: f64,
+    /// The first radius, restarts so far, those in a row that brought nothing, and the best cost before the last.
+    radius: f64,
+    n_restarts: usize,
+    n_useless: usize,
+    f_restart: f64,
+    /// Refinements since the last step that did what the model predicted.
+    n_refined: usize,
 }
 
 impl LeastSquaresState {
@@ -82,6 +93,11 @@ impl LeastSquaresState {
             operation: None,
             tests: None,
             f_0: 0.0,
+            radius,
+            n_restarts: 0,
+            n_useless: 0,
+            f_restart: f64::INFINITY,
+            n_refined: 0,
         };
         for slot in 0..=n {
             state.place_start(slot);
@@ -112,20 +128,30 @@ impl LeastSquaresState {
     fn place_start(&mut self, slot: usize) {
         let space = &self.setup.space;
         let mut u = vec![0.0; space.n_free()];
-        space.to_working(space.x0(), &mut u);
+        if self.n_restarts == 0 {
+            space.to_working(space.x0(), &mut u);
+        } else {
+            u.copy_from_slice(self.points.u(0));
+        }
         if slot > 0 {
             let k = slot - 1;
             let (lower, upper) = space.working_bounds(k);
             let retries = self.retries[slot] as i32;
             let length = self.delta * space.size(k) * 0.5f64.powi(retries / 2);
             let (below, above) = (u[k] - lower, upper - u[k]);
-            let forward = if above >= length || above >= below { 1.0 } else { -1.0 };
+            let forward = if self.n_restarts % 2 == 0 {
+                if above >= length || above >= below { 1.0 } else { -1.0 }
+            } else if below >= length || below >= above {
+                -1.0
+            } else {
+                1.0
+            };
             let sign = if retries % 2 == 0 { forward } else { -forward };
             let moved = (u[k] + sign * length).clamp(lower, upper);
             u[k] = if moved == u[k] { (u[k] - sign * length).clamp(lower, upper) } else { moved };
         }
         place(&mut self.points, slot, &u, space);
-        if slot == 0 {
+        if slot == 0 && self.n_restarts == 0 {
             self.points.x_mut(0).copy_from_slice(self.setup.space.x0());
         }
     }
@@ -221,9 +247,38 @@ impl LeastSquaresState {
         self.delta = 0.5 * self.rho;
         self.rho *= 0.1;
         self.delta = self.delta.max(self.rho);
-        if self.rho < SMALLEST {
-            self.phase = Phase::Ended(Termination::Collapsed);
+        self.n_refined += 1;
+        if self.n_refined >= MOST_REFINED || self.rho < SMALLEST {
+            self.restart();
         }
+    }
+
+    /// What the model predicts has not come true at several resolutions: there is noise. New points around the best one, as far away as
+    /// the first.
+    fn restart(&mut self) {
+        let best = self.best_slot();
+        let f = self.cost(best);
+        let useless = f > self.f_restart * (1.0 - USELESS);
+        self.n_useless = if useless { self.n_useless + 1 } else { 0 };
+        if self.n_useless >= MOST_USELESS {
+            self.phase = Phase::Ended(Termination::Collapsed);
+            return;
+        }
+        self.f_restart = f;
+        self.n_restarts += 1;
+        self.n_refined = 0;
+        (self.delta, self.rho) = (self.radius, self.radius);
+        if best != 0 {
+            let (u, x) = (self.points.u(best).to_vec(), self.points.x(best).to_vec());
+            self.points.set(0, &u, &x);
+            self.points.set_cost(0, Cost::Value(f));
+            self.residuals.swap(0, best);
+        }
+        for slot in 1..self.points.len() {
+            self.retries[slot] = 0;
+            self.place_start(slot);
+        }
+        self.phase = Phase::Starting;
     }
 
     /// Replaces a slot that lies too far away by one that tells more.
@@ -263,8 +318,10 @@ impl LeastSquaresState {
             self.phase = Phase::NoStart;
             return;
         }
-        self.f_0 = self.cost(0);
-        self.operation = Some(Operation::Initial);
+        if self.n_restarts == 0 {
+            self.f_0 = self.cost(0);
+        }
+        self.operation = Some(if self.n_restarts == 0 { Operation::Initial } else { Operation::Restart });
         self.phase = if self.n() == 0 { Phase::Ended(Termination::AllFixed) } else { Phase::Choosing };
     }
 
@@ -285,6 +342,9 @@ impl LeastSquaresState {
         let step: Vec<f64> = z.iter().zip(self.z(base)).map(|(z, b)| z - b).collect();
         let length = norm(&step);
         let ratio = answer.map_or(-1.0, |(cost, _)| (self.cost(base) - cost) / predicted);
+        if ratio >= 0.1 {
+            self.n_refined = 0;
+        }
         self.delta = if ratio < 0.1 {
             (0.5 * self.delta).min(length)
         } else if ratio < 0.7 {

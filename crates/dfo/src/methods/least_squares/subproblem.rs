@@ -1,9 +1,11 @@
 //! The step of a Gauss-Newton model within a ball and a box.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SVD};
 
 /// Newton steps for the multiplier of the ball: from a good bracket it takes three or four.
 const MOST_STEPS: usize = 60;
+/// Sweeps for singular values: a few for each are enough.
+const MOST_SWEEPS: usize = 1000;
 
 /// A step from the best point: `|s| <= radius` and `lower <= s <= upper`, such that `|r + J s|` is (nearly) smallest.
 ///
@@ -72,9 +74,11 @@ impl Subproblem<'_> {
 
 /// The shortest of the steps that make `|r + A s|` smallest within `|s| <= radius`.
 fn within_ball(a: &DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
-    let svd = a.clone().svd(true, true);
-    let (Some(u), Some(v_t)) = (&svd.u, &svd.v_t) else { return DVector::zeros(a.ncols()) };
-    let sigma = &svd.singular_values;
+    // Numbers near the largest there are may have none.
+    let svd = SVD::try_new(a.clone(), true, true, f64::EPSILON, MOST_SWEEPS);
+    let Some(SVD { u: Some(u), v_t: Some(v_t), singular_values: sigma }) = &svd else {
+        return DVector::zeros(a.ncols());
+    };
     let c = u.tr_mul(r);
     let largest = sigma.max();
     let at = |multiplier: f64| {
