@@ -121,6 +121,14 @@ pub enum Error {
         /// The names that there are.
         known: String,
     },
+    /// A method of least squares was given an objective that has a cost only.
+    #[error(
+        "{method} needs residuals, but the objective gives only a cost: give the vector of residuals, or take another method"
+    )]
+    NeedsResiduals {
+        /// The method.
+        method: &'static str,
+    },
     /// A method needs a finite range for each parameter.
     #[error("{method} searches a box, but x[{index}] lies in [{lower}, {upper}]", lower = Number(*.lower), upper = Number(*.upper))]
     NeedsBox {

@@ -267,6 +267,11 @@ pub trait MethodOptions {
         true
     }
 
+    /// Whether the method asks for residuals: then the objective must have them.
+    fn needs_residuals(&self) -> bool {
+        false
+    }
+
     /// Whether a start must lie strictly inside of the bounds.
     fn starts_inside(&self) -> bool {
         false

@@ -9,7 +9,7 @@ use crate::drive::{Drive, Observer};
 use crate::error::Error;
 use crate::evaluator::{BatchFunction, BatchView, WorkerPool};
 use crate::gateway::{Executor, Gateway, OnCallingThread};
-use crate::method::MethodOptions;
+use crate::method::{Method, MethodOptions};
 use crate::methods::NelderMead;
 use crate::objective::Objective;
 use crate::observe::Progress;
@@ -369,9 +369,14 @@ impl<M: MethodOptions> Minimize<'_, M> {
         if let Some(pool) = &pool {
             self.description.options.workers = Some(pool.workers());
         }
+        let has_residuals = matches!(&source, Source::Objective(objective) if objective.has_residuals());
+        let needs_residuals = self.description.options.method.needs_residuals();
         let StartedRun {
             method, batch_ledger, limits, workers, writer, observed, first_recent, before, ..
         } = self.description.begin()?;
+        if needs_residuals && !has_residuals {
+            return Err(Error::NeedsResiduals { method: method.name() });
+        }
         let here = match (&pool, &poll) {
             (Some(_), _) => OnCallingThread::Never,
             (None, Some(_)) => OnCallingThread::WhenShort,

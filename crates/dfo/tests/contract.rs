@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{cutting, probe, probe_fails, quiet_panics_on_purpose, rosenbrock, timeless};
+use common::{cutting, methods_for_costs, probe, probe_fails, quiet_panics_on_purpose, rosenbrock, timeless};
 use dfo::{
     Answers, AnyMethod, BatchPlan, Bounds, ByHand, Checkpoint, Error, Limits, Minimize, NelderMead, Outcome,
     Query, Report, Resume, Setup, Space, Termination, by_hand, minimize, with_query,
@@ -13,7 +13,7 @@ use std::time::Duration;
 
 /// Every method, Nelder-Mead with its widest plan as well.
 fn methods() -> Vec<AnyMethod> {
-    let mut all: Vec<AnyMethod> = AnyMethod::NAMES.iter().map(|n| n.parse().unwrap()).collect();
+    let mut all: Vec<AnyMethod> = methods_for_costs();
     all.push(NelderMead::default().batch(BatchPlan::TwoAhead).into());
     all.push(NelderMead::default().batch(BatchPlan::Four).into());
     all

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{probe, timeless};
+use common::{methods_for_costs, probe, timeless};
 use dfo::{
     AnyMethod, BatchPlan, Checkpoint, Limits, NelderMead, Outcome, Report, Resume, Termination, Trace,
     by_hand, minimize,
@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Every method with a plan that does not depend on the workers.
 fn methods() -> Vec<AnyMethod> {
-    let mut all: Vec<AnyMethod> = AnyMethod::NAMES.iter().map(|n| n.parse().unwrap()).collect();
+    let mut all: Vec<AnyMethod> = methods_for_costs();
     for method in &mut all {
         match method {
             AnyMethod::NelderMead(m) => m.batch = BatchPlan::Serial,

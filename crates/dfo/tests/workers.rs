@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{probe_fails, quiet_panics_on_purpose, rosenbrock};
+use common::{methods_for_costs, probe_fails, quiet_panics_on_purpose, rosenbrock};
 use dfo::{
     AnyMethod, BatchPlan, BatchView, Error, Minimize, NelderMead, Objective, Outcome, Query, Report,
     Termination, minimize, minimize_batches, with_query,
@@ -64,7 +64,7 @@ fn described<'a>(run: Minimize<'a, NelderMead>, method: &AnyMethod, dice: u64) -
 #[test]
 fn no_number_of_workers_changes_anything() {
     quiet_panics_on_purpose();
-    let mut methods: Vec<AnyMethod> = AnyMethod::NAMES.iter().map(|n| n.parse().unwrap()).collect();
+    let mut methods: Vec<AnyMethod> = methods_for_costs();
     methods.extend(PLANS.map(|plan| NelderMead::default().batch(plan).into()));
     methods.push(dfo::Barrier::default().batch(BatchPlan::Ahead).into());
     let mut dice = 1u64;

@@ -26,9 +26,12 @@ use std::str::FromStr;
 /// Any of the methods, with its options.
 ///
 /// ```
-/// use dfo::{AnyMethod, minimize};
+/// use dfo::{AnyMethod, MethodOptions, minimize};
 ///
 /// for name in AnyMethod::NAMES {
+///     if name.parse::<AnyMethod>()?.needs_residuals() {
+///         continue;
+///     }
 ///     let report = minimize(|x: &[f64]| (x[0] - 0.3).powi(2))
 ///         .start(&[0.9])
 ///         .bounds(&[0.0], &[1.0])?
@@ -195,6 +198,10 @@ impl MethodOptions for AnyMethod {
 
     fn needs_start(&self) -> bool {
         each!(self, o => o.needs_start())
+    }
+
+    fn needs_residuals(&self) -> bool {
+        each!(self, o => o.needs_residuals())
     }
 
     fn describe(&self) -> Vec<(String, String)> {

@@ -2,10 +2,16 @@
 #![allow(dead_code, unreachable_pub, clippy::unwrap_used)]
 
 use dfo::{
-    BatchPlan, Error, Minimize, NelderMead, Outcome, Progress, Report, Simplex, Trace, WithQuery, minimize,
-    with_query,
+    AnyMethod, BatchPlan, Error, MethodOptions, Minimize, NelderMead, Outcome, Progress, Report, Simplex,
+    Trace, WithQuery, minimize, with_query,
 };
 use std::ops::ControlFlow;
+
+/// All methods for objectives without residuals, with their default options.
+pub fn methods_for_costs() -> Vec<AnyMethod> {
+    let all = AnyMethod::NAMES.iter().map(|name| name.parse::<AnyMethod>().unwrap());
+    all.filter(|method| !method.needs_residuals()).collect()
+}
 
 pub fn rosenbrock(x: &[f64]) -> f64 {
     x.windows(2).map(|w| 100.0 * (w[1] - w[0] * w[0]).powi(2) + (1.0 - w[0]).powi(2)).sum()

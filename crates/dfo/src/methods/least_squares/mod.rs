@@ -35,6 +35,10 @@ impl MethodOptions for LeastSquares {
         option_texts::fields(self)
     }
 
+    fn needs_residuals(&self) -> bool {
+        true
+    }
+
     fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
         (Some(1000usize.saturating_mul(n + 1)), None)
     }
