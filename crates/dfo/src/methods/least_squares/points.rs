@@ -11,7 +11,7 @@ const BARELY_INDEPENDENT: f64 = 1e-7;
 /// A point with a cost.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Evaluated {
-    /// In units of the sizes of the parameters.
+    /// In units of the sizes of the parameters, from the start.
     pub(super) z: Vec<f64>,
     /// In the user's units.
     pub(super) x: Vec<f64>,

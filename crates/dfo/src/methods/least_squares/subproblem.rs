@@ -117,7 +117,8 @@ fn within_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
 }
 
 /// The point of a ball and a box where `|g s|` is largest: along `g` or against it, coordinates that reach their bounds set there.
-pub(super) fn longest(g: &[f64], radius: f64, lower: &[f64], upper: &[f64]) -> Vec<f64> {
+/// `other`: on the other side.
+pub(super) fn longest(g: &[f64], radius: f64, (lower, upper): (&[f64], &[f64]), other: bool) -> Vec<f64> {
     let along = |sign: f64| {
         let mut step = vec![0.0; g.len()];
         let mut free: Vec<usize> = (0..g.len()).filter(|&k| g[k] != 0.0).collect();
@@ -141,5 +142,5 @@ pub(super) fn longest(g: &[f64], radius: f64, lower: &[f64], upper: &[f64]) -> V
     };
     let value = |step: &[f64]| g.iter().zip(step).map(|(g, s)| g * s).sum::<f64>().abs();
     let (forth, back) = (along(1.0), along(-1.0));
-    if value(&back) > value(&forth) { back } else { forth }
+    if (value(&back) > value(&forth)) != other { back } else { forth }
 }
