@@ -242,10 +242,6 @@ fn examine(case: u64, folder: &Path) {
     let mut dice = Dice(case.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ 0x55);
     dice.below(2);
     let method = method(&mut dice);
-    if !matches!(method, AnyMethod::LeastSquares(_)) {
-        return;
-    }
-    eprintln!("case {case}");
     let boxed = matches!(method, AnyMethod::DifferentialEvolution(_) | AnyMethod::Genetic(_));
     let problem = Problem::new(&mut dice, boxed);
     let plain = problem.run(&method, (1, false, problem.budget), None);

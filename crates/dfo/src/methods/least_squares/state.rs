@@ -1,7 +1,6 @@
 //! The state machine: which points are asked for, and what becomes of their residuals. How the next points are chosen stands in
 //! `trust_region.rs` and, once noise has been found, in `averaging.rs`.
 
-use super::averaging::Averaging;
 use super::options::LeastSquares;
 use super::points::Evaluated;
 use crate::answer::{Answers, Best, Want};
@@ -32,6 +31,26 @@ pub(super) enum Phase {
     Simplex(Box<NelderMeadState>),
     NoStart,
     Ended(Termination),
+}
+
+/// Where the regression stands.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Averaging {
+    /// Centre and radius of the points that count, in units of the parameters' sizes.
+    pub(super) centre: Vec<f64>,
+    pub(super) radius: f64,
+    /// Points asked for since noise was found.
+    pub(super) n_asked: usize,
+}
+
+impl Averaging {
+    pub(super) fn new(centre: &[f64], radius: f64) -> Self {
+        Self { centre: centre.to_vec(), radius, n_asked: 0 }
+    }
+
+    pub(super) fn is_sound(&self, n: usize) -> bool {
+        self.centre.len() == n && self.radius > 0.0
+    }
 }
 
 /// Why a point is asked for.
@@ -187,7 +206,7 @@ impl LeastSquaresState {
             let (below, above) = self.space_around(&z);
             let length = self.delta * 0.5f64.powi((retries / 2) as i32);
             let forward = if above[k] >= length || above[k] >= -below[k] { 1.0 } else { -1.0 };
-            let sign = if retries % 2 == 0 { forward } else { -forward };
+            let sign = if retries.is_multiple_of(2) { forward } else { -forward };
             z[k] = (sign * length).clamp(below[k], above[k]);
             if z[k] == 0.0 {
                 z[k] = (-sign * length).clamp(below[k], above[k]);

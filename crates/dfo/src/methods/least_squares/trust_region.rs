@@ -1,9 +1,9 @@
 //! Steps on interpolation models: the next points from the model, and radius, resolution and set from what they gave.
 
-use super::model::{Interpolation, Linear, norm};
-use super::points::{Selection, difference, distance, sum};
+use super::model::Interpolation;
+use super::points::{Selection, difference, distance, norm, sum};
 use super::state::{Candidate, Known, LeastSquaresState, Phase, Role, simplex_method};
-use super::subproblem::{Subproblem, longest};
+use super::subproblem::{Linear, Subproblem, longest};
 use crate::method::{MethodOptions, Operation};
 use crate::termination::Termination;
 
@@ -218,7 +218,7 @@ impl LeastSquaresState {
             (Role::Geometry { .. }, _) => {
                 self.n_geometry_failed += 1;
                 self.n_failed += 1;
-                if self.n_geometry_failed % 2 == 0 {
+                if self.n_geometry_failed.is_multiple_of(2) {
                     self.delta *= 0.5;
                     self.rho = self.rho.min(self.delta);
                 }
