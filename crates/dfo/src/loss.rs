@@ -1,5 +1,6 @@
 //! Robust losses: a residual far from zero counts less than its square.
 
+use crate::answer::Outcome;
 use crate::error::Error;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::SQRT_2;
@@ -97,6 +98,27 @@ impl RobustLoss {
                     (scale * (2.0 * (size.ln() - scale.ln())).sqrt()).copysign(r)
                 }
             }
+        }
+    }
+
+    /// The cost of residuals, summed from the first to the last; they become what [`transform`](Self::transform) makes of
+    /// them. Strictly above the cutoff it is given up. One that is not finite is a failure that names it.
+    pub fn cost(&self, residuals: &mut [f64], cutoff: f64) -> Outcome {
+        let mut sum = 0.0;
+        for (k, r) in residuals.iter_mut().enumerate() {
+            *r = self.transform(*r);
+            sum += *r * *r;
+            if !r.is_finite() {
+                return Outcome::not_finite(format!("residual {k} is {r}"));
+            }
+            if sum > cutoff {
+                return Outcome::Above(cutoff);
+            }
+        }
+        match sum.is_finite() {
+            true if residuals.is_empty() => Outcome::failed("there are no residuals"),
+            true => Outcome::Value(sum),
+            false => Outcome::not_finite("the sum of the squares of the residuals is infinite".to_owned()),
         }
     }
 

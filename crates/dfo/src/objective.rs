@@ -258,7 +258,7 @@ impl<R> Residuals<R> {
 impl<R: ResidualFunction> Objective for Residuals<R> {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         answer.outcome = match self.function.residuals(x, query, &mut answer.residuals) {
-            Ok(()) => sum_of_squares(&mut answer.residuals, self.loss, query.cutoff),
+            Ok(()) => self.loss.cost(&mut answer.residuals, query.cutoff),
             Err(outcome) => outcome,
         };
     }
@@ -268,19 +268,6 @@ impl<R: ResidualFunction> Objective for Residuals<R> {
     fn residual_loss(&self) -> RobustLoss {
         self.loss
     }
-}
-
-/// The cost of residuals, which become what the loss makes of them.
-fn sum_of_squares(residuals: &mut [f64], loss: RobustLoss, cutoff: f64) -> Outcome {
-    let mut sum = 0.0;
-    for r in residuals {
-        *r = loss.transform(*r);
-        sum += *r * *r;
-        if sum > cutoff {
-            return Outcome::Above(cutoff);
-        }
-    }
-    Outcome::Value(sum)
 }
 
 #[cfg(test)]
