@@ -65,12 +65,6 @@ pub struct Covariance {
     pub undetermined: Vec<usize>,
     /// Parameters that lie at a bound, or are fixed: taken as known.
     pub held: Vec<usize>,
-    /// What is to be said of it, in words; empty if nothing is.
-    pub message: String,
-}
-
-fn names(indices: &[usize]) -> String {
-    indices.iter().map(|index| format!("x[{index}]")).collect::<Vec<_>>().join(", ")
 }
 
 impl Covariance {
@@ -115,18 +109,27 @@ impl Covariance {
         }
         let undetermined: Vec<usize> =
             free.iter().zip(&determined).filter(|(_, known)| !**known).map(|(index, _)| *index).collect();
+        Self { matrix, variance, degrees_of_freedom, undetermined, held }
+    }
+
+    /// What is to be said of it, with these names for the parameters; empty if nothing is.
+    pub fn message(&self, name: impl Fn(usize) -> String) -> String {
+        let names =
+            |indices: &[usize]| indices.iter().map(|index| name(*index)).collect::<Vec<_>>().join(", ");
         let mut said = Vec::new();
-        if degrees_of_freedom == 0 && p > 0 {
-            said.push(format!("{m} residuals tell nothing of the variance of {p} parameters"));
+        if self.variance.is_nan() && self.held.len() * self.held.len() < self.matrix.len() {
+            said.push(
+                "there are no more residuals than parameters: they tell nothing of the variance".to_owned(),
+            );
         }
-        if !undetermined.is_empty() {
+        if !self.undetermined.is_empty() {
             let what = "do not determine (another value, alone or with others, fits as well)";
-            said.push(format!("the residuals {what}: {}", names(&undetermined)));
+            said.push(format!("the residuals {what}: {}", names(&self.undetermined)));
         }
-        if !held.is_empty() {
-            said.push(format!("at a bound or fixed, taken as known: {}", names(&held)));
+        if !self.held.is_empty() {
+            said.push(format!("at a bound or fixed, taken as known: {}", names(&self.held)));
         }
-        Self { matrix, variance, degrees_of_freedom, undetermined, held, message: said.join("; ") }
+        said.join("; ")
     }
 }
 
@@ -161,6 +164,10 @@ mod tests {
     use super::*;
     use crate::space::Bounds;
 
+    fn said(covariance: &Covariance) -> String {
+        covariance.message(|index| format!("x[{index}]"))
+    }
+
     #[test]
     fn a_line_has_the_textbook_variances() {
         // y = a + b t at t = 0, 1, 2, 3: (X' X)^-1 = [[0.7, -0.3], [-0.3, 0.2]].
@@ -171,11 +178,11 @@ mod tests {
         for (got, expected) in covariance.matrix.iter().zip([0.7, -0.3, -0.3, 0.2]) {
             assert!((got - s2 * expected).abs() < 1e-15, "{covariance:?}");
         }
-        assert_eq!((covariance.degrees_of_freedom, covariance.message.as_str()), (2, ""));
+        assert_eq!((covariance.degrees_of_freedom, said(&covariance)), (2, String::new()));
         // With b at a bound: the variance of a mean.
         let covariance = Covariance::new(&residuals, &jacobian, &[0, 1]);
         assert!((covariance.matrix[0] - 0.05 / 4.0).abs() < 1e-15 && covariance.matrix[1..] == [0.0; 3]);
-        assert_eq!(covariance.message, "at a bound or fixed, taken as known: x[1]");
+        assert_eq!(said(&covariance), "at a bound or fixed, taken as known: x[1]");
     }
 
     #[test]
@@ -194,7 +201,7 @@ mod tests {
         assert!(of(0, 0) == f64::INFINITY && of(1, 1) == f64::INFINITY && of(0, 1).is_nan());
         assert!(of(2, 2).is_finite() && of(0, 2).is_finite());
         assert_eq!(covariance.undetermined, [0, 1]);
-        assert!(covariance.message.ends_with("fits as well): x[0], x[1]"), "{}", covariance.message);
+        assert!(said(&covariance).ends_with("fits as well): x[0], x[1]"), "{}", said(&covariance));
         let none = Covariance::new(&[1.0, 2.0], &[1.0, 0.0, 0.0, 1.0], &[0, 0]);
         assert!(none.matrix[0] == f64::INFINITY && none.matrix[1].is_nan() && none.variance.is_nan());
         let zero = Covariance::new(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);

@@ -308,6 +308,9 @@ impl PyCalibration {
                 let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
                 result.setattr("without_effect", inert)?;
                 result.setattr("start_cost", fit.start_cost)?;
+                if let Some(covariance) = fit.report.covariance() {
+                    result.setattr("cov_message", covariance.message(|index| fit.names[index].clone()))?;
+                }
                 result.setattr("n_checks", fit.n_checks)?;
                 result.setattr("n_beginnings", fit.n_beginnings)?;
                 Some(result)

@@ -8,7 +8,7 @@ from methods import METHODS, timeless
 from test_calibration import TIME, TRUE, decay
 
 import pydfo
-from pydfo import Parameter, example_fmu
+from pydfo import Calibration, Experiment, Parameter, example_fmu
 
 BOXED = [Parameter("k", 1.0, 0.1, 5.0)]
 
@@ -53,3 +53,59 @@ def test_a_fit_goes_on_from_its_checkpoint(dahlquist, method, tmp_path):
     with pytest.raises(pydfo.CheckpointError, match="relative tolerance: 1e-10 in the file, 1e-9 here"):
         decay(dahlquist, parameters=BOXED, relative_tolerance=1e-9).fit(**run, max_evaluations=200, checkpoint=path)
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_least_squares_takes_the_residuals_of_the_simulations(dahlquist, scale):
+    noisy = {"time": TIME, "x": TRUE + 0.01 * np.sin(50 * TIME)}
+    calibration = decay(dahlquist, noisy, parameters=[Parameter("k", 1.0, 0.1, 5.0, scale=scale)])
+    fits = [calibration.fit("least-squares", workers=workers) for workers in (1, 3)]
+    assert timeless(fits[0]) == timeless(fits[1]) and fits[0].success and fits[0].nfev < 20
+    fit, simplex = fits[0], calibration.fit("nelder-mead")
+    assert fit.cost == pytest.approx(simplex.cost, rel=1e-4) and fit.nfev < simplex.nfev
+    assert simplex.jac is None and simplex.cov is None
+    # x = exp(-k t): by k itself, also where its logarithm is searched.
+    by_k = -TIME * np.exp(-fit.x[0] * TIME)
+    np.testing.assert_allclose(fit.jac[:, 0], by_k, atol=2e-3)
+    assert fit.cov[0, 0] == pytest.approx(fit.cost / 4 / np.sum(by_k**2), rel=0.01)
+    assert fit.cov_message == "" and fit.active_mask.tolist() == [0] and fit["fun"] == fit.cost
+    np.testing.assert_array_equal(fit.residuals(), calibration.residuals(fit.x))
+    assert "least" in fit.method and "cost" in repr(fit)
+
+
+def test_least_squares_with_several_experiments_bounds_and_stages(dahlquist):
+    runs = [
+        Experiment({"time": TIME, "x": 1.5 * TRUE}, ["x"], name="cold"),
+        Experiment({"time": TIME, "x": 3.0 * TRUE}, ["x"], name="warm", start_values={"x": 2.5}),
+    ]
+    local = Parameter("x", 1.0, 0.1, 2.9, local=True)
+    first = Calibration(dahlquist, runs, [Parameter("k", 1.0, 0.1, 5.0), local]).fit("least-squares")
+    assert first.at_bound == {"x[warm]": "upper"} and first.active_mask.tolist() == [0, 0, 1]
+    assert first.x[:2] == pytest.approx([2.0, 1.5], rel=0.05) and first.x[2] == 2.9
+    assert "x[warm]" in first.cov_message and first.jac.shape == (10, 3)
+    # A second stage: one parameter fixed where the first has ended.
+    held = Parameter("k", first.parameters["k"], fixed=True)
+    second = Calibration(dahlquist, runs, [held, Parameter("x", 1.0, 0.1, 5.0, local=True)]).fit("least-squares")
+    assert second.x[0] == first.x[0] and second.cost < first.cost and not second.at_bound
+    assert second.jac[:, 0].tolist() == [0.0] * 10 and second.cov_message.endswith("k")
+
+
+def test_least_squares_past_simulations_that_fail(dahlquist):
+    # Euler's method overflows where k is large.
+    data = {"time": TIME, "x": np.exp(-4.0 * TIME)}
+    parameters = [Parameter("k", 1.0, 0.1, 1e6, nominal=1e5)]
+    calibration = decay(dahlquist, data, parameters=parameters, solver="euler", step_size=0.001, relative_tolerance=None)
+    fits = [calibration.fit("least-squares", options={"radius": 1.0}, workers=workers) for workers in (1, 4)]
+    assert timeless(fits[0]) == timeless(fits[1])
+    fit = fits[0]
+    assert fit.nfail > 0 and sum(fit.failures.values()) == fit.nfail and fit.cost <= fit.start_cost
+    assert np.isfinite(fit.jac).all() and len(fit.residuals()) == 5
+
+
+def test_least_squares_goes_on_from_its_checkpoint(dahlquist, tmp_path):
+    calibration = decay(dahlquist, parameters=BOXED)
+    whole = calibration.fit("least-squares", workers=1)
+    for evaluations in range(1, whole.nfev + 1):
+        fit = calibration.fit("least-squares", workers=1, max_evaluations=evaluations, checkpoint=tmp_path / "fit")
+    fit = calibration.fit("least-squares", workers=1, checkpoint=tmp_path / "fit")
+    assert timeless(fit) == timeless(whole) and fit.jac.tobytes() == whole.jac.tobytes()

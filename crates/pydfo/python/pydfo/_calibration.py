@@ -351,7 +351,8 @@ class Calibration:
         Parameters
         ----------
         method : str
-            The optimiser, as in `minimize`: "nelder-mead", "barrier", "de", "de-classic", "ga". The last three need two
+            The optimiser: "least-squares", which takes the residuals of the simulations one by one (see `least_squares`), and those
+            of `minimize`: "nelder-mead", "barrier", "de", "de-classic", "ga". The last three need two
             finite bounds for every parameter. "auto" is "nelder-mead", with integer parameters "de", with categorical ones
             "ga".
         workers : int, optional
