@@ -22,7 +22,58 @@ pub struct LinearModel {
     pub active: Vec<i8>,
 }
 
+/// Noise of residuals relative to their change over the size of a parameter: the least of these that agrees with the points.
+const NOISE: [f64; 4] = [1e-8, 1e-6, 1e-4, 1e-2];
+
+/// Curvature over the size of a parameter relative to the derivatives, up to which a misfit is no noise.
+const BENT: f64 = 10.0;
+
 impl LinearModel {
+    /// By regression on points of a search: their places in units of the sizes of the working coordinates and their residuals.
+    /// `best`: the point itself, its place and its residuals. A point at the distance d from it is wrong by d^2 for curvature,
+    /// and by the noise; its weight is the inverse of their sum. `None` where the points span no more than a plane.
+    pub(crate) fn regression<'a>(
+        space: &Space,
+        (x, z, residuals): (&[f64], &[f64], &[f64]),
+        points: impl Iterator<Item = (&'a [f64], &'a [f64])> + Clone,
+    ) -> Option<Self> {
+        let (n, m) = (z.len(), residuals.len());
+        let moved = |place: &[f64]| place.iter().zip(z).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let others: Vec<(Vec<f64>, f64, &[f64])> = points
+            .map(|(place, residuals)| (moved(place), residuals))
+            .map(|(step, residuals)| {
+                let length = step.iter().map(|s| s * s).sum::<f64>().sqrt();
+                (step, length, residuals)
+            })
+            .filter(|(_, length, residuals)| *length > 0.0 && length.is_finite() && residuals.len() == m)
+            .collect();
+        if n == 0 || others.len() < n {
+            return None;
+        }
+        let differences = DMatrix::from_fn(others.len(), m, |k, i| others[k].2[i] - residuals[i]);
+        let mut found = None;
+        for noise in NOISE {
+            let weights: Vec<f64> = others.iter().map(|(_, d, _)| 1.0 / (d * d + noise)).collect();
+            let steps = DMatrix::from_fn(others.len(), n, |k, j| weights[k] * others[k].0[j]);
+            let svd = steps.clone().try_svd(true, true, f64::EPSILON, 10_000)?;
+            if svd.singular_values.min() <= RANK_TOLERANCE * svd.singular_values.max() {
+                break;
+            }
+            let mut weighted = differences.clone();
+            weighted.row_iter_mut().zip(&weights).for_each(|(mut row, weight)| row *= *weight);
+            let transposed = svd.solve(&weighted, 0.0).ok()?;
+            let misfit = (steps * &transposed - weighted).norm_squared();
+            let freedom = (others.len() - n).max(1) as f64;
+            let agrees = misfit <= BENT * BENT * freedom * transposed.norm_squared();
+            found = Some(transposed);
+            if agrees {
+                break;
+            }
+        }
+        let jacobian = found?;
+        Self::new(space, x, m, |i, k| jacobian[(k, i)] / space.size(k))
+    }
+
     /// From the derivatives of residual `i` by working coordinate `k` at the point `x`, of `m` residuals. `None` where one of
     /// them is not finite in the user's units.
     pub(crate) fn new(
@@ -207,6 +258,42 @@ mod tests {
         let zero = Covariance::new(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);
         assert_eq!(zero.undetermined, [1]);
         assert_eq!(Covariance::new(&[], &[], &[-1]).matrix, [0.0]);
+    }
+
+    #[test]
+    fn a_regression_finds_the_derivatives_through_curvature_and_noise() {
+        let space = Space::new(&[1.0, 10.0], Bounds::unbounded(2), &[], &[]).unwrap();
+        let r = |z: &[f64], noise: f64| {
+            let smooth = [z[0] * z[0] + 2.0 * z[1], z[0] - z[1] * z[1], (z[0] * z[1]).exp()];
+            smooth
+                .iter()
+                .enumerate()
+                .map(|(i, r)| r + noise * (1e7 * (z[0] + 3.0 * z[1]) + i as f64).sin())
+                .collect()
+        };
+        for (noise, tolerance) in [(0.0, 1e-3), (1e-7, 2e-3), (1e-3, 0.2)] {
+            let best = [1.0, 1.0];
+            let places: Vec<Vec<f64>> = (0..40)
+                .map(|k| {
+                    let (d, angle) = (0.5f64.powi(k), 2.4 * f64::from(k));
+                    vec![best[0] + d * angle.cos(), best[1] + d * angle.sin()]
+                })
+                .collect();
+            let values: Vec<Vec<f64>> = places.iter().map(|z| r(z, noise)).collect();
+            let at_best: Vec<f64> = r(&best, noise);
+            let points = places.iter().map(Vec::as_slice).zip(values.iter().map(Vec::as_slice));
+            let best_point = (&[1.0, 10.0][..], &best[..], &at_best[..]);
+            let model = LinearModel::regression(&space, best_point, points).unwrap();
+            let e = 1f64.exp();
+            let expected = [2.0, 0.2, 1.0, -0.2, e, 0.1 * e];
+            for (k, (j, expected)) in model.jacobian.iter().zip(expected).enumerate() {
+                let scale = if k % 2 == 0 { 1.0 } else { 10.0 };
+                assert!((j - expected).abs() * scale < tolerance, "{noise} {:?}", model.jacobian);
+            }
+        }
+        let line = [([1.5, 1.0], [0.0]), ([2.0, 1.0], [1.0])];
+        let points = line.iter().map(|(z, r)| (&z[..], &r[..]));
+        assert_eq!(LinearModel::regression(&space, (&[1.0, 10.0], &[1.0, 1.0], &[1.0]), points), None);
     }
 
     #[test]

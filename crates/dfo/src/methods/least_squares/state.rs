@@ -361,13 +361,9 @@ impl Method for LeastSquaresState {
     }
 
     fn linear_model(&self) -> Option<LinearModel> {
-        let (base, space) = (self.best_slot(), &self.setup.space);
-        if self.n() == 0 || self.phase == Phase::Starting || self.cost(base).is_infinite() {
-            return None;
-        }
-        let model = self.model(base)?;
-        let derivative = |i: usize, k: usize| model.jacobian[(i, k)] / space.size(k);
-        LinearModel::new(space, self.points.x(base), self.residuals[base].len(), derivative)
+        let best = self.points.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+        let points = self.points.iter().map(|p| (&p.z[..], &p.residuals[..]));
+        LinearModel::regression(&self.setup.space, (&best.x, &best.z, &best.residuals), points)
     }
 
     fn save(&self) -> Option<Vec<u8>> {
