@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import recordings
 from methods import METHODS, timeless
 from test_calibration import TIME, TRUE, decay
 
@@ -109,3 +110,62 @@ def test_least_squares_goes_on_from_its_checkpoint(dahlquist, tmp_path):
         fit = calibration.fit("least-squares", workers=1, max_evaluations=evaluations, checkpoint=tmp_path / "fit")
     fit = calibration.fit("least-squares", workers=1, checkpoint=tmp_path / "fit")
     assert timeless(fit) == timeless(whole) and fit.jac.tobytes() == whole.jac.tobytes()
+
+
+def evaluations_until(fit, x, within):
+    """How many evaluations a fit needed to come so near to these values for good."""
+    costs = np.minimum.accumulate(np.where(np.isnan(fit.trace.fun), np.inf, fit.trace.fun))
+    best = [np.flatnonzero(fit.trace.fun == cost)[0] for cost in costs]
+    near = (np.abs(fit.trace.x[best] - x) <= within).all(axis=1)
+    assert near[-1], (fit.x, x)
+    return len(near) - np.argmin(near[::-1]) + 1 if not near.all() else 1
+
+
+def furuta(which):
+    parameters = [Parameter("armFriction", 0.012, 0, 0.022), Parameter("pendulumFriction", 0.002, 0, 0.012)]
+    outputs = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
+    return Calibration(example_fmu("furuta"), recordings.furuta(which), outputs, parameters)
+
+
+def quad_tank(which, n):
+    outlets = [Parameter(f"qt.a{i}", 3e-6, 2e-6, 4e-6) for i in range(1, n + 1)]
+    data = recordings.quad_tank(which)
+    return Calibration(example_fmu("quad_tank"), data, recordings.LEVELS[:n], outlets, inputs=["u1", "u2"])
+
+
+@pytest.mark.parametrize(
+    ("make", "file", "within", "bars"),
+    [
+        (furuta, "FurutaData.mat", [3e-5, 3e-6], (25, 40)),
+        (lambda which: quad_tank(which, 2), "qt_par_est_data.mat", 2e-9, (15, 25)),
+        (lambda which: quad_tank(which, 4), "qt_par_est_data.mat", 3e-9, (20, 30)),
+    ],
+    ids=["furuta", "quad_tank_2", "quad_tank_4"],
+)
+def test_least_squares_needs_few_simulations(make, file, within, bars):
+    for which in recordings.at_hand(file):
+        calibration = make(which)
+        fit, simplex = calibration.fit("least-squares"), calibration.fit("nelder-mead", x_tol=1e-6, f_tol=1e-9)
+        assert fit.success and fit.cost == pytest.approx(simplex.cost, rel=1e-5), which
+        used = evaluations_until(fit, simplex.x, within), fit.nfev
+        assert used[0] <= bars[0] and used[1] <= bars[1] and fit.nfev < simplex.nfev / 3, (which, used)
+
+
+@pytest.mark.parametrize("which", recordings.at_hand("exhaust_measurements.csv"))
+def test_least_squares_needs_few_simulations_of_the_exhaust_pipe(which):
+    start = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
+    fixed: dict[str, float] = {}
+    for names, within in ((["C2", "G2"], [100, 1]), (["C1", "G1"], [40, 0.6])):
+        calibration = Calibration(
+            example_fmu("exhaust"),
+            recordings.exhaust(which),
+            ["T_out"],
+            [Parameter(name, start[name], *((1, 5e4) if name[0] == "C" else (0.01, 500))) for name in names],
+            inputs=recordings.EXHAUST_INPUTS,
+            window=(0, 600),
+            start_values=fixed,
+        )
+        fit = calibration.fit("least-squares")
+        accurate = calibration.fit("least-squares", start=fit.x, x_tol=1e-7, f_tol=1e-9, max_evaluations=80)
+        assert fit.success and fit.nfev <= 30 and evaluations_until(fit, accurate.x, within) <= 30
+        fixed = fit.parameters
