@@ -47,7 +47,10 @@ impl LinearModel {
             })
             .filter(|(_, length, residuals)| *length > 0.0 && length.is_finite() && residuals.len() == m)
             .collect();
-        if n == 0 || others.len() < n {
+        if n == 0 {
+            return Self::new(space, x, m, |_, _| 0.0);
+        }
+        if others.len() < n {
             return None;
         }
         let differences = DMatrix::from_fn(others.len(), m, |k, i| others[k].2[i] - residuals[i]);

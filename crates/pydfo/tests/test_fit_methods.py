@@ -169,3 +169,25 @@ def test_least_squares_needs_few_simulations_of_the_exhaust_pipe(which):
         accurate = calibration.fit("least-squares", start=fit.x, x_tol=1e-7, f_tol=1e-9, max_evaluations=80)
         assert fit.success and fit.nfev <= 30 and evaluations_until(fit, accurate.x, within) <= 30
         fixed = fit.parameters
+
+
+@pytest.mark.parametrize("method", ["least-squares", "nelder-mead"])
+@pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
+def test_a_fit_with_a_loss_forgives_outliers(dahlquist, method, loss, tmp_path):
+    calibration = decay(dahlquist, {"time": TIME, "x": TRUE + [0, 0, 0.5, 0, 0]}, parameters=BOXED)
+    plain = calibration.fit(method)
+    run = {"method": method, "loss": loss, "f_scale": 0.01, "workers": 1, "x_tol": 1e-6, "f_tol": 1e-8}
+    fit = calibration.fit(**run, checkpoint=tmp_path / "fit")
+    assert abs(fit.x[0] - 2) < 0.5 * abs(plain.x[0] - 2)
+
+    def counted(k):
+        z = (calibration.residuals([k]) / 0.01) ** 2
+        rho = {"soft_l1": 2 * (np.sqrt(1 + z) - 1), "huber": np.where(z <= 1, z, 2 * np.sqrt(z) - 1), "cauchy": np.log1p(z)}
+        return 1e-4 * np.sum(rho[loss])
+
+    assert fit.cost == pytest.approx(counted(fit.x[0]), rel=1e-10) and fit.start_cost == pytest.approx(counted(1.0), rel=1e-10)
+    assert all(fit.cost <= counted(fit.x[0] + step) for step in (-0.01, 0.01)) and fit.n_beginnings == 1
+    again = calibration.fit(**{**run, "workers": 3})
+    assert timeless(again) == timeless(fit)
+    with pytest.raises(pydfo.CheckpointError, match="loss"):
+        calibration.fit(**{**run, "f_scale": 0.02}, checkpoint=tmp_path / "fit")
