@@ -12,6 +12,7 @@
 //!
 //! | method | for | options |
 //! |---|---|---|
+//! | `least-squares` | a cost that is a sum of squares of residuals: [`least_squares`] | [`LeastSquares`] |
 //! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
 //! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
@@ -46,6 +47,8 @@ mod encoding;
 mod error;
 mod evaluator;
 mod gateway;
+mod linear_model;
+mod loss;
 mod memory;
 mod method;
 mod methods;
@@ -69,6 +72,8 @@ pub use checkpoint::{Checkpoint, Resume};
 pub use choices::{BoundsHandling, Kind, Measure, Stop, Transform};
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
+pub use linear_model::{Covariance, LinearModel};
+pub use loss::{Loss, RobustLoss};
 pub use method::{
     BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Setup, Simplex, SimplexView,
     Status,
@@ -78,7 +83,7 @@ pub use methods::{
     DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex, LeastSquares,
     LeastSquaresState, NelderMead, NelderMeadState, Repair, Scheme, Selection, Strategy, Weight,
 };
-pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
+pub use minimize::{ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches};
 pub use objective::{
     ByRef, Fallible, Objective, Query, ResidualFunction, Residuals, WithQuery, fallible, residuals,
     with_query,

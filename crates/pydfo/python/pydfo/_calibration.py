@@ -339,6 +339,8 @@ class Calibration:
         disp: bool = False,
         callback: Callback | None = None,
         *,
+        loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear",
+        f_scale: SupportsFloat = 1.0,
         start: npt.ArrayLike | Mapping[str, float] | None = None,
         initial_simplex: npt.ArrayLike | None = None,
         rng: int | np.random.Generator | None = None,
@@ -351,7 +353,8 @@ class Calibration:
         Parameters
         ----------
         method : str
-            The optimiser, as in `minimize`: "nelder-mead", "barrier", "de", "de-classic", "ga". The last three need two
+            The optimiser: "least-squares", which takes the residuals of the simulations one by one (see `least_squares`), and those
+            of `minimize`: "nelder-mead", "barrier", "de", "de-classic", "ga". The last three need two
             finite bounds for every parameter. "auto" is "nelder-mead", with integer parameters "de", with categorical ones
             "ga".
         workers : int, optional
@@ -376,6 +379,9 @@ class Calibration:
             Print a line per iteration.
         callback : callable, optional
             Called after each iteration with a `Progress`, on the calling thread; StopIteration or True end the fit.
+        loss, f_scale : optional
+            What a residual counts, see `least_squares`, by every method: "soft_l1", "huber" and "cauchy" keep outliers from deciding.
+            Cost and rms of the fit are those of what the residuals count then; `Fit.residuals` has the plain ones.
         start : array_like or dict, optional
             Another start than that of the parameters.
         initial_simplex : array_like, optional
@@ -430,13 +436,14 @@ class Calibration:
             checkpoint=checkpoint,
             resume=resume,
         )
+        counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
         begin = self._values(start)
         printer = Printer(self.names)
         listeners: list[Callback] = [printer] if _options.flag("disp", disp) else []
         if callback is not None:
             listeners.append(listen(callback))
         try:
-            result = self._native.fit(built, start=begin, observer=combine(listeners))
+            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):

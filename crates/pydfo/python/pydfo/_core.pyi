@@ -53,6 +53,7 @@ def minimize(
     detail: bool = False,
     batches: bool = False,
     cutoffs: bool = False,
+    loss: tuple[str, float] | None = None,
 ) -> OptimizeResult: ...
 @final
 class Optimizer:
@@ -119,6 +120,7 @@ class Calibration:
         *,
         start: list[float] | None = None,
         observer: Callable[[Progress], Any] | None = None,
+        loss: tuple[str, float] | None = None,
     ) -> OptimizeResult: ...
 def build_fmu(folder: str | os.PathLike[str], out: str | os.PathLike[str]) -> None: ...
 def example_fmu(name: str, version: str, kind: str) -> Path: ...

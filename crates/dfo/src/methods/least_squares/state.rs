@@ -6,6 +6,7 @@ use super::points::Evaluated;
 use crate::answer::{Answers, Best, Want};
 use crate::choices::Measure;
 use crate::error::Error;
+use crate::linear_model::LinearModel;
 use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
 use crate::methods::nelder_mead::{BatchPlan, NelderMead, NelderMeadState};
 use crate::space::clamp;
@@ -465,6 +466,12 @@ impl Method for LeastSquaresState {
 
     fn best(&self) -> Option<(&[f64], f64)> {
         self.best_seen.get()
+    }
+
+    fn linear_model(&self) -> Option<LinearModel> {
+        let best = self.points.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+        let points = self.points.iter().map(|p| (&p.z[..], &p.residuals[..]));
+        LinearModel::regression(&self.setup.space, (&best.x, &best.z, &best.residuals), points)
     }
 
     fn save(&self) -> Option<Vec<u8>> {
