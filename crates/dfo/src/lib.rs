@@ -15,6 +15,7 @@
 //! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
 //! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
+//! | `multistart` | the same by local searches from several starts: least squares or Nelder-Mead; reports all minima found | [`Multistart`] |
 //! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
 //! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
@@ -70,13 +71,14 @@ pub use choices::{BoundsHandling, Kind, Measure, Stop, Transform};
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
 pub use method::{
-    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Setup, Simplex, SimplexView,
-    Status,
+    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, Setup, Simplex,
+    SimplexView, Status,
 };
 pub use methods::{
     Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, Coefficients, Crossover,
     DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex, LeastSquares,
-    LeastSquaresState, NelderMead, NelderMeadState, Repair, Scheme, Selection, Strategy, Weight,
+    LeastSquaresState, Multistart, MultistartState, NelderMead, NelderMeadState, Polish, Repair, Scheme,
+    Selection, Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
 pub use objective::{

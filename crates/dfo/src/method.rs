@@ -180,6 +180,8 @@ pub enum Operation {
     Generation,
     /// The best point of a model within its trust region was tried.
     TrustRegionStep,
+    /// Local searches from several starts advanced by a step each.
+    LocalSearches,
 }
 
 impl fmt::Display for Operation {
@@ -195,6 +197,7 @@ impl fmt::Display for Operation {
             Self::Restart => "restart",
             Self::Generation => "generation",
             Self::TrustRegionStep => "trust region step",
+            Self::LocalSearches => "local searches",
         })
     }
 }
@@ -367,6 +370,20 @@ pub struct Details<'a> {
     pub population: Option<SimplexView<'a>>,
     /// The stages of a sequential barrier search, complete ones only.
     pub schedule: &'a [BarrierStage],
+    /// The minima that searches from several starts ended at, the best first.
+    pub optima: &'a [Optimum],
+}
+
+/// A minimum that local searches ended at.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Optimum {
+    /// The point, in the user's units and order.
+    pub x: Vec<f64>,
+    /// Its cost.
+    pub cost: f64,
+    /// How many starts led there.
+    pub n_starts: usize,
 }
 
 /// One stage of a sequential barrier search.

@@ -2,8 +2,7 @@
 
 use crate::error::Error;
 use crate::gateway::ledger::Ledger;
-use crate::method::BarrierStage;
-use crate::method::{Method, Simplex};
+use crate::method::{BarrierStage, Method, Optimum, Simplex};
 use crate::termination::{Termination, UNBOUNDED};
 use crate::tolerances::{Limits, Tests};
 use crate::trace::Trace;
@@ -51,6 +50,8 @@ pub struct Report {
     pub workers: usize,
     /// The stages of a sequential barrier search: barrier parameter, barrier, point and cost of each.
     pub schedule: Vec<BarrierStage>,
+    /// The distinct minima that searches from several starts ended at, the best first, with how many starts reached each.
+    pub optima: Vec<Optimum>,
     /// The population at the end, for methods that have one.
     pub final_population: Option<Simplex>,
     /// The seed of the random numbers, for methods that draw them: the one given, or the one drawn.
@@ -115,6 +116,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         final_simplex: details.simplex.map(|s| s.to_owned()),
         final_population: details.population.map(|s| s.to_owned()),
         schedule: details.schedule.to_vec(),
+        optima: details.optima.to_vec(),
         seed: details.seed,
         method: method.name(),
         batch: details.plan,

@@ -4,6 +4,7 @@ mod barrier;
 mod differential_evolution;
 mod genetic;
 mod least_squares;
+mod multistart;
 mod nelder_mead;
 mod shared;
 
@@ -13,6 +14,7 @@ pub use differential_evolution::{
 };
 pub use genetic::{Genetic, GeneticState, Selection};
 pub use least_squares::{LeastSquares, LeastSquaresState};
+pub use multistart::{Multistart, MultistartState, Polish};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
 
 use crate::answer::Answers;
@@ -57,19 +59,22 @@ pub enum AnyMethod {
     Genetic(Genetic),
     /// `least-squares`, for objectives with residuals.
     LeastSquares(LeastSquares),
+    /// `multistart`.
+    Multistart(Multistart),
 }
 
 /// A method's name, its number in `fmin`, and its default options.
 type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
 
 /// The methods: a new one is added here.
-const LIST: [Listed; 6] = [
+const LIST: [Listed; 7] = [
     ("nelder-mead", Some(1), || NelderMead::default().into()),
     ("barrier", Some(2), || Barrier::default().into()),
     ("de", None, || DifferentialEvolution::default().into()),
     ("de-classic", Some(3), || DifferentialEvolution::classic().into()),
     ("ga", Some(4), || Genetic::default().into()),
     ("least-squares", None, || LeastSquares::default().into()),
+    ("multistart", None, || Multistart::default().into()),
 ];
 
 impl AnyMethod {
@@ -104,6 +109,7 @@ impl AnyMethod {
             Self::DifferentialEvolution(options) => options.name(),
             Self::Genetic(_) => "ga",
             Self::LeastSquares(_) => "least-squares",
+            Self::Multistart(_) => "multistart",
         }
     }
 
@@ -154,7 +160,7 @@ macro_rules! from_options {
     };
 }
 
-from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares);
+from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares, Multistart);
 
 /// The same call on whichever method it is.
 macro_rules! each {
@@ -165,6 +171,7 @@ macro_rules! each {
             AnyMethod::DifferentialEvolution($options) => $call,
             AnyMethod::Genetic($options) => $call,
             AnyMethod::LeastSquares($options) => $call,
+            AnyMethod::Multistart($options) => $call,
         }
     };
 }

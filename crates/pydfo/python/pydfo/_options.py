@@ -193,7 +193,7 @@ def method_name(method: str, kinds: Sequence[str] = ()) -> str:
     name = choice("method", method).strip().lower().replace("_", "-").replace(" ", "-")
     if name == "auto":
         return _core.auto_method(kinds)
-    if name in LATER:
+    if name in LATER and name not in METHODS:
         raise MethodNotAvailable(f"method = {method!r} is not in this version; there are: {', '.join(METHODS)}")
     if name not in METHODS:
         near = [_SYNONYMS[name]] if name in _SYNONYMS else difflib.get_close_matches(name, METHODS, 1)
