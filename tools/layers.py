@@ -29,10 +29,13 @@ LAYERS = {
     """,
     "dfo": """
         number option_texts choices rng answer encoding
-        termination objective trace
+        termination trace
         error
+        loss
+        objective
         memory evaluator tolerances space
-        sampling method
+        linear_model sampling
+        method
         gateway methods
         observe report checkpoint
         run_options

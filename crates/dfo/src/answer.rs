@@ -267,16 +267,17 @@ impl From<&[Outcome]> for Answers {
 pub(crate) struct Best(Option<(Vec<f64>, f64)>);
 
 impl Best {
-    /// Takes over a point whose cost is lower.
-    pub(crate) fn offer(&mut self, x: &[f64], cost: f64) {
+    /// Takes over a point whose cost is lower; whether it is.
+    pub(crate) fn offer(&mut self, x: &[f64], cost: f64) -> bool {
         match &mut self.0 {
             Some((best, f)) if cost < *f => {
                 best.copy_from_slice(x);
                 *f = cost;
             }
-            Some(_) => {}
+            Some(_) => return false,
             None => self.0 = Some((x.to_vec(), cost)),
         }
+        true
     }
 
     pub(crate) fn get(&self) -> Option<(&[f64], f64)> {

@@ -47,6 +47,8 @@ mod encoding;
 mod error;
 mod evaluator;
 mod gateway;
+mod linear_model;
+mod loss;
 mod memory;
 mod method;
 mod methods;
@@ -70,6 +72,8 @@ pub use checkpoint::{Checkpoint, Resume};
 pub use choices::{BoundsHandling, Kind, Measure, Stop, Transform};
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
+pub use linear_model::{Covariance, LinearModel};
+pub use loss::{Loss, RobustLoss};
 pub use method::{
     BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, Setup, Simplex,
     SimplexView, Status,
@@ -80,7 +84,7 @@ pub use methods::{
     LeastSquaresState, Multistart, MultistartState, NelderMead, NelderMeadState, Polish, Repair, Scheme,
     Selection, Strategy, Weight,
 };
-pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
+pub use minimize::{ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches};
 pub use objective::{
     ByRef, Fallible, Objective, Query, ResidualFunction, Residuals, WithQuery, fallible, residuals,
     with_query,

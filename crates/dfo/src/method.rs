@@ -4,6 +4,7 @@
 use crate::answer::{Answers, Want};
 use crate::encoding::{decode, encode};
 use crate::error::Error;
+use crate::linear_model::LinearModel;
 use crate::objective::Query;
 use crate::space::Space;
 use crate::termination::Termination;
@@ -337,6 +338,12 @@ pub trait Method {
 
     /// Where the method stands in detail, and what only some methods have.
     fn details(&self) -> Details<'_>;
+
+    /// The derivatives of the residuals at the best point, for methods that have them (see [`Space`] for its scales). Called
+    /// once, at the end of a run.
+    fn linear_model(&self) -> Option<LinearModel> {
+        None
+    }
 
     /// The whole state, for [`MethodOptions::restore`]; `None` for methods that cannot be continued. May be called
     /// at any time; a state saved between ask and tell asks for the same batch again.

@@ -9,9 +9,10 @@ use crate::drive::{Drive, Observer};
 use crate::error::Error;
 use crate::evaluator::{BatchFunction, BatchView, WorkerPool};
 use crate::gateway::{Executor, Gateway, OnCallingThread};
+use crate::loss::RobustLoss;
 use crate::method::{Method, MethodOptions};
-use crate::methods::NelderMead;
-use crate::objective::Objective;
+use crate::methods::{LeastSquares, NelderMead};
+use crate::objective::{Objective, ResidualFunction, residuals};
 use crate::observe::Progress;
 use crate::optimizer::Optimizer;
 use crate::report::Report;
@@ -43,7 +44,26 @@ use std::time::Duration;
 /// # Ok::<(), dfo::Error>(())
 /// ```
 pub fn minimize<'a>(objective: impl Objective + 'a) -> Minimize<'a, NelderMead> {
-    Minimize::new(Driven::new(Source::Objective(Box::new(objective))))
+    let loss = objective.residual_loss();
+    Minimize::new(Driven { loss, ..Driven::new(Source::Objective(Box::new(objective))) })
+}
+
+/// Minimises the sum of the squares of residuals: `minimize(residuals(function)).method(LeastSquares::default())`.
+///
+/// ```
+/// use dfo::least_squares;
+///
+/// let measured = [(0.0, 2.0), (1.0, 1.25), (2.0, 0.70), (3.0, 0.46), (4.0, 0.26)];
+/// let decay = |x: &[f64], out: &mut Vec<f64>| out.extend(measured.map(|(t, y): (f64, f64)| x[0] * (-x[1] * t).exp() - y));
+/// let report = least_squares(decay).start(&[1.0, 1.0]).run()?;
+/// assert!(report.is_success() && (report.x[1] - 0.5).abs() < 0.02, "{report}");
+/// assert_eq!(report.residuals.as_ref().map(Vec::len), Some(5));
+/// let deviation = report.covariance().map(|c| c.matrix[3].sqrt());
+/// assert!(deviation.is_some_and(|d| d > 0.003 && d < 0.03), "{deviation:?}");
+/// # Ok::<(), dfo::Error>(())
+/// ```
+pub fn least_squares<'a>(function: impl ResidualFunction + 'a) -> Minimize<'a, LeastSquares> {
+    minimize(residuals(function)).method(LeastSquares::default())
 }
 
 /// Minimises by a function that evaluates whole batches on the calling thread and returns one outcome per point, in
@@ -104,11 +124,12 @@ pub struct Driven<'a> {
     cancel: Option<Arc<AtomicBool>>,
     observer: Option<Box<Observer<'a>>>,
     poll: Option<Box<dyn FnMut() -> bool + 'a>>,
+    loss: RobustLoss,
 }
 
 impl<'a> Driven<'a> {
     fn new(source: Source<'a>) -> Self {
-        Self { source, pool: None, cancel: None, observer: None, poll: None }
+        Self { source, pool: None, cancel: None, observer: None, poll: None, loss: RobustLoss::default() }
     }
 }
 
@@ -349,6 +370,13 @@ impl<'a, M> Minimize<'a, M> {
         self
     }
 
+    /// Says what the residuals that a function of [`minimize_batches`] gives have gone through already
+    /// ([`RobustLoss::transform`]), so that the [`Report`] gives back the plain ones.
+    pub fn loss(mut self, loss: RobustLoss) -> Self {
+        self.driver.loss = loss;
+        self
+    }
+
     /// A flag that interrupts the run when set: no further evaluation starts, and running ones see
     /// [`Query::cancelled`](crate::Query::cancelled). The run itself neither raises nor lowers it, so several
     /// runs can share one.
@@ -365,11 +393,18 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// Options that cannot be used; an objective that failed at every starting point; a run that was ended before any
     /// point had a finite cost. Every other end is a [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
-        let Driven { mut source, pool, cancel, observer, poll } = self.driver;
+        let Driven { mut source, pool, cancel, observer, poll, loss } = self.driver;
         if let Some(pool) = &pool {
             self.description.options.workers = Some(pool.workers());
         }
-        let has_residuals = matches!(&source, Source::Objective(objective) if objective.has_residuals());
+        if let Some(checkpoint) = self.description.options.checkpoint.as_mut().filter(|_| !loss.is_linear()) {
+            checkpoint.tags.push(("loss".to_owned(), loss.to_string()));
+        }
+        // A batch function shows by its first answer whether it has some.
+        let has_residuals = match &source {
+            Source::Objective(objective) => objective.has_residuals(),
+            Source::Batches(_) => true,
+        };
         let needs_residuals = self.description.options.method.needs_residuals();
         let StartedRun {
             method, batch_ledger, limits, workers, writer, observed, first_recent, before, ..
@@ -396,7 +431,9 @@ impl<M: MethodOptions> Minimize<'_, M> {
         let poll = poll.as_mut().map(|p| p.as_mut() as &mut dyn FnMut() -> bool);
         let gateway = Gateway::new(executor, batch_ledger, limits, before, (&cancel, poll), workers);
         let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
-        drive.run(observer.as_deref_mut())
+        let mut report = drive.run(observer.as_deref_mut())?;
+        report.undo(loss);
+        Ok(report)
     }
 }
 

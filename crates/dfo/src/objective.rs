@@ -1,6 +1,8 @@
 //! The objective: one point goes in, an answer comes out.
 
 use crate::answer::{Answer, Outcome, Want};
+use crate::error::Error;
+use crate::loss::{Loss, RobustLoss};
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -109,6 +111,11 @@ pub trait Objective: Sync {
         false
     }
 
+    /// What the residuals that it gives have gone through already; a [`Report`](crate::Report) gives back the plain ones.
+    fn residual_loss(&self) -> RobustLoss {
+        RobustLoss::default()
+    }
+
     /// Whether evaluations are given up above their cutoff; the default is yes. One that says no is never evaluated anew
     /// because the cutoff was another before.
     fn uses_cutoff(&self) -> bool {
@@ -135,6 +142,9 @@ impl<O: Objective + ?Sized> Objective for ByRef<'_, O> {
     }
     fn has_residuals(&self) -> bool {
         self.0.has_residuals()
+    }
+    fn residual_loss(&self) -> RobustLoss {
+        self.0.residual_loss()
     }
     fn uses_cutoff(&self) -> bool {
         self.0.uses_cutoff()
@@ -209,35 +219,55 @@ impl<F: Fn(&[f64], &mut Vec<f64>) + Sync> ResidualFunction for F {
 
 /// See [`residuals`].
 #[derive(Debug, Clone, Copy)]
-pub struct Residuals<R>(R);
+pub struct Residuals<R> {
+    function: R,
+    loss: RobustLoss,
+}
 
 /// An objective whose cost is the sum of the squared residuals, added from the first to the last in this order,
 /// so that the cost has the same bits wherever it is computed. Gives up above the cutoff.
 pub fn residuals<R: ResidualFunction>(function: R) -> Residuals<R> {
-    Residuals(function)
+    Residuals { function, loss: RobustLoss::default() }
+}
+
+impl<R> Residuals<R> {
+    /// A loss that counts large residuals less than their squares; residuals that are small against `scale` count as
+    /// before. The cost is the sum of what the residuals count then, for every method.
+    ///
+    /// ```
+    /// use dfo::{Loss, minimize, residuals, LeastSquares};
+    ///
+    /// // A line through points of which one is far off.
+    /// let line = |x: &[f64], out: &mut Vec<f64>| {
+    ///     out.extend([0.0, 1.0, 20.0, 3.0, 4.0].iter().enumerate().map(|(k, y)| x[0] + x[1] * k as f64 - y));
+    /// };
+    /// let robust = residuals(line).loss(Loss::Cauchy, 0.1)?;
+    /// let report = minimize(robust).start(&[0.5, 0.5]).method(LeastSquares::default()).run()?;
+    /// assert!(report.x[0].abs() < 0.05 && (report.x[1] - 1.0).abs() < 0.05, "{report}");
+    /// # Ok::<(), dfo::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`RobustLoss::new`].
+    pub fn loss(mut self, loss: Loss, scale: f64) -> Result<Self, Error> {
+        self.loss = RobustLoss::new(loss, scale)?;
+        Ok(self)
+    }
 }
 
 impl<R: ResidualFunction> Objective for Residuals<R> {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
-        answer.outcome = match self.0.residuals(x, query, &mut answer.residuals) {
-            Ok(()) => sum_of_squares(&answer.residuals, query.cutoff),
+        answer.outcome = match self.function.residuals(x, query, &mut answer.residuals) {
+            Ok(()) => self.loss.cost(&mut answer.residuals, query.cutoff),
             Err(outcome) => outcome,
         };
     }
     fn has_residuals(&self) -> bool {
         true
     }
-}
-
-fn sum_of_squares(residuals: &[f64], cutoff: f64) -> Outcome {
-    let mut sum = 0.0;
-    for r in residuals {
-        sum += r * r;
-        if sum > cutoff {
-            return Outcome::Above(cutoff);
-        }
+    fn residual_loss(&self) -> RobustLoss {
+        self.loss
     }
-    Outcome::Value(sum)
 }
 
 #[cfg(test)]

@@ -2,6 +2,8 @@
 
 use crate::error::Error;
 use crate::gateway::ledger::Ledger;
+use crate::linear_model::{Covariance, LinearModel};
+use crate::loss::RobustLoss;
 use crate::method::{BarrierStage, Method, Optimum, Simplex};
 use crate::termination::{Termination, UNBOUNDED};
 use crate::tolerances::{Limits, Tests};
@@ -58,12 +60,53 @@ pub struct Report {
     pub seed: Option<u64>,
     /// Wall-clock seconds.
     pub seconds: f64,
+    /// The residuals at the best point, where its evaluation was asked for them: the plain ones, whatever the loss.
+    pub residuals: Option<Vec<f64>>,
+    /// Their derivatives by the parameters, row by row (m x n, the user's units and order, those by fixed parameters zero), as
+    /// the model of the method has them at the end.
+    pub jacobian: Option<Vec<f64>>,
+    /// With a Jacobian: -1 where a parameter lies at its lower bound (a fixed one, too), 1 at its upper, else 0. Else empty.
+    pub active: Vec<i8>,
+    /// What the residuals counted in [`fun`](Self::fun).
+    pub loss: RobustLoss,
 }
 
 impl Report {
     /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search.
     pub fn is_success(&self) -> bool {
         self.termination.is_success()
+    }
+
+    /// How uncertain the parameters are, as far as the linear model of the residuals at the end tells it: `s^2 (J' J)^-1` with
+    /// `s^2 = r' r / (m - n)`, over the free parameters that lie at no bound. `None` without residuals or Jacobian.
+    ///
+    /// With a loss, r and J are those of the residuals as they counted (see [`RobustLoss`]), so that an outlier adds as
+    /// little to s as it did to the cost.
+    pub fn covariance(&self) -> Option<Covariance> {
+        let (residuals, jacobian) = (self.residuals.as_ref()?, self.jacobian.as_ref()?);
+        let counted: Vec<f64> = residuals.iter().map(|r| self.loss.transform(*r)).collect();
+        let n = self.x.len();
+        let weighted = jacobian.iter().enumerate().map(|(k, j)| j * self.loss.slope(residuals[k / n]));
+        Some(Covariance::new(&counted, &weighted.collect::<Vec<_>>(), &self.active))
+    }
+
+    /// The sum of the squares of the plain residuals: with the linear loss the cost.
+    pub fn sum_of_squares(&self) -> Option<f64> {
+        self.residuals.as_ref().map(|residuals| residuals.iter().map(|r| r * r).sum())
+    }
+
+    /// Takes residuals and Jacobian for what a loss has made of the plain ones, and gives these back.
+    pub(crate) fn undo(&mut self, loss: RobustLoss) {
+        self.loss = loss;
+        let Some(residuals) = self.residuals.as_mut().filter(|_| !loss.is_linear()) else { return };
+        residuals.iter_mut().for_each(|s| *s = loss.inverse(*s));
+        let n = self.x.len();
+        for (k, j) in self.jacobian.iter_mut().flatten().enumerate() {
+            *j /= loss.slope(residuals[k / n]);
+        }
+        if self.jacobian.iter().flatten().any(|j| !j.is_finite()) {
+            self.jacobian = None;
+        }
     }
 }
 
@@ -99,6 +142,12 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         return Err(Error::EndedWithoutPoint { termination, found: ledger.nothing_found() });
     };
     let details = method.details();
+    let residuals =
+        Some(std::mem::take(&mut ledger.best_residuals)).filter(|residuals| !residuals.is_empty());
+    let fits =
+        |model: &LinearModel| residuals.as_ref().is_some_and(|r| model.jacobian.len() == r.len() * x.len());
+    let model = method.linear_model().filter(fits);
+    let (jacobian, active) = model.map_or((None, Vec::new()), |model| (Some(model.jacobian), model.active));
     Ok(Report {
         message: message(method, ledger, limits, &termination, fun, seconds),
         x,
@@ -122,6 +171,10 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         batch: details.plan,
         workers,
         seconds,
+        residuals,
+        jacobian,
+        active,
+        loss: RobustLoss::default(),
     })
 }
 

@@ -3,7 +3,7 @@
 use crate::description::Fmu;
 use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields};
 use crate::interrupt::{Watch, fits_here};
-use crate::report::{self, LastProgress, Listener};
+use crate::report::{self, LastProgress, Listener, ResultKind};
 use crate::settings::{Options, Settings};
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
@@ -301,7 +301,7 @@ impl PyCalibration {
                     raised = Some(fmu_error::unusable(reason));
                 }
                 report::set_raised(&mut fit.report, raised.as_ref());
-                let result = report::to_python(py, &fit.report)?;
+                let result = report::to_python(py, &fit.report, ResultKind::Cost)?;
                 result.setattr("stats", Counts::new(&fit.stats))?;
                 let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
                 result.setattr("at_bound", at_bound.into_py_dict(py)?)?;

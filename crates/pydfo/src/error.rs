@@ -29,6 +29,12 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
         dfo::Error::Checkpoint { .. } | dfo::Error::CheckpointMismatch { .. } => {
             return CheckpointError::new_err(message);
         }
+        dfo::Error::NeedsResiduals { method } => {
+            return PyValueError::new_err(format!(
+                "{method} needs the vector of residuals: use pydfo.least_squares(fun, x0) with a function that returns it, or \
+                 another method"
+            ));
+        }
         dfo::Error::Memory { .. } => return PyMemoryError::new_err(message),
         dfo::Error::UnknownPoint { .. } => return PyKeyError::new_err(message),
         _ => return PyValueError::new_err(message),

@@ -3,9 +3,11 @@
 use crate::error;
 use crate::interrupt::{EndRequest, Watch};
 use crate::objective::PyObjective;
-use crate::report::{self, LastProgress, Listener, Snapshot};
+use crate::report::{self, LastProgress, Listener, ResultKind, Snapshot};
 use crate::settings::{Options, Settings};
-use dfo::{ByRef, Minimize, NelderMead, Progress, Report, Tolerances};
+use crate::words::word;
+use dfo::{ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, RobustLoss, Tolerances};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -54,9 +56,11 @@ impl RunSetup {
 
 /// Minimises a Python function. With one worker it is called on the calling thread, with more on threads of a pool;
 /// with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`]; with `cutoffs` it is
-/// told the cutoff of each point.
+/// told the cutoff of each point; with a `loss` and its scale it returns residuals.
 #[pyfunction]
-#[pyo3(signature = (func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false))]
+#[pyo3(signature = (
+    func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false, loss=None
+))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a private function")]
 pub(crate) fn minimize<'py>(
     py: Python<'py>,
@@ -70,13 +74,25 @@ pub(crate) fn minimize<'py>(
     detail: bool,
     batches: bool,
     cutoffs: bool,
+    loss: Option<(String, f64)>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let settings = options.check(py, Tolerances::default())?;
+    let loss = loss.map(|(name, scale)| {
+        let checked = RobustLoss::new(word("loss", &name)?, scale);
+        checked.map_err(|_| {
+            PyValueError::new_err(format!("f_scale = {scale} must be positive and finite (1e-300 to 1e300)"))
+        })
+    });
+    let loss = loss.transpose()?;
+    if loss.is_none() && settings.run.method.needs_residuals() {
+        return Err(error::optimiser(py, &dfo::Error::NeedsResiduals { method: "least-squares" }));
+    }
+    let kind = ResultKind::of(loss.is_some());
     let alone = settings.run.workers.is_none_or(|workers| workers == 1);
     let setup = RunSetup::new(x0, lower, upper, settings);
     let watch = Watch::new(py)?;
     let stop = Arc::clone(watch.stop());
-    let objective = Arc::new(PyObjective::new(func, (tolerant, cutoffs), Arc::clone(&stop)));
+    let objective = Arc::new(PyObjective::new(func, (tolerant, cutoffs), loss, Arc::clone(&stop)));
     let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
     let outcome = if alone || batches {
         let mut notify = |progress: &Progress<'_>| match &listener {
@@ -85,12 +101,13 @@ pub(crate) fn minimize<'py>(
         };
         let observer = listener.is_some().then_some(&mut notify as &mut Observer<'_>);
         let run = match batches {
-            true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch)),
+            true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch))
+                .loss(loss.unwrap_or_default()),
             false => dfo::minimize(ByRef(&*objective)),
         };
         setup.run(run, &stop, || stop.poll(py), observer)
     } else {
-        let last_progress = Arc::new(LastProgress::default());
+        let last_progress = Arc::new(LastProgress::new(kind));
         let (objective, stop) = (Arc::clone(&objective), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
         let outcome = watch.run(move |caller| {
@@ -104,7 +121,7 @@ pub(crate) fn minimize<'py>(
         }
     };
     let raised = objective.take_raised(&outcome).or_else(|| listener.and_then(|l| l.take_raised()));
-    conclude(py, &stop, raised, outcome)
+    conclude(py, &stop, raised, outcome, kind)
 }
 
 /// The result, or the exception that ended the run with the result attached to it.
@@ -113,12 +130,13 @@ fn conclude<'py>(
     stop: &EndRequest,
     raised: Option<PyErr>,
     outcome: Result<Report, dfo::Error>,
+    kind: ResultKind,
 ) -> PyResult<Bound<'py, PyAny>> {
     let raised = raised.or_else(|| stop.take_raised());
     let result = match outcome {
         Ok(mut report) => {
             report::set_raised(&mut report, raised.as_ref());
-            Some(report::to_python(py, &report)?)
+            Some(report::to_python(py, &report, kind)?)
         }
         Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::optimiser(py, &e)),
         Err(_) => None,

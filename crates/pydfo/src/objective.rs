@@ -2,20 +2,22 @@
 
 use crate::interrupt::{EndRequest, Inside};
 use crate::threads::lock;
-use dfo::{Answer, BatchView, Objective, Outcome, Query, Report};
-use numpy::{PyArray1, PyArrayMethods};
+use dfo::{Answer, BatchView, Objective, Outcome, Query, Report, RobustLoss};
+use numpy::{PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyCFunction, PyDict, PyFloat, PyTuple};
 use std::sync::{Arc, Mutex};
 
-/// A Python function `f(x) -> float`, or `f(x, *, cutoff) -> float | Above`.
+/// A Python function `f(x) -> float`, or `f(x, *, cutoff) -> float | Above`, or one that returns a vector of residuals.
 pub(crate) struct PyObjective {
     function: Py<PyAny>,
     /// Whether an exception counts as a failed evaluation instead of ending the run.
     tolerant: bool,
     /// Whether it is told the cutoff, and may return `Above`.
     takes_cutoff: bool,
+    /// What the residuals count; `None`: the function returns a cost.
+    loss: Option<RobustLoss>,
     stop: Arc<EndRequest>,
     /// Exceptions, by the points at which they were raised: the run ends with that of the first point of its path.
     raised: Mutex<Vec<(Vec<u64>, PyErr)>>,
@@ -25,9 +27,10 @@ impl PyObjective {
     pub(crate) fn new(
         function: Py<PyAny>,
         (tolerant, takes_cutoff): (bool, bool),
+        loss: Option<RobustLoss>,
         stop: Arc<EndRequest>,
     ) -> Self {
-        Self { function, tolerant, takes_cutoff, stop, raised: Mutex::default() }
+        Self { function, tolerant, takes_cutoff, loss, stop, raised: Mutex::default() }
     }
 
     /// The exception that ended the run: the one raised at the point of its path that ended it.
@@ -45,8 +48,14 @@ impl PyObjective {
         Outcome::Abort(message)
     }
 
-    /// What a call of the user's function means.
-    fn outcome(&self, py: Python<'_>, x: &[f64], returned: PyResult<Bound<'_, PyAny>>) -> Outcome {
+    /// What a call of the user's function means; residuals, if it returns such, go to `out`.
+    fn outcome(
+        &self,
+        py: Python<'_>,
+        x: &[f64],
+        returned: PyResult<Bound<'_, PyAny>>,
+        out: &mut Vec<f64>,
+    ) -> Outcome {
         match returned {
             Ok(value) if self.takes_cutoff && is_above(&value) => {
                 match value.getattr("cutoff").and_then(|cutoff| number(&cutoff, "the cutoff of Above")) {
@@ -54,6 +63,10 @@ impl PyObjective {
                     Err(e) => self.abort(x, e),
                 }
             }
+            Ok(value) if let Some(loss) = self.loss => match residuals(&value, out) {
+                Ok(()) => loss.cost(out, f64::INFINITY),
+                Err(e) => self.abort(x, e),
+            },
             Ok(value) => match number(&value, "the objective") {
                 Ok(cost) => Outcome::Value(cost),
                 // Always an error in the program, never one of the model.
@@ -101,7 +114,9 @@ impl PyObjective {
                     };
                     let exception = answer.is_instance_of::<PyBaseException>();
                     let returned = if exception { Err(PyErr::from_value(answer)) } else { Ok(answer) };
-                    *place = self.outcome(py, batch.point(k), returned);
+                    let mut residuals = Vec::new();
+                    *place = self.outcome(py, batch.point(k), returned, &mut residuals);
+                    batch.set_residuals(k, &residuals);
                 }
             }
         }
@@ -128,6 +143,14 @@ impl Objective for PyObjective {
         self.takes_cutoff
     }
 
+    fn has_residuals(&self) -> bool {
+        self.loss.is_some()
+    }
+
+    fn residual_loss(&self) -> RobustLoss {
+        self.loss.unwrap_or_default()
+    }
+
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         let _inside = Inside::new(&self.stop);
         answer.outcome = Python::attach(|py| {
@@ -140,7 +163,7 @@ impl Objective for PyObjective {
             } else {
                 self.function.bind(py).call1(point)
             };
-            self.outcome(py, x, returned)
+            self.outcome(py, x, returned, &mut answer.residuals)
         });
     }
 }
@@ -153,6 +176,23 @@ fn bits(x: &[f64]) -> Vec<u64> {
 fn is_above(value: &Bound<'_, PyAny>) -> bool {
     let class = || value.py().import("pydfo._optimizer")?.getattr("Above");
     !value.is_instance_of::<PyFloat>() && class().and_then(|class| value.is_instance(&class)).unwrap_or(false)
+}
+
+/// The residuals that a Python function returned, into `out`: whatever NumPy makes a one-dimensional array of.
+///
+/// # Errors
+/// TypeError: something else.
+pub(crate) fn residuals(value: &Bound<'_, PyAny>, out: &mut Vec<f64>) -> PyResult<()> {
+    out.clear();
+    // Of subclasses NumPy knows more: what is masked, for example.
+    let is_plain = value.cast_exact::<PyUntypedArray>().is_ok();
+    if let (true, Ok(array)) = (is_plain, value.cast::<PyArray1<f64>>()) {
+        out.extend(array.try_readonly()?.as_array());
+        return Ok(());
+    }
+    let array = value.py().import("pydfo._evaluate")?.getattr("residual_vector")?.call1((value,))?;
+    out.extend(array.cast::<PyArray1<f64>>()?.to_vec()?);
+    Ok(())
 }
 
 /// The number that a Python function returned: a float or an int, a NumPy scalar, an array of one element.

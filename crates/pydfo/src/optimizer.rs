@@ -3,10 +3,10 @@
 use crate::error;
 use crate::minimize::RunSetup;
 use crate::objective;
-use crate::report;
+use crate::report::{self, ResultKind};
 use crate::settings::Options;
 use crate::threads::lock;
-use dfo::{Outcome, Tolerances};
+use dfo::{Answer, MethodOptions, Outcome, RobustLoss, Tolerances};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyTypeError};
 use pyo3::prelude::*;
@@ -17,6 +17,8 @@ use std::sync::Mutex;
 pub(crate) struct PyOptimizer {
     inner: Mutex<dfo::Optimizer>,
     n: usize,
+    /// Whether the method wants residuals.
+    of_residuals: bool,
 }
 
 /// Numbers, points (k, n), cutoffs.
@@ -33,10 +35,12 @@ impl PyOptimizer {
         options: Options,
     ) -> PyResult<Self> {
         let n = lower.len();
-        let setup = RunSetup::new(x0, lower, upper, options.check(py, Tolerances::default())?);
+        let settings = options.check(py, Tolerances::default())?;
+        let of_residuals = settings.run.method.needs_residuals();
+        let setup = RunSetup::new(x0, lower, upper, settings);
         let optimizer = py.detach(|| setup.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
         let inner = Mutex::new(optimizer.map_err(|e| error::optimiser(py, &e))?);
-        Ok(Self { inner, n })
+        Ok(Self { inner, n, of_residuals })
     }
 
     fn ask<'py>(&self, py: Python<'py>, at_most: Option<usize>) -> PyResult<Asked<'py>> {
@@ -49,10 +53,11 @@ impl PyOptimizer {
         ))
     }
 
-    /// The value of a point: a number, None or an exception (it failed), Ellipsis (it is given back), or `above`: the
+    /// The value of a point: a number, or a vector of residuals where the method wants these, None or an exception (it failed), Ellipsis (it is given back), or `above`: the
     /// number is one that the cost exceeds.
     fn tell(&self, py: Python<'_>, id: u64, value: &Bound<'_, PyAny>, above: bool) -> PyResult<()> {
-        let outcome = if above {
+        let mut answer = Answer::default();
+        answer.outcome = if above {
             Outcome::Above(
                 value.extract().map_err(|_| PyTypeError::new_err("the cutoff of Above must be a number"))?,
             )
@@ -62,11 +67,14 @@ impl PyOptimizer {
             Outcome::failed("no value")
         } else if value.is_instance_of::<PyBaseException>() {
             Outcome::failed(PyErr::from_value(value.clone()).to_string())
+        } else if self.of_residuals {
+            objective::residuals(value, &mut answer.residuals)?;
+            RobustLoss::default().cost(&mut answer.residuals, f64::INFINITY)
         } else {
             Outcome::Value(objective::number(value, "the objective")?)
         };
         // It may write the checkpoint, and another thread that waits for us may hold the interpreter lock.
-        py.detach(|| lock(&self.inner).tell(id, outcome)).map_err(|e| error::optimiser(py, &e))
+        py.detach(|| lock(&self.inner).tell(id, answer)).map_err(|e| error::optimiser(py, &e))
     }
 
     #[getter]
@@ -87,7 +95,8 @@ impl PyOptimizer {
 
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let report = py.detach(|| lock(&self.inner).report());
-        report::to_python(py, &report.map_err(|e| error::optimiser(py, &e))?)
+        let kind = ResultKind::of(self.of_residuals);
+        report::to_python(py, &report.map_err(|e| error::optimiser(py, &e))?, kind)
     }
 
     fn save(&self, py: Python<'_>) -> PyResult<()> {

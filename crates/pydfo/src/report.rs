@@ -78,12 +78,12 @@ impl Snapshot {
     }
 
     /// A result made of what is known while the run has not ended.
-    pub(crate) fn to_result<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+    fn to_result<'py>(&self, py: Python<'py>, kind: ResultKind) -> PyResult<Bound<'py, PyAny>> {
         let fields = self.fields(py)?;
         fields.set_item("termination", "interrupted")?;
         fields.set_item("success", false)?;
         fields.set_item("message", "interrupted twice: the state after the last complete iteration")?;
-        result(py, &fields)
+        result(py, &fields, kind)
     }
 }
 
@@ -127,9 +127,14 @@ impl Listener {
 #[derive(Default)]
 pub(crate) struct LastProgress {
     snapshot: Mutex<Option<Snapshot>>,
+    kind: ResultKind,
 }
 
 impl LastProgress {
+    pub(crate) fn new(kind: ResultKind) -> Self {
+        Self { snapshot: Mutex::default(), kind }
+    }
+
     /// Keeps the progress of a run on another thread, and has the listener told on the calling thread.
     pub(crate) fn pass_on(
         &self,
@@ -144,13 +149,38 @@ impl LastProgress {
     }
 
     pub(crate) fn result<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        lock(&self.snapshot).as_ref().map(|s| s.to_result(py)).transpose()
+        lock(&self.snapshot).as_ref().map(|s| s.to_result(py, self.kind)).transpose()
     }
 }
 
-/// `pydfo.OptimizeResult` from its fields.
-fn result<'py>(py: Python<'py>, fields: &Bound<'py, PyDict>) -> PyResult<Bound<'py, PyAny>> {
-    py.import("pydfo._result")?.getattr("OptimizeResult")?.call((), Some(fields))
+/// Which result a user is given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum ResultKind {
+    /// `pydfo.OptimizeResult`: `fun` is the cost.
+    #[default]
+    Cost,
+    /// `pydfo.LeastSquaresResult`: `fun` are the residuals.
+    Residuals,
+}
+
+impl ResultKind {
+    /// That of a run in which the user gives residuals, or does not.
+    pub(crate) fn of(residuals: bool) -> Self {
+        if residuals { Self::Residuals } else { Self::Cost }
+    }
+}
+
+/// The result from its fields.
+fn result<'py>(
+    py: Python<'py>,
+    fields: &Bound<'py, PyDict>,
+    kind: ResultKind,
+) -> PyResult<Bound<'py, PyAny>> {
+    let class = match kind {
+        ResultKind::Cost => "OptimizeResult",
+        ResultKind::Residuals => "LeastSquaresResult",
+    };
+    py.import("pydfo._result")?.getattr(class)?.call((), Some(fields))
 }
 
 /// A run that an observer ended with an exception was not stopped, but aborted.
@@ -161,8 +191,12 @@ pub(crate) fn set_raised(report: &mut Report, raised: Option<&PyErr>) {
     }
 }
 
-/// `pydfo.OptimizeResult` of a run that has ended.
-pub(crate) fn to_python<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound<'py, PyAny>> {
+/// The result of a run that has ended.
+pub(crate) fn to_python<'py>(
+    py: Python<'py>,
+    report: &Report,
+    kind: ResultKind,
+) -> PyResult<Bound<'py, PyAny>> {
     let fields = PyDict::new(py);
     fields.set_item("x", PyArray1::from_slice(py, &report.x))?;
     fields.set_item("fun", report.fun)?;
@@ -196,7 +230,23 @@ pub(crate) fn to_python<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound
     fields.set_item("method", report.method)?;
     fields.set_item("batch", report.batch)?;
     fields.set_item("workers", report.workers)?;
-    result(py, &fields)
+    let n = report.x.len();
+    if let Some(jacobian) = &report.jacobian {
+        let rows = PyArray1::from_slice(py, jacobian).reshape([jacobian.len() / n.max(1), n])?;
+        fields.set_item("jac", rows)?;
+        fields
+            .set_item("active_mask", PyArray1::from_iter(py, report.active.iter().map(|a| i64::from(*a))))?;
+    }
+    if let Some(covariance) = report.covariance() {
+        fields.set_item("cov", PyArray1::from_vec(py, covariance.matrix).reshape([n, n])?)?;
+        fields.set_item("cov_message", covariance.message)?;
+    }
+    if kind == ResultKind::Residuals {
+        let residuals = report.residuals.as_deref().unwrap_or_default();
+        fields.set_item("residuals", PyArray1::from_slice(py, residuals))?;
+        fields.set_item("sum_of_squares", report.sum_of_squares())?;
+    }
+    result(py, &fields, kind)
 }
 
 /// Vertices (n + 1, n) and costs (n + 1), NaN where the objective failed; best first.

@@ -312,7 +312,8 @@ def test_every_option_of_every_method_reaches_it(method, options):
     [
         ({"fun": 3}, TypeError, "fun must be callable"),
         ({"method": "nelder_meat"}, ValueError, "did you mean 'nelder-mead'"),
-        ({"method": "least-squares"}, pydfo.MethodNotAvailable, "not in this version"),
+        ({"method": "cma-es"}, pydfo.MethodNotAvailable, "not in this version"),
+        ({"method": "least-squares"}, ValueError, "needs the vector of residuals: use pydfo.least_squares"),
         ({"method": 1}, TypeError, "method must be a string"),
         ({"options": {"restart": 3}}, ValueError, "no option 'restart'; did you mean 'restarts'. it has batch, bounds_handling, .*every"),
         ({"options": {"popsize": 3}}, ValueError, "no option 'popsize'; here it is the option population"),

@@ -1,7 +1,7 @@
 //! What a run has seen: every count, the failures, the best point so far, the trace.
 
 use super::speculative::SpeculativeStore;
-use crate::answer::{Answer, Best, Failure, Outcome};
+use crate::answer::{Answer, Best, Failure, Outcome, Want};
 use crate::error::NothingFound;
 use crate::method::Batch;
 use crate::trace::{Record, SpeculativeEntry, Trace};
@@ -43,6 +43,9 @@ pub(crate) struct Ledger {
     /// What was evaluated ahead of need.
     pub(crate) speculative: SpeculativeStore,
     pub(crate) best: Best,
+    /// The residuals of the best point; empty where they are not known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) best_residuals: Vec<f64>,
     pub(crate) n_evaluations: usize,
     pub(crate) n_failed: usize,
     pub(crate) n_cached: usize,
@@ -63,6 +66,7 @@ impl Ledger {
             keeps_residuals,
             speculative: SpeculativeStore::default(),
             best: Best::default(),
+            best_residuals: Vec::new(),
             n_evaluations: 0,
             n_failed: 0,
             n_cached: 0,
@@ -89,7 +93,13 @@ impl Ledger {
             }
             // What lies above its cutoff might as well have been given up, and must not make a difference.
             let Some(value) = outcome.value().filter(|v| *v <= batch.cutoff(k)) else { continue };
-            self.best.offer(batch.point(k), value);
+            let is_best = self.best.offer(batch.point(k), value);
+            let wanted = batch.want() == Want::Residuals;
+            // A cost that was known without residuals may come again with them.
+            if is_best || wanted && self.best.get() == Some((batch.point(k), value)) {
+                self.best_residuals.clear();
+                self.best_residuals.extend_from_slice(if wanted { &answer.residuals } else { &[] });
+            }
         }
     }
 

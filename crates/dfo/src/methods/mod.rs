@@ -20,6 +20,7 @@ pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, Nelde
 use crate::answer::Answers;
 use crate::choices::Kind;
 use crate::error::Error;
+use crate::linear_model::LinearModel;
 use crate::method::{Batch, Details, Method, MethodOptions, Setup, Status};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -253,6 +254,9 @@ impl Method for BoxedMethod {
     }
     fn best(&self) -> Option<(&[f64], f64)> {
         self.0.best()
+    }
+    fn linear_model(&self) -> Option<LinearModel> {
+        self.0.linear_model()
     }
     fn save(&self) -> Option<Vec<u8>> {
         self.0.save()

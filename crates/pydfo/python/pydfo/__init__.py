@@ -2,7 +2,7 @@
 
 `FMUModel` is a model to set, simulate and get values of; `example_fmu` has some to try.
 `Calibration` puts a model, measurements and `Parameter` objects together, and fits without the interpreter lock.
-`minimize` minimises any Python function, and `Optimizer` lets you drive: ask for points, tell their costs;
+`minimize` minimises any Python function, `least_squares` the sum of squares of one that returns residuals, and `Optimizer` lets you drive: ask for points, tell their costs;
 `scipy_method` makes the methods usable in ``scipy.optimize.minimize``. `fmin` has the signature of the tool of the
 paper; `pydfo.dfo` has it together with `quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written
 in Python.
@@ -34,12 +34,13 @@ from ._experiment import Experiment
 from ._files import build_fmu, clear_caches, example_fmu
 from ._fit import Fit
 from ._fmin import fmin
+from ._least_squares import least_squares
 from ._minimize import minimize
 from ._model import FMUModel, load_fmu
 from ._optimizer import Above, Asked, Optimizer
 from ._parameter import Parameter
 from ._progress import Progress
-from ._result import BarrierStage, OptimizeResult, Trace
+from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
 from ._trajectory import SimulationResult
 
@@ -60,6 +61,7 @@ __all__ = [
     "Fit",
     "FmuError",
     "Interrupted",
+    "LeastSquaresResult",
     "MethodNotAvailable",
     "ModelTypeError",
     "NoResult",
@@ -80,6 +82,7 @@ __all__ = [
     "dfo",
     "example_fmu",
     "fmin",
+    "least_squares",
     "load_fmu",
     "minimize",
     "ode",

@@ -53,6 +53,7 @@ def minimize(
     detail: bool = False,
     batches: bool = False,
     cutoffs: bool = False,
+    loss: tuple[str, float] | None = None,
 ) -> OptimizeResult: ...
 @final
 class Optimizer:

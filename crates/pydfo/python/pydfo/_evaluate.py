@@ -100,8 +100,28 @@ class Timed:
         return time.perf_counter() - start, value
 
 
-def vectorized(fun: Callable[[FloatArray], Any]) -> Batches:
-    """The objective takes points in columns, shape (n, S), and returns costs of shape (S,)."""
+def residual_vector(value: Any) -> FloatArray:
+    """The residuals that a function returned: whatever NumPy makes a one-dimensional array of numbers of, NaN where it is
+    masked. TypeError for anything else."""
+    needed = "the function must return the residuals as a one-dimensional array of numbers"
+    if value is None:
+        raise TypeError(f"{needed}, not None; is a return statement missing?")
+    try:
+        array = np.ma.asanyarray(value)
+        if array.dtype.kind in "cUSMm":
+            raise TypeError
+        array = np.ma.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{needed}, not {_options.show(value)}") from None
+    if array.ndim == 0:
+        raise TypeError(f"{needed}, not one number ({_options.show(value)}): a cost is for minimize, a single residual r is [r]")
+    if array.ndim != 1:
+        raise TypeError(f"{needed}, not one of shape {array.shape}")
+    return np.ascontiguousarray(np.ma.filled(array, np.nan))
+
+
+def vectorized(fun: Callable[[FloatArray], Any], of_residuals: bool = False) -> Batches:
+    """The objective takes points in columns, shape (n, S), and returns costs of shape (S,), or residuals of shape (m, S)."""
 
     def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
         try:
@@ -112,13 +132,13 @@ def vectorized(fun: Callable[[FloatArray], Any]) -> Batches:
                 return [e]
             # One point is no reason for the others to fail.
             return [one for k in range(len(points)) for one in evaluate(points[k : k + 1], cutoffs[k : k + 1], stopped)]
-        if costs.shape != (len(points),):
+        if costs.shape[-1:] != (len(points),) or costs.ndim != 1 + of_residuals:
             wrong = TypeError(
-                f"a vectorized objective must return an array of shape ({len(points)},) for points of shape "
-                f"{points.T.shape}, not of shape {costs.shape}"
+                f"a vectorized objective must return an array of shape ({'m, ' if of_residuals else ''}{len(points)}"
+                f"{'' if of_residuals else ','}) for points of shape {points.T.shape}, not of shape {costs.shape}"
             )
             raise wrong
-        return list(costs)
+        return list(costs.T)
 
     return evaluate
 

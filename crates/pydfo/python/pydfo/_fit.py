@@ -81,7 +81,8 @@ class Fit(OptimizeResult):
     @property
     def cost(self) -> float:
         """Sum of the squared weighted residuals at the fitted values."""
-        return self.fun
+        cost: float = self.fun
+        return cost
 
     @property
     def rms(self) -> float:

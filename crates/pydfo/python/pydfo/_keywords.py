@@ -34,6 +34,8 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     "init": ("sampling",),
     "disp": ("disp", "callback"),
     "polish": ("method",),
+    "x_scale": ("nominal",),
+    "vectorised": ("vectorized",),
     **dict.fromkeys(("nbr_cores", "ncores", "n_jobs", "n_workers"), ("nbr_cores", "workers")),
     **dict.fromkeys(("fun", "func", "cost", "objective"), ("fun", "func")),
     **dict.fromkeys(("x0", "xstart", "y0"), ("x0", "xstart", "start")),
@@ -56,6 +58,8 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
 
 #: What none of the functions here has, and what to do instead.
 _ABSENT: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("gtol", "tr_solver", "tr_options"), "the tests are x_tol and f_tol: leave it out"),
+    "diff_step": "steps follow from the noise and the sizes of the parameters (option nominal): leave it out",
     **dict.fromkeys(("jac", "hess", "hessp", "gradient", "grad"), "no method here uses derivatives: leave it out"),
     **dict.fromkeys(
         ("constraints", "cons"),

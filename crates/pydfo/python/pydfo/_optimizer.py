@@ -104,14 +104,14 @@ class Optimizer:
         return Asked(*self._native.ask(at_most))
 
     def tell(self, ids: SupportsIndex | Iterable[SupportsIndex], values: Any) -> None:
-        """The costs of points, in any order and in any pieces.
+        """The costs of points, or their residuals ("least-squares"), in any order and in any pieces.
 
         Parameters
         ----------
         ids : int or sequence of int
             Numbers of points that were asked for.
         values : float or sequence
-            Their costs. None, NaN, infinities and exceptions (the objects) mean that the evaluation failed; `Above` that
+            Their costs; for "least-squares" their vectors of residuals. None, NaN, infinities and exceptions (the objects) mean that the evaluation failed; `Above` that
             it was given up above the cutoff; Ellipsis gives a point back, to be asked for again.
 
         Raises
@@ -119,7 +119,7 @@ class Optimizer:
         KeyError
             A number that is not waiting for an answer; what stands before it is told.
         ValueError, TypeError
-            More or fewer values than numbers; a value that is no number.
+            More or fewer values than numbers; a value that is no number, or no vector of residuals where these are wanted.
         """
         if type(ids) is np.ndarray and ids.ndim == 1:
             numbers = ids.tolist()
@@ -153,7 +153,7 @@ class Optimizer:
         return self._native.n_pending
 
     def report(self) -> OptimizeResult:
-        """The result so far; ``termination`` is "interrupted" while the run is not over.
+        """The result so far, a `LeastSquaresResult` of "least-squares"; ``termination`` is "interrupted" while the run is not over.
 
         Raises
         ------

@@ -43,10 +43,11 @@ _SYNONYMS: Mapping[str, str] = {
     **dict.fromkeys(("neldermead", "nm", "simplex", "fmin"), "nelder-mead"),
     **dict.fromkeys(("differential-evolution", "differentialevolution", "l-shade", "lshade"), "de"),
     **dict.fromkeys(("genetic", "genetic-algorithm"), "ga"),
+    **dict.fromkeys(("leastsquares", "lsq", "levenberg-marquardt", "lm", "trf", "dfo-ls"), "least-squares"),
 }
 
 #: What the methods that are to come will be called.
-LATER = ("least-squares", "quadratic-model", "cma-es", "multistart", "pattern-search")
+LATER = ("quadratic-model", "cma-es", "multistart", "pattern-search")
 
 
 @dataclass(frozen=True)
@@ -279,6 +280,34 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
         bound("lower bounds", [pair[0] for pair in pairs], len(pairs), -np.inf),
         bound("upper bounds", [pair[1] for pair in pairs], len(pairs), np.inf),
     )
+
+
+def bounds_of_least_squares(bounds: Any, x0: FloatArray) -> Any:
+    """Bounds for `pairs_of_bounds` from what SciPy's ``least_squares`` takes: also two arrays, or numbers that hold for all
+    parameters, lower and upper bounds. Where a tuple of two pairs could be either for two parameters, that is meant in which
+    x0 lies; ValueError if it lies in both, and they differ."""
+    if hasattr(bounds, "lb") or isinstance(bounds, str):
+        return bounds
+    try:
+        first, second = bounds
+        sides = [np.broadcast_to(np.asarray(side, dtype=np.float64), x0.shape) for side in (first, second)]
+    except (TypeError, ValueError):
+        # Not two, or with None among them, or not of the length of x0.
+        return bounds
+    as_sides = [[lower, upper] for lower, upper in zip(*(side.tolist() for side in sides))]
+    if np.shape(first) == np.shape(second) == (2,) and len(x0) == 2:
+        if not isinstance(bounds, tuple):
+            return bounds
+        as_pairs = [list(first), list(second)]
+        fits = [all(low <= x <= high for (low, high), x in zip(pairs, x0)) for pairs in (as_pairs, as_sides)]
+        if as_pairs == as_sides or not fits[1]:
+            return bounds
+        if fits[0]:
+            raise ValueError(
+                f"bounds = {show(bounds)} may mean (lower, upper) for each of two parameters, or all lower and all upper bounds: "
+                "give a list of pairs, [(lower, upper), ...], or scipy.optimize.Bounds(lb, ub)"
+            )
+    return as_sides
 
 
 def number(name: str, value: SupportsFloat | SupportsIndex) -> float:

@@ -207,6 +207,16 @@ class OptimizeResult:
         Evaluations that could run at once.
     figures : tuple of matplotlib figures
         What ``plot`` and ``plot_conv`` drew.
+    jac : ndarray, shape (m, n), or None
+        The derivatives of the residuals by the parameters (in the user's units, also where a parameter is searched by its
+        logarithm; zero for fixed ones), as the model of "least-squares" has them at the end; None for other methods.
+    active_mask : ndarray of int, shape (n,), or None
+        With ``jac``: -1 where a parameter lies at its lower bound (fixed ones, too), 1 at its upper, else 0.
+    cov : ndarray, shape (n, n), or None
+        With ``jac``, the covariance of the parameters: ``s**2 * inv(J.T @ J)`` with ``s**2 = sum(r**2) / (m - n)`` over the
+        parameters that lie at no bound; zero for the others, infinite for those that the residuals do not determine.
+    cov_message : str
+        What is to be said of ``cov``, in words; empty if nothing is.
     """
 
     def __init__(
@@ -236,9 +246,13 @@ class OptimizeResult:
         batch: str = "",
         workers: int = 1,
         figures: tuple[Figure, ...] = (),
+        jac: FloatArray | None = None,
+        active_mask: npt.NDArray[np.int64] | None = None,
+        cov: FloatArray | None = None,
+        cov_message: str = "",
     ) -> None:
         self.x = x
-        self.fun = fun
+        self.fun: Any = fun
         self.nit = nit
         self.nfev = nfev
         self.nfail = nfail
@@ -262,9 +276,16 @@ class OptimizeResult:
         self.batch = batch
         self.workers = workers
         self.figures = figures
+        self.jac = jac
+        self.active_mask = active_mask
+        self.cov = cov
+        self.cov_message = cov_message
 
     def _tuple(self) -> tuple[FloatArray, float, int, int, float]:
         return self.x, self.fun, self.nit, self.nfev, self.solve_time
+
+    def _value_lines(self) -> list[tuple[str, str]]:
+        return [("fun", f"{self.fun!r}")]
 
     @overload
     def __getitem__(self, key: slice) -> tuple[Any, ...]: ...
@@ -309,10 +330,46 @@ class OptimizeResult:
         lines = [
             ("message", self.message),
             ("success", f"{self.success} (status {self.status}, {self.termination})"),
-            ("fun", f"{self.fun!r}"),
+            *self._value_lines(),
             ("x", np.array2string(np.asarray(self.x), prefix=" " * 13)),
             ("nit", str(self.nit)),
             ("nfev", evaluations + (f" ({', '.join(remarks)})" if remarks else "")),
             ("solve_time", f"{self.solve_time:.3g} s"),
         ]
         return "\n".join(f"{name:>10}: {text}" for name, text in lines)
+
+
+class LeastSquaresResult(OptimizeResult):
+    """The result of `least_squares`: ``fun`` is the vector of residuals, and ``cost`` their sum of squares.
+
+    ``cost`` has no factor 1/2, which SciPy's has. With a loss other than "linear" it is the sum of
+    ``f_scale**2 * rho((r / f_scale)**2)``, and ``sum_of_squares`` the plain sum. All else is as in `OptimizeResult`; unpacked
+    or indexed by number it is ``(x, cost, nit, nfev, solve_time)``.
+
+    Attributes
+    ----------
+    fun : ndarray, shape (m,)
+        The residuals at ``x``, whatever the loss. (Empty in the result of a run that was interrupted twice.)
+    cost : float
+        What was minimised: the smallest of all evaluations.
+    sum_of_squares : float
+        The sum of the squares of ``fun``.
+    jac : ndarray, shape (m, n), or None
+        The derivatives of ``fun`` by the parameters, whatever the loss, as the model of the method has them at the end: good
+        to a few digits, not to the last. None where the run ended before there was a model.
+    cov : ndarray, shape (n, n), or None
+        As in `OptimizeResult`. With a loss, residuals and Jacobian enter it as they count in the cost.
+    """
+
+    def __init__(self, *, fun: float, residuals: FloatArray | None = None, sum_of_squares: float | None = None, **fields: Any) -> None:
+        super().__init__(fun=fun, **fields)
+        self.cost = fun
+        self.fun = np.empty(0) if residuals is None else residuals
+        self.sum_of_squares = fun if sum_of_squares is None else sum_of_squares
+
+    def _tuple(self) -> tuple[FloatArray, float, int, int, float]:
+        return self.x, self.cost, self.nit, self.nfev, self.solve_time
+
+    def _value_lines(self) -> list[tuple[str, str]]:
+        shown = np.array2string(self.fun, prefix=" " * 13, threshold=8, edgeitems=2)
+        return [("cost", f"{self.cost!r}"), ("fun", shown)]

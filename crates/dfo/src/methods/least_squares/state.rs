@@ -4,6 +4,7 @@ use super::model::Model;
 use super::subproblem::{Subproblem, longest};
 use crate::answer::{Answers, Best, Want};
 use crate::error::Error;
+use crate::linear_model::LinearModel;
 use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -516,6 +517,16 @@ impl Method for LeastSquaresState {
 
     fn best(&self) -> Option<(&[f64], f64)> {
         self.best_seen.get()
+    }
+
+    fn linear_model(&self) -> Option<LinearModel> {
+        let (base, space) = (self.best_slot(), &self.setup.space);
+        if self.n() == 0 || self.phase == Phase::Starting || self.cost(base).is_infinite() {
+            return None;
+        }
+        let model = self.model(base)?;
+        let derivative = |i: usize, k: usize| model.jacobian[(i, k)] / space.size(k);
+        LinearModel::new(space, self.points.x(base), self.residuals[base].len(), derivative)
     }
 
     fn save(&self) -> Option<Vec<u8>> {

@@ -1,0 +1,214 @@
+//! What least squares knows around its best point: the Jacobian of the residuals in the user's units, and the covariance of
+//! the parameters that follows from it.
+
+use crate::choices::Transform;
+use crate::space::Space;
+use nalgebra::DMatrix;
+
+/// Singular values of the Jacobian with columns of length one that are smaller than this part of the largest count as zero: a
+/// Jacobian from differences is not more accurate (square root of the rounding unit).
+const RANK_TOLERANCE: f64 = 1.5e-8;
+
+/// Within this part of its size from a bound a parameter lies at it.
+const AT_BOUND: f64 = 1e-10;
+
+/// The residuals near the best point: their derivatives by the user's parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LinearModel {
+    /// Row by row, one row for each residual and one column for each parameter, in the user's units; with respect to the
+    /// parameter itself also where it is searched by its logarithm. Columns of fixed parameters are zero.
+    pub jacobian: Vec<f64>,
+    /// -1 where a parameter lies at its lower bound (a fixed one, too), 1 at its upper, else 0.
+    pub active: Vec<i8>,
+}
+
+impl LinearModel {
+    /// From the derivatives of residual `i` by working coordinate `k` at the point `x`, of `m` residuals. `None` where one of
+    /// them is not finite in the user's units.
+    pub(crate) fn new(
+        space: &Space,
+        x: &[f64],
+        m: usize,
+        derivative: impl Fn(usize, usize) -> f64,
+    ) -> Option<Self> {
+        let n = space.n();
+        let mut model = Self { jacobian: vec![0.0; m * n], active: vec![-1; n] };
+        let mut u = vec![0.0; space.n_free()];
+        space.to_working(x, &mut u);
+        for (k, &index) in space.free().iter().enumerate() {
+            let per_unit = match space.transform(k) {
+                Transform::Linear => 1.0,
+                Transform::Log => x[index].recip(),
+            };
+            for i in 0..m {
+                model.jacobian[i * n + index] = derivative(i, k) * per_unit;
+            }
+            let ((lower, upper), near) = (space.working_bounds(k), AT_BOUND * space.size(k));
+            model.active[index] = i8::from(upper - u[k] <= near) - i8::from(u[k] - lower <= near);
+        }
+        model.jacobian.iter().all(|j| j.is_finite()).then_some(model)
+    }
+}
+
+/// How uncertain the parameters of a fit are, see [`Report::covariance`](crate::Report::covariance).
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Covariance {
+    /// Row by row, n x n, in the user's units. Infinite on the diagonal, and NaN among them beside it, for parameters that
+    /// the residuals do not determine; zero for those that are held by a bound.
+    pub matrix: Vec<f64>,
+    /// The variance of a residual: their sum of squares by the degrees of freedom; NaN where there are none.
+    pub variance: f64,
+    /// Number of residuals less that of the free parameters that lie at no bound.
+    pub degrees_of_freedom: usize,
+    /// Parameters that the residuals do not determine, by index.
+    pub undetermined: Vec<usize>,
+    /// Parameters that lie at a bound, or are fixed: taken as known.
+    pub held: Vec<usize>,
+    /// What is to be said of it, in words; empty if nothing is.
+    pub message: String,
+}
+
+fn names(indices: &[usize]) -> String {
+    indices.iter().map(|index| format!("x[{index}]")).collect::<Vec<_>>().join(", ")
+}
+
+impl Covariance {
+    /// `s^2 (J' J)^-1` of the parameters that are not held, with `s^2 = r' r / (m - n)` (Seber and Wild, Nonlinear Regression,
+    /// 1989, section 2.1.2), by the singular values of J with its columns scaled to length one.
+    pub(crate) fn new(residuals: &[f64], jacobian: &[f64], active: &[i8]) -> Self {
+        let (m, n) = (residuals.len(), active.len());
+        let (free, held): (Vec<usize>, Vec<usize>) = (0..n).partition(|&index| active[index] == 0);
+        let p = free.len();
+        let degrees_of_freedom = m.saturating_sub(p);
+        let variance = if degrees_of_freedom == 0 {
+            f64::NAN
+        } else {
+            residuals.iter().map(|r| r * r).sum::<f64>() / degrees_of_freedom as f64
+        };
+        let mut columns = DMatrix::from_fn(m, p, |i, k| jacobian[i * n + free[k]]);
+        // Lengths without overflow; a column of zeros stays one.
+        let lengths: Vec<f64> = columns
+            .column_iter_mut()
+            .map(|mut column| {
+                let largest = column.amax();
+                if largest == 0.0 {
+                    return 1.0;
+                }
+                column.iter_mut().for_each(|c| *c /= largest);
+                let length = column.norm();
+                column /= length;
+                largest * length
+            })
+            .collect();
+        let (inverse, determined) = inverse_of_normal_matrix(columns, p);
+        let mut matrix = vec![0.0; n * n];
+        for (a, &i) in free.iter().enumerate() {
+            for (b, &j) in free.iter().enumerate() {
+                let known = degrees_of_freedom > 0 && (determined[a] || determined[b]);
+                matrix[i * n + j] = match known {
+                    true => inverse[(a, b)] * (variance.sqrt() / lengths[a]) * (variance.sqrt() / lengths[b]),
+                    false if a == b => f64::INFINITY,
+                    false => f64::NAN,
+                };
+            }
+        }
+        let undetermined: Vec<usize> =
+            free.iter().zip(&determined).filter(|(_, known)| !**known).map(|(index, _)| *index).collect();
+        let mut said = Vec::new();
+        if degrees_of_freedom == 0 && p > 0 {
+            said.push(format!("{m} residuals tell nothing of the variance of {p} parameters"));
+        }
+        if !undetermined.is_empty() {
+            let what = "do not determine (another value, alone or with others, fits as well)";
+            said.push(format!("the residuals {what}: {}", names(&undetermined)));
+        }
+        if !held.is_empty() {
+            said.push(format!("at a bound or fixed, taken as known: {}", names(&held)));
+        }
+        Self { matrix, variance, degrees_of_freedom, undetermined, held, message: said.join("; ") }
+    }
+}
+
+/// `(A' A)^+` for columns of length one or zero, and which of the unknowns have no part in the null space.
+fn inverse_of_normal_matrix(columns: DMatrix<f64>, p: usize) -> (DMatrix<f64>, Vec<bool>) {
+    let nothing = (DMatrix::zeros(p, p), vec![false; p]);
+    if p == 0 || columns.nrows() == 0 {
+        return nothing;
+    }
+    // Rows of zeros, so that all p right singular vectors are there.
+    let rows = columns.nrows().max(p);
+    let columns = columns.resize_vertically(rows, 0.0);
+    let Some(svd) = columns.try_svd(false, true, f64::EPSILON, 10_000) else { return nothing };
+    let Some(v_t) = svd.v_t else { return nothing };
+    let smallest = RANK_TOLERANCE * svd.singular_values.max();
+    let mut inverse = DMatrix::zeros(p, p);
+    let mut determined = vec![true; p];
+    for (k, s) in svd.singular_values.iter().enumerate() {
+        for a in 0..p {
+            if *s > smallest {
+                (0..p).for_each(|b| inverse[(a, b)] += v_t[(k, a)] / s * (v_t[(k, b)] / s));
+            } else if v_t[(k, a)].abs() > RANK_TOLERANCE.sqrt() {
+                determined[a] = false;
+            }
+        }
+    }
+    (inverse, determined)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::space::Bounds;
+
+    #[test]
+    fn a_line_has_the_textbook_variances() {
+        // y = a + b t at t = 0, 1, 2, 3: (X' X)^-1 = [[0.7, -0.3], [-0.3, 0.2]].
+        let jacobian: Vec<f64> = (0..4).flat_map(|t| [1.0, f64::from(t)]).collect();
+        let residuals = [0.1, -0.2, 0.3, -0.1];
+        let s2 = 0.15 / 2.0;
+        let covariance = Covariance::new(&residuals, &jacobian, &[0, 0]);
+        for (got, expected) in covariance.matrix.iter().zip([0.7, -0.3, -0.3, 0.2]) {
+            assert!((got - s2 * expected).abs() < 1e-15, "{covariance:?}");
+        }
+        assert_eq!((covariance.degrees_of_freedom, covariance.message.as_str()), (2, ""));
+        // With b at a bound: the variance of a mean.
+        let covariance = Covariance::new(&residuals, &jacobian, &[0, 1]);
+        assert!((covariance.matrix[0] - 0.05 / 4.0).abs() < 1e-15 && covariance.matrix[1..] == [0.0; 3]);
+        assert_eq!(covariance.message, "at a bound or fixed, taken as known: x[1]");
+    }
+
+    #[test]
+    fn scales_make_no_difference() {
+        let jacobian: Vec<f64> = (0..4).flat_map(|t| [1e200, 1e-200 * f64::from(t)]).collect();
+        let matrix = Covariance::new(&[0.1, -0.2, 0.3, -0.1], &jacobian, &[0, 0]).matrix;
+        assert!((matrix[1] / (-0.3 * 0.075) - 1.0).abs() < 1e-12 && matrix[3] == f64::INFINITY, "{matrix:?}");
+    }
+
+    #[test]
+    fn what_is_not_determined_is_infinite_and_named() {
+        // a + b only, and c.
+        let jacobian: Vec<f64> = (0..5).flat_map(|t| [1.0, 1.0, f64::from(t)]).collect();
+        let covariance = Covariance::new(&[1.0, -1.0, 0.5, 0.5, -1.0], &jacobian, &[0, 0, 0]);
+        let of = |i: usize, j: usize| covariance.matrix[3 * i + j];
+        assert!(of(0, 0) == f64::INFINITY && of(1, 1) == f64::INFINITY && of(0, 1).is_nan());
+        assert!(of(2, 2).is_finite() && of(0, 2).is_finite());
+        assert_eq!(covariance.undetermined, [0, 1]);
+        assert!(covariance.message.ends_with("fits as well): x[0], x[1]"), "{}", covariance.message);
+        let none = Covariance::new(&[1.0, 2.0], &[1.0, 0.0, 0.0, 1.0], &[0, 0]);
+        assert!(none.matrix[0] == f64::INFINITY && none.matrix[1].is_nan() && none.variance.is_nan());
+        let zero = Covariance::new(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);
+        assert_eq!(zero.undetermined, [1]);
+        assert_eq!(Covariance::new(&[], &[], &[-1]).matrix, [0.0]);
+    }
+
+    #[test]
+    fn derivatives_are_by_the_parameters_themselves() {
+        let bounds = Bounds::new(&[0.0, 1.0, 0.1], &[4.0, 1.0, 10.0]).unwrap();
+        let log = [Transform::Linear, Transform::Linear, Transform::Log];
+        let space = Space::new(&[4.0, 1.0, 2.0], bounds, &log, &[]).unwrap();
+        let model = LinearModel::new(&space, space.x0(), 1, |_, k| [3.0, 5.0][k]).unwrap();
+        assert_eq!((model.jacobian, model.active), (vec![3.0, 0.0, 2.5], vec![1, -1, 0]));
+        assert_eq!(LinearModel::new(&space, space.x0(), 1, |_, _| f64::NAN), None);
+    }
+}
