@@ -15,6 +15,7 @@
 //! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
 //! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
+//! | `cma-es` | badly scaled and turned valleys, noise; with restarts many minima in a box | [`CmaEs`] |
 //! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
 //! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
@@ -74,9 +75,10 @@ pub use method::{
     Status,
 };
 pub use methods::{
-    Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, Coefficients, Crossover,
-    DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex, LeastSquares,
-    LeastSquaresState, NelderMead, NelderMeadState, Repair, Scheme, Selection, Strategy, Weight,
+    Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaEs, CmaEsState, Coefficients,
+    Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex,
+    LeastSquares, LeastSquaresState, NelderMead, NelderMeadState, Repair, Restarts, Scheme, Selection,
+    Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
 pub use objective::{

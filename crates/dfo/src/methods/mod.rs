@@ -1,6 +1,7 @@
 //! Methods by name or number, for callers that choose at run time.
 
 mod barrier;
+mod cma_es;
 mod differential_evolution;
 mod genetic;
 mod least_squares;
@@ -8,6 +9,7 @@ mod nelder_mead;
 mod shared;
 
 pub use barrier::{Barrier, BarrierState};
+pub use cma_es::{CmaEs, CmaEsState, Restarts};
 pub use differential_evolution::{
     Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
 };
@@ -57,19 +59,22 @@ pub enum AnyMethod {
     Genetic(Genetic),
     /// `least-squares`, for objectives with residuals.
     LeastSquares(LeastSquares),
+    /// `cma-es`.
+    CmaEs(CmaEs),
 }
 
 /// A method's name, its number in `fmin`, and its default options.
 type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
 
 /// The methods: a new one is added here.
-const LIST: [Listed; 6] = [
+const LIST: [Listed; 7] = [
     ("nelder-mead", Some(1), || NelderMead::default().into()),
     ("barrier", Some(2), || Barrier::default().into()),
     ("de", None, || DifferentialEvolution::default().into()),
     ("de-classic", Some(3), || DifferentialEvolution::classic().into()),
     ("ga", Some(4), || Genetic::default().into()),
     ("least-squares", None, || LeastSquares::default().into()),
+    ("cma-es", None, || CmaEs::default().into()),
 ];
 
 impl AnyMethod {
@@ -104,6 +109,7 @@ impl AnyMethod {
             Self::DifferentialEvolution(options) => options.name(),
             Self::Genetic(_) => "ga",
             Self::LeastSquares(_) => "least-squares",
+            Self::CmaEs(_) => "cma-es",
         }
     }
 
@@ -154,7 +160,7 @@ macro_rules! from_options {
     };
 }
 
-from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares);
+from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares, CmaEs);
 
 /// The same call on whichever method it is.
 macro_rules! each {
@@ -165,6 +171,7 @@ macro_rules! each {
             AnyMethod::DifferentialEvolution($options) => $call,
             AnyMethod::Genetic($options) => $call,
             AnyMethod::LeastSquares($options) => $call,
+            AnyMethod::CmaEs($options) => $call,
         }
     };
 }
