@@ -75,10 +75,10 @@ pub use method::{
     Status,
 };
 pub use methods::{
-    Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaEs, CmaEsState, Coefficients,
-    Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex,
-    LeastSquares, LeastSquaresState, NelderMead, NelderMeadState, Repair, Restarts, Scheme, Selection,
-    Strategy, Weight,
+    Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
+    Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
+    InitialSimplex, LeastSquares, LeastSquaresState, NelderMead, NelderMeadState, Repair, Restarts, Scheme,
+    Selection, Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
 pub use objective::{

@@ -9,7 +9,7 @@ mod nelder_mead;
 mod shared;
 
 pub use barrier::{Barrier, BarrierState};
-pub use cma_es::{CmaEs, CmaEsState, Restarts};
+pub use cma_es::{CmaBounds, CmaEs, CmaEsState, Restarts};
 pub use differential_evolution::{
     Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
 };

@@ -6,10 +6,8 @@
 //! A generation is one batch. Each individual is drawn from a stream of its own, so the number of workers changes nothing.
 //! The distribution is over the working coordinates in units of their sizes, so that parameters of any magnitude are alike.
 //!
-//! **Bounds.** No point outside is evaluated. By default the distribution is over angles
-//! ([`BoundsHandling::Sine`](crate::BoundsHandling::Sine)), which have no bounds: a cost that goes down towards a bound has a
-//! smooth minimum there. Mirrored or clamped, the point is brought inside for its evaluation, and the distribution learns
-//! from the step as it was drawn.
+//! **Bounds.** No point outside is evaluated, and none is drawn twice: the distribution has no bounds, and a map that is the
+//! identity but near the bounds ([`CmaBounds`]) brings what is drawn inside.
 //!
 //! **Failures.** A failed individual ranks last and enters neither the mean nor the covariance matrix, the negative weights
 //! included; the positive weights of those that are left sum to 1. After a generation without any cost the mean goes back to
@@ -17,16 +15,16 @@
 //!
 //! **Cutoffs**: none, for every rank counts.
 
+mod boundary;
 mod distribution;
 mod options;
 mod restarts;
 mod state;
 mod weights;
 
-pub use options::{CmaEs, Restarts};
+pub use options::{CmaBounds, CmaEs, Restarts};
 pub use state::CmaEsState;
 
-use crate::choices::BoundsHandling;
 use crate::error::Error;
 use crate::memory;
 use crate::method::{MethodOptions, Setup};
@@ -35,11 +33,9 @@ use crate::option_texts;
 use crate::rng::draw_seed;
 use state::CmaRules;
 
-/// The problem as the distribution sees it: without bounds that stand for "none", over angles, if so wished.
-fn prepared(handling: BoundsHandling, setup: &Setup) -> Setup {
-    let space = setup.space.without_far_bounds();
-    let space = if handling == BoundsHandling::Sine { space.with_sine() } else { space };
-    Setup { space, ..setup.clone() }
+/// The problem without bounds that stand for "none".
+fn prepared(setup: &Setup) -> Setup {
+    Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
 }
 
 impl MethodOptions for CmaEs {
@@ -53,13 +49,13 @@ impl MethodOptions for CmaEs {
         // Population, candidates and batch on two scales, the steps; the matrix, its axes, and what decomposing it needs.
         memory::check("a covariance matrix of so many parameters", &[4, n, n])?;
         memory::check("a population of so many members and parameters", &[4 * members, setup.space.n() + n])?;
-        let setup = prepared(self.bounds_handling, setup);
+        let setup = prepared(setup);
         let seed = setup.seed.unwrap_or_else(draw_seed);
         Ok(CmaRules::begin(self, setup, members, seed))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<CmaEsState, Error> {
-        Generations::restore(&prepared(self.bounds_handling, setup), state)
+        Generations::restore(&prepared(setup), state)
     }
 
     fn needs_start(&self) -> bool {

@@ -1,6 +1,5 @@
 //! What the user may choose about CMA-ES.
 
-use crate::choices::BoundsHandling;
 use crate::error::Error;
 use crate::methods::shared::population::MAX_MEMBERS;
 use serde::{Deserialize, Serialize};
@@ -18,6 +17,19 @@ pub enum Restarts {
     /// With twice the population, or with a small one and a small step size, whichever kind has had fewer evaluations (Hansen,
     /// GECCO workshop 2009).
     Bipop,
+}
+
+/// How points that are drawn are brought into the bounds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum CmaBounds {
+    /// Mirrored, with a parabola within a margin at the bound, so that a cost that goes down towards it has a smooth minimum
+    /// there (c-cmaes, boundary transformation).
+    #[default]
+    Smooth,
+    /// Mirrored.
+    Mirror,
 }
 
 /// Options of CMA-ES.
@@ -46,13 +58,13 @@ pub struct CmaEs {
     /// Whether the search begins anew when it has come to an end; default [`Restarts::None`]: where a simulation is a matter
     /// of minutes, a run that has converged must end, and who wants another minimum says so.
     pub restarts: Restarts,
-    /// How bounds are kept to; default [`BoundsHandling::Sine`].
-    pub bounds_handling: BoundsHandling,
+    /// How bounds are kept to; default [`CmaBounds::Smooth`].
+    pub bounds_handling: CmaBounds,
 }
 
 impl Default for CmaEs {
     fn default() -> Self {
-        Self { population: None, sigma: 0.3, restarts: Restarts::None, bounds_handling: BoundsHandling::Sine }
+        Self { population: None, sigma: 0.3, restarts: Restarts::None, bounds_handling: CmaBounds::Smooth }
     }
 }
 
@@ -80,7 +92,7 @@ impl CmaEs {
 
     /// Sets how bounds are kept to.
     #[must_use]
-    pub fn bounds_handling(mut self, handling: BoundsHandling) -> Self {
+    pub fn bounds_handling(mut self, handling: CmaBounds) -> Self {
         self.bounds_handling = handling;
         self
     }

@@ -81,19 +81,14 @@ impl Schedule {
 
 /// A point to begin anew from, in working coordinates: uniform in the box; along a parameter without a box normally
 /// distributed around the start point, with the size of the parameter as standard deviation.
-pub(super) fn draw_start(space: &Space, stream: &mut Stream) -> Vec<f64> {
-    let plain = space.without_sine();
-    let (mut u, mut x) = (vec![0.0; plain.n_free()], vec![0.0; plain.n()]);
-    plain.to_working(plain.x0(), &mut u);
+pub(super) fn draw_start(space: &Space, stream: &mut Stream, u: &mut [f64]) {
+    space.to_working(space.x0(), u);
     for (k, u) in u.iter_mut().enumerate() {
-        let (lower, upper) = plain.working_bounds(k);
-        let drawn = match plain.width(k) {
+        let (lower, upper) = space.working_bounds(k);
+        let drawn = match space.width(k) {
             Some(_) => stream.between(lower, upper),
-            None => stream.normal(*u, plain.size(k)),
+            None => stream.normal(*u, space.size(k)),
         };
         *u = if drawn.is_finite() { drawn.clamp(lower, upper) } else { *u };
     }
-    plain.to_user(&u, &mut x);
-    space.to_working(&x, &mut u);
-    u
 }

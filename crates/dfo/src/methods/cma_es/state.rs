@@ -1,10 +1,10 @@
 //! The running search: how a generation is drawn and what is learnt from it.
 
+use super::boundary::Boundary;
 use super::distribution::Distribution;
-use super::options::CmaEs;
+use super::options::{CmaBounds, CmaEs};
 use super::restarts::{Schedule, draw_start};
 use super::weights::Weights;
-use crate::choices::BoundsHandling;
 use crate::method::Setup;
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -22,7 +22,7 @@ const MOST_BARREN: usize = 50;
 /// What CMA-ES keeps besides its population, which is the last generation.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct CmaRules {
-    handling: BoundsHandling,
+    handling: CmaBounds,
     weights: Weights,
     distribution: Distribution,
     /// The steps of the individuals, one after the other, and their squared lengths in units of the distribution.
@@ -42,11 +42,19 @@ pub struct CmaRules {
     schedule: Schedule,
 }
 
+/// From working coordinates to what the distribution is over.
+fn unbend(point: &mut [f64], space: &Space, handling: CmaBounds) {
+    for (k, u) in point.iter_mut().enumerate() {
+        *u = Boundary::new(space, k, handling).unbend(*u);
+    }
+}
+
 impl CmaRules {
     pub(super) fn begin(options: &CmaEs, setup: Setup, members: usize, seed: u64) -> CmaEsState {
         let (space, n) = (&setup.space, setup.space.n_free());
         let mut mean = vec![0.0; n];
         space.to_working(space.x0(), &mut mean);
+        unbend(&mut mean, space, options.bounds_handling);
         let mut rules = Self {
             handling: options.bounds_handling,
             weights: Weights::new(n, members),
@@ -93,7 +101,7 @@ impl CmaRules {
             for (k, u) in self.point.iter_mut().enumerate() {
                 let mean = self.distribution.mean[k];
                 let drawn = mean + self.distribution.sigma * space.size(k) * step[k];
-                *u = space.bring_inside(k, drawn, mean, self.handling);
+                *u = Boundary::new(space, k, self.handling).bend(drawn, mean);
             }
             into.place(i, &self.point, space);
         }
@@ -113,22 +121,17 @@ impl CmaRules {
             self.barren = 0;
         } else {
             self.barren += 1;
-            self.distribution.retreat(&self.best);
+            self.point.copy_from_slice(&self.best);
+            unbend(&mut self.point, space, self.handling);
+            self.distribution.retreat(&self.point);
             return;
         }
         let ranked = generation.order()[..generation.n_finite()].iter();
         let ranked = ranked.map(|&slot| (&self.steps[slot * n..(slot + 1) * n], self.squared[slot]));
         self.distribution.update(&self.weights, ranked, |k| space.size(k));
-        let inside = |k: usize, u: f64, fallback: f64| match self.handling {
-            BoundsHandling::Sine => u,
-            _ => space.bring_inside(k, u, fallback, BoundsHandling::Clamp),
-        };
-        for (k, (mean, best)) in self.distribution.mean.iter_mut().zip(&self.best).enumerate() {
-            *mean = inside(k, *mean, *best);
-        }
         // Wider than the box along every parameter it would be as good as uniform.
         let excess = |k: usize| match space.width(k) {
-            Some(width) => self.distribution.deviation(k) * space.unit(k) / (0.5 * width),
+            Some(width) => self.distribution.deviation(k) * space.size(k) / (0.5 * width),
             None => 0.0,
         };
         let least = (0..n).map(excess).fold(f64::INFINITY, f64::min);
@@ -200,8 +203,10 @@ impl GenerationRules for CmaRules {
         let n_evaluations = self.n_generations * self.weights.of_rank.len();
         let Some((members, sigma)) = self.schedule.next(n_evaluations, &mut stream) else { return false };
         self.weights = Weights::new(n, members);
-        self.distribution = Distribution::new(draw_start(space, &mut stream), sigma);
-        self.best.copy_from_slice(&self.distribution.mean);
+        draw_start(space, &mut stream, &mut self.best);
+        let mut mean = self.best.clone();
+        unbend(&mut mean, space, self.handling);
+        self.distribution = Distribution::new(mean, sigma);
         self.best_cost = f64::INFINITY;
         (self.n_generations, self.idle, self.barren, self.degenerate) = (0, 0, 0, false);
         true

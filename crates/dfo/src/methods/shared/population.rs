@@ -116,19 +116,19 @@ impl RankedPoints {
             Extent::Population | Extent::Simplex | Extent::BestSeen => &self.order[..],
         };
         let best = self.best();
-        let extent_of = |(k, &i): (usize, &usize)| {
-            let at = |slot: usize| (self.u(slot)[k], self.x(slot)[i]);
-            let others = counted.iter().map(|&slot| at(slot));
-            let distance = |measure| space.extent(k, at(best), others, measure);
-            match tolerances.measure {
-                // What members that stand for one whole number differ by means nothing.
-                Measure::Relative if space.kind(k) != Kind::Continuous => {
-                    distance(Measure::Absolute) / space.size(k)
-                }
-                measure => distance(measure),
+        let mut size = 0.0f64;
+        for &slot in counted {
+            for (k, &i) in space.free().iter().enumerate() {
+                size = size.max(match tolerances.measure {
+                    Measure::Absolute => (self.x(slot)[i] - self.x(best)[i]).abs(),
+                    Measure::Relative if space.kind(k) == Kind::Continuous => {
+                        (self.u(slot)[k] - self.u(best)[k]).abs() / space.size(k)
+                    }
+                    // What members that stand for one whole number differ by means nothing.
+                    Measure::Relative => (self.x(slot)[i] - self.x(best)[i]).abs() / space.size(k),
+                });
             }
-        };
-        let size = space.free().iter().enumerate().map(extent_of).fold(0.0, f64::max);
+        }
         let f_best = self.costs[best].value().unwrap_or(f64::NAN);
         Tests { extent, ..tolerances.judge(size, self.f_spread(counted), f_best, f_0) }
     }
