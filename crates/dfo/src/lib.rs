@@ -15,6 +15,7 @@
 //! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
 //! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
+//! | `cma-es` | badly scaled and turned valleys, noise; with restarts many minima in a box | [`CmaEs`] |
 //! | `multistart` | the same by local searches from several starts: least squares or Nelder-Mead; reports all minima found | [`Multistart`] |
 //! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
@@ -79,10 +80,10 @@ pub use method::{
     SimplexView, Status,
 };
 pub use methods::{
-    Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, Coefficients, Crossover,
-    DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex, LeastSquares,
-    LeastSquaresState, Multistart, MultistartState, NelderMead, NelderMeadState, Polish, Repair, Scheme,
-    Selection, Strategy, Weight,
+    Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
+    Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
+    InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
+    NelderMeadState, Polish, Repair, Restarts, Scheme, Selection, Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches};
 pub use objective::{

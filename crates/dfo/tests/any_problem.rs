@@ -7,9 +7,9 @@ mod common;
 
 use common::timeless;
 use dfo::{
-    AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, Coefficients, DifferentialEvolution, Error,
-    Genetic, Measure, NelderMead, Outcome, Query, Report, Sampling, Selection, Stop, Termination, Transform,
-    minimize, with_query,
+    AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
+    DifferentialEvolution, Error, Genetic, Measure, NelderMead, Outcome, Query, Report, Restarts, Sampling,
+    Selection, Stop, Termination, Transform, minimize, with_query,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -167,7 +167,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
         BatchPlan::TwoAhead,
         BatchPlan::LeeWiswall,
     ]);
-    match dice.below(8) {
+    match dice.below(9) {
         0..=3 => {
             let handling = dice.pick(&[BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine]);
             let coefficients = dice.pick(&[Coefficients::Standard, Coefficients::Adaptive]);
@@ -183,6 +183,12 @@ fn method(dice: &mut Dice) -> AnyMethod {
         }
         5 => DifferentialEvolution::default().population(8).sampling(Sampling::Sobol).budget(100).into(),
         6 => DifferentialEvolution::classic().population(6).into(),
+        7 => {
+            let handling = dice.pick(&[CmaBounds::Smooth, CmaBounds::Mirror]);
+            let restarts = dice.pick(&[Restarts::None, Restarts::Ipop, Restarts::Bipop]);
+            let sigma = dice.pick(&[0.3, 1e-300, 1e300]);
+            CmaEs::default().bounds_handling(handling).restarts(restarts).sigma(sigma).into()
+        }
         _ => {
             let selection = dice.pick(&[Selection::FitnessProportional, Selection::Tournament(3)]);
             Genetic::default().population(10).selection(selection).into()

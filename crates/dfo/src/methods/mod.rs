@@ -1,6 +1,7 @@
 //! Methods by name or number, for callers that choose at run time.
 
 mod barrier;
+mod cma_es;
 mod differential_evolution;
 mod genetic;
 mod least_squares;
@@ -9,6 +10,7 @@ mod nelder_mead;
 mod shared;
 
 pub use barrier::{Barrier, BarrierState};
+pub use cma_es::{CmaBounds, CmaEs, CmaEsState, Restarts};
 pub use differential_evolution::{
     Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
 };
@@ -60,6 +62,8 @@ pub enum AnyMethod {
     Genetic(Genetic),
     /// `least-squares`, for objectives with residuals.
     LeastSquares(LeastSquares),
+    /// `cma-es`.
+    CmaEs(CmaEs),
     /// `multistart`.
     Multistart(Multistart),
 }
@@ -68,13 +72,14 @@ pub enum AnyMethod {
 type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
 
 /// The methods: a new one is added here.
-const LIST: [Listed; 7] = [
+const LIST: [Listed; 8] = [
     ("nelder-mead", Some(1), || NelderMead::default().into()),
     ("barrier", Some(2), || Barrier::default().into()),
     ("de", None, || DifferentialEvolution::default().into()),
     ("de-classic", Some(3), || DifferentialEvolution::classic().into()),
     ("ga", Some(4), || Genetic::default().into()),
     ("least-squares", None, || LeastSquares::default().into()),
+    ("cma-es", None, || CmaEs::default().into()),
     ("multistart", None, || Multistart::default().into()),
 ];
 
@@ -110,6 +115,7 @@ impl AnyMethod {
             Self::DifferentialEvolution(options) => options.name(),
             Self::Genetic(_) => "ga",
             Self::LeastSquares(_) => "least-squares",
+            Self::CmaEs(_) => "cma-es",
             Self::Multistart(_) => "multistart",
         }
     }
@@ -161,7 +167,7 @@ macro_rules! from_options {
     };
 }
 
-from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares, Multistart);
+from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares, CmaEs, Multistart);
 
 /// The same call on whichever method it is.
 macro_rules! each {
@@ -172,6 +178,7 @@ macro_rules! each {
             AnyMethod::DifferentialEvolution($options) => $call,
             AnyMethod::Genetic($options) => $call,
             AnyMethod::LeastSquares($options) => $call,
+            AnyMethod::CmaEs($options) => $call,
             AnyMethod::Multistart($options) => $call,
         }
     };
