@@ -70,17 +70,17 @@ mod trace;
 
 pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use checkpoint::{Checkpoint, Resume};
-pub use choices::{BoundsHandling, Kind, Measure, Stop, Transform};
+pub use choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
 pub use linear_model::{Covariance, LinearModel};
 pub use loss::{Loss, RobustLoss};
 pub use method::{
-    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, Setup, Simplex,
-    SimplexView, Status,
+    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, ProblemClass, Setup,
+    Simplex, SimplexView, Status,
 };
 pub use methods::{
-    Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
+    Adaptive, AnyMethod, Auto, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
     Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
     InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
     NelderMeadState, Polish, Repair, Restarts, Scheme, Selection, Strategy, Weight,

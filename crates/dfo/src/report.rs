@@ -46,6 +46,8 @@ pub struct Report {
     pub failures: Vec<(String, usize)>,
     /// Name of the method.
     pub method: &'static str,
+    /// Why it was chosen, where the user left the choice open.
+    pub method_reason: Option<String>,
     /// Batch plan of the method.
     pub batch: &'static str,
     /// Evaluations that could run at once.
@@ -113,6 +115,9 @@ impl Report {
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}: {}", self.method, self.message)?;
+        if let Some(reason) = &self.method_reason {
+            writeln!(f, "  chosen       {reason}")?;
+        }
         writeln!(f, "  cost         {:e}", self.fun)?;
         writeln!(f, "  x            {:?}", self.x)?;
         writeln!(f, "  iterations   {}", self.n_iterations)?;
@@ -168,6 +173,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         optima: details.optima.to_vec(),
         seed: details.seed,
         method: method.name(),
+        method_reason: None,
         batch: details.plan,
         workers,
         seconds,

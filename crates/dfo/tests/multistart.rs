@@ -38,7 +38,7 @@ fn all_minima_are_found_and_counted_once() {
     let (mut by_cost, mut by_residuals, mut evaluations) = (0, 0, 0);
     for seed in 0..20 {
         let report = minimize(cost).bounds(&[-5.0; 2], &[5.0; 2]).unwrap();
-        let report = report.method(Multistart::default()).seed(seed).run().unwrap();
+        let report = report.method(Multistart::default().exploration(0.0)).seed(seed).run().unwrap();
         assert!(report.is_success() && report.optima[0].cost == report.fun, "{report}");
         assert!(report.optima.windows(2).all(|w| w[0].cost <= w[1].cost));
         by_cost += found(&report);
@@ -59,7 +59,7 @@ fn all_minima_are_found_and_counted_once() {
 #[test]
 fn the_start_is_the_first_to_be_searched_from() {
     let run = minimize(cost).start(&[3.5, -1.8]).bounds(&[-5.0; 2], &[5.0; 2]).unwrap();
-    let report = run.method(Multistart::default().max_starts(1)).seed(1).run().unwrap();
+    let report = run.method(Multistart::default().exploration(0.0).max_starts(1)).seed(1).run().unwrap();
     assert_eq!((report.trace.get(0).unwrap().x, report.optima.len()), (&[3.5, -1.8][..], 1));
     assert!((report.x[0] - HIMMELBLAU[3][0]).abs() < 1e-3, "{report}");
 }
@@ -68,7 +68,7 @@ fn the_start_is_the_first_to_be_searched_from() {
 fn exploration_finds_the_deepest_of_many_minima() {
     let solved = (0..20).filter(|&seed| {
         let run = minimize(rastrigin).bounds(&[-5.12, -5.12, -5.12], &[4.9; 3]).unwrap();
-        let method = Multistart::default().exploration(0.7);
+        let method = Multistart::default();
         let report = run.method(method).seed(seed).max_evaluations(6000).run().unwrap();
         report.fun < 1e-8
     });
@@ -80,10 +80,10 @@ fn variants() -> [Multistart; 5] {
     let default = Multistart::default;
     [
         default(),
-        default().exploration(0.5),
-        default().side_by_side(1).sample(7),
-        default().sampling(Sampling::LatinHypercube).side_by_side(9),
-        default().max_starts(3),
+        default().exploration(0.0),
+        default().exploration(0.4).side_by_side(3).polish(Polish::CmaEs),
+        default().exploration(0.0).side_by_side(1).sample(7),
+        default().exploration(0.0).sampling(Sampling::LatinHypercube).side_by_side(9),
     ]
 }
 

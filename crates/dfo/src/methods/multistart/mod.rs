@@ -11,8 +11,8 @@
 //! `w (t - 1) / (t - w - 2)` (Boender and Rinnooy Kan, Math. Program. 37, 1987, 59), and less than half a minimum is missing.
 //! Every point looked at counts as a trial, for it stands for the search of its cluster.
 //!
-//! For costs without residuals, part of the budget may go to differential evolution before (`exploration`): what it finds is the
-//! first start, and its first population is the first sample.
+//! For costs without residuals, part of the budget goes to differential evolution before (`exploration`): what it finds is the first
+//! start, and its first population is the first sample.
 
 mod clusters;
 mod options;
@@ -65,7 +65,7 @@ impl MethodOptions for Multistart {
     }
 
     fn plans_with_budget(&self) -> bool {
-        self.exploration > 0.0
+        self.exploration.map_or(self.polish != Polish::LeastSquares, |share| share > 0.0)
     }
 
     fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {

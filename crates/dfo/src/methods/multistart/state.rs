@@ -4,6 +4,7 @@ use super::clusters;
 use super::options::Multistart;
 use crate::answer::{Answers, Best, Want};
 use crate::error::Error;
+use crate::linear_model::LinearModel;
 use crate::method::{
     Batch, Details, Method, MethodOptions, Operation, Optimum, Setup, Status, restored, saved,
 };
@@ -48,8 +49,9 @@ struct Core {
     n_starts: usize,
     minima: Vec<Optimum>,
     best: Best,
-    /// The tests of the search that ended at the best minimum.
+    /// The tests and the derivatives of the search that ended at the best minimum.
     tests: Option<Tests>,
+    model: Option<LinearModel>,
     n_batches: u64,
     n_points: u64,
     n_iterations: usize,
@@ -93,8 +95,8 @@ impl MultistartState {
     pub(super) fn begin(options: &Multistart, setup: &Setup) -> Result<Self, Error> {
         let (space, n) = (&setup.space, setup.space.n_free());
         let seed = setup.seed.unwrap_or_else(draw_seed);
-        let planned =
-            setup.max_evaluations.map_or(0, |budget| (options.exploration * budget as f64) as usize);
+        let share = options.exploration_of(n);
+        let planned = setup.max_evaluations.map_or(0, |budget| (share * budget as f64) as usize);
         let explores = planned > 0 && n > 0;
         let core = Core {
             setup: Setup { seed: Some(seed), ..setup.clone() },
@@ -110,6 +112,7 @@ impl MultistartState {
             minima: Vec::new(),
             best: Best::default(),
             tests: None,
+            model: None,
             n_batches: 0,
             n_points: 0,
             n_iterations: 0,
@@ -231,7 +234,8 @@ impl MultistartState {
 
     /// Starts searches, or goes on to the next sample, or ends.
     fn next(&mut self) -> Result<(), Error> {
-        while self.searches.len() < self.options.side_by_side && !self.core.queue.is_empty() {
+        let at_once = self.options.side_by_side.unwrap_or(if self.core.n_planned > 0 { 1 } else { 4 });
+        while self.searches.len() < at_once && !self.core.queue.is_empty() {
             let start = self.core.queue.remove(0);
             self.core.n_starts += 1;
             self.add(start, None)?;
@@ -276,7 +280,8 @@ impl MultistartState {
         }
         match status {
             Status::NoStart => core.phase = Phase::NoStart,
-            Status::Running if core.n_explored < core.n_planned => {}
+            // Without its first population there is no sample.
+            Status::Running if core.n_explored < core.n_planned || core.operation.is_none() => {}
             _ => {
                 core.queue.extend(core.best.get().map(|(x, _)| x.to_vec()));
                 self.exploration = None;
@@ -309,7 +314,7 @@ impl MultistartState {
             let status = search.method.status();
             if let Some((x, cost)) = search.method.best().filter(|_| status != Status::Running) {
                 if core.minima.first().is_none_or(|best| cost < best.cost) {
-                    core.tests = search.method.details().tests;
+                    (core.tests, core.model) = (search.method.details().tests, search.method.linear_model());
                 }
                 let found = Optimum { x: x.to_vec(), cost, n_starts: 1 };
                 clusters::enter(&core.setup.space, &mut core.minima, found);
@@ -434,6 +439,11 @@ impl Method for MultistartState {
 
     fn best(&self) -> Option<(&[f64], f64)> {
         self.core.best.get()
+    }
+
+    fn linear_model(&self) -> Option<LinearModel> {
+        let is_best = self.core.minima.first().map(|m| m.cost) == self.core.best.cost();
+        self.core.model.clone().filter(|_| is_best)
     }
 
     fn save(&self) -> Option<Vec<u8>> {
