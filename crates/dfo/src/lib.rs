@@ -13,6 +13,7 @@
 //! | method | for | options |
 //! |---|---|---|
 //! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
+//! | `quadratic-model` | smooth, with or without bounds: the fewest evaluations | [`QuadraticModel`] |
 //! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
 //! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
@@ -76,7 +77,8 @@ pub use method::{
 pub use methods::{
     Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, Coefficients, Crossover,
     DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex, LeastSquares,
-    LeastSquaresState, NelderMead, NelderMeadState, Repair, Scheme, Selection, Strategy, Weight,
+    LeastSquaresState, NelderMead, NelderMeadState, QuadraticModel, QuadraticModelState, Repair, Scheme,
+    Selection, Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
 pub use objective::{

@@ -8,8 +8,8 @@ mod common;
 use common::timeless;
 use dfo::{
     AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, Coefficients, DifferentialEvolution, Error,
-    Genetic, Measure, NelderMead, Outcome, Query, Report, Sampling, Selection, Stop, Termination, Transform,
-    minimize, with_query,
+    Genetic, Measure, NelderMead, Outcome, QuadraticModel, Query, Report, Sampling, Selection, Stop,
+    Termination, Transform, minimize, with_query,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -167,7 +167,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
         BatchPlan::TwoAhead,
         BatchPlan::LeeWiswall,
     ]);
-    match dice.below(8) {
+    match dice.below(9) {
         0..=3 => {
             let handling = dice.pick(&[BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine]);
             let coefficients = dice.pick(&[Coefficients::Standard, Coefficients::Adaptive]);
@@ -183,6 +183,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
         }
         5 => DifferentialEvolution::default().population(8).sampling(Sampling::Sobol).budget(100).into(),
         6 => DifferentialEvolution::classic().population(6).into(),
+        8 => QuadraticModel::default().radius(dice.pick(&[0.1, 1e-3, 1.0])).into(),
         _ => {
             let selection = dice.pick(&[Selection::FitnessProportional, Selection::Tournament(3)]);
             Genetic::default().population(10).selection(selection).into()

@@ -5,6 +5,7 @@ mod differential_evolution;
 mod genetic;
 mod least_squares;
 mod nelder_mead;
+mod quadratic_model;
 mod shared;
 
 pub use barrier::{Barrier, BarrierState};
@@ -14,6 +15,7 @@ pub use differential_evolution::{
 pub use genetic::{Genetic, GeneticState, Selection};
 pub use least_squares::{LeastSquares, LeastSquaresState};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
+pub use quadratic_model::{QuadraticModel, QuadraticModelState};
 
 use crate::answer::Answers;
 use crate::choices::Kind;
@@ -57,19 +59,22 @@ pub enum AnyMethod {
     Genetic(Genetic),
     /// `least-squares`, for objectives with residuals.
     LeastSquares(LeastSquares),
+    /// `quadratic-model`, for smooth costs.
+    QuadraticModel(QuadraticModel),
 }
 
 /// A method's name, its number in `fmin`, and its default options.
 type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
 
 /// The methods: a new one is added here.
-const LIST: [Listed; 6] = [
+const LIST: [Listed; 7] = [
     ("nelder-mead", Some(1), || NelderMead::default().into()),
     ("barrier", Some(2), || Barrier::default().into()),
     ("de", None, || DifferentialEvolution::default().into()),
     ("de-classic", Some(3), || DifferentialEvolution::classic().into()),
     ("ga", Some(4), || Genetic::default().into()),
     ("least-squares", None, || LeastSquares::default().into()),
+    ("quadratic-model", None, || QuadraticModel::default().into()),
 ];
 
 impl AnyMethod {
@@ -104,6 +109,7 @@ impl AnyMethod {
             Self::DifferentialEvolution(options) => options.name(),
             Self::Genetic(_) => "ga",
             Self::LeastSquares(_) => "least-squares",
+            Self::QuadraticModel(_) => "quadratic-model",
         }
     }
 
@@ -154,7 +160,7 @@ macro_rules! from_options {
     };
 }
 
-from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares);
+from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares, QuadraticModel);
 
 /// The same call on whichever method it is.
 macro_rules! each {
@@ -165,6 +171,7 @@ macro_rules! each {
             AnyMethod::DifferentialEvolution($options) => $call,
             AnyMethod::Genetic($options) => $call,
             AnyMethod::LeastSquares($options) => $call,
+            AnyMethod::QuadraticModel($options) => $call,
         }
     };
 }

@@ -351,7 +351,7 @@ class Calibration:
         Parameters
         ----------
         method : str
-            The optimiser, as in `minimize`: "nelder-mead", "barrier", "de", "de-classic", "ga". The last three need two
+            The optimiser, as in `minimize`: "nelder-mead", "barrier", "quadratic-model", "de", "de-classic", "ga". The last three need two
             finite bounds for every parameter. "auto" is "nelder-mead", with integer parameters "de", with categorical ones
             "ga".
         workers : int, optional

@@ -43,10 +43,11 @@ _SYNONYMS: Mapping[str, str] = {
     **dict.fromkeys(("neldermead", "nm", "simplex", "fmin"), "nelder-mead"),
     **dict.fromkeys(("differential-evolution", "differentialevolution", "l-shade", "lshade"), "de"),
     **dict.fromkeys(("genetic", "genetic-algorithm"), "ga"),
+    **dict.fromkeys(("bobyqa", "cobyqa", "newuoa"), "quadratic-model"),
 }
 
 #: What the methods that are to come will be called.
-LATER = ("least-squares", "quadratic-model", "cma-es", "multistart", "pattern-search")
+LATER = ("least-squares", "cma-es", "multistart", "pattern-search")
 
 
 @dataclass(frozen=True)
