@@ -13,6 +13,7 @@
 //! | method | for | options |
 //! |---|---|---|
 //! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
+//! | `quadratic-model` | smooth, with or without bounds: the fewest evaluations | [`QuadraticModel`] |
 //! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
 //! | `cma-es` | badly scaled and turned valleys, noise; with restarts many minima in a box | [`CmaEs`] |
@@ -83,7 +84,8 @@ pub use methods::{
     Adaptive, AnyMethod, Auto, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
     Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
     InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
-    NelderMeadState, Polish, Repair, Restarts, Scheme, Selection, Strategy, Weight,
+    NelderMeadState, Polish, QuadraticModel, QuadraticModelState, Repair, Restarts, Scheme, Selection,
+    Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches};
 pub use objective::{

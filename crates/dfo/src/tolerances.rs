@@ -129,6 +129,8 @@ pub enum Extent {
     BestEighth,
     /// Of the best points of all generations, as many as an eighth of the population.
     BestSeen,
+    /// Of the trust region around the best point; the spread is the decrease that the model predicts within it.
+    TrustRegion,
 }
 
 impl Extent {
@@ -138,6 +140,7 @@ impl Extent {
             Self::Population => "population",
             Self::BestEighth => "best eighth of the population:",
             Self::BestSeen => "best points seen:",
+            Self::TrustRegion => "trust region",
         }
     }
 }
@@ -186,7 +189,8 @@ impl fmt::Display for Tests {
             None => write!(f, "; f test not passed: a vertex has failed"),
             Some(spread) => {
                 let r = relation(self.f_passed);
-                write!(f, "; f test {}: spread {spread:.3e} {r} {:.3e}", verb(self.f_passed), self.f_limit)?;
+                let what = if self.extent == Extent::TrustRegion { "predicted decrease" } else { "spread" };
+                write!(f, "; f test {}: {what} {spread:.3e} {r} {:.3e}", verb(self.f_passed), self.f_limit)?;
                 match measure {
                     Measure::Relative if self.f_limit > f_tol * self.f_best.abs() => {
                         write!(f, " (f_tol {f_tol:e} of {ZERO_COST:.1e} times the initial cost)")

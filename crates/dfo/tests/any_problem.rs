@@ -8,8 +8,8 @@ mod common;
 use common::timeless;
 use dfo::{
     AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
-    DifferentialEvolution, Error, Genetic, Measure, NelderMead, Outcome, Query, Report, Restarts, Sampling,
-    Selection, Stop, Termination, Transform, minimize, with_query,
+    DifferentialEvolution, Error, Genetic, Measure, Multistart, NelderMead, Outcome, QuadraticModel, Query,
+    Report, Restarts, Sampling, Selection, Stop, Termination, Transform, minimize, with_query,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -167,7 +167,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
         BatchPlan::TwoAhead,
         BatchPlan::LeeWiswall,
     ]);
-    match dice.below(9) {
+    match dice.below(11) {
         0..=3 => {
             let handling = dice.pick(&[BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine]);
             let coefficients = dice.pick(&[Coefficients::Standard, Coefficients::Adaptive]);
@@ -189,6 +189,9 @@ fn method(dice: &mut Dice) -> AnyMethod {
             let sigma = dice.pick(&[0.3, 1e-300, 1e300]);
             CmaEs::default().bounds_handling(handling).restarts(restarts).sigma(sigma).into()
         }
+        8 => QuadraticModel::default().radius(dice.pick(&[0.1, 1e-3, 1.0])).into(),
+        // An exploration plans with the budget, which changes here.
+        9 => Multistart::default().exploration(0.0).sample(6).side_by_side(dice.pick(&[1, 3])).into(),
         _ => {
             let selection = dice.pick(&[Selection::FitnessProportional, Selection::Tournament(3)]);
             Genetic::default().population(10).selection(selection).into()
@@ -219,7 +222,10 @@ fn examine(case: u64, folder: &Path) {
     let mut dice = Dice(case.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ 0x55);
     dice.below(2);
     let method = method(&mut dice);
-    let boxed = matches!(method, AnyMethod::DifferentialEvolution(_) | AnyMethod::Genetic(_));
+    let boxed = matches!(
+        method,
+        AnyMethod::DifferentialEvolution(_) | AnyMethod::Genetic(_) | AnyMethod::Multistart(_)
+    );
     let problem = Problem::new(&mut dice, boxed);
     let plain = problem.run(&method, (1, false, problem.budget), None);
     match &plain {

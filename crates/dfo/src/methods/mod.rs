@@ -7,6 +7,7 @@ mod genetic;
 mod least_squares;
 mod multistart;
 mod nelder_mead;
+mod quadratic_model;
 mod shared;
 
 pub use barrier::{Barrier, BarrierState};
@@ -18,6 +19,7 @@ pub use genetic::{Genetic, GeneticState, Selection};
 pub use least_squares::{LeastSquares, LeastSquaresState};
 pub use multistart::{Multistart, MultistartState, Polish};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
+pub use quadratic_model::{QuadraticModel, QuadraticModelState};
 
 use crate::answer::Answers;
 use crate::choices::{Kind, Search};
@@ -69,13 +71,15 @@ pub enum AnyMethod {
     Multistart(Multistart),
     /// `auto`: no method in particular.
     Auto(Auto),
+    /// `quadratic-model`, for smooth costs.
+    QuadraticModel(QuadraticModel),
 }
 
 /// A method's name, its number in `fmin`, and its default options.
 type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
 
 /// The methods: a new one is added here.
-const LIST: [Listed; 8] = [
+const LIST: [Listed; 9] = [
     ("nelder-mead", Some(1), || NelderMead::default().into()),
     ("barrier", Some(2), || Barrier::default().into()),
     ("de", None, || DifferentialEvolution::default().into()),
@@ -84,6 +88,7 @@ const LIST: [Listed; 8] = [
     ("least-squares", None, || LeastSquares::default().into()),
     ("cma-es", None, || CmaEs::default().into()),
     ("multistart", None, || Multistart::default().into()),
+    ("quadratic-model", None, || QuadraticModel::default().into()),
 ];
 
 impl AnyMethod {
@@ -109,6 +114,7 @@ impl AnyMethod {
             Self::CmaEs(_) => "cma-es",
             Self::Multistart(_) => "multistart",
             Self::Auto(_) => "auto",
+            Self::QuadraticModel(_) => "quadratic-model",
         }
     }
 
@@ -163,7 +169,17 @@ macro_rules! from_options {
     };
 }
 
-from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares, CmaEs, Multistart, Auto);
+from_options!(
+    NelderMead,
+    Barrier,
+    DifferentialEvolution,
+    Genetic,
+    LeastSquares,
+    CmaEs,
+    Multistart,
+    QuadraticModel,
+    Auto
+);
 
 /// The same call on whichever method it is.
 macro_rules! each {
@@ -177,6 +193,7 @@ macro_rules! each {
             AnyMethod::CmaEs($options) => $call,
             AnyMethod::Multistart($options) => $call,
             AnyMethod::Auto($options) => $call,
+            AnyMethod::QuadraticModel($options) => $call,
         }
     };
 }

@@ -352,7 +352,7 @@ class Calibration:
         Parameters
         ----------
         method : str
-            The optimiser, as in `minimize`: "least-squares", "nelder-mead", "barrier", "cma-es", "multistart", "de", "de-classic",
+            The optimiser, as in `minimize`: "least-squares", "nelder-mead", "barrier", "quadratic-model", "cma-es", "multistart", "de", "de-classic",
             "ga". The last four need two finite bounds for every parameter. "auto" is "least-squares", with integer parameters "de",
             with categorical ones "ga"; where an option is given that only "nelder-mead" has, it is that. The fit has the reason
             (``method_reason``).

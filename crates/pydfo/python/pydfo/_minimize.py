@@ -58,11 +58,12 @@ def minimize(
         Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
         ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
-        outside is ever evaluated. "nelder-mead" and "barrier" take a bound that lies at least 1e10 times as far as the
+        outside is ever evaluated. "nelder-mead", "barrier" and "quadratic-model" take a bound that lies at least 1e10 times as far as the
         largest of 1, abs(x0) and the nominal size as none, but for keeping to it: it tells nothing of the size.
     method : str
         "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
-        "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings); "multistart" (differential
+        "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings); "quadratic-model" (trust
+        region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`); "multistart" (differential
         evolution, then local searches from several starts in a box; the minima they end at are the result's ``optima``).
         "auto" is Nelder-Mead, "multistart" where ``search="global"``, with integer parameters "de", with categorical ones "ga";
         the result has the reason (``method_reason``).

@@ -44,10 +44,11 @@ _SYNONYMS: Mapping[str, str] = {
     **dict.fromkeys(("differential-evolution", "differentialevolution", "l-shade", "lshade"), "de"),
     **dict.fromkeys(("genetic", "genetic-algorithm"), "ga"),
     **dict.fromkeys(("leastsquares", "lsq", "levenberg-marquardt", "lm", "trf", "dfo-ls"), "least-squares"),
+    **dict.fromkeys(("bobyqa", "cobyqa", "newuoa"), "quadratic-model"),
 }
 
 #: What the methods that are to come will be called.
-LATER = ("quadratic-model", "cma-es", "multistart", "pattern-search")
+LATER = ("pattern-search",)
 
 
 @dataclass(frozen=True)
