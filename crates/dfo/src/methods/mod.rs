@@ -224,7 +224,9 @@ impl AnyMethod {
     /// The method for a problem of this class:
     ///
     /// - with residuals [`LeastSquares`], which needs a tenth of the evaluations of methods that see the cost alone;
-    /// - with costs [`NelderMead`];
+    /// - with costs [`NelderMead`], which kinks and noise disturb least: of the 53 problems of Moré and Wild with smooth costs / noise of
+    ///   1e-3 / absolute residuals it solves 83, 64 and 98 %, [`QuadraticModel`] 92, 56 and 38 %, with half the evaluations where
+    ///   both do, and no size of problem from 2 to 12 changes their order (`benches/dfo`);
     /// - [`Multistart`] with either of them where the best minimum of a box is asked for;
     /// - [`DifferentialEvolution`] with integer parameters, [`Genetic`] with categorical ones.
     ///
@@ -256,9 +258,10 @@ impl AnyMethod {
             (Search::Local, _, true) => {
                 chosen(LeastSquares::default().into(), "the objective gives residuals")
             }
-            (Search::Local, _, false) => {
-                chosen(NelderMead::default().into(), "the objective gives a cost, and no residuals")
-            }
+            (Search::Local, _, false) => chosen(
+                NelderMead::default().into(),
+                "the objective gives a cost and no residuals: noise and kinks disturb Nelder-Mead least (for smooth costs quadratic-model takes fewer evaluations)",
+            ),
         }
     }
 
