@@ -14,7 +14,7 @@ define suite
 printf -- '--- %s: %s s\n' "$(1)" "$$(( $$(date +%s) - start ))"
 endef
 
-.PHONY: help demo test test-rust test-python test-packaging test-long lint bench doc build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-long lint bench bench-dfo doc build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -50,9 +50,12 @@ test-long: build  ## what takes long: many runs, memory
 bench: build benches/env/.venv/.done  ## side by side with the peers, in one run
 	benches/env/.venv/bin/python benches/against_fmpy.py
 	benches/env/.venv/bin/python benches/open_large.py
-	benches/env/.venv/bin/python benches/against_optimisers.py
 	benches/env/.venv/bin/python benches/dae.py
 	cargo bench --workspace
+
+bench-dfo: benches/env/.venv/.done  ## the optimisers beside their peers; BENCH_DFO="--set more-wild" for a part
+	benches/env/.venv/bin/python benches/dfo/run.py $(BENCH_DFO) $(if $(BENCH_DFO),,--write)
+	$(if $(BENCH_DFO),,benches/env/.venv/bin/python benches/dfo/workers.py)
 
 # Both want a nightly compiler; what each seed and each finding of the fuzzer showed is replayed by `make test`.
 FUZZ_SECONDS ?= 600

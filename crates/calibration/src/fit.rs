@@ -9,7 +9,7 @@ use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
-    RunOptions, Stop, Tolerances,
+    RunOptions, Search, Stop, Tolerances,
 };
 use ode::Number;
 use ode::Stats;
@@ -50,12 +50,12 @@ pub struct FitOptions<'a> {
 }
 
 impl FitOptions<'_> {
-    /// The run of a fit by default: tolerances of 1e-4 each, `x_tol` in units of the parameters' sizes and `f_tol` as a
+    /// The run of a fit by default: the method for residuals that [`AnyMethod::chosen_for`] chooses, tolerances of 1e-4 each, `x_tol` in units of the parameters' sizes and `f_tol` as a
     /// fraction of the cost, for a cost made of simulations is seldom smooth below that; all else as [`dfo::minimize`] has
     /// it.
     pub fn default_run() -> RunOptions<AnyMethod> {
         let tolerances = Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All };
-        RunOptions { tolerances, ..RunOptions::default() }
+        RunOptions { method: AnyMethod::auto(Search::Local), tolerances, ..RunOptions::default() }
     }
 }
 

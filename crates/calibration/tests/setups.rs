@@ -7,7 +7,7 @@ mod support;
 use calibration::{
     BoundSide, Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter, SetupWarning,
 };
-use dfo::{DifferentialEvolution, Limits, RunOptions};
+use dfo::{DifferentialEvolution, Limits, NelderMead, RunOptions};
 use example_models::example_fmu;
 use fmi::Fmu;
 
@@ -83,6 +83,7 @@ fn a_parameter_at_its_bound_is_named() {
 fn a_parameter_without_effect_is_named_whatever_the_budget() {
     let calibration = tank(30.0, &["u1", "u2"]);
     let options = |evaluations| RunOptions {
+        method: NelderMead::default().into(),
         limits: Limits { max_evaluations: Some(evaluations), ..Limits::default() },
         ..FitOptions::default_run()
     };

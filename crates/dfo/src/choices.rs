@@ -55,6 +55,17 @@ pub enum BoundsHandling {
     Clamp,
 }
 
+/// What a search looks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Search {
+    /// The minimum next to the start.
+    #[default]
+    Local,
+    /// The best minimum of a box.
+    Global,
+}
+
 /// How tolerances are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -2,12 +2,12 @@
 
 use crate::answer::{Answer, Outcome};
 use crate::checkpoint::{self, Writer};
-use crate::choices::{Kind, Transform};
+use crate::choices::{Kind, Search, Transform};
 use crate::error::Error;
 use crate::gateway::batch_ledger::BatchLedger;
 use crate::gateway::cache::Cache;
 use crate::gateway::ledger::Ledger;
-use crate::method::{Method, MethodOptions, Setup};
+use crate::method::{Method, MethodOptions, ProblemClass, Setup};
 use crate::methods::NelderMead;
 use crate::run_options::{Known, RunOptions};
 use crate::space::Bounds;
@@ -37,6 +37,9 @@ pub(crate) struct StartedRun<T> {
     pub(crate) first_recent: usize,
     /// Seconds of the run before it was resumed.
     pub(crate) before: f64,
+    /// Whether the method needs residuals, and why it was chosen.
+    pub(crate) needs_residuals: bool,
+    pub(crate) method_reason: Option<String>,
 }
 
 impl<M> Description<M> {
@@ -48,8 +51,22 @@ impl<M> Description<M> {
 }
 
 impl<M: MethodOptions> Description<M> {
-    /// Checks everything, and starts or continues.
-    pub(crate) fn begin(self) -> Result<StartedRun<M::Method>, Error> {
+    /// The method for this problem, where the choice is open.
+    fn choose(&mut self, residuals: bool) -> Result<(), Error> {
+        let n = self.bounds.as_ref().map_or(self.x0.as_ref().map_or(0, Vec::len), Bounds::len);
+        let unbounded = Bounds::unbounded(n);
+        let bounds = self.bounds.as_ref().unwrap_or(&unbounded);
+        let (lower, upper) = (bounds.lower(), bounds.upper());
+        let class = ProblemClass { lower, upper, kinds: &self.kinds, residuals, search: Search::Local };
+        if let Some((method, reason)) = self.options.method.chosen(&class)? {
+            (self.options.method, self.options.method_reason) = (method, Some(reason.to_owned()));
+        }
+        Ok(())
+    }
+
+    /// Checks everything, and starts or continues. `residuals`: whether the objective is known to give them.
+    pub(crate) fn begin(mut self, residuals: bool) -> Result<StartedRun<M::Method>, Error> {
+        self.choose(residuals)?;
         let Self { options, x0, bounds, transforms, sizes, kinds } = self;
         let (method, mut limits) = (&options.method, options.limits);
         let start_given = x0.is_some();
@@ -106,6 +123,8 @@ impl<M: MethodOptions> Description<M> {
             observed: None,
             first_recent: 0,
             before: 0.0,
+            needs_residuals: method.needs_residuals(),
+            method_reason: options.method_reason,
         };
         started.batch_ledger.ledger.trace.set_problem(options.problem.clone());
         let Some(place) = options.checkpoint else { return Ok(started) };

@@ -14,8 +14,11 @@
 //! |---|---|---|
 //! | `least-squares` | a cost that is a sum of squares of residuals: [`least_squares`] | [`LeastSquares`] |
 //! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
+//! | `quadratic-model` | smooth, with or without bounds: the fewest evaluations | [`QuadraticModel`] |
 //! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
+//! | `cma-es` | badly scaled and turned valleys, noise; with restarts many minima in a box | [`CmaEs`] |
+//! | `multistart` | the same by local searches from several starts: least squares or Nelder-Mead; reports all minima found | [`Multistart`] |
 //! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
 //! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
@@ -69,19 +72,21 @@ mod trace;
 
 pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use checkpoint::{Checkpoint, Resume};
-pub use choices::{BoundsHandling, Kind, Measure, Stop, Transform};
+pub use choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
 pub use linear_model::{Covariance, LinearModel};
 pub use loss::{Loss, RobustLoss};
 pub use method::{
-    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Setup, Simplex, SimplexView,
-    Status,
+    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, ProblemClass, Setup,
+    Simplex, SimplexView, Status,
 };
 pub use methods::{
-    Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, Coefficients, Crossover,
-    DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState, InitialSimplex, LeastSquares,
-    LeastSquaresState, NelderMead, NelderMeadState, Repair, Scheme, Selection, Strategy, Weight,
+    Adaptive, AnyMethod, Auto, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
+    Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
+    InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
+    NelderMeadState, Polish, QuadraticModel, QuadraticModelState, Repair, Restarts, Scheme, Selection,
+    Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches};
 pub use objective::{

@@ -4,6 +4,7 @@
 use crate::choices::Transform;
 use crate::space::Space;
 use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
 
 /// Singular values of the Jacobian with columns of length one that are smaller than this part of the largest count as zero: a
 /// Jacobian from differences is not more accurate (square root of the rounding unit).
@@ -13,7 +14,7 @@ const RANK_TOLERANCE: f64 = 1.5e-8;
 const AT_BOUND: f64 = 1e-10;
 
 /// The residuals near the best point: their derivatives by the user's parameters.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LinearModel {
     /// Row by row, one row for each residual and one column for each parameter, in the user's units; with respect to the
     /// parameter itself also where it is searched by its logarithm. Columns of fixed parameters are zero.

@@ -2,6 +2,7 @@
 //! objective.
 
 use crate::answer::{Answers, Want};
+use crate::choices::{Kind, Search};
 use crate::encoding::{decode, encode};
 use crate::error::Error;
 use crate::linear_model::LinearModel;
@@ -181,6 +182,8 @@ pub enum Operation {
     Generation,
     /// The best point of a model within its trust region was tried.
     TrustRegionStep,
+    /// Local searches from several starts advanced by a step each.
+    LocalSearches,
 }
 
 impl fmt::Display for Operation {
@@ -196,6 +199,7 @@ impl fmt::Display for Operation {
             Self::Restart => "restart",
             Self::Generation => "generation",
             Self::TrustRegionStep => "trust region step",
+            Self::LocalSearches => "local searches",
         })
     }
 }
@@ -243,6 +247,29 @@ impl Setup {
     }
 }
 
+/// What is known of a problem when a method is chosen for it.
+#[derive(Debug, Clone, Copy)]
+pub struct ProblemClass<'a> {
+    /// Lower bounds; infinite where there is none.
+    pub lower: &'a [f64],
+    /// Upper bounds; where they equal the lower ones, the parameter is fixed.
+    pub upper: &'a [f64],
+    /// Kinds of the parameters; empty: all continuous.
+    pub kinds: &'a [Kind],
+    /// Whether the objective gives residuals.
+    pub residuals: bool,
+    /// What is looked for.
+    pub search: Search,
+}
+
+impl ProblemClass<'_> {
+    /// The first free parameter without a finite range.
+    pub(crate) fn open(&self) -> Option<usize> {
+        let width = |i: usize| self.upper[i] - self.lower[i];
+        (0..self.lower.len()).find(|&i| self.lower[i] != self.upper[i] && !width(i).is_finite())
+    }
+}
+
 /// The options of a method: what makes the [`Method`] once the problem is known.
 pub trait MethodOptions {
     /// The method that these options describe.
@@ -261,6 +288,18 @@ pub trait MethodOptions {
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<Self::Method, Error> {
         let _ = (setup, state);
         Err(Error::State { message: "this method cannot be continued".to_owned() })
+    }
+
+    /// The method for a problem of this class and the reason, where these options leave the choice open.
+    ///
+    /// # Errors
+    /// There is none for the search that is asked for.
+    fn chosen(&self, class: &ProblemClass<'_>) -> Result<Option<(Self, &'static str)>, Error>
+    where
+        Self: Sized,
+    {
+        let _ = class;
+        Ok(None)
     }
 
     /// Whether the method needs a start point; one that does not takes the middle of the box where none is given.
@@ -374,6 +413,20 @@ pub struct Details<'a> {
     pub population: Option<SimplexView<'a>>,
     /// The stages of a sequential barrier search, complete ones only.
     pub schedule: &'a [BarrierStage],
+    /// The minima that searches from several starts ended at, the best first.
+    pub optima: &'a [Optimum],
+}
+
+/// A minimum that local searches ended at.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Optimum {
+    /// The point, in the user's units and order.
+    pub x: Vec<f64>,
+    /// Its cost.
+    pub cost: f64,
+    /// How many starts led there.
+    pub n_starts: usize,
 }
 
 /// One stage of a sequential barrier search.

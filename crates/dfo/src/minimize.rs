@@ -2,8 +2,7 @@
 
 use crate::answer::Outcome;
 use crate::checkpoint::Checkpoint;
-use crate::choices::{Kind, Transform};
-use crate::choices::{Measure, Stop};
+use crate::choices::{Kind, Measure, Search, Stop, Transform};
 use crate::description::{Description, StartedRun};
 use crate::drive::{Drive, Observer};
 use crate::error::Error;
@@ -11,7 +10,7 @@ use crate::evaluator::{BatchFunction, BatchView, WorkerPool};
 use crate::gateway::{Executor, Gateway, OnCallingThread};
 use crate::loss::RobustLoss;
 use crate::method::{Method, MethodOptions};
-use crate::methods::{LeastSquares, NelderMead};
+use crate::methods::{AnyMethod, LeastSquares, NelderMead};
 use crate::objective::{Objective, ResidualFunction, residuals};
 use crate::observe::Progress;
 use crate::optimizer::Optimizer;
@@ -173,6 +172,20 @@ impl<'a, M, D> Minimize<'a, M, D> {
     pub fn method<N: MethodOptions>(self, method: N) -> Minimize<'a, N, D> {
         let Self { description, driver, life } = self;
         Minimize { description: description.with_method(method), driver, life }
+    }
+
+    /// What is looked for; the run chooses the method for it ([`AnyMethod::chosen_for`]), and its report says which and why.
+    ///
+    /// ```
+    /// use dfo::{Search, minimize};
+    ///
+    /// let cost = |x: &[f64]| (x[0] * x[0] - 1.0).powi(2) + 0.1 * x[0];
+    /// let report = minimize(cost).start(&[1.5]).bounds(&[-2.0], &[2.0])?.search(Search::Global).seed(1).run()?;
+    /// assert!(report.x[0] < 0.0 && report.method == "multistart", "{report}");
+    /// # Ok::<(), dfo::Error>(())
+    /// ```
+    pub fn search(self, search: Search) -> Minimize<'a, AnyMethod, D> {
+        self.method(AnyMethod::auto(search))
     }
 
     /// All options at once, the method with them.
@@ -405,10 +418,19 @@ impl<M: MethodOptions> Minimize<'_, M> {
             Source::Objective(objective) => objective.has_residuals(),
             Source::Batches(_) => true,
         };
-        let needs_residuals = self.description.options.method.needs_residuals();
         let StartedRun {
-            method, batch_ledger, limits, workers, writer, observed, first_recent, before, ..
-        } = self.description.begin()?;
+            method,
+            batch_ledger,
+            limits,
+            workers,
+            writer,
+            observed,
+            first_recent,
+            before,
+            needs_residuals,
+            method_reason,
+            ..
+        } = self.description.begin(has_residuals)?;
         if needs_residuals && !has_residuals {
             return Err(Error::NeedsResiduals { method: method.name() });
         }
@@ -433,6 +455,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
         let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
         let mut report = drive.run(observer.as_deref_mut())?;
         report.undo(loss);
+        report.method_reason = method_reason;
         Ok(report)
     }
 }
@@ -447,7 +470,7 @@ where
     /// # Errors
     /// Options that cannot be used.
     pub fn optimizer(self) -> Result<Optimizer, Error> {
-        Optimizer::start(self.description.begin()?)
+        Optimizer::start(self.description.begin(false)?)
     }
 }
 

@@ -66,6 +66,8 @@ pub struct Optimizer {
     before: f64,
     /// Whether the checkpoint holds the end of the run.
     written: bool,
+    /// Why the method was chosen, where the user left it open.
+    method_reason: Option<String>,
     /// `Some(None)`: the method had nothing to start from.
     ended: Option<Option<Termination>>,
 }
@@ -73,7 +75,9 @@ pub struct Optimizer {
 impl Optimizer {
     /// A limit of time counts from here and is looked at when a batch is complete or asked for.
     pub(crate) fn start<T: Method + Send + 'static>(started: StartedRun<T>) -> Result<Self, Error> {
-        let StartedRun { method, batch_ledger, limits, workers, writer, observed, before, .. } = started;
+        let StartedRun {
+            method, batch_ledger, limits, workers, writer, observed, before, method_reason, ..
+        } = started;
         let method = BoxedMethod::new(method);
         // A run that was resumed may be over already.
         let ended = observed.and_then(|_| reached(&method, &batch_ledger, &limits)).map(Some);
@@ -91,6 +95,7 @@ impl Optimizer {
             writer,
             before,
             written: false,
+            method_reason,
             ended,
         };
         optimizer.advance()?;
@@ -299,6 +304,9 @@ impl Optimizer {
     pub fn report(&self) -> Result<Report, Error> {
         let termination = self.ended.clone().unwrap_or(Some(Termination::Interrupted));
         let mut ledger = self.batch_ledger.ledger.clone();
-        report::conclude(&self.method, &mut ledger, &self.limits, self.workers, termination, self.elapsed())
+        let (workers, seconds) = (self.workers, self.elapsed());
+        let report =
+            report::conclude(&self.method, &mut ledger, &self.limits, workers, termination, seconds)?;
+        Ok(Report { method_reason: self.method_reason.clone(), ..report })
     }
 }

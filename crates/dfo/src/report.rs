@@ -4,8 +4,7 @@ use crate::error::Error;
 use crate::gateway::ledger::Ledger;
 use crate::linear_model::{Covariance, LinearModel};
 use crate::loss::RobustLoss;
-use crate::method::BarrierStage;
-use crate::method::{Method, Simplex};
+use crate::method::{BarrierStage, Method, Optimum, Simplex};
 use crate::termination::{Termination, UNBOUNDED};
 use crate::tolerances::{Limits, Tests};
 use crate::trace::Trace;
@@ -47,12 +46,16 @@ pub struct Report {
     pub failures: Vec<(String, usize)>,
     /// Name of the method.
     pub method: &'static str,
+    /// Why it was chosen, where the user left the choice open.
+    pub method_reason: Option<String>,
     /// Batch plan of the method.
     pub batch: &'static str,
     /// Evaluations that could run at once.
     pub workers: usize,
     /// The stages of a sequential barrier search: barrier parameter, barrier, point and cost of each.
     pub schedule: Vec<BarrierStage>,
+    /// The distinct minima that searches from several starts ended at, the best first, with how many starts reached each.
+    pub optima: Vec<Optimum>,
     /// The population at the end, for methods that have one.
     pub final_population: Option<Simplex>,
     /// The seed of the random numbers, for methods that draw them: the one given, or the one drawn.
@@ -112,6 +115,9 @@ impl Report {
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}: {}", self.method, self.message)?;
+        if let Some(reason) = &self.method_reason {
+            writeln!(f, "  chosen       {reason}")?;
+        }
         writeln!(f, "  cost         {:e}", self.fun)?;
         writeln!(f, "  x            {:?}", self.x)?;
         writeln!(f, "  iterations   {}", self.n_iterations)?;
@@ -164,8 +170,10 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         final_simplex: details.simplex.map(|s| s.to_owned()),
         final_population: details.population.map(|s| s.to_owned()),
         schedule: details.schedule.to_vec(),
+        optima: details.optima.to_vec(),
         seed: details.seed,
         method: method.name(),
+        method_reason: None,
         batch: details.plan,
         workers,
         seconds,

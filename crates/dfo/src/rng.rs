@@ -16,6 +16,8 @@ pub(crate) enum Purpose {
     Individual = 1,
     /// What a generation draws once.
     Generation = 2,
+    /// What a restart draws.
+    Restart = 3,
 }
 
 /// A stream of random numbers.

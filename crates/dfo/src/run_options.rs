@@ -25,6 +25,8 @@ pub struct Known {
 pub struct RunOptions<M = NelderMead> {
     /// The method with its options; default Nelder-Mead.
     pub method: M,
+    /// Why it was chosen, where the user left it open.
+    pub method_reason: Option<String>,
     /// When the tests pass that end a run.
     pub tolerances: Tolerances,
     /// What else ends it. Without a limit of evaluations, iterations or time the method's own hold.
@@ -58,6 +60,7 @@ impl<M> RunOptions<M> {
         let Self { trace_limit, trace_residuals, checkpoint, problem, known, .. } = self;
         RunOptions {
             method,
+            method_reason: None,
             tolerances,
             limits,
             unlimited,

@@ -7,9 +7,10 @@ mod common;
 
 use common::timeless;
 use dfo::{
-    Answer, AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, Coefficients, DifferentialEvolution,
-    Error, Genetic, LeastSquares, Measure, MethodOptions, NelderMead, Objective, Outcome, Query, Report,
-    Sampling, Selection, Stop, Termination, Transform, minimize,
+    Answer, AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
+    DifferentialEvolution, Error, Genetic, LeastSquares, Measure, MethodOptions, Multistart, NelderMead,
+    Objective, Outcome, QuadraticModel, Query, Report, Restarts, Sampling, Selection, Stop, Termination,
+    Transform, minimize,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -189,7 +190,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
         BatchPlan::TwoAhead,
         BatchPlan::LeeWiswall,
     ]);
-    match dice.below(10) {
+    match dice.below(13) {
         0..=3 => {
             let handling = dice.pick(&[BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine]);
             let coefficients = dice.pick(&[Coefficients::Standard, Coefficients::Adaptive]);
@@ -204,14 +205,23 @@ fn method(dice: &mut Dice) -> AnyMethod {
             }
         }
         5 => DifferentialEvolution::default().population(8).sampling(Sampling::Sobol).budget(100).into(),
-        6 | 7 => {
+        6 => DifferentialEvolution::classic().population(6).into(),
+        7 => {
+            let handling = dice.pick(&[CmaBounds::Smooth, CmaBounds::Mirror]);
+            let restarts = dice.pick(&[Restarts::None, Restarts::Ipop, Restarts::Bipop]);
+            let sigma = dice.pick(&[0.3, 1e-300, 1e300]);
+            CmaEs::default().bounds_handling(handling).restarts(restarts).sigma(sigma).into()
+        }
+        8 => QuadraticModel::default().radius(dice.pick(&[0.1, 1e-3, 1.0])).into(),
+        // An exploration plans with the budget, which changes here.
+        9 => Multistart::default().exploration(0.0).sample(6).side_by_side(dice.pick(&[1, 3])).into(),
+        10 | 11 => {
             let least_squares = LeastSquares::default();
             match dice.below(3) {
                 0 => least_squares.into(),
                 batch => least_squares.batch(2 + 3 * batch as usize).into(),
             }
         }
-        8 => DifferentialEvolution::classic().population(6).into(),
         _ => {
             let selection = dice.pick(&[Selection::FitnessProportional, Selection::Tournament(3)]);
             Genetic::default().population(10).selection(selection).into()
@@ -242,7 +252,10 @@ fn examine(case: u64, folder: &Path) {
     let mut dice = Dice(case.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ 0x55);
     dice.below(2);
     let method = method(&mut dice);
-    let boxed = matches!(method, AnyMethod::DifferentialEvolution(_) | AnyMethod::Genetic(_));
+    let boxed = matches!(
+        method,
+        AnyMethod::DifferentialEvolution(_) | AnyMethod::Genetic(_) | AnyMethod::Multistart(_)
+    );
     let problem = Problem::new(&mut dice, boxed);
     let plain = problem.run(&method, (1, false, problem.budget), None);
     match &plain {

@@ -134,7 +134,7 @@ fn the_probe_with_failing_regions() {
                 );
             }
             let bar = match &method {
-                AnyMethod::NelderMead(_) => 1e-6,
+                AnyMethod::NelderMead(_) | AnyMethod::CmaEs(_) | AnyMethod::QuadraticModel(_) => 1e-6,
                 AnyMethod::DifferentialEvolution(_) => 1e-3,
                 _ => rosenbrock(&[-0.5, 1.0]),
             };

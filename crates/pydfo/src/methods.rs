@@ -1,7 +1,7 @@
 //! The options of a method from a Python dict: they take their places in the serialised defaults of the method.
 
 use crate::words::{self, none_of};
-use dfo::{AnyMethod, MethodOptions};
+use dfo::{AnyMethod, Kind, MethodOptions, ProblemClass, Search};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict};
@@ -36,10 +36,42 @@ pub(crate) fn method_names() -> Vec<(&'static str, bool)> {
     AnyMethod::NAMES.map(|name| (name, needs_start(name))).to_vec()
 }
 
-/// The name of the method for those who choose none, for parameters of these kinds.
+/// A method's name, options that are not its defaults, and why it was chosen.
+type AutoMethod = (&'static str, Vec<(String, String)>, String);
+
+/// The method for those who choose none. `given`: the names of the options that were given, which must be its own; those of
+/// Nelder-Mead choose Nelder-Mead.
 #[pyfunction]
-pub(crate) fn auto_method(kinds: Vec<String>) -> PyResult<&'static str> {
-    Ok(AnyMethod::auto(&words::words("kinds", &kinds)?).name())
+pub(crate) fn auto_method(
+    kinds: Vec<String>,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+    residuals: bool,
+    search: &str,
+    given: Vec<String>,
+) -> PyResult<AutoMethod> {
+    let (kinds, search) = (words::words("kinds", &kinds)?, words::word("search", search)?);
+    let class = ProblemClass { lower: &lower, upper: &upper, kinds: &kinds, residuals, search };
+    let of_name = |name: &str| default(name).map(|(_, form)| places(name, &form));
+    let (method, reason) = AnyMethod::chosen_for(&class).map_err(|e| PyValueError::new_err(e.to_string()))?;
+    let own = of_name(method.name())?;
+    if let Some(option) = given.iter().find(|option| !own.contains_key(*option)) {
+        let simplex = AnyMethod::default();
+        let others = of_name(simplex.name())?;
+        if search == Search::Local
+            && kinds.iter().all(|k| *k == Kind::Continuous)
+            && given.iter().all(|o| others.contains_key(o))
+        {
+            return Ok((
+                simplex.name(),
+                Vec::new(),
+                format!("the option '{option}' is one of {}", simplex.name()),
+            ));
+        }
+    }
+    let plain = default(method.name())?.0.describe();
+    let differs = |(name, value): &(String, String)| !plain.iter().any(|(n, v)| (n, v) == (name, value));
+    Ok((method.name(), method.describe().into_iter().filter(differs).collect(), reason.to_owned()))
 }
 
 /// The names of the options that there are, of any method.

@@ -16,6 +16,7 @@ use std::time::Duration;
 pub(crate) struct Options {
     method: String,
     method_options: Py<PyDict>,
+    method_reason: Option<String>,
     x_tol: Option<f64>,
     f_tol: Option<f64>,
     stop: Option<String>,
@@ -83,6 +84,7 @@ impl Options {
         };
         let run = RunOptions {
             method: methods::method(&self.method, self.method_options.bind(py))?,
+            method_reason: self.method_reason,
             tolerances,
             limits,
             unlimited: self.unlimited,

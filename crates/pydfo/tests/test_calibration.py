@@ -121,7 +121,7 @@ def test_a_fit_finds_the_parameter(dahlquist, scale):
     assert isinstance(fit, Fit) and fit.success and fit.status == 0
     assert fit.parameters == {"k": fit.x[0]} and fit.x[0] == pytest.approx(2.0, abs=1e-4)
     assert fit.cost == fit.fun == fit["cost"] and fit.rms == np.sqrt(fit.cost / 5) == fit["rms"]
-    assert fit.nfail == 0 and fit.nfev + fit.n_speculative == len(fit.trace) and fit.nit > 3
+    assert fit.nfail == 0 and fit.nfev + fit.n_speculative == len(fit.trace) and fit.nit >= 3
     assert "converged" in fit.message and f"k: {fit.x[0]:.8g}" in repr(fit)
     assert fit.start_cost == pytest.approx(np.sum((np.exp(-TIME) - TRUE) ** 2), rel=1e-6)
     assert fit.start_rms == np.sqrt(fit.start_cost / 5)
@@ -141,10 +141,10 @@ def test_fixed_parameters_stay_and_stand_in_the_result(dahlquist):
 def test_the_fit_is_the_same_for_any_number_of_workers_and_any_plan(dahlquist):
     noisy = TRUE + 0.01 * np.random.default_rng(1).normal(size=5)
     calibration = decay(dahlquist, {"time": TIME, "x": noisy})
-    reference = calibration.fit(workers=1)
+    reference = calibration.fit("nelder-mead", workers=1)
     for workers in (1, 2, 4, None, -1):
         for batch in ("auto", "serial", "two", "four"):
-            fit = calibration.fit(workers=workers, batch=batch)
+            fit = calibration.fit("nelder-mead", workers=workers, batch=batch)
             assert fit.x.tobytes() == reference.x.tobytes()
             assert (fit.cost, fit.nit) == (reference.cost, reference.nit)
             assert fit.final_simplex[0].tobytes() == reference.final_simplex[0].tobytes()
@@ -153,7 +153,7 @@ def test_the_fit_is_the_same_for_any_number_of_workers_and_any_plan(dahlquist):
 def test_limits_target_and_start_are_exact(dahlquist):
     calibration = decay(dahlquist)
     for n in (1, 2, 3, 4, 7):
-        assert calibration.fit(max_evaluations=n).nfev == n
+        assert calibration.fit("nelder-mead", max_evaluations=n).nfev == n
     assert calibration.fit(max_iterations=3).nit == 3
     fit = calibration.fit(target=1e-3)
     assert fit.status == 10 and fit.cost <= 1e-3
@@ -300,9 +300,8 @@ def test_parameters_show_themselves():
 @pytest.mark.parametrize(
     ("changes", "error", "said"),
     [
-        ({"method": "cma-es"}, pydfo.MethodNotAvailable, "not in this version"),
         ({"options": {"scale": "log"}}, ValueError, "scale of a fit is that of its parameters"),
-        ({"options": {"pop": 3}}, ValueError, "nelder-mead has no option 'pop'"),
+        ({"options": {"pop": 3}}, ValueError, "least-squares has no option 'pop'"),
         ({"method": "magic"}, ValueError, "method = 'magic' is none of"),
         ({"workers": 0}, ValueError, "workers = 0"),
         ({"x_tol": -1.0}, ValueError, "x_tol"),

@@ -47,9 +47,10 @@ def test_the_signature_is_what_was_promised():
         ("resume", "auto"),
         ("on_error", "raise"),
         ("vectorized", False),
+        ("search", "local"),
     ]
     assert list(parameters)[:2] == ["fun", "x0"]
-    assert [p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters.values()] == [True] * 2 + [False] * 15
+    assert [p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters.values()] == [True] * 2 + [False] * 16
     with pytest.warns(DeprecationWarning, match=r"after x0 by position are deprecated: write bounds=\.\.\., method=\.\.\.$") as caught:
         by_position = minimize(rosenbrock, [-1.2, 1.0], [(-2, 2)] * 2, "barrier", max_evaluations=50)
     assert caught[0].filename == __file__
@@ -312,7 +313,6 @@ def test_every_option_of_every_method_reaches_it(method, options):
     [
         ({"fun": 3}, TypeError, "fun must be callable"),
         ({"method": "nelder_meat"}, ValueError, "did you mean 'nelder-mead'"),
-        ({"method": "cma-es"}, pydfo.MethodNotAvailable, "not in this version"),
         ({"method": "least-squares"}, ValueError, "needs the vector of residuals: use pydfo.least_squares"),
         ({"method": 1}, TypeError, "method must be a string"),
         ({"options": {"restart": 3}}, ValueError, "no option 'restart'; did you mean 'restarts'. it has batch, bounds_handling, .*every"),

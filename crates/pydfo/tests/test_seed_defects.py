@@ -162,8 +162,6 @@ def test_what_the_other_methods_need_is_said():
         assert fmin(rosenbrock, None, [-2, -2], 2.0, alg=alg, rng=1, max_fevals=100, max_iters=None, **QUIET).nfev == 100
     with pytest.raises(ValueError, match="xstart is needed"):
         fmin(rosenbrock, None, [-2, -2], [2, 2], alg=1, **QUIET)
-    with pytest.raises(pydfo.MethodNotAvailable, match="not in this version"):
-        fmin(rosenbrock, [0.0, 0.0], alg="cma-es", **QUIET)
 
 
 @pytest.mark.parametrize("alg", [None, 1, "nelder-mead", "Nelder-Mead"])

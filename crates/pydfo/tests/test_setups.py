@@ -243,7 +243,7 @@ def test_a_parameter_that_moves_nothing_is_named(method):
 
 
 def test_a_budget_is_that_of_the_search():
-    fit = falling([gravity(), E]).fit(max_evaluations=12)
+    fit = falling([gravity(), E]).fit("nelder-mead", max_evaluations=12)
     # The first simplex has shown it already.
     assert (fit.nfev, fit.n_checks, fit.without_effect) == (12, 0, ["e"])
     for method in ("de", "ga", "de-classic"):

@@ -88,7 +88,7 @@ def test_integers_and_choices_are_fitted_by_methods_that_can():
     with pytest.raises(ValueError, match=r"over x\[0\], which is categorical \(x\[0\] is parameter 'k'\)"):
         calibration.fit(method="nelder-mead")
     held = Parameter("k", 2, 1, 5, kind="integer", fixed=True)
-    assert Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[held]).fit().method == "nelder-mead"
+    assert Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[held]).fit().method == "least-squares"
     for arguments, said in [
         ({"start": 1.5, "lower": 1, "upper": 8, "kind": "integer"}, "'k': is integer, so start 1.5 must be a whole number"),
         ({"start": 1.5, "lower": 1.2, "upper": 1.8, "kind": "categorical"}, "between its bounds 1.2 and 1.8"),
@@ -100,12 +100,12 @@ def test_integers_and_choices_are_fitted_by_methods_that_can():
 
 def test_a_checkpoint_of_another_fit_is_refused_in_words(tmp_path):
     path = tmp_path / "run"
-    bouncing().fit(max_evaluations=5, checkpoint=path)
+    bouncing().fit("nelder-mead", max_evaluations=5, checkpoint=path)
     for other, said in [
         (bouncing(max_step=0.5), "largest step: by default in the file, 0.5 here"),
         (bouncing(window=(0.0, 1.0)), "window of experiment 0: all in the file, from 0.0 to 1.0 here"),
     ]:
         with pytest.raises(pydfo.CheckpointError, match=said):
-            other.fit(max_evaluations=5, checkpoint=path)
+            other.fit("nelder-mead", max_evaluations=5, checkpoint=path)
     with pytest.raises(pydfo.CheckpointError, match="option restarts: 2 in the file, 1 here"):
         bouncing().fit(max_evaluations=5, checkpoint=path, options={"restarts": 1})

@@ -150,7 +150,7 @@ def test_a_fit_to_other_data_starts_there_and_keeps_no_cost():
     fit = calibration(5.0).fit(workers=1, options={"warm_start": first})
     assert fit.success and abs(fit.x[0] - 5.0) < 1e-2 and fit.fun < 1e-6
     # Neither bounds nor start are what a cost depends on.
-    same = calibration(2.0, 3.0, 9.0).fit(workers=1, options={"warm_start": first})
+    same = calibration(2.0, 3.0, 9.0).fit("nelder-mead", workers=1, options={"warm_start": first})
     assert same.n_cached > 0
 
 

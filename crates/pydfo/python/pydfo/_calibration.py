@@ -347,16 +347,17 @@ class Calibration:
         options: Mapping[str, Any] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         resume: Literal["auto", "never", "require"] = "auto",
+        search: Literal["local", "global"] = "local",
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
         Parameters
         ----------
         method : str
-            The optimiser: "least-squares", which takes the residuals of the simulations one by one (see `least_squares`), and those
-            of `minimize`: "nelder-mead", "barrier", "de", "de-classic", "ga". The last three need two
-            finite bounds for every parameter. "auto" is "nelder-mead", with integer parameters "de", with categorical ones
-            "ga".
+            The optimiser, as in `minimize`: "least-squares", which takes the residuals of the simulations one by one,
+            "nelder-mead", "barrier", "quadratic-model", "cma-es", "pattern-search", "multistart", "de", "de-classic", "ga". The last four need two finite bounds for every parameter. "auto" is "least-squares", with integer parameters "de",
+            with categorical ones "ga"; where an option is given that only "nelder-mead" has, it is that. The fit has the reason
+            (``method_reason``).
         workers : int, optional
             Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.
         x_tol : float, optional
@@ -393,6 +394,10 @@ class Calibration:
         checkpoint, resume : optional
             A file for the state of the fit, and whether to continue from it; see `minimize`. A file that belongs to
             another model, other data, parameters or settings is refused, saying what differs.
+        search : {"local", "global"}
+            With method "auto": the minimum next to the start, or the best within the bounds of the parameters, by least squares from
+            several starts ("multistart"), which needs two finite bounds for every parameter; the minima found are the
+            fit's ``optima``.
 
         Returns
         -------
@@ -425,7 +430,7 @@ class Calibration:
                 raise ValueError(f"options: {name} of a fit is that of its parameters")
         built = _options.build(
             Calibration.fit,
-            _options.method_name(method, [p.kind for p in self._parameters if not p.fixed]),
+            method,
             own,
             len(self.names),
             _options.Limits.check(
@@ -435,6 +440,10 @@ class Calibration:
             rng=rng,
             checkpoint=checkpoint,
             resume=resume,
+            bounds=self._bounds(),
+            search=search,
+            residuals=True,
+            parameter_kinds=[p.kind for p in self._parameters if not p.fixed],
         )
         counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
         begin = self._values(start)
@@ -456,6 +465,12 @@ class Calibration:
         if disp:
             printer.end(fit.message, fit.x, fit.cost, fit.nit, fit.nfev, fit.solve_time)
         return fit
+
+    def _bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the parameters; equal where one is fixed."""
+        pairs = [(p.start, p.start) if p.fixed else (p.lower, p.upper) for p in self._parameters]
+        lower = [-np.inf if low is None else low for low, _ in pairs]
+        return np.array(lower, dtype=float), np.array([np.inf if high is None else high for _, high in pairs], dtype=float)
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
         return Fit(self, result, np.array(start), self._native.known_solver())

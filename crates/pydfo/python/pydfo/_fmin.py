@@ -242,6 +242,7 @@ def fmin(
         rng=rng,
         checkpoint=checkpoint,
         resume=resume,
+        bounds=(lower, upper),
     )
     listeners: list[Callback] = []
     if debug:

@@ -43,6 +43,7 @@ def least_squares(
     resume: Literal["auto", "never", "require"] = "auto",
     on_error: Literal["raise", "fail"] = "raise",
     vectorized: bool = False,
+    search: Literal["local", "global"] = "local",
 ) -> LeastSquaresResult:
     """Minimise the sum of the squares of residuals without derivatives. The result's ``cost`` is this sum, ``sum(fun**2)``,
     without the factor 1/2 that SciPy has.
@@ -90,6 +91,9 @@ def least_squares(
     vectorized : bool
         ``fun(x, *args)`` takes points as columns, shape (n, S), and returns residuals of shape (m, S). `workers` must then be
         a number.
+    search : {"local", "global"}
+        The minimum next to the start, or the best in the box, by searches from several starts ("multistart" of `minimize`, with
+        its options): needs two finite bounds for every parameter.
 
     Returns
     -------
@@ -132,7 +136,7 @@ def least_squares(
     limits = (max_evaluations, max_iterations, max_time, target)
     bounds = _options.bounds_of_least_squares(bounds, start)
     begin, lower, upper, built = describe(
-        least_squares, "least-squares", start, bounds, given, count, rng, limits, checkpoint, resume
+        least_squares, "auto", start, bounds, given, count, rng, limits, checkpoint, resume, search=search, residuals=True
     )
     result = _core.minimize(
         batches or called,

@@ -39,6 +39,7 @@ def minimize(
     resume: Literal["auto", "never", "require"] = "auto",
     on_error: Literal["raise", "fail"] = "raise",
     vectorized: bool = False,
+    search: Literal["local", "global"] = "local",
 ) -> OptimizeResult:
     """Minimise a function of several variables without derivatives.
 
@@ -57,12 +58,15 @@ def minimize(
         Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
         ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
-        outside is ever evaluated. "nelder-mead" and "barrier" take a bound that lies at least 1e10 times as far as the
+        outside is ever evaluated. "nelder-mead", "barrier" and "quadratic-model" take a bound that lies at least 1e10 times as far as the
         largest of 1, abs(x0) and the nominal size as none, but for keeping to it: it tells nothing of the size.
     method : str
         "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
-        "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings). "auto" is Nelder-Mead, with
-        integer parameters "de", with categorical ones "ga".
+        "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings); "quadratic-model" (trust
+        region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`); "multistart" (differential
+        evolution, then local searches from several starts in a box; the minima they end at are the result's ``optima``).
+        "auto" is Nelder-Mead, "multistart" where ``search="global"``, with integer parameters "de", with categorical ones "ga";
+        the result has the reason (``method_reason``).
     args : tuple
         Further arguments of `fun`.
     workers : int, map-like or executor
@@ -107,7 +111,9 @@ def minimize(
         ("rand1", "best1", "current-to-best1", "rand2"), ``crossover`` ("binomial", "exponential"), ``weight`` (a number,
         or a pair to draw from), ``probability``. GA: ``population``, ``selection`` ("fitness", or the size of a
         tournament), ``crossover_rate``, ``mutation_rate``, ``elite``, ``gray``, ``resolution``, ``sampling``,
-        ``include_start``, ``stall`` (generations without gain that end the run; None: never).
+        ``include_start``, ``stall`` (generations without gain that end the run; None: never). Multistart: ``sample`` (points
+        of a sample), ``sampling``, ``polish`` ("auto", "nelder-mead", "cma-es", "least-squares"), ``side_by_side`` (local searches
+        at once), ``max_starts``, ``exploration`` (share of the budget for differential evolution).
     checkpoint : path, optional
         A file for the state of the run, written after batches and at the end.
     resume : {"auto", "never", "require"}
@@ -120,6 +126,10 @@ def minimize(
     vectorized : bool
         ``fun(x, *args)`` takes points as columns, shape (n, S), and returns costs of shape (S,). `workers` must then be a
         number; it says how many points Nelder-Mead plans for.
+    search : {"local", "global"}
+        With method "auto": whether the minimum next to the start is looked for, or the best in the box. A global search needs two
+        finite bounds for every parameter and uses its whole budget (default 1000 (n + 1) evaluations) unless the minima found are
+        probably all there are; see "multistart". No start is needed.
 
     Returns
     -------
@@ -163,7 +173,17 @@ def minimize(
             raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
         batches = _evaluate.vectorized(called)
     start, lower, upper, built = describe(
-        minimize, method, x0, bounds, options, count, rng, (max_evaluations, max_iterations, max_time, target), checkpoint, resume
+        minimize,
+        method,
+        x0,
+        bounds,
+        options,
+        count,
+        rng,
+        (max_evaluations, max_iterations, max_time, target),
+        checkpoint,
+        resume,
+        search=search,
     )
     result: OptimizeResult = _core.minimize(
         batches or called,
@@ -191,6 +211,8 @@ def describe(
     limits: Sequence[SupportsFloat | None],
     checkpoint: str | os.PathLike[str] | None,
     resume: str,
+    search: str = "local",
+    residuals: bool = False,
 ) -> tuple[list[float] | None, list[float], list[float], _options.Options]:
     """Start, bounds and options of a run, as the native code takes them; `of` is the function that the user called."""
     start = None if x0 is None else _options.vector("x0", x0).tolist()
@@ -210,5 +232,8 @@ def describe(
         rng=rng,
         checkpoint=checkpoint,
         resume=resume,
+        bounds=(lower, upper),
+        search=search,
+        residuals=residuals,
     )
     return start, lower.tolist(), upper.tolist(), built

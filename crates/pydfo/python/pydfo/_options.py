@@ -44,10 +44,11 @@ _SYNONYMS: Mapping[str, str] = {
     **dict.fromkeys(("differential-evolution", "differentialevolution", "l-shade", "lshade"), "de"),
     **dict.fromkeys(("genetic", "genetic-algorithm"), "ga"),
     **dict.fromkeys(("leastsquares", "lsq", "levenberg-marquardt", "lm", "trf", "dfo-ls"), "least-squares"),
+    **dict.fromkeys(("bobyqa", "cobyqa", "newuoa"), "quadratic-model"),
 }
 
 #: What the methods that are to come will be called.
-LATER = ("quadratic-model", "cma-es", "multistart", "pattern-search")
+LATER = ("pattern-search",)
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class Options:
 
     method: str
     method_options: dict[str, Any]
+    method_reason: str | None
     x_tol: float | None
     f_tol: float | None
     stop: str | None
@@ -119,9 +121,14 @@ def build(
     rng: int | np.random.Generator | None,
     checkpoint: str | os.PathLike[str] | None,
     resume: str,
+    bounds: tuple[FloatArray, FloatArray],
+    search: str = "local",
+    residuals: bool = False,
+    parameter_kinds: Sequence[str] = (),
 ) -> Options:
     """What the user of the function `of` chose about a run over `n` parameters. What is not the method's own is taken out of
-    `options`."""
+    `options`. With `method` "auto" the native code chooses: by bounds, kinds, whether there are residuals, and what the search is
+    for."""
     own = dictionary(options)
     _keywords.check_options(own, of)
 
@@ -142,9 +149,20 @@ def build(
     if own.get("initial_simplex") is not None:
         vertices, steps = simplex(own["initial_simplex"], n)
         own["initial_simplex"] = vertices if steps is None else steps
+    name, search, reason = method_name(method), choice("search", search), None
+    if search not in ("local", "global"):
+        raise ValueError(f"search = {search!r} is none of 'local', 'global'")
+    if name == "auto":
+        lower, upper = (side.tolist() for side in bounds)
+        given = [key for key in own if own[key] is not None]
+        name, chosen, reason = _core.auto_method(kinds or list(parameter_kinds), lower, upper, residuals, search, given)
+        own = {**dict(chosen), **own}
+    elif search == "global":
+        raise ValueError(f"search='global' leaves the choice of the method to the run; with method={method!r} leave it out")
     return Options(
-        method=method_name(method, kinds),
+        method=name,
         method_options=own,
+        method_reason=reason,
         x_tol=x_tol,
         f_tol=f_tol,
         stop=stop,
@@ -188,13 +206,12 @@ def dictionary(options: Mapping[str, Any] | None) -> dict[str, Any]:
     return {choice("the name of an option", name): value for name, value in (options or {}).items()}
 
 
-def method_name(method: str, kinds: Sequence[str] = ()) -> str:
-    """The method of a name. "auto" is Nelder-Mead; differential evolution with integer parameters, the genetic
-    algorithm with categorical ones."""
+def method_name(method: str) -> str:
+    """The method of a name, or "auto"."""
     name = choice("method", method).strip().lower().replace("_", "-").replace(" ", "-")
     if name == "auto":
-        return _core.auto_method(kinds)
-    if name in LATER:
+        return name
+    if name in LATER and name not in METHODS:
         raise MethodNotAvailable(f"method = {method!r} is not in this version; there are: {', '.join(METHODS)}")
     if name not in METHODS:
         near = [_SYNONYMS[name]] if name in _SYNONYMS else difflib.get_close_matches(name, METHODS, 1)

@@ -125,6 +125,24 @@ class Trace:
         return f"<Trace: {len(self)} evaluations of {self.x.shape[1]} parameters, {failed} failed, {unused} unused>"
 
 
+class Optimum(NamedTuple):
+    """A minimum that local searches from several starts ended at.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+        The point.
+    fun : float
+        Its cost.
+    n_starts : int
+        How many starts led there.
+    """
+
+    x: FloatArray
+    fun: float
+    n_starts: int
+
+
 class BarrierStage(NamedTuple):
     """One stage of a sequential barrier search.
 
@@ -202,8 +220,12 @@ class OptimizeResult:
         The reasons of failed calls and how often each occurred.
     trace : Trace or None
         Every evaluation.
+    optima : tuple of Optimum
+        The distinct minima that local searches from several starts ended at, the best first ("multistart").
     method, batch : str
         The method, and its plan of which points are evaluated ahead of need.
+    method_reason : str or None
+        Why the method was chosen, where the choice was left open ("auto").
     workers : int
         Evaluations that could run at once.
     figures : tuple of matplotlib figures
@@ -240,6 +262,8 @@ class OptimizeResult:
         n_cached: int = 0,
         final_population: tuple[FloatArray, FloatArray] | None = None,
         schedule: Sequence[tuple[float, float, FloatArray, float, int]] = (),
+        optima: Sequence[tuple[FloatArray, float, int]] = (),
+        method_reason: str | None = None,
         seed: int | None = None,
         failures: dict[str, int] | None = None,
         trace: Trace | None = None,
@@ -270,6 +294,8 @@ class OptimizeResult:
         self.final_simplex = final_simplex
         self.final_population = final_population
         self.schedule = tuple(BarrierStage(*stage) for stage in schedule)
+        self.optima = tuple(Optimum(*optimum) for optimum in optima)
+        self.method_reason = method_reason
         self.seed = seed
         self.failures = failures or {}
         self.trace = trace

@@ -52,6 +52,12 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         false
     }
 
+    /// Begins anew, with another population perhaps, if the search is to go on although it has come to an end.
+    fn restart(&mut self, pool: &Populations) -> bool {
+        let _ = pool;
+        false
+    }
+
     /// Whether this fits to a problem and to its pool: what comes from a file may not.
     fn is_sound(&self, pool: &Populations) -> bool;
 }
@@ -87,12 +93,24 @@ pub struct Generations<B> {
     n_iterations: usize,
     tests: Option<Tests>,
     f_0: f64,
+    /// The tests that passed before the last restart; they hold while no better point is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    passed: Option<Tests>,
 }
 
 impl<B: GenerationRules> Generations<B> {
     pub(crate) fn new(rules: B, pool: Populations) -> Self {
         let rounds = Rounds::with_capacity(pool.population.len());
-        Self { rules, pool, phase: Phase::Starting, rounds, n_iterations: 0, tests: None, f_0: 0.0 }
+        Self {
+            rules,
+            pool,
+            phase: Phase::Starting,
+            rounds,
+            n_iterations: 0,
+            tests: None,
+            f_0: 0.0,
+            passed: None,
+        }
     }
 
     /// Continues from a state that was saved for this problem.
@@ -131,15 +149,27 @@ impl<B: GenerationRules> Generations<B> {
         });
         self.tests = Some(tests);
         let best = self.rounds.best().map_or(f64::INFINITY, |(_, f)| f);
-        let ended = self.rules.ended(&self.pool, best);
-        self.phase = match ended {
+        let ended = match self.rules.ended(&self.pool, best) {
             _ if tests.passed && !self.rules.tries_neighbours(&self.pool.setup.space) => {
-                Phase::Ended(Termination::Converged)
+                Some(Termination::Converged)
             }
             // No neighbour can be tried any more.
-            Some(Termination::Collapsed) if tests.passed => Phase::Ended(Termination::Converged),
-            Some(termination) => Phase::Ended(termination),
+            Some(Termination::Collapsed) if tests.passed => Some(Termination::Converged),
+            other => other,
+        };
+        if let Some(earlier) = self.passed.filter(|earlier| best >= earlier.f_best) {
+            self.tests = Some(earlier);
+        }
+        self.phase = match ended {
             None => Phase::Proposing,
+            Some(_) if self.rules.restart(&self.pool) => {
+                self.passed = self.tests.filter(|tests| tests.passed);
+                Phase::Proposing
+            }
+            Some(_) if self.passed.is_some() && self.tests == self.passed => {
+                Phase::Ended(Termination::Converged)
+            }
+            Some(termination) => Phase::Ended(termination),
         };
     }
 }

@@ -1,16 +1,13 @@
 """The 22 functions of Moré and Wild (SIAM J. Optim. 20, 2009) as residual vectors, from the published formulas: Moré,
 Garbow and Hillstrom (ACM Trans. Math. Softw. 7, 1981) for 1 to 18, CUTEr for Bdqrtic, Cube, Mancino and Heart8."""
 
-import csv
+import dataclasses
 import math
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Callable
+from functools import partial
 
 import numpy as np
+from problem import Array, Problem, sum_of_squares
 from scipy.optimize import least_squares
-
-TABLE = Path(__file__).resolve().parents[2] / "shared" / "data" / "more_wild.csv"
 
 BARD = np.array([0.14, 0.18, 0.22, 0.25, 0.29, 0.32, 0.35, 0.39, 0.37, 0.58, 0.73, 0.96, 1.34, 2.10, 4.39])
 KOWALIK_V = np.array([4.0, 2.0, 1.0, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625])
@@ -144,57 +141,89 @@ def residuals(number: int, m: int, x: np.ndarray) -> np.ndarray:
         )  # fmt: skip
     raise ValueError(f"there is no function {number}")
 
-
-@dataclass
-class Problem:
-    """A sum of squares with its start, its box (infinite where there is none) and the best value known."""
-
-    name: str
-    f: Callable[[np.ndarray], float]
-    x0: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    best: float
-
-    @property
-    def n(self) -> int:
-        return len(self.x0)
-
-
-def cost(number: int, m: int) -> Callable[[np.ndarray], float]:
-    """The sum of squares; not finite where a term overflows."""
-
-    def f(x: np.ndarray) -> float:
-        with np.errstate(all="ignore"):
-            r = residuals(number, m, np.asarray(x, dtype=float))
-            return float(r @ r)
-
-    return f
-
-
-def smooth() -> list[Problem]:
-    """The 53 instances, with the best values of the table."""
-    problems = []
-    with TABLE.open() as file:
-        for row in csv.DictReader(line for line in file if not line.startswith("#")):
-            number, n, m, exponent = (int(row[key]) for key in ("nprob", "n", "m", "ns"))
-            x0, free = start(number, n) * 10.0**exponent, np.full(n, np.inf)
-            problems.append(Problem(f"{number}/{n}/{exponent}", cost(number, m), x0, -free, free, float(row["f_best"])))
-    return problems
-
+# Number of the function, n, m, exponent of the start's scale, best sum of squares known.
+INSTANCES = [
+    (1, 9, 45, 0, 35.99999999999998), (1, 9, 45, 1, 35.99999999999997), (2, 7, 35, 0, 8.380281690140844),
+    (2, 7, 35, 1, 8.380281690140844), (3, 7, 35, 0, 9.880597014925371), (3, 7, 35, 1, 9.880597014925371),
+    (4, 2, 2, 0, 0.0), (4, 2, 2, 1, 0.0), (5, 3, 3, 0, 0.0), (5, 3, 3, 1, 0.0), (6, 4, 4, 0, 1.0837888763552525e-72),
+    (6, 4, 4, 1, 3.9911429117656076e-70), (7, 2, 2, 0, 1.3762381623173845), (7, 2, 2, 1, 0.0),
+    (8, 3, 15, 0, 0.008214877306578954), (8, 3, 15, 1, 0.008214877306578957), (9, 4, 11, 0, 0.0003075056038492367),
+    (10, 3, 16, 0, 87.94585517045806), (11, 6, 31, 0, 0.002287670053552378), (11, 6, 31, 1, 0.0022876700535524),
+    (11, 9, 31, 0, 1.3997601380947563e-06), (11, 9, 31, 1, 1.399760138206813e-06),
+    (11, 12, 31, 0, 4.722381274184104e-10), (11, 12, 31, 1, 4.722383722478784e-10), (12, 3, 10, 0, 0.0),
+    (13, 2, 10, 0, 124.36218235561476), (14, 4, 20, 0, 85822.20162635627), (14, 4, 20, 1, 85822.20162635625),
+    (15, 6, 6, 0, 5.966236728414598e-32), (15, 7, 7, 0, 6.915267641132454e-32), (15, 8, 8, 0, 0.003516873725677939),
+    (15, 9, 9, 0, 4.324975873646821e-32), (15, 10, 10, 0, 0.004772713696375357),
+    (15, 11, 11, 0, 0.0027997615518657727), (16, 10, 10, 0, 0.0), (17, 5, 33, 0, 5.4648946974826946e-05),
+    (18, 11, 65, 0, 0.04013773629354773), (18, 11, 65, 1, 0.9843748684995508), (19, 8, 8, 0, 10.238973421317436),
+    (19, 10, 12, 0, 18.281161753593537), (19, 11, 14, 0, 22.260591734883757), (19, 12, 16, 0, 26.272766396793962),
+    (20, 5, 5, 0, 0.0), (20, 6, 6, 0, 4.216780360674508e-10), (20, 8, 8, 0, 9.783574632801898e-07),
+    (21, 5, 5, 0, 2.6823673963376067e-22), (21, 5, 5, 1, 2.6823673963376067e-22),
+    (21, 8, 8, 0, 4.199242156349399e-22), (21, 10, 10, 0, 2.0641064340039047e-22),
+    (21, 12, 12, 0, 1.3221722765707218e-22), (21, 12, 12, 1, 1.3221722765707218e-22),
+    (22, 8, 8, 0, 3.402155246760052e-30), (22, 8, 8, 1, 3.352851440183739e-30),
+]
 
 BOUNDED = [(4, 2, 2), (5, 3, 3), (6, 4, 4), (7, 2, 2), (8, 3, 15), (9, 4, 11), (12, 3, 10), (13, 2, 10), (14, 4, 20)]
 BOUNDED += [(15, 6, 6), (16, 10, 10), (17, 5, 33), (19, 8, 8), (20, 5, 5), (22, 8, 8), (11, 6, 31)]
 
+SIGMA = 1e-3
+
+
+def smooth() -> list[Problem]:
+    """The 53 instances. Their place in the list is their number: even ones tune, odd ones judge."""
+    problems = []
+    for k, (number, n, m, exponent, best) in enumerate(INSTANCES):
+        free, of = np.full(n, np.inf), partial(residuals, number, m)
+        x0 = start(number, n) * 10.0**exponent
+        problems.append(Problem(f"{number}/{n}/{exponent}", k, x0, -free, free, best, residuals=of))
+    return problems
+
+
+def stochastic(values: Array, rng: np.random.Generator, x: Array) -> Array:
+    """Each residual times 1 + 1e-3 u, u uniform in [-sqrt 3, sqrt 3], as in Moré and Wild's tests with noise."""
+    return values * (1.0 + SIGMA * rng.uniform(-math.sqrt(3.0), math.sqrt(3.0), len(values)))
+
+
+def deterministic(values: Array, rng: np.random.Generator, x: Array) -> Array:
+    """Relative noise that is a function of x: their cubic Chebyshev polynomial of sines and cosines of norms of 100 x."""
+    norms = (np.abs(x).sum(), np.abs(x).max(), math.sqrt(float(x @ x)))
+    phi = 0.9 * math.sin(100.0 * norms[0]) * math.cos(100.0 * norms[1]) + 0.1 * math.cos(norms[2])
+    return values * math.sqrt(max(0.0, 1.0 + SIGMA * phi * (4.0 * phi * phi - 3.0)))
+
+
+def noisy(kind: str) -> list[Problem]:
+    """The smooth problems with relative noise of 1e-3; judged without it."""
+    disturb = {"stochastic": stochastic, "deterministic": deterministic}[kind]
+    return [dataclasses.replace(p, disturb=disturb) for p in smooth()]
+
+
+def _absolute(number: int, m: int, x: Array) -> float:
+    """The sum of absolute residuals; Moré and Wild clip x at 0 in some problems there."""
+    with np.errstate(all="ignore"):
+        r = residuals(number, m, np.maximum(x, 0.0) if number in (8, 9, 13, 16, 17, 18) else x)
+        cost = float(np.abs(r).sum())
+    return cost if np.isfinite(cost) else np.inf
+
+
+def nonsmooth() -> list[Problem]:
+    """The sums of absolute residuals; the best value is that of the solvers of a run."""
+    problems = []
+    for k, (number, n, m, exponent, _) in enumerate(INSTANCES):
+        free, x0 = np.full(n, np.inf), start(number, n) * 10.0**exponent
+        cost = partial(_absolute, number, m)
+        problems.append(Problem(f"|{number}|/{n}/{exponent}", k, x0, -free, free, np.inf, cost=cost))
+    return problems
+
 
 def bounded(active: bool) -> list[Problem]:
     """16 of the problems in boxes around start and minimum; `active` cuts every other coordinate before the minimum.
-    The best value is that of bounded least squares from three starts."""
+    The best value is that of bounded least squares from three starts, and of the solvers of a run."""
     problems = []
-    for number, n, m in BOUNDED:
+    for place, (number, n, m) in enumerate(BOUNDED):
         x0 = start(number, n)
 
-        def r(x: np.ndarray, number: int = number, m: int = m) -> np.ndarray:
+        def r(x: Array, number: int = number, m: int = m) -> Array:
             with np.errstate(all="ignore"):
                 return np.nan_to_num(residuals(number, m, x), nan=1e100, posinf=1e100, neginf=-1e100)
 
@@ -211,6 +240,31 @@ def bounded(active: bool) -> list[Problem]:
                     lower[k] = cut
         starts = (x0, 0.5 * (lower + upper), np.clip(minimum, lower, upper))
         inside = [np.clip(s, lower + 1e-9 * (upper - lower), upper - 1e-9 * (upper - lower)) for s in starts]
-        best = min(2.0 * least_squares(r, s, bounds=(lower, upper), **solve).cost for s in inside)
-        problems.append(Problem(f"{number}/{n}", cost(number, m), x0, lower, upper, best))
+        best = min(sum_of_squares(least_squares(r, s, bounds=(lower, upper), **solve).fun) for s in inside)
+        of = partial(residuals, number, m)
+        problems.append(Problem(f"{number}/{n}", place, x0, lower, upper, best, residuals=of))
+    return problems
+
+
+def failing() -> list[Problem]:
+    """The bounded problems with minima inside, failing beyond a random plane through the box that leaves start and minimum
+    on its good side (seed: the number of the problem); and Rosenbrock's function with three failing regions near the path."""
+    problems = []
+    for p in bounded(False):
+        rng, of = np.random.default_rng([7, p.number]), p.residuals
+        assert of is not None
+        minimum = least_squares(of, p.x0, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac").x
+        normal = rng.normal(size=p.n) / (p.upper - p.lower)
+        reach = max(normal @ p.x0, normal @ minimum)
+        corner = np.where(normal > 0, p.upper, p.lower) @ normal
+        level = reach + 0.1 * (corner - reach)
+        fails = partial(lambda normal, level, x: bool(normal @ x > level), normal, level)
+        problems.append(dataclasses.replace(p, name=f"failing {p.name}", fails=fails))
+    box = np.full(2, 2.0)
+    problems.append(
+        Problem(
+            "failing regions", 17, np.array([-0.5, 1.0]), -box, box, 0.0, residuals=partial(residuals, 4, 2),
+            fails=lambda x: bool(x[0] + x[1] < -0.2 or (x[0] > 0.2 and x[1] < 0.02) or x[1] > 1.6),
+        )
+    )  # fmt: skip
     return problems

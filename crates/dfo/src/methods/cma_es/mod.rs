@@ -1,0 +1,72 @@
+//! CMA-ES: a normal distribution whose mean, step size and covariance matrix follow the best points of each generation
+//! (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, 2016; equation numbers are those of the tutorial),
+//! with negative weights for the worst (Jastrebski and Arnold, CEC 2006) and restarts with other populations (IPOP: Auger
+//! and Hansen, CEC 2005; BIPOP: Hansen, GECCO workshop 2009).
+//!
+//! A generation is one batch. Each individual is drawn from a stream of its own, so the number of workers changes nothing.
+//! The distribution is over the working coordinates in units of their sizes, so that parameters of any magnitude are alike.
+//!
+//! **Bounds.** No point outside is evaluated, and none is drawn twice: the distribution has no bounds, and a map that is the
+//! identity but near the bounds ([`CmaBounds`]) brings what is drawn inside.
+//!
+//! **Failures.** A failed individual ranks last and enters neither the mean nor the covariance matrix, the negative weights
+//! included; the positive weights of those that are left sum to 1. After a generation without any cost the mean goes back to
+//! the best point of the run, with half the step size.
+//!
+//! **Cutoffs**: none, for every rank counts.
+
+mod boundary;
+mod distribution;
+mod options;
+mod restarts;
+mod state;
+mod weights;
+
+pub use options::{CmaBounds, CmaEs, Restarts};
+pub use state::CmaEsState;
+
+use crate::error::Error;
+use crate::memory;
+use crate::method::{MethodOptions, Setup};
+use crate::methods::shared::generations::Generations;
+use crate::option_texts;
+use crate::rng::draw_seed;
+use state::CmaRules;
+
+/// The problem without bounds that stand for "none".
+fn prepared(setup: &Setup) -> Setup {
+    Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
+}
+
+impl MethodOptions for CmaEs {
+    type Method = CmaEsState;
+
+    fn begin(&self, setup: &Setup) -> Result<CmaEsState, Error> {
+        setup.tolerances.check()?;
+        setup.space.require_continuous("cma-es")?;
+        let n = setup.space.n_free();
+        let members = self.members(n)?;
+        // Population, candidates and batch on two scales, the steps; the matrix, its axes, and what decomposing it needs.
+        memory::check("a covariance matrix of so many parameters", &[4, n, n])?;
+        memory::check("a population of so many members and parameters", &[4 * members, setup.space.n() + n])?;
+        let setup = prepared(setup);
+        let seed = setup.seed.unwrap_or_else(draw_seed);
+        Ok(CmaRules::begin(self, setup, members, seed))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<CmaEsState, Error> {
+        Generations::restore(&prepared(setup), state)
+    }
+
+    fn needs_start(&self) -> bool {
+        false
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        option_texts::fields(self)
+    }
+
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
+        (Some(5000usize.saturating_mul(n + 1)), None)
+    }
+}

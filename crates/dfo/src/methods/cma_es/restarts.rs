@@ -1,0 +1,94 @@
+//! With which population and step size the search begins anew, and where.
+
+use super::options::{CmaEs, Restarts};
+use crate::methods::shared::population::MAX_MEMBERS;
+use crate::rng::Stream;
+use crate::space::Space;
+use serde::{Deserialize, Serialize};
+
+/// The population is doubled at most so often (Auger and Hansen 2005, Hansen 2009).
+const MOST_DOUBLED: u32 = 9;
+
+/// The runs made so far, and the one under way.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Schedule {
+    kind: Restarts,
+    /// Population and step size of the first run.
+    members: usize,
+    sigma: f64,
+    n_doubled: u32,
+    /// Whether the run under way is one with a small population.
+    is_small: bool,
+    /// Evaluations of the runs with large and with small populations, and of the last one with a large population.
+    n_large: usize,
+    n_small: usize,
+    n_last_large: usize,
+    n_runs: usize,
+}
+
+impl Schedule {
+    pub(super) fn new(options: &CmaEs, members: usize) -> Self {
+        Self {
+            kind: options.restarts,
+            members,
+            sigma: options.sigma,
+            n_doubled: 0,
+            is_small: false,
+            n_large: 0,
+            n_small: 0,
+            n_last_large: 0,
+            n_runs: 0,
+        }
+    }
+
+    /// Whether a run of so many generations must make way for the next: `100 + 50 (n + 3)^2 / sqrt(population)` (Hansen 2009,
+    /// MaxIter), and half of the evaluations of the last run with a large population for one with a small population.
+    pub(super) fn is_over(&self, n: usize, members: usize, n_generations: usize) -> bool {
+        let most = 100.0 + 50.0 * (n as f64 + 3.0).powi(2) / (members as f64).sqrt();
+        let spent = self.is_small && n_generations * members >= self.n_last_large / 2;
+        self.kind != Restarts::None && (spent || n_generations as f64 > most)
+    }
+
+    /// Population and step size of the next run, if there is to be one. `n_evaluations`: of the run that has ended.
+    pub(super) fn next(&mut self, n_evaluations: usize, stream: &mut Stream) -> Option<(usize, f64)> {
+        if self.kind == Restarts::None {
+            return None;
+        }
+        if self.is_small {
+            self.n_small += n_evaluations;
+        } else if self.n_runs > 0 {
+            self.n_large += n_evaluations;
+            self.n_last_large = n_evaluations;
+        }
+        self.n_runs += 1;
+        self.is_small = self.kind == Restarts::Bipop && self.n_small < self.n_large;
+        if self.is_small {
+            let (u, v) = (stream.uniform(), stream.uniform());
+            let ratio = 0.5 * f64::from(2u32.pow(self.n_doubled));
+            let members = (self.members as f64 * ratio.powf(u * u)) as usize;
+            return Some((members.clamp(2, MAX_MEMBERS), self.sigma * 10f64.powf(-2.0 * v)));
+        }
+        self.n_doubled += 1;
+        let members = self.members.saturating_mul(2usize.pow(self.n_doubled.min(MOST_DOUBLED)));
+        (self.n_doubled <= MOST_DOUBLED && members <= MAX_MEMBERS).then_some((members, self.sigma))
+    }
+
+    /// Number of the run under way; the first is 0.
+    pub(super) fn n_runs(&self) -> usize {
+        self.n_runs
+    }
+}
+
+/// A point to begin anew from, in working coordinates: uniform in the box; along a parameter without a box normally
+/// distributed around the start point, with the size of the parameter as standard deviation.
+pub(super) fn draw_start(space: &Space, stream: &mut Stream, u: &mut [f64]) {
+    space.to_working(space.x0(), u);
+    for (k, u) in u.iter_mut().enumerate() {
+        let (lower, upper) = space.working_bounds(k);
+        let drawn = match space.width(k) {
+            Some(_) => stream.between(lower, upper),
+            None => stream.normal(*u, space.size(k)),
+        };
+        *u = if drawn.is_finite() { drawn.clamp(lower, upper) } else { *u };
+    }
+}

@@ -1,0 +1,226 @@
+//! The running search: how a generation is drawn and what is learnt from it.
+
+use super::boundary::Boundary;
+use super::distribution::Distribution;
+use super::options::{CmaBounds, CmaEs};
+use super::restarts::{Schedule, draw_start};
+use super::weights::Weights;
+use crate::method::Setup;
+use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
+use crate::methods::shared::ranked_points::RankedPoints;
+use crate::rng::{Purpose, Stream};
+use crate::space::Space;
+use crate::termination::Termination;
+use serde::{Deserialize, Serialize};
+
+/// A running CMA-ES; made by [`CmaEs`].
+pub type CmaEsState = Generations<CmaRules>;
+
+/// So many generations in a row without any cost end a run.
+const MOST_BARREN: usize = 50;
+
+/// What CMA-ES keeps besides its population, which is the last generation.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct CmaRules {
+    handling: CmaBounds,
+    weights: Weights,
+    distribution: Distribution,
+    /// The steps of the individuals, one after the other, and their squared lengths in units of the distribution.
+    steps: Vec<f64>,
+    squared: Vec<f64>,
+    normals: Vec<f64>,
+    point: Vec<f64>,
+    /// The best point since the last restart.
+    best: Vec<f64>,
+    best_cost: f64,
+    /// Generations since the last restart, those of them since the best point changed, and the last ones without a cost.
+    n_generations: usize,
+    idle: usize,
+    barren: usize,
+    /// Whether the distribution has no extent any more that numbers could resolve.
+    degenerate: bool,
+    schedule: Schedule,
+}
+
+/// From working coordinates to what the distribution is over.
+fn unbend(point: &mut [f64], space: &Space, handling: CmaBounds) {
+    for (k, u) in point.iter_mut().enumerate() {
+        *u = Boundary::new(space, k, handling).unbend(*u);
+    }
+}
+
+impl CmaRules {
+    pub(super) fn begin(options: &CmaEs, setup: Setup, members: usize, seed: u64) -> CmaEsState {
+        let (space, n) = (&setup.space, setup.space.n_free());
+        let mut mean = vec![0.0; n];
+        space.to_working(space.x0(), &mut mean);
+        unbend(&mut mean, space, options.bounds_handling);
+        let mut rules = Self {
+            handling: options.bounds_handling,
+            weights: Weights::new(n, members),
+            distribution: Distribution::new(mean.clone(), options.sigma),
+            steps: Vec::new(),
+            squared: Vec::new(),
+            normals: vec![0.0; n],
+            point: vec![0.0; n],
+            best: mean,
+            best_cost: f64::INFINITY,
+            n_generations: 0,
+            idle: 0,
+            barren: 0,
+            degenerate: false,
+            schedule: Schedule::new(options, members),
+        };
+        let mut population = RankedPoints::new(space, members);
+        rules.draw((seed, 0), members, space, &mut population);
+        // The start itself is an individual of the first generation, with a step of nothing.
+        if setup.start_given || n == 0 {
+            population.place_exactly(0, space.x0(), space);
+            rules.steps[..n].fill(0.0);
+            rules.squared[0] = 0.0;
+        }
+        let candidates = RankedPoints::new(space, members);
+        Generations::new(rules, Populations { setup, seed, population, candidates })
+    }
+
+    /// Draws a generation, each individual from a stream of its own.
+    fn draw(
+        &mut self,
+        (seed, generation): (u64, u64),
+        members: usize,
+        space: &Space,
+        into: &mut RankedPoints,
+    ) {
+        let n = space.n_free();
+        self.steps.resize(members * n, 0.0);
+        self.squared.resize(members, 0.0);
+        for (i, squared) in self.squared.iter_mut().enumerate() {
+            let mut stream = Stream::new(seed, Purpose::Individual, generation, i);
+            let step = &mut self.steps[i * n..(i + 1) * n];
+            *squared = self.distribution.draw(&mut stream, &mut self.normals, step);
+            for (k, u) in self.point.iter_mut().enumerate() {
+                let mean = self.distribution.mean[k];
+                let drawn = mean + self.distribution.sigma * space.size(k) * step[k];
+                *u = Boundary::new(space, k, self.handling).bend(drawn, mean);
+            }
+            into.place(i, &self.point, space);
+        }
+    }
+
+    /// Takes in a generation that is ranked.
+    fn learn(&mut self, generation: &RankedPoints, space: &Space) {
+        let n = space.n_free();
+        self.n_generations += 1;
+        self.idle += 1;
+        if let Some(cost) = generation.cost(generation.best()).value() {
+            if cost < self.best_cost {
+                self.best_cost = cost;
+                self.best.copy_from_slice(generation.u(generation.best()));
+                self.idle = 0;
+            }
+            self.barren = 0;
+        } else {
+            self.barren += 1;
+            self.point.copy_from_slice(&self.best);
+            unbend(&mut self.point, space, self.handling);
+            self.distribution.retreat(&self.point);
+            return;
+        }
+        let ranked = generation.order()[..generation.n_finite()].iter();
+        let ranked = ranked.map(|&slot| (&self.steps[slot * n..(slot + 1) * n], self.squared[slot]));
+        self.distribution.update(&self.weights, ranked, |k| space.size(k));
+        // Wider than the box along every parameter it would be as good as uniform.
+        let excess = |k: usize| match space.width(k) {
+            Some(width) => self.distribution.deviation(k) * space.size(k) / (0.5 * width),
+            None => 0.0,
+        };
+        let least = (0..n).map(excess).fold(f64::INFINITY, f64::min);
+        if least > 1.0 && least.is_finite() {
+            self.distribution.sigma /= least;
+        }
+    }
+
+    /// Generations without a better point after which a run is stuck: those of the stagnation test of Hansen (2009), with
+    /// equal costs those of its test for equal function values.
+    fn most_idle(&self, n: usize, members: usize, is_flat: bool) -> usize {
+        let rate = (30 * n).div_ceil(members);
+        if is_flat { 10 + rate } else { 120 + rate + self.n_generations / 5 }
+    }
+}
+
+impl GenerationRules for CmaRules {
+    fn name(&self) -> &'static str {
+        "cma-es"
+    }
+
+    fn make_candidates(&mut self, generation: u64, pool: &mut Populations) {
+        let Populations { setup, seed, candidates, .. } = pool;
+        self.degenerate = !self.distribution.refresh(&self.weights);
+        let members = self.weights.of_rank.len();
+        candidates.resize(members);
+        self.draw((*seed, generation), members, &setup.space, candidates);
+    }
+
+    /// Every rank counts.
+    fn cutoff(&self, _: &Populations, _: usize) -> f64 {
+        f64::INFINITY
+    }
+
+    /// The candidates are the next generation, whatever the costs.
+    fn select(&mut self, pool: &mut Populations) {
+        let Populations { setup, population, candidates, .. } = pool;
+        candidates.rank();
+        self.learn(candidates, &setup.space);
+        std::mem::swap(population, candidates);
+    }
+
+    fn started(&mut self, pool: &Populations) {
+        if pool.population.n_finite() > 0 {
+            self.learn(&pool.population, &pool.setup.space);
+        }
+    }
+
+    fn ended(&mut self, pool: &Populations, _: f64) -> Option<Termination> {
+        let Populations { setup: Setup { space, .. }, population, .. } = pool;
+        let (n, members) = (space.n_free(), population.len());
+        let is_flat = population.f_spread(population.order()) == Some(0.0);
+        if self.degenerate || population.is_collapsed(space) {
+            Some(Termination::Collapsed)
+        } else if self.barren >= MOST_BARREN {
+            Some(Termination::AllFailed)
+        } else if self.idle > self.most_idle(n, members, is_flat)
+            || self.schedule.is_over(n, members, self.n_generations)
+        {
+            Some(Termination::Stalled)
+        } else {
+            None
+        }
+    }
+
+    fn restart(&mut self, pool: &Populations) -> bool {
+        let (space, n) = (&pool.setup.space, pool.setup.space.n_free());
+        let mut stream = Stream::new(pool.seed, Purpose::Restart, 0, self.schedule.n_runs());
+        let n_evaluations = self.n_generations * self.weights.of_rank.len();
+        let Some((members, sigma)) = self.schedule.next(n_evaluations, &mut stream) else { return false };
+        self.weights = Weights::new(n, members);
+        draw_start(space, &mut stream, &mut self.best);
+        let mut mean = self.best.clone();
+        unbend(&mut mean, space, self.handling);
+        self.distribution = Distribution::new(mean, sigma);
+        self.best_cost = f64::INFINITY;
+        (self.n_generations, self.idle, self.barren, self.degenerate) = (0, 0, 0, false);
+        true
+    }
+
+    fn is_sound(&self, pool: &Populations) -> bool {
+        let (n, members) = (pool.setup.space.n_free(), self.weights.of_rank.len());
+        let n_drawn = self.squared.len();
+        self.distribution.is_sound(n)
+            && self.weights.is_sound(members)
+            && members >= 1
+            && self.steps.len() == n_drawn * n
+            && (n_drawn == pool.candidates.len() || n_drawn == pool.population.len())
+            && [&self.normals, &self.point, &self.best].iter().all(|v| v.len() == n)
+            && pool.population.len() >= 1
+    }
+}

@@ -1,0 +1,101 @@
+//! Which points of a sample start a search, and which searches ended at one minimum.
+
+use crate::method::Optimum;
+use crate::methods::shared::ranked_points::RankedPoints;
+use crate::space::Space;
+
+/// The share of the sample that is looked at (gamma), and sigma of the critical distance: Rinnooy Kan and Timmer's.
+const LOOKED_AT: f64 = 0.2;
+const SIGMA: f64 = 4.0;
+
+/// Ends that differ by less than this share of the box in every parameter are one minimum.
+const SAME: f64 = 5e-3;
+
+/// How many points of a sample are looked at.
+pub(super) fn n_looked_at(sample: usize) -> usize {
+    ((LOOKED_AT * sample as f64).ceil() as usize).clamp(1, sample.max(1))
+}
+
+/// The critical distance for so many points in `n` dimensions, in units of the box.
+pub(super) fn critical_distance(n: usize, sample: usize) -> f64 {
+    let (n, count) = (n.max(1) as f64, sample.max(2) as f64);
+    // By logarithms, for the gamma function overflows.
+    let volume = ln_gamma(1.0 + 0.5 * n) + (SIGMA * count.ln() / count).ln();
+    (volume / n).exp() / std::f64::consts::PI.sqrt()
+}
+
+/// ln Gamma of a positive multiple of one half.
+fn ln_gamma(x: f64) -> f64 {
+    let mut at = if x.fract() == 0.0 { 1.0 } else { 0.5 };
+    let mut value = if at == 0.5 { 0.5 * std::f64::consts::PI.ln() } else { 0.0 };
+    while at < x - 0.25 {
+        value += at.ln();
+        at += 1.0;
+    }
+    value
+}
+
+/// The distance of two points in units of the box.
+fn distance(space: &Space, u: &[f64], v: &[f64]) -> f64 {
+    let share = |(k, (u, v)): (usize, (&f64, &f64))| ((u - v) / space.width(k).unwrap_or(1.0)).powi(2);
+    u.iter().zip(v).enumerate().map(share).sum::<f64>().sqrt()
+}
+
+/// The points that start a search: among the best fifth and not yet used, none better within the critical distance. Needs
+/// up-to-date ranks.
+pub(super) fn starts(space: &Space, sample: &RankedPoints, used: &[bool]) -> Vec<usize> {
+    let critical = critical_distance(space.n_free(), sample.len());
+    let looked_at = &sample.order()[..n_looked_at(sample.len())];
+    let is_start = |rank: usize| {
+        let slot = looked_at[rank];
+        let near = |other: &usize| distance(space, sample.u(slot), sample.u(*other)) <= critical;
+        !used[slot] && sample.cost(slot).value().is_some() && !looked_at[..rank].iter().any(near)
+    };
+    (0..looked_at.len()).filter(|&rank| is_start(rank)).map(|rank| looked_at[rank]).collect()
+}
+
+/// Enters the end of a search into the list of minima, the best first.
+pub(super) fn enter(space: &Space, minima: &mut Vec<Optimum>, found: Optimum) {
+    let (mut u, mut v) = (vec![0.0; space.n_free()], vec![0.0; space.n_free()]);
+    space.to_working(&found.x, &mut u);
+    let same = minima.iter().position(|known| {
+        space.to_working(&known.x, &mut v);
+        (0..u.len()).all(|k| (u[k] - v[k]).abs() <= SAME * space.width(k).unwrap_or(1.0))
+    });
+    match same {
+        Some(k) if found.cost < minima[k].cost => {
+            minima[k] = Optimum { n_starts: minima[k].n_starts + found.n_starts, ..found };
+        }
+        Some(k) => minima[k].n_starts += found.n_starts,
+        None => minima.push(found),
+    }
+    minima.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+}
+
+/// Whether less than half a minimum is missing after so many trials, see the [module](super).
+pub(super) fn are_probably_all(minima: usize, trials: usize) -> bool {
+    let (w, t) = (minima as f64, trials as f64);
+    t > w + 2.0 && w * (t - 1.0) / (t - w - 2.0) < w + 0.5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_critical_distance_is_that_of_the_formula() {
+        // n = 2: (sigma ln N / (pi N))^(1/2); n = 3: Gamma(5/2) = 3 sqrt(pi) / 4.
+        let expected = (4.0 * 100f64.ln() / (std::f64::consts::PI * 100.0)).sqrt();
+        assert!((critical_distance(2, 100) / expected - 1.0).abs() < 1e-12);
+        let gamma = 0.75 * std::f64::consts::PI.sqrt();
+        let expected = (gamma * 4.0 * 50f64.ln() / 50.0).cbrt() / std::f64::consts::PI.sqrt();
+        assert!((critical_distance(3, 50) / expected - 1.0).abs() < 1e-12);
+        assert!(critical_distance(1000, 20_000).is_finite());
+    }
+
+    #[test]
+    fn the_expected_number_of_minima_ends_the_search() {
+        // One minimum in 8 trials: 7 / 5 < 1.5; in 7: 6 / 4 = 1.5.
+        assert!(are_probably_all(1, 8) && !are_probably_all(1, 7) && !are_probably_all(5, 7));
+    }
+}

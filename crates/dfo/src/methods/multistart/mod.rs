@@ -1,0 +1,79 @@
+//! Local searches from several starts in a box: a sample of the box, clustering, and a search from the best point of each
+//! cluster (multi-level single linkage: Rinnooy Kan and Timmer, Math. Program. 39, 1987, 57), under one budget.
+//!
+//! An iteration of the algorithm samples `N` further points. Of all `kN` points so far the best fifth is looked at, the best
+//! first. A point starts a search unless a better one lies within the critical distance
+//! `r_k = pi^(-1/2) (Gamma(1 + n/2) sigma ln(kN) / (kN))^(1/n)`, sigma = 4, in units of the box (their equation 7): then both are
+//! taken for one cluster, and one search is enough. Start points that the user gave are always searched from, first. Several
+//! searches run side by side, and their points are one batch.
+//!
+//! The search ends when the minima found are probably all there are: with `w` of them in `t` trials the expected number is
+//! `w (t - 1) / (t - w - 2)` (Boender and Rinnooy Kan, Math. Program. 37, 1987, 59), and less than half a minimum is missing.
+//! Every point looked at counts as a trial, for it stands for the search of its cluster.
+//!
+//! For costs without residuals, part of the budget goes to differential evolution before (`exploration`): what it finds is the first
+//! start, and its first population is the first sample.
+
+mod clusters;
+mod options;
+mod state;
+
+pub use options::{Multistart, Polish};
+pub use state::MultistartState;
+
+use crate::error::Error;
+use crate::memory;
+use crate::method::{MethodOptions, Setup};
+use crate::methods::shared::population::MAX_MEMBERS;
+use crate::option_texts;
+
+impl MethodOptions for Multistart {
+    type Method = MultistartState;
+
+    fn begin(&self, setup: &Setup) -> Result<MultistartState, Error> {
+        setup.tolerances.check()?;
+        self.check()?;
+        let space = &setup.space;
+        space.require_continuous("multistart")?;
+        space.require_box("multistart")?;
+        let sample = self.sample_of(space.n_free());
+        if sample > MAX_MEMBERS {
+            let range = "at least 1, at most a million";
+            return Err(Error::Option { name: "sample", value: sample as f64, range });
+        }
+        memory::check(
+            "a sample of so many points and parameters",
+            &[3 * sample, space.n() + space.n_free()],
+        )?;
+        MultistartState::begin(self, setup)
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<MultistartState, Error> {
+        MultistartState::restore(self, setup, state)
+    }
+
+    fn needs_start(&self) -> bool {
+        false
+    }
+
+    fn needs_residuals(&self) -> bool {
+        self.polish == Polish::LeastSquares
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        option_texts::fields(self)
+    }
+
+    fn plans_with_budget(&self) -> bool {
+        self.exploration.map_or(self.polish != Polish::LeastSquares, |share| share > 0.0)
+    }
+
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
+        (Some(1000usize.saturating_mul(n + 1)), None)
+    }
+
+    /// A search asks for its start once more.
+    fn default_cache(&self) -> usize {
+        1000
+    }
+}

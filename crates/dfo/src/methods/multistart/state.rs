@@ -1,0 +1,460 @@
+//! The state machine: sampling, exploration, and several local searches side by side.
+
+use super::clusters;
+use super::options::Multistart;
+use crate::answer::{Answers, Best, Want};
+use crate::error::Error;
+use crate::linear_model::LinearModel;
+use crate::method::{
+    Batch, Details, Method, MethodOptions, Operation, Optimum, Setup, Status, restored, saved,
+};
+use crate::methods::shared::cost::Cost;
+use crate::methods::shared::population::MAX_MEMBERS;
+use crate::methods::shared::ranked_points::RankedPoints;
+use crate::methods::shared::rounds::Rounds;
+use crate::rng::draw_seed;
+use crate::sampling::Sampling;
+use crate::termination::Termination;
+use crate::tolerances::Tests;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+enum Phase {
+    /// Points of the sample are being evaluated.
+    Sampling,
+    /// Differential evolution is under way.
+    Exploring,
+    /// Local searches are under way.
+    Searching,
+    NoStart,
+    Ended(Termination),
+}
+
+/// All but the methods inside.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Core {
+    setup: Setup,
+    seed: u64,
+    phase: Phase,
+    sample: RankedPoints,
+    /// The points of the sample that a search has started from.
+    used: Vec<bool>,
+    rounds: Rounds,
+    /// Points that searches are still to start from.
+    queue: Vec<Vec<f64>>,
+    /// Evaluations of the exploration: planned and made.
+    n_planned: usize,
+    n_explored: usize,
+    n_starts: usize,
+    minima: Vec<Optimum>,
+    best: Best,
+    /// The tests and the derivatives of the search that ended at the best minimum.
+    tests: Option<Tests>,
+    model: Option<LinearModel>,
+    n_batches: u64,
+    n_points: u64,
+    n_iterations: usize,
+    operation: Option<Operation>,
+}
+
+/// A local search that is under way.
+struct Search {
+    start: Vec<f64>,
+    method: Box<dyn Method + Send>,
+    /// Its points in the last batch.
+    asked: Batch,
+}
+
+/// The whole as it is stored: the methods inside by their own states.
+#[derive(Serialize, Deserialize)]
+struct Stored<C> {
+    core: C,
+    exploration: Option<Vec<u8>>,
+    searches: Vec<(Vec<f64>, Vec<u8>)>,
+}
+
+/// A running search from several starts; made by [`Multistart`].
+pub struct MultistartState {
+    options: Multistart,
+    core: Core,
+    exploration: Option<Box<dyn Method + Send>>,
+    searches: Vec<Search>,
+    /// What was asked last, all searches together; empty while nothing is.
+    asked: Batch,
+    told: Answers,
+}
+
+impl fmt::Debug for MultistartState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("MultistartState").field("core", &self.core).finish_non_exhaustive()
+    }
+}
+
+impl MultistartState {
+    pub(super) fn begin(options: &Multistart, setup: &Setup) -> Result<Self, Error> {
+        let (space, n) = (&setup.space, setup.space.n_free());
+        let seed = setup.seed.unwrap_or_else(draw_seed);
+        let share = options.exploration_of(n);
+        let planned = setup.max_evaluations.map_or(0, |budget| (share * budget as f64) as usize);
+        let explores = planned > 0 && n > 0;
+        let core = Core {
+            setup: Setup { seed: Some(seed), ..setup.clone() },
+            seed,
+            phase: if explores { Phase::Exploring } else { Phase::Sampling },
+            sample: RankedPoints::new(space, 0),
+            used: Vec::new(),
+            rounds: Rounds::default(),
+            queue: Vec::new(),
+            n_planned: if explores { planned } else { 0 },
+            n_explored: 0,
+            n_starts: 0,
+            minima: Vec::new(),
+            best: Best::default(),
+            tests: None,
+            model: None,
+            n_batches: 0,
+            n_points: 0,
+            n_iterations: 0,
+            operation: None,
+        };
+        let mut state = Self::of(options, core, None);
+        if explores {
+            state.exploration = Some(options.explore(&state.core.setup, planned, None)?);
+        } else {
+            state.enlarge()?;
+            let seeded = state.core.sample.seed_with(setup, true);
+            if n == 0 && seeded == 0 {
+                state.core.sample.place_exactly(0, space.x0(), space);
+            }
+        }
+        Ok(state)
+    }
+
+    fn of(options: &Multistart, core: Core, exploration: Option<Box<dyn Method + Send>>) -> Self {
+        let (asked, told) = (Batch::new(), Answers::default());
+        Self { options: options.clone(), core, exploration, searches: Vec::new(), asked, told }
+    }
+
+    pub(super) fn restore(options: &Multistart, setup: &Setup, state: &[u8]) -> Result<Self, Error> {
+        let space = &setup.space;
+        let stored: Stored<Core> = restored(state, |s: &Stored<Core>| {
+            let core = &s.core;
+            core.setup.space == *space
+                && core.sample.is_sound(space)
+                && core.used.len() == core.sample.len()
+                && core.rounds.is_sound(space.n())
+                && core.best.is_sound(space.n())
+                && core.minima.iter().all(|m| m.x.len() == space.n())
+                && core
+                    .queue
+                    .iter()
+                    .chain(s.searches.iter().map(|(start, _)| start))
+                    .all(|x| x.len() == space.n() && space.bounds().contains(x))
+                && (core.phase != Phase::Exploring || s.exploration.is_some())
+                && (core.phase != Phase::Searching || !s.searches.is_empty())
+        })?;
+        let Stored { core, exploration, searches } = stored;
+        let exploration = match exploration {
+            Some(state) => Some(options.explore(&core.setup, core.n_planned, Some(&state))?),
+            None => None,
+        };
+        let mut whole = Self::of(options, core, exploration);
+        for (start, state) in searches {
+            whole.add(start, Some(&state))?;
+        }
+        Ok(whole)
+    }
+
+    /// The points of the next sample; those there are stay.
+    fn enlarge(&mut self) -> Result<(), Error> {
+        let Core { setup, seed, sample, used, .. } = &mut self.core;
+        let (space, n) = (&setup.space, setup.space.n_free());
+        let (before, more) = (sample.len(), self.options.sample_of(n));
+        let sampling = self.options.sampling_of(n);
+        // A sequence goes on where it ended; what is no sequence is drawn anew.
+        let (skipped, seed) = match sampling {
+            Sampling::Sobol => (before, *seed),
+            _ => (0, seed.wrapping_add(before as u64)),
+        };
+        let mut points = Vec::new();
+        sampling.fill(space, seed, skipped + more, &mut points)?;
+        sample.resize(before + more);
+        used.resize(before + more, false);
+        for slot in before..before + more {
+            let from = (slot - before + skipped) * n;
+            sample.place(slot, &points[from..from + n], space);
+        }
+        Ok(())
+    }
+
+    /// The problem of a search from a point.
+    fn setup_at(&self, start: &[f64]) -> Setup {
+        let Setup { space, .. } = &self.core.setup;
+        let space = space.starting_at(start);
+        Setup { space, start_given: true, prior: Vec::new(), ..self.core.setup.clone() }
+    }
+
+    /// A search from a point; continued from a state where there is one.
+    fn add(&mut self, start: Vec<f64>, state: Option<&[u8]>) -> Result<(), Error> {
+        let method = self.options.search(&self.setup_at(&start), state)?;
+        self.searches.push(Search { start, method, asked: Batch::new() });
+        Ok(())
+    }
+
+    /// The sample is known.
+    fn sampled(&mut self) -> Result<(), Error> {
+        let Core { setup, sample, used, queue, phase, operation, n_starts, .. } = &mut self.core;
+        sample.rank();
+        let first = operation.is_none();
+        if first && sample.n_finite() == 0 {
+            *phase = Phase::NoStart;
+            return Ok(());
+        }
+        if setup.space.n_free() == 0 {
+            (*phase, *operation) = (Phase::Ended(Termination::AllFixed), Some(Operation::Initial));
+            return Ok(());
+        }
+        if first {
+            *operation = Some(Operation::Initial);
+            let has_cost = sample.cost(0).value().is_some();
+            if setup.start_given && has_cost && sample.x(0) == setup.space.x0() {
+                queue.push(sample.x(0).to_vec());
+                used[0] = true;
+            }
+        }
+        let left =
+            self.options.max_starts.map_or(usize::MAX, |most| most.saturating_sub(*n_starts + queue.len()));
+        for slot in clusters::starts(&setup.space, sample, used).into_iter().take(left) {
+            queue.push(sample.x(slot).to_vec());
+            used[slot] = true;
+        }
+        self.next()
+    }
+
+    /// Starts searches, or goes on to the next sample, or ends.
+    fn next(&mut self) -> Result<(), Error> {
+        let at_once = self.options.side_by_side.unwrap_or(if self.core.n_planned > 0 { 1 } else { 4 });
+        while self.searches.len() < at_once && !self.core.queue.is_empty() {
+            let start = self.core.queue.remove(0);
+            self.core.n_starts += 1;
+            self.add(start, None)?;
+        }
+        if !self.searches.is_empty() {
+            self.core.phase = Phase::Searching;
+            return Ok(());
+        }
+        let Core { sample, minima, n_starts, tests, .. } = &self.core;
+        let all = clusters::are_probably_all(minima.len(), clusters::n_looked_at(sample.len()));
+        if all || self.options.max_starts.is_some_and(|most| *n_starts >= most) || sample.len() >= MAX_MEMBERS
+        {
+            let passed = tests.is_some_and(|tests| tests.passed);
+            let end = if passed { Termination::Converged } else { Termination::Stalled };
+            self.core.phase = Phase::Ended(end);
+            return Ok(());
+        }
+        self.core.phase = Phase::Sampling;
+        self.enlarge()
+    }
+
+    /// Takes the answers to the points of the exploration.
+    fn explored(&mut self, answers: &Answers) -> Result<(), Error> {
+        let Some(exploration) = &mut self.exploration else { return Ok(()) };
+        exploration.tell(answers)?;
+        let core = &mut self.core;
+        core.n_explored += answers.outcomes().iter().filter(|o| o.is_known()).count();
+        let (details, status) = (exploration.details(), exploration.status());
+        match (details.operation, details.population) {
+            (Some(Operation::Initial), Some(population)) if core.operation.is_none() => {
+                core.operation = Some(Operation::Initial);
+                let space = &core.setup.space;
+                core.sample = RankedPoints::new(space, population.len());
+                core.used = vec![false; population.len()];
+                for rank in 0..population.len() {
+                    core.sample.place_exactly(rank, population.vertex(rank), space);
+                    core.sample.set_cost(rank, population.cost(rank).map_or(Cost::Failed, Cost::Value));
+                }
+            }
+            (Some(_), _) => core.operation = Some(Operation::Generation),
+            (None, _) => {}
+        }
+        match status {
+            Status::NoStart => core.phase = Phase::NoStart,
+            // Without its first population there is no sample.
+            Status::Running if core.n_explored < core.n_planned || core.operation.is_none() => {}
+            _ => {
+                core.queue.extend(core.best.get().map(|(x, _)| x.to_vec()));
+                self.exploration = None;
+                return self.sampled();
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes the answers to the points of the searches.
+    fn searched(&mut self, answers: &Answers) -> Result<(), Error> {
+        let mut first = 0;
+        for search in &mut self.searches {
+            let len = search.asked.len();
+            self.told.clear();
+            for k in first..(first + len).min(answers.len()) {
+                self.told.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
+            }
+            first += len;
+            search.method.tell(&self.told)?;
+        }
+        self.core.operation = Some(Operation::LocalSearches);
+        self.retire()
+    }
+
+    /// Enters the searches that have ended, and goes on to the next.
+    fn retire(&mut self) -> Result<(), Error> {
+        let (core, before) = (&mut self.core, self.searches.len());
+        self.searches.retain(|search| {
+            let status = search.method.status();
+            if let Some((x, cost)) = search.method.best().filter(|_| status != Status::Running) {
+                if core.minima.first().is_none_or(|best| cost < best.cost) {
+                    (core.tests, core.model) = (search.method.details().tests, search.method.linear_model());
+                }
+                let found = Optimum { x: x.to_vec(), cost, n_starts: 1 };
+                clusters::enter(&core.setup.space, &mut core.minima, found);
+            }
+            status == Status::Running
+        });
+        if self.searches.len() < before { self.next() } else { Ok(()) }
+    }
+
+    /// Asks the searches; a method may find out that it has ended when it is asked.
+    fn ask_searches(&mut self) {
+        loop {
+            for search in &mut self.searches {
+                search.method.ask(&mut search.asked);
+            }
+            if self.searches.iter().all(|search| search.method.status() == Status::Running) {
+                return;
+            }
+            if self.retire().is_err() {
+                // What could be started once can be started again.
+                self.core.phase = Phase::Ended(Termination::Stalled);
+            }
+            if self.core.phase != Phase::Searching {
+                return;
+            }
+        }
+    }
+}
+
+impl Method for MultistartState {
+    fn name(&self) -> &'static str {
+        "multistart"
+    }
+
+    fn ask(&mut self, batch: &mut Batch) {
+        if self.core.phase == Phase::Searching {
+            self.ask_searches();
+        }
+        let Self { core, exploration, searches, asked, options, .. } = self;
+        let n = core.setup.space.n();
+        batch.start(n, core.n_batches, core.n_points);
+        let mut take = |from: &Batch| (0..from.len()).for_each(|k| batch.push(from.point(k), from.cutoff(k)));
+        let mut wants_residuals = options.needs_residuals();
+        match core.phase {
+            Phase::Sampling => {
+                core.rounds.ask(asked, n, &core.sample, |_| f64::INFINITY);
+                take(asked);
+            }
+            Phase::Exploring => {
+                wants_residuals = false;
+                if let Some(exploration) = exploration {
+                    exploration.ask(asked);
+                    take(asked);
+                }
+            }
+            Phase::Searching => {
+                searches.iter().for_each(|search| take(&search.asked));
+            }
+            Phase::NoStart | Phase::Ended(_) => {}
+        }
+        if wants_residuals {
+            batch.set_want(Want::Residuals);
+        }
+        asked.clone_from(batch);
+    }
+
+    fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        let (asked, outcomes) = (std::mem::take(&mut self.asked), answers.outcomes());
+        if asked.is_empty() {
+            return Err(Error::TellWithoutAsk);
+        }
+        if outcomes.len() > asked.len() {
+            let error = Error::TooManyOutcomes { asked: asked.len(), told: outcomes.len() };
+            self.asked = asked;
+            return Err(error);
+        }
+        let core = &mut self.core;
+        core.n_batches += 1;
+        core.n_points += asked.len() as u64;
+        for (k, outcome) in outcomes.iter().enumerate() {
+            let Some(cost) = outcome.value() else { continue };
+            core.best.offer(asked.point(k), cost);
+        }
+        core.n_iterations += usize::from(core.operation.is_some());
+        match core.phase {
+            Phase::Sampling => {
+                if core.rounds.tell(answers, &mut core.sample)? {
+                    self.sampled()?;
+                }
+            }
+            Phase::Exploring => self.explored(answers)?,
+            Phase::Searching => self.searched(answers)?,
+            Phase::NoStart | Phase::Ended(_) => {}
+        }
+        Ok(())
+    }
+
+    fn status(&self) -> Status {
+        match &self.core.phase {
+            Phase::NoStart => Status::NoStart,
+            Phase::Ended(termination) => Status::Ended(termination.clone()),
+            Phase::Sampling | Phase::Exploring | Phase::Searching => Status::Running,
+        }
+    }
+
+    fn details(&self) -> Details<'_> {
+        let core = &self.core;
+        let exploring = self.exploration.as_ref().and_then(|method| method.details().population);
+        let is_best = |tests: &Tests| core.best.cost().is_some_and(|best| best >= tests.f_best);
+        Details {
+            n_iterations: core.n_iterations,
+            operation: core.operation,
+            tests: core.tests,
+            settled: core.tests.is_some_and(|tests| tests.passed && is_best(&tests)),
+            plan: "sample, then searches side by side",
+            seed: Some(core.seed),
+            population: exploring.or_else(|| Some(core.sample.view())),
+            optima: &core.minima,
+            ..Details::default()
+        }
+    }
+
+    fn best(&self) -> Option<(&[f64], f64)> {
+        self.core.best.get()
+    }
+
+    fn linear_model(&self) -> Option<LinearModel> {
+        let is_best = self.core.minima.first().map(|m| m.cost) == self.core.best.cost();
+        self.core.model.clone().filter(|_| is_best)
+    }
+
+    fn save(&self) -> Option<Vec<u8>> {
+        let mut searches = Vec::new();
+        for search in &self.searches {
+            searches.push((search.start.clone(), search.method.save()?));
+        }
+        let exploration = match &self.exploration {
+            Some(exploration) => Some(exploration.save()?),
+            None => None,
+        };
+        saved(&Stored { core: &self.core, exploration, searches })
+    }
+}

@@ -1,0 +1,435 @@
+//! One iteration: the next trial point, and what follows from its cost.
+
+use super::failures::{Plane, plane};
+use super::model::{Interpolation, Quadratic};
+use super::state::{Phase, QuadraticModelState};
+use super::subproblem::{Region, minimize};
+use crate::choices::Measure;
+use crate::termination::Termination;
+use crate::tolerances::{Extent, Tests};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+/// A resolution below this cannot be seen.
+const SMALLEST: f64 = 1e-14;
+/// Resolutions in a row at which steps failed: then there is noise.
+const MOST_REFUSED: usize = 4;
+/// What the resolution is multiplied with when it is exhausted. Like the following constants chosen with the even halves of the fits,
+/// boxes and smooth instances of `benches/quadratic.rs`, which judges with the odd halves.
+const REDUCTION: f64 = 0.2;
+/// Points that lie farther off than so many radii and so many resolutions leave the model.
+const FAR: f64 = 10.0;
+const FAR_RESOLUTIONS: f64 = 200.0;
+/// The least spread of the points along any direction, in units of the radius, with which they determine the gradient.
+const POISED: f64 = 0.3;
+/// A decrease of the cost below this share of it is none.
+const NO_PROGRESS: f64 = 1e-9;
+/// Steps that failed are shortened to this share: less would lead straight to where the objective fails, more costs evaluations.
+const SHORTENED: f64 = 0.8;
+/// Failed points farther off than so many radii are not looked at.
+const NEAR: f64 = 4.0;
+/// Curvature across the plane to failed points, in units of the largest of the model.
+const AVOIDANCE: f64 = 100.0;
+
+fn norm(v: &[f64]) -> f64 {
+    v.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
+impl QuadraticModelState {
+    fn base(&self) -> usize {
+        self.points.best()
+    }
+
+    fn cost(&self, slot: usize) -> f64 {
+        self.points.cost(slot).value().unwrap_or(f64::INFINITY)
+    }
+
+    /// Displacement between two points in units of the sizes.
+    fn displacement(&self, from: &[f64], to: &[f64]) -> Vec<f64> {
+        let space = &self.setup.space;
+        from.iter().zip(to).enumerate().map(|(k, (from, to))| (to - from) / space.size(k)).collect()
+    }
+
+    /// Makes the interpolation anew, which is no part of a saved state.
+    pub(super) fn complete(&mut self) {
+        if self.interpolation.is_none() {
+            self.interpolation = self.interpolate();
+        }
+    }
+
+    /// Where the model interpolates now.
+    fn interpolate(&self) -> Option<Interpolation> {
+        let (n, base) = (self.n(), self.base());
+        let f = self.points.cost(base).value()?;
+        let (mut slots, mut flat) = (Vec::new(), Vec::new());
+        for slot in 0..self.points.len() {
+            let y = self.displacement(self.points.u(base), self.points.u(slot));
+            let length = norm(&y);
+            if slot != base && (self.cost(slot) - f).is_finite() && length > 0.0 && length.is_finite() {
+                slots.push(slot);
+                flat.extend(y);
+            }
+        }
+        Interpolation::new(n, slots, &flat)
+    }
+
+    /// Ranks the points, and makes the model interpolate them; its displacements are from `from` so far.
+    pub(super) fn refit(&mut self, from: &[f64]) {
+        self.points.rank();
+        let base = self.base();
+        let moved = self.displacement(from, self.points.u(base));
+        self.model.gradient = self.model.slope(&moved);
+        self.interpolation = self.interpolate();
+        let f = self.cost(base);
+        let Some(points) = &self.interpolation else { return };
+        let values: Vec<f64> = points.slots.iter().map(|&slot| self.cost(slot) - f).collect();
+        if !points.update(&mut self.model, &values) {
+            self.model = Quadratic::zero(self.setup.space.n_free());
+            if !points.update(&mut self.model, &values) {
+                self.interpolation = None;
+            }
+        }
+    }
+
+    /// Takes the model of least norm where its slope is much less than that of the updated one (Powell, NA06, section 6, waits for
+    /// three times in a row).
+    fn compare_with_least_norm(&mut self) {
+        let f = self.cost(self.base());
+        let Some(points) = &self.interpolation else { return };
+        let values: Vec<f64> = points.slots.iter().map(|&slot| self.cost(slot) - f).collect();
+        let mut fresh = Quadratic::zero(self.n());
+        if !points.update(&mut fresh, &values) {
+            return;
+        }
+        let (lower, upper) = self.margins();
+        let slope = |model: &Quadratic| {
+            let inward = |(k, g): (usize, &f64)| {
+                let blocked = (lower[k] >= 0.0 && *g > 0.0) || (upper[k] <= 0.0 && *g < 0.0);
+                if blocked { 0.0 } else { g * g }
+            };
+            model.gradient.iter().enumerate().map(inward).sum::<f64>()
+        };
+        if slope(&self.model) >= 10.0 * slope(&fresh) {
+            self.model = fresh;
+        }
+    }
+
+    fn first_points(&self) -> usize {
+        self.retries.len()
+    }
+
+    /// Removes a point that is not the best.
+    fn remove(&mut self, slot: usize) {
+        let last = self.points.len() - 1;
+        let (u, x, cost) =
+            (self.points.u(last).to_vec(), self.points.x(last).to_vec(), self.points.cost(last));
+        self.points.set(slot, &u, &x);
+        self.points.set_cost(slot, cost);
+        self.points.resize(last);
+        self.points.rank();
+    }
+
+    /// How far a step from the base point may go along each coordinate, in units of the sizes.
+    fn margins(&self) -> (Vec<f64>, Vec<f64>) {
+        let (space, u) = (&self.setup.space, self.points.u(self.base()));
+        let ends = |k: usize| {
+            let (lower, upper) = space.working_bounds(k);
+            (((lower - u[k]) / space.size(k)).min(0.0), ((upper - u[k]) / space.size(k)).max(0.0))
+        };
+        (0..u.len()).map(ends).unzip()
+    }
+
+    /// The model's best step that keeps away from failed points.
+    fn best_step(&self) -> Vec<f64> {
+        let (lower, upper) = self.margins();
+        let region = Region { radius: self.delta, lower: &lower, upper: &upper };
+        let mut step = minimize(&self.model, region);
+        if self.failed.is_empty() {
+            return step;
+        }
+        let u = self.points.u(self.base());
+        let near = |v: &[f64]| {
+            let d = self.displacement(u, v);
+            (norm(&d) <= NEAR * self.delta.max(self.rho)).then_some(d)
+        };
+        let mut failed: Vec<Vec<f64>> = self.failed.iter().filter_map(|v| near(v)).collect();
+        failed.sort_by(|a, b| norm(a).total_cmp(&norm(b)));
+        let good: Vec<Vec<f64>> = (0..self.points.len())
+            .filter(|&slot| self.points.cost(slot).value().is_some())
+            .filter_map(|slot| near(self.points.u(slot)))
+            .collect();
+        let Some(Plane { normal, limit }) = plane(&good, &failed) else { return step };
+        let beyond = normal.iter().zip(&step).map(|(a, b)| a * b).sum::<f64>() - limit;
+        if beyond > 0.0 {
+            // Steps beyond the plane are made costly: those that remain lead along it.
+            let steep = norm(&self.model.gradient) / self.delta;
+            let largest = self.model.hessian.iter().fold(steep, |m, v| m.max(v.abs()));
+            let weight = AVOIDANCE * largest;
+            let mut model = self.model.clone();
+            for (a, n_a) in normal.iter().enumerate() {
+                model.gradient[a] -= weight * limit * n_a;
+                for (b, n_b) in normal.iter().enumerate() {
+                    model.hessian[a * normal.len() + b] += weight * n_a * n_b;
+                }
+            }
+            step = minimize(&model, region);
+        }
+        step
+    }
+
+    fn judge(&self, predicted: f64) -> Tests {
+        let space = &self.setup.space;
+        let tolerances = &self.setup.tolerances;
+        let base = self.base();
+        let size = match tolerances.measure {
+            Measure::Relative => self.rho,
+            Measure::Absolute => {
+                let (u, x) = (self.points.u(base), self.points.x(base));
+                let moved: Vec<f64> = (0..u.len()).map(|k| u[k] + self.rho * space.size(k)).collect();
+                let mut there = x.to_vec();
+                space.to_user(&moved, &mut there);
+                space.free().iter().map(|&i| (there[i] - x[i]).abs()).fold(0.0, f64::max)
+            }
+        };
+        let tests = tolerances.judge(size, Some(predicted.max(0.0)), self.cost(base), self.f_0);
+        Tests { extent: Extent::TrustRegion, ..tests }
+    }
+
+    /// Sets the trust region, not smaller than the resolution.
+    fn set_delta(&mut self, delta: f64) {
+        self.delta = if delta <= 1.5 * self.rho { self.rho } else { delta };
+    }
+
+    /// Chooses the next point. Each turn without one shrinks the trust region.
+    pub(super) fn choose(&mut self) {
+        while self.phase == Phase::Choosing {
+            if self.interpolation.is_none() {
+                let alone = self.points.n_finite() == 1;
+                self.phase =
+                    Phase::Ended(if alone { Termination::AllFailed } else { Termination::Collapsed });
+                return;
+            }
+            let s = self.best_step();
+            let predicted = -self.model.value(&s);
+            self.tests = Some(self.judge(predicted));
+            let visible = f64::EPSILON * self.cost(self.base()).abs();
+            if norm(&s) >= 0.5 * self.rho && predicted > visible && self.place_trial(&s) {
+                self.phase = Phase::Trial { predicted };
+                return;
+            }
+            // Nothing to gain at this resolution, if the model is right.
+            self.set_delta(0.1 * self.delta);
+            if self.improve_geometry() {
+                return;
+            }
+            if self.delta <= self.rho {
+                self.refine();
+            }
+        }
+    }
+
+    /// Makes the end of a step the trial point; false if it is a point that is known.
+    fn place_trial(&mut self, s: &[f64]) -> bool {
+        let space = &self.setup.space;
+        let mut u = self.points.u(self.base()).to_vec();
+        for (k, u) in u.iter_mut().enumerate() {
+            let (lower, upper) = space.working_bounds(k);
+            *u = (*u + s[k] * space.size(k)).clamp(lower, upper);
+        }
+        let known = self.failed.contains(&u) || (0..self.points.len()).any(|slot| self.points.u(slot) == u);
+        if known || u.iter().any(|u| !u.is_finite()) {
+            return false;
+        }
+        self.trial.place(0, &u, &self.setup.space);
+        true
+    }
+
+    /// Removes points that lie too far off; then asks for one along the direction in which the rest determine the gradient of the model
+    /// worst, if they do so badly at this radius (Conn, Scheinberg and Vicente 2009, chapter 6: the model is to be fully linear).
+    fn improve_geometry(&mut self) -> bool {
+        let limit = (FAR * self.delta).max(FAR_RESOLUTIONS * self.rho);
+        let n = self.n();
+        let (mut slot, before) = (0, self.points.len());
+        let mut spread = DMatrix::zeros(n, n);
+        while slot < self.points.len() {
+            let y = self.displacement(self.points.u(self.base()), self.points.u(slot));
+            let length = norm(&y);
+            if length > limit && self.points.len() > 2 {
+                self.remove(slot);
+                continue;
+            }
+            slot += 1;
+            if length.is_finite() {
+                // No point counts for more than one at the radius.
+                let unit = length.max(self.delta);
+                spread.ger(
+                    1.0 / (unit * unit),
+                    &DVector::from_column_slice(&y),
+                    &DVector::from_vec(y.clone()),
+                    1.0,
+                );
+            }
+        }
+        if self.points.len() < before {
+            let from = self.points.u(self.base()).to_vec();
+            self.refit(&from);
+        }
+        let Some(eigen) = SymmetricEigen::try_new(spread, f64::EPSILON, 1000 * n) else { return false };
+        let (place, least) = eigen.eigenvalues.argmin();
+        let have = least.max(0.0).sqrt();
+        if have >= POISED {
+            return false;
+        }
+        let (lower, upper) = self.margins();
+        let direction = eigen.eigenvectors.column(place);
+        let towards = |length: f64| {
+            let s: Vec<f64> =
+                direction.iter().enumerate().map(|(k, v)| (length * v).clamp(lower[k], upper[k])).collect();
+            let along = s.iter().zip(direction.iter()).map(|(s, v)| s * v).sum::<f64>().abs();
+            (s, along)
+        };
+        let (mut first, mut second) = (towards(self.delta), towards(-self.delta));
+        if second.1 > first.1 {
+            std::mem::swap(&mut first, &mut second);
+        }
+        for (s, along) in [first, second, towards(0.25 * self.delta), towards(-0.25 * self.delta)] {
+            if along > 2.0 * have * self.delta && self.place_trial(&s) {
+                self.phase = Phase::Geometry;
+                return true;
+            }
+        }
+        false
+    }
+
+    /// What follows from the cost of a point that was to make the model better.
+    pub(super) fn geometry_known(&mut self) {
+        let base = self.base();
+        let from = self.points.u(base).to_vec();
+        let s = self.displacement(&from, self.trial.u(0));
+        let Some(cost) = self.trial.cost(0).value().filter(|cost| (cost - self.cost(base)).is_finite())
+        else {
+            self.remember_failed(self.trial.u(0).to_vec());
+            return;
+        };
+        if let Some(slot) = self.slot_to_replace(&s, cost < self.cost(base)) {
+            self.points.copy_from(slot, &self.trial, 0);
+        }
+        self.refit(&from);
+    }
+
+    /// What follows from the cost of the model's best point.
+    pub(super) fn trial_known(&mut self, predicted: f64) {
+        let base = self.base();
+        let from = self.points.u(base).to_vec();
+        let s = self.displacement(&from, self.trial.u(0));
+        let length = norm(&s);
+        let decrease = self.trial.cost(0).value().map(|cost| self.cost(base) - cost);
+        let Some(decrease) = decrease.filter(|decrease| decrease.is_finite()) else {
+            self.remember_failed(self.trial.u(0).to_vec());
+            self.delta = SHORTENED * length;
+            self.rho = self.rho.min(self.delta);
+            if self.rho < SMALLEST {
+                self.restart();
+            }
+            return;
+        };
+        let ratio = decrease / predicted;
+        self.set_delta(if ratio <= 0.1 {
+            (0.5 * self.delta).min(length)
+        } else if ratio <= 0.7 {
+            (0.5 * self.delta).max(length)
+        } else {
+            (0.5 * self.delta).max(2.0 * length)
+        });
+        if ratio > 0.1 {
+            self.n_refused = 0;
+            self.is_refused = false;
+            self.rho_success = self.rho;
+        }
+        if let Some(slot) = self.slot_to_replace(&s, decrease > 0.0) {
+            self.points.copy_from(slot, &self.trial, 0);
+        }
+        self.refit(&from);
+        self.compare_with_least_norm();
+        if ratio <= 0.1 && !self.improve_geometry() && ratio <= 0.0 && self.delta.max(length) <= self.rho {
+            self.is_refused = true;
+            self.refine();
+        }
+    }
+
+    /// The slot that the trial point takes: an empty one, else that without which the others determine a model best; far ones sooner
+    /// (Powell, NA06, equation 6.1 and its weights).
+    fn slot_to_replace(&mut self, s: &[f64], better: bool) -> Option<usize> {
+        let empty = (0..self.points.len()).find(|&slot| self.points.cost(slot).value().is_none());
+        if empty.is_some() {
+            return empty;
+        }
+        if self.points.len() < self.most_points {
+            let end = self.points.len();
+            self.points.resize(end + 1);
+            self.points.rank();
+            return Some(end);
+        }
+        let (base, points) = (self.base(), self.interpolation.as_ref()?);
+        let from = if better { self.trial.u(0) } else { self.points.u(base) };
+        let mut chosen = (None, 0.0);
+        for (&slot, (_, factor)) in points.slots.iter().chain([&base]).zip(points.lagrange(s)) {
+            if slot == base && !better {
+                continue;
+            }
+            let distance =
+                norm(&self.displacement(from, self.points.u(slot))) / (0.1 * self.delta).max(self.rho);
+            let weight = factor.abs() * distance.powi(8).max(1.0);
+            if weight > chosen.1 {
+                chosen = (Some(slot), weight);
+            }
+        }
+        chosen.0
+    }
+
+    /// The resolution is exhausted: the end, a smaller one, or another start.
+    fn refine(&mut self) {
+        if self.tests.is_some_and(|tests| tests.passed) {
+            self.phase = Phase::Ended(Termination::Converged);
+            return;
+        }
+        self.n_refused += usize::from(self.is_refused);
+        if self.n_refused >= MOST_REFUSED || self.rho <= SMALLEST {
+            self.restart();
+            return;
+        }
+        let tolerance = match self.setup.tolerances.measure {
+            Measure::Relative => self.setup.tolerances.x_tol,
+            Measure::Absolute => 0.0,
+        };
+        self.delta = 0.5 * self.rho;
+        // Powell's reductions: by ten, and at the end to the last resolution by two steps or by one.
+        self.rho = match self.rho / tolerance {
+            ratio if ratio <= 1.0 || ratio > 250.0 => REDUCTION * self.rho,
+            ratio if ratio > 16.0 => (self.rho * tolerance).sqrt(),
+            _ => tolerance,
+        };
+        self.delta = self.delta.max(self.rho);
+        self.is_refused = false;
+    }
+
+    /// New points around the best one.
+    fn restart(&mut self) {
+        let best = self.base();
+        let f = self.cost(best);
+        let useless = f > self.f_restart - NO_PROGRESS * self.f_restart.abs();
+        self.n_useless = if useless { self.n_useless + 1 } else { 0 };
+        if self.n_useless > self.restarts {
+            self.phase = Phase::Ended(Termination::Stalled);
+            return;
+        }
+        self.f_restart = f;
+        self.n_refused = 0;
+        self.is_refused = false;
+        (self.delta, self.rho) = (self.radius, self.radius);
+        self.trial.copy_from(0, &self.points, best);
+        self.points.copy_from(0, &self.trial, 0);
+        self.points.resize(self.first_points());
+        self.place_around();
+        self.phase = Phase::Starting;
+    }
+}

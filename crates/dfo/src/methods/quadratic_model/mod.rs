@@ -1,0 +1,66 @@
+//! A trust region on quadratic interpolation models of the cost, with bounds: the class of BOBYQA (Powell, report DAMTP 2009/NA06) and
+//! COBYQA (Ragonneau, thesis, Hong Kong 2022).
+//!
+//! 2n + 1 points, each evaluated once, determine a model: of all quadratics through them the one that changes least from the model before
+//! (`model.rs`). Its smallest value within a radius and the bounds gives the next trial point (`subproblem.rs`). The point replaces
+//! the one with which the set is determined worst; the radius follows the success of the prediction. Points that lie too far off are
+//! replaced where their Lagrange polynomial is largest. When the model is exhausted at a radius, the smallest radius, the resolution, is
+//! reduced (Powell's rules, NA06, sections 2 and 6; Conn, Scheinberg and Vicente, Introduction to Derivative-Free Optimization, 2009,
+//! chapters 5, 6 and 10).
+//!
+//! **Tests.** The x test measures the resolution, the f test the decrease that the model predicts; they are looked at when a resolution is
+//! exhausted.
+//!
+//! **Restarts.** Where steps fail at several resolutions although the model promises a decrease, there is noise or a kink: new points are
+//! placed around the best one, as far away as steps have last been a success, and farther if that does not help (soft restarts: Cartis, Fiala,
+//! Marteau and Roberts, ACM TOMS 45, 2019).
+//!
+//! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a plane between
+//! failed points and those of the model (`failures.rs`). Of the first points a failed one is tried nearer to the start and on its other side.
+//!
+//! **Cutoffs**: none, since a model needs the value of every point. **Cost** of a step: O(n^3) operations, see `benches/overhead.rs`.
+
+mod failures;
+mod initial;
+mod iteration;
+mod model;
+mod options;
+mod state;
+mod subproblem;
+
+pub use options::QuadraticModel;
+pub use state::QuadraticModelState;
+
+use crate::error::Error;
+use crate::memory;
+use crate::method::{MethodOptions, Setup, restored};
+use crate::option_texts;
+
+impl QuadraticModel {
+    /// The problem as the search sees it: without bounds that stand for "none".
+    fn prepared(setup: &Setup) -> Setup {
+        Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
+    }
+}
+
+impl MethodOptions for QuadraticModel {
+    type Method = QuadraticModelState;
+
+    fn begin(&self, setup: &Setup) -> Result<QuadraticModelState, Error> {
+        setup.tolerances.check()?;
+        setup.space.require_continuous("quadratic-model")?;
+        let (n, n_user) = (setup.space.n_free(), setup.space.n());
+        let points = self.resolve(n)?;
+        memory::check("a quadratic model of so many parameters", &[points, 4 * points + 2 * n_user])?;
+        Ok(QuadraticModelState::new(Self::prepared(setup), self, points))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<QuadraticModelState, Error> {
+        let setup = Self::prepared(setup);
+        restored(state, |s: &QuadraticModelState| s.is_sound(&setup))
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        option_texts::fields(self)
+    }
+}

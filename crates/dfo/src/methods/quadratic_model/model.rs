@@ -1,0 +1,150 @@
+//! Quadratic interpolation on fewer points than a quadratic has coefficients: of all models through the points the one that
+//! changes least from the model before.
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+/// What a change of the gradient weighs against one of the Hessian, see [`Interpolation`].
+const GRADIENT_WEIGHT: f64 = 1e3;
+/// Shares of the diagonal that are added to it where the points are too close to a degenerate set for their values.
+const SHIFTS: [f64; 5] = [0.0, 1e-14, 1e-12, 1e-10, 1e-8];
+
+/// `g's + s'Bs/2`: what the cost at the displacement `s` from the base point has more than there.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Quadratic {
+    pub(super) gradient: Vec<f64>,
+    /// Symmetric, row after row.
+    pub(super) hessian: Vec<f64>,
+}
+
+impl Quadratic {
+    pub(super) fn zero(n: usize) -> Self {
+        Self { gradient: vec![0.0; n], hessian: vec![0.0; n * n] }
+    }
+
+    pub(super) fn is_sound(&self, n: usize) -> bool {
+        self.gradient.len() == n && self.hessian.len() == n * n
+    }
+
+    fn is_finite(&self) -> bool {
+        self.gradient.iter().chain(&self.hessian).all(|v| v.is_finite())
+    }
+
+    pub(super) fn value(&self, s: &[f64]) -> f64 {
+        let rows = self.hessian.chunks_exact(s.len());
+        let terms = rows.zip(s).zip(&self.gradient).map(|((row, s_k), g)| s_k * (g + 0.5 * dot(row, s)));
+        terms.sum()
+    }
+
+    /// The gradient at a displacement.
+    pub(super) fn slope(&self, s: &[f64]) -> Vec<f64> {
+        let rows = self.hessian.chunks_exact(s.len());
+        rows.zip(&self.gradient).map(|(row, g)| g + dot(row, s)).collect()
+    }
+
+    /// Adds the quadratic of the coefficients `lambda` of an interpolation.
+    fn add(&mut self, points: &Interpolation, lambda: &DVector<f64>) {
+        let n = self.gradient.len();
+        let r = points.scale;
+        for (j, l) in lambda.iter().enumerate() {
+            for a in 0..n {
+                let term = l * points.y[(j, a)] / r;
+                self.gradient[a] += GRADIENT_WEIGHT * term;
+                for b in 0..n {
+                    self.hessian[a * n + b] += term * points.y[(j, b)] / r;
+                }
+            }
+        }
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Where a model interpolates: displacements `y_j` from the base point, at which it has the cost as well.
+///
+/// Of all changes `D = g's + s'Bs/2` that take given values at the `y_j` the least is the one with the smallest
+/// `|B|_F^2 / 4 + |g|^2 / (2 w)`, lengths in units of the farthest `y_j`. For `w` towards infinity that is the least Frobenius norm
+/// update of Powell (Math. Program. 100, 2004, section 3); the term with `g` (Zhang, Math. Program. 146, 2014: Sobolev seminorms)
+/// makes it unique for any number of points. It is `g = w sum l_j y_j`, `B = sum l_j y_j y_j'` with `K l = values`,
+/// `K_ij = (y_i'y_j)^2 / 2 + w y_i'y_j`, a matrix that is positive definite where no two points coincide.
+#[derive(Debug, Clone)]
+pub(super) struct Interpolation {
+    /// Slots of the points, and their displacements in units of `scale`, a row each.
+    pub(super) slots: Vec<usize>,
+    y: DMatrix<f64>,
+    scale: f64,
+    inverse: DMatrix<f64>,
+}
+
+impl Interpolation {
+    /// Through the base point and these slots, with displacements one after the other. `None` where numbers end.
+    pub(super) fn new(n: usize, slots: Vec<usize>, displacements: &[f64]) -> Option<Self> {
+        let m = slots.len();
+        let lengths = displacements.chunks_exact(n).map(|y| dot(y, y));
+        let scale = lengths.fold(0.0, f64::max).sqrt();
+        if !(scale > 0.0 && scale.is_finite()) {
+            return None;
+        }
+        let y = DMatrix::from_row_slice(m, n, displacements) / scale;
+        let mut k = &y * y.transpose();
+        k.apply(|v| *v = kernel(*v));
+        let d: Vec<f64> = (0..m).map(|j| k[(j, j)].sqrt().recip()).collect();
+        for (i, d_i) in d.iter().enumerate() {
+            for (j, d_j) in d.iter().enumerate() {
+                k[(i, j)] *= d_i * d_j;
+            }
+        }
+        let mut inverse = SHIFTS.into_iter().find_map(|shift| {
+            let mut shifted = k.clone();
+            (0..m).for_each(|j| shifted[(j, j)] += shift);
+            Cholesky::new(shifted).map(|c| c.inverse())
+        })?;
+        for (i, d_i) in d.iter().enumerate() {
+            for (j, d_j) in d.iter().enumerate() {
+                inverse[(i, j)] *= d_i * d_j;
+            }
+        }
+        inverse.iter().all(|v| v.is_finite()).then_some(Self { slots, y, scale, inverse })
+    }
+
+    /// Changes a model so that it has these values at the points, as little as possible; whether there are numbers for it.
+    pub(super) fn update(&self, model: &mut Quadratic, values: &[f64]) -> bool {
+        let n = self.y.ncols();
+        let mut s = vec![0.0; n];
+        for _ in 0..2 {
+            let rest = DVector::from_iterator(
+                values.len(),
+                values.iter().enumerate().map(|(j, value)| {
+                    (0..n).for_each(|k| s[k] = self.y[(j, k)] * self.scale);
+                    value - model.value(&s)
+                }),
+            );
+            model.add(self, &(&self.inverse * rest));
+        }
+        model.is_finite()
+    }
+
+    fn products(&self, step: &[f64]) -> (DVector<f64>, f64) {
+        let s = DVector::from_column_slice(step) / self.scale;
+        let mut k = &self.y * &s;
+        k.apply(|v| *v = kernel(*v));
+        (k, kernel(s.norm_squared()))
+    }
+
+    /// The Lagrange polynomials of the slots at a displacement, that of the base point last, and for each the factor by which
+    /// the determinant of the interpolation equations grows in size if the point is replaced by this one (Powell 2004, equation 2.12).
+    pub(super) fn lagrange(&self, step: &[f64]) -> impl Iterator<Item = (f64, f64)> {
+        let (k, own) = self.products(step);
+        let values = &self.inverse * &k;
+        let beta = (own - k.dot(&values)).max(0.0);
+        let of_base = (1.0 - values.sum(), self.inverse.sum());
+        let of_slots = (0..values.len()).map(move |j| (values[j], self.inverse[(j, j)])).collect::<Vec<_>>();
+        of_slots.into_iter().chain([of_base]).map(move |(value, alpha)| (value, alpha * beta + value * value))
+    }
+}
+
+fn kernel(product: f64) -> f64 {
+    product * (0.5 * product + GRADIENT_WEIGHT)
+}

@@ -1,0 +1,258 @@
+//! The state machine: which points are asked for, and what follows from their costs.
+
+use super::initial;
+use super::model::{Interpolation, Quadratic};
+use super::options::QuadraticModel;
+use crate::answer::Answers;
+use crate::error::Error;
+use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::methods::shared::cost::Cost;
+use crate::methods::shared::ranked_points::RankedPoints;
+use crate::methods::shared::rounds::Rounds;
+use crate::termination::Termination;
+use crate::tolerances::Tests;
+use serde::{Deserialize, Serialize};
+
+/// How often a first point that failed is tried nearer to the start.
+const MOST_RETRIES: u32 = 12;
+/// How many failed points are remembered.
+const MOST_FAILED: usize = 64;
+
+/// What the points asked for are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) enum Phase {
+    /// The first points, or those of a restart.
+    Starting,
+    /// The next point is to be chosen.
+    Choosing,
+    /// The model's best point, and the decrease that it predicts there.
+    Trial {
+        predicted: f64,
+    },
+    /// A point that makes the model better.
+    Geometry,
+    NoStart,
+    Ended(Termination),
+}
+
+/// A running search on quadratic models; made by [`QuadraticModel`].
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct QuadraticModelState {
+    pub(super) setup: Setup,
+    pub(super) restarts: usize,
+    /// The interpolation points, up to so many; those that failed are no part of the model.
+    pub(super) most_points: usize,
+    pub(super) points: RankedPoints,
+    /// The point that is being tried.
+    pub(super) trial: RankedPoints,
+    pub(super) rounds: Rounds,
+    /// The model around the best point, displacements in units of the sizes.
+    pub(super) model: Quadratic,
+    /// Where it interpolates; made from the points when needed.
+    #[serde(skip)]
+    pub(super) interpolation: Option<Interpolation>,
+    /// The trust region, and the resolution that it is not smaller than: both in units of the sizes.
+    pub(super) delta: f64,
+    pub(super) rho: f64,
+    pub(super) phase: Phase,
+    /// How often each of the first points has failed.
+    pub(super) retries: Vec<u32>,
+    /// Working coordinates of points that failed, the last ones.
+    pub(super) failed: Vec<Vec<f64>>,
+    /// Whether a step of this resolution has failed; how many resolutions were given up for that in a row.
+    pub(super) is_refused: bool,
+    pub(super) n_refused: usize,
+    /// The resolution of the last step that did what the model predicted.
+    pub(super) rho_success: f64,
+    /// The radius of the last start; restarts in a row that brought nothing; the best cost when the last began.
+    pub(super) radius: f64,
+    pub(super) n_useless: usize,
+    pub(super) f_restart: f64,
+    pub(super) n_iterations: usize,
+    pub(super) operation: Option<Operation>,
+    pub(super) tests: Option<Tests>,
+    pub(super) f_0: f64,
+}
+
+impl QuadraticModelState {
+    pub(super) fn new(setup: Setup, options: &QuadraticModel, most_points: usize) -> Self {
+        let space = &setup.space;
+        let n = space.n_free();
+        let n_points = most_points.min(2 * n + 1);
+        let radius = options.first_radius(space);
+        let mut state = Self {
+            points: RankedPoints::new(space, n_points),
+            trial: RankedPoints::new(space, 1),
+            rounds: Rounds::with_capacity(n_points),
+            model: Quadratic::zero(n),
+            interpolation: None,
+            delta: radius,
+            rho: radius,
+            phase: Phase::Starting,
+            retries: vec![0; n_points],
+            failed: Vec::new(),
+            is_refused: false,
+            n_refused: 0,
+            rho_success: radius,
+            radius,
+            n_useless: 0,
+            f_restart: f64::INFINITY,
+            n_iterations: 0,
+            operation: None,
+            tests: None,
+            f_0: 0.0,
+            restarts: options.restarts,
+            most_points,
+            setup,
+        };
+        let x0 = state.setup.space.x0().to_vec();
+        state.points.place_exactly(0, &x0, &state.setup.space);
+        state.place_around();
+        state
+    }
+
+    pub(super) fn n(&self) -> usize {
+        self.setup.space.n_free()
+    }
+
+    pub(super) fn is_sound(&self, setup: &Setup) -> bool {
+        let space = &setup.space;
+        let n = space.n_free();
+        *space == self.setup.space
+            && self.points.is_sound(space)
+            && self.trial.is_sound(space)
+            && self.trial.len() == 1
+            && self.rounds.is_sound(space.n())
+            && self.model.is_sound(n)
+            && self.failed.iter().all(|u| u.len() == n)
+    }
+
+    /// Places all points but the first around it.
+    pub(super) fn place_around(&mut self) {
+        self.retries.fill(0);
+        for slot in 1..self.points.len() {
+            self.place_start(slot);
+        }
+    }
+
+    fn place_start(&mut self, slot: usize) {
+        let space = &self.setup.space;
+        let centre = self.points.u(0).to_vec();
+        let mut u = centre.clone();
+        initial::place(space, &centre, slot, self.radius, self.retries[slot], &mut u);
+        self.points.place(slot, &u, space);
+    }
+
+    /// The first points have costs, or have failed.
+    fn start_known(&mut self) {
+        for slot in 1..self.points.len() {
+            if self.points.cost(slot) == Cost::Failed && self.points.cost(0) != Cost::Failed {
+                self.remember_failed(self.points.u(slot).to_vec());
+                self.retries[slot] += 1;
+                if self.retries[slot] <= MOST_RETRIES {
+                    self.place_start(slot);
+                }
+            }
+        }
+        if self.points.is_pending() {
+            return;
+        }
+        self.points.rank();
+        if self.points.n_finite() == 0 {
+            self.phase = Phase::NoStart;
+            return;
+        }
+        if self.operation.is_none() {
+            let sizes = self.points.costs.iter().filter_map(|cost| cost.value()).map(f64::abs);
+            self.f_0 = sizes.filter(|f| *f > 0.0).fold(f64::INFINITY, f64::min);
+            if self.f_0 == f64::INFINITY {
+                self.f_0 = 0.0;
+            }
+            self.operation = Some(Operation::Initial);
+        } else {
+            self.operation = Some(Operation::Restart);
+            self.n_iterations += 1;
+        }
+        if self.n() == 0 {
+            self.phase = Phase::Ended(Termination::AllFixed);
+            return;
+        }
+        self.model = Quadratic::zero(self.n());
+        self.phase = Phase::Choosing;
+        let from = self.points.u(self.points.best()).to_vec();
+        self.refit(&from);
+    }
+
+    pub(super) fn remember_failed(&mut self, u: Vec<f64>) {
+        if self.failed.len() == MOST_FAILED {
+            self.failed.remove(0);
+        }
+        self.failed.push(u);
+    }
+}
+
+impl Method for QuadraticModelState {
+    fn name(&self) -> &'static str {
+        "quadratic-model"
+    }
+
+    fn ask(&mut self, batch: &mut Batch) {
+        if self.phase == Phase::Choosing {
+            self.complete();
+            self.choose();
+        }
+        let n = self.setup.space.n();
+        match self.phase {
+            Phase::Starting => self.rounds.ask(batch, n, &self.points, |_| f64::INFINITY),
+            Phase::Trial { .. } | Phase::Geometry => {
+                self.rounds.ask(batch, n, &self.trial, |_| f64::INFINITY);
+            }
+            Phase::Choosing | Phase::NoStart | Phase::Ended(_) => self.rounds.ask_nothing(batch, n),
+        }
+    }
+
+    fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        if self.phase == Phase::Starting {
+            if self.rounds.tell(answers, &mut self.points)? {
+                self.start_known();
+            }
+        } else if self.rounds.tell(answers, &mut self.trial)? {
+            self.complete();
+            self.n_iterations += 1;
+            self.operation = Some(Operation::TrustRegionStep);
+            match std::mem::replace(&mut self.phase, Phase::Choosing) {
+                Phase::Trial { predicted } => self.trial_known(predicted),
+                Phase::Geometry => self.geometry_known(),
+                other => self.phase = other,
+            }
+        }
+        Ok(())
+    }
+
+    fn status(&self) -> Status {
+        match &self.phase {
+            Phase::NoStart => Status::NoStart,
+            Phase::Ended(termination) => Status::Ended(termination.clone()),
+            _ => Status::Running,
+        }
+    }
+
+    fn details(&self) -> Details<'_> {
+        Details {
+            n_iterations: self.n_iterations,
+            operation: self.operation,
+            tests: self.tests,
+            plan: "serial",
+            population: Some(self.points.view()),
+            ..Details::default()
+        }
+    }
+
+    fn best(&self) -> Option<(&[f64], f64)> {
+        self.rounds.best()
+    }
+
+    fn save(&self) -> Option<Vec<u8>> {
+        saved(self)
+    }
+}
