@@ -16,6 +16,7 @@
 //! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
 //! | `cma-es` | badly scaled and turned valleys, noise; with restarts many minima in a box | [`CmaEs`] |
+//! | `pattern-search` | kinks and jumps; few parameters, with or without bounds | [`PatternSearch`] |
 //! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
 //! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
@@ -77,8 +78,8 @@ pub use method::{
 pub use methods::{
     Adaptive, AnyMethod, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
     Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
-    InitialSimplex, LeastSquares, LeastSquaresState, NelderMead, NelderMeadState, Repair, Restarts, Scheme,
-    Selection, Strategy, Weight,
+    InitialSimplex, LeastSquares, LeastSquaresState, NelderMead, NelderMeadState, PatternSearch,
+    PatternSearchState, PollPlan, Repair, Restarts, Scheme, Selection, Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, minimize, minimize_batches};
 pub use objective::{

@@ -180,6 +180,10 @@ pub enum Operation {
     Generation,
     /// The best point of a model within its trust region was tried.
     TrustRegionStep,
+    /// A poll found a better point.
+    Poll,
+    /// No point of a poll was better: the frame has shrunk.
+    Refinement,
 }
 
 impl fmt::Display for Operation {
@@ -195,6 +199,8 @@ impl fmt::Display for Operation {
             Self::Restart => "restart",
             Self::Generation => "generation",
             Self::TrustRegionStep => "trust region step",
+            Self::Poll => "poll",
+            Self::Refinement => "refinement",
         })
     }
 }

@@ -129,6 +129,8 @@ pub enum Extent {
     BestEighth,
     /// Of the best points of all generations, as many as an eighth of the population.
     BestSeen,
+    /// Of the frame of a poll.
+    Frame,
 }
 
 impl Extent {
@@ -138,6 +140,7 @@ impl Extent {
             Self::Population => "population",
             Self::BestEighth => "best eighth of the population:",
             Self::BestSeen => "best points seen:",
+            Self::Frame => "frame",
         }
     }
 }

@@ -8,8 +8,8 @@ mod common;
 use common::timeless;
 use dfo::{
     AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
-    DifferentialEvolution, Error, Genetic, Measure, NelderMead, Outcome, Query, Report, Restarts, Sampling,
-    Selection, Stop, Termination, Transform, minimize, with_query,
+    DifferentialEvolution, Error, Genetic, Measure, NelderMead, Outcome, PatternSearch, PollPlan, Query,
+    Report, Restarts, Sampling, Selection, Stop, Termination, Transform, minimize, with_query,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -167,7 +167,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
         BatchPlan::TwoAhead,
         BatchPlan::LeeWiswall,
     ]);
-    match dice.below(9) {
+    match dice.below(10) {
         0..=3 => {
             let handling = dice.pick(&[BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine]);
             let coefficients = dice.pick(&[Coefficients::Standard, Coefficients::Adaptive]);
@@ -188,6 +188,10 @@ fn method(dice: &mut Dice) -> AnyMethod {
             let restarts = dice.pick(&[Restarts::None, Restarts::Ipop, Restarts::Bipop]);
             let sigma = dice.pick(&[0.3, 1e-300, 1e300]);
             CmaEs::default().bounds_handling(handling).restarts(restarts).sigma(sigma).into()
+        }
+        8 => {
+            let plan = dice.pick(&[PollPlan::Serial, PollPlan::Poll]);
+            PatternSearch::default().frame(dice.pick(&[0.3, 1e-300, 1e300])).batch(plan).into()
         }
         _ => {
             let selection = dice.pick(&[Selection::FitnessProportional, Selection::Tournament(3)]);

@@ -6,6 +6,7 @@ mod differential_evolution;
 mod genetic;
 mod least_squares;
 mod nelder_mead;
+mod pattern_search;
 mod shared;
 
 pub use barrier::{Barrier, BarrierState};
@@ -16,6 +17,7 @@ pub use differential_evolution::{
 pub use genetic::{Genetic, GeneticState, Selection};
 pub use least_squares::{LeastSquares, LeastSquaresState};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
+pub use pattern_search::{PatternSearch, PatternSearchState, PollPlan};
 
 use crate::answer::Answers;
 use crate::choices::Kind;
@@ -61,13 +63,15 @@ pub enum AnyMethod {
     LeastSquares(LeastSquares),
     /// `cma-es`.
     CmaEs(CmaEs),
+    /// `pattern-search`.
+    PatternSearch(PatternSearch),
 }
 
 /// A method's name, its number in `fmin`, and its default options.
 type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
 
 /// The methods: a new one is added here.
-const LIST: [Listed; 7] = [
+const LIST: [Listed; 8] = [
     ("nelder-mead", Some(1), || NelderMead::default().into()),
     ("barrier", Some(2), || Barrier::default().into()),
     ("de", None, || DifferentialEvolution::default().into()),
@@ -75,6 +79,7 @@ const LIST: [Listed; 7] = [
     ("ga", Some(4), || Genetic::default().into()),
     ("least-squares", None, || LeastSquares::default().into()),
     ("cma-es", None, || CmaEs::default().into()),
+    ("pattern-search", None, || PatternSearch::default().into()),
 ];
 
 impl AnyMethod {
@@ -110,6 +115,7 @@ impl AnyMethod {
             Self::Genetic(_) => "ga",
             Self::LeastSquares(_) => "least-squares",
             Self::CmaEs(_) => "cma-es",
+            Self::PatternSearch(_) => "pattern-search",
         }
     }
 
@@ -160,7 +166,7 @@ macro_rules! from_options {
     };
 }
 
-from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares, CmaEs);
+from_options!(NelderMead, Barrier, DifferentialEvolution, Genetic, LeastSquares, CmaEs, PatternSearch);
 
 /// The same call on whichever method it is.
 macro_rules! each {
@@ -172,6 +178,7 @@ macro_rules! each {
             AnyMethod::Genetic($options) => $call,
             AnyMethod::LeastSquares($options) => $call,
             AnyMethod::CmaEs($options) => $call,
+            AnyMethod::PatternSearch($options) => $call,
         }
     };
 }
