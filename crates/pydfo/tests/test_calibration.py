@@ -300,7 +300,7 @@ def test_parameters_show_themselves():
 @pytest.mark.parametrize(
     ("changes", "error", "said"),
     [
-        ({"method": "cma-es"}, pydfo.MethodNotAvailable, "not in this version"),
+        ({"method": "multistart"}, pydfo.MethodNotAvailable, "not in this version"),
         ({"options": {"scale": "log"}}, ValueError, "scale of a fit is that of its parameters"),
         ({"options": {"pop": 3}}, ValueError, "nelder-mead has no option 'pop'"),
         ({"method": "magic"}, ValueError, "method = 'magic' is none of"),

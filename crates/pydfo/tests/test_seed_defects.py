@@ -163,7 +163,7 @@ def test_what_the_other_methods_need_is_said():
     with pytest.raises(ValueError, match="xstart is needed"):
         fmin(rosenbrock, None, [-2, -2], [2, 2], alg=1, **QUIET)
     with pytest.raises(pydfo.MethodNotAvailable, match="not in this version"):
-        fmin(rosenbrock, [0.0, 0.0], alg="cma-es", **QUIET)
+        fmin(rosenbrock, [0.0, 0.0], alg="multistart", **QUIET)
 
 
 @pytest.mark.parametrize("alg", [None, 1, "nelder-mead", "Nelder-Mead"])

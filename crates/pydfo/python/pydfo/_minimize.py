@@ -54,14 +54,16 @@ def minimize(
         its value makes no difference (infinite: there is no such cost), and may return ``pydfo.Above(cutoff)`` as soon as
         it knows that it is strictly above: the search decides the same, with less work.
     x0 : array_like, shape (n,), optional
-        Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without.
+        Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without;
+        so can "cma-es" and "pattern-search", which then begin in its middle.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
         ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
         outside is ever evaluated. "nelder-mead" and "barrier" take a bound that lies at least 1e10 times as far as the
         largest of 1, abs(x0) and the nominal size as none, but for keeping to it: it tells nothing of the size.
     method : str
         "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
-        "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings). "auto" is Nelder-Mead, with
+        "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings); "cma-es" (covariance matrix
+        adaptation); "pattern-search" (mesh adaptive direct search). "auto" is Nelder-Mead, with
         integer parameters "de", with categorical ones "ga".
     args : tuple
         Further arguments of `fun`.
@@ -107,7 +109,12 @@ def minimize(
         ("rand1", "best1", "current-to-best1", "rand2"), ``crossover`` ("binomial", "exponential"), ``weight`` (a number,
         or a pair to draw from), ``probability``. GA: ``population``, ``selection`` ("fitness", or the size of a
         tournament), ``crossover_rate``, ``mutation_rate``, ``elite``, ``gray``, ``resolution``, ``sampling``,
-        ``include_start``, ``stall`` (generations without gain that end the run; None: never).
+        ``include_start``, ``stall`` (generations without gain that end the run; None: never). CMA-ES: ``population``
+        (4 + floor(3 ln n)), ``sigma`` (0.3: the first standard deviation, in units of the parameters' sizes), ``restarts``
+        ("none": the run ends when its tests pass; "ipop" and "bipop": the search begins anew with other populations until a
+        limit ends the run), ``bounds_handling`` ("smooth", "mirror"). Pattern search: ``batch`` ("auto", "serial", "poll",
+        "ahead"), ``frame`` (0.3: the first distance of the points of a poll, in units of the parameters' sizes),
+        ``restarts`` (2: so many searches in a row with new directions must gain nothing).
     checkpoint : path, optional
         A file for the state of the run, written after batches and at the end.
     resume : {"auto", "never", "require"}
@@ -119,7 +126,7 @@ def minimize(
         number is always raised.
     vectorized : bool
         ``fun(x, *args)`` takes points as columns, shape (n, S), and returns costs of shape (S,). `workers` must then be a
-        number; it says how many points Nelder-Mead plans for.
+        number; it says how many points Nelder-Mead and pattern search plan for.
 
     Returns
     -------

@@ -35,7 +35,7 @@ def show(value: object) -> str:
 #: The names of the methods; "auto" stands for one of them.
 METHODS = tuple(name for name, _ in _core.method_names())
 
-#: The methods that sample a box and need no start.
+#: The methods that need no start: they sample a box, or begin in its middle.
 SAMPLERS = tuple(name for name, needs_start in _core.method_names() if not needs_start)
 
 #: Other names of the methods.
@@ -43,10 +43,12 @@ _SYNONYMS: Mapping[str, str] = {
     **dict.fromkeys(("neldermead", "nm", "simplex", "fmin"), "nelder-mead"),
     **dict.fromkeys(("differential-evolution", "differentialevolution", "l-shade", "lshade"), "de"),
     **dict.fromkeys(("genetic", "genetic-algorithm"), "ga"),
+    **dict.fromkeys(("cma", "cmaes", "ipop-cma-es", "bipop-cma-es"), "cma-es"),
+    **dict.fromkeys(("mads", "compass-search", "direct-search", "patternsearch"), "pattern-search"),
 }
 
 #: What the methods that are to come will be called.
-LATER = ("least-squares", "quadratic-model", "cma-es", "multistart", "pattern-search")
+LATER = ("least-squares", "quadratic-model", "multistart")
 
 
 @dataclass(frozen=True)
