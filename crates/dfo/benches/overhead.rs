@@ -3,8 +3,8 @@
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
 use dfo::{
-    Answers, Barrier, Batch, BatchPlan, Bounds, DifferentialEvolution, Genetic, Method, MethodOptions,
-    NelderMead, Outcome, Setup, Space, Status, minimize,
+    Answers, Barrier, Batch, BatchPlan, Bounds, CmaEs, DifferentialEvolution, Genetic, Method, MethodOptions,
+    NelderMead, Outcome, PatternSearch, PollPlan, Setup, Space, Status, minimize,
 };
 use std::time::{Duration, Instant};
 
@@ -93,6 +93,12 @@ fn main() {
     let (lshade, classic) = (DifferentialEvolution::default(), DifferentialEvolution::classic());
     line("de (L-SHADE)", overhead(&lshade, COUNT), driven(lshade));
     line("de-classic", overhead(&classic, COUNT), driven(classic));
+    for population in [10, 100, 1000, 10_000] {
+        let options = CmaEs::default().population(population);
+        line(&format!("cma-es, {population} individuals"), overhead(&options, COUNT), driven(options));
+    }
+    let serial = PatternSearch::default().batch(PollPlan::Serial);
+    line("pattern-search", overhead(&serial, COUNT), driven(serial));
     line("ga", overhead(&Genetic::default(), COUNT), driven(Genetic::default()));
     let (one, two) = (seconds(1), seconds(2));
     println!(

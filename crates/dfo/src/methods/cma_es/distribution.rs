@@ -22,6 +22,9 @@ pub(super) struct Distribution {
     deviations: Vec<f64>,
     path_sigma: Vec<f64>,
     path_c: Vec<f64>,
+    /// The weighted mean of the better steps of a generation.
+    #[serde(skip)]
+    shift: Vec<f64>,
     /// Updates since the beginning, and since the last decomposition.
     n_updates: u64,
     n_since: u64,
@@ -39,6 +42,7 @@ impl Distribution {
             deviations: vec![1.0; n],
             path_sigma: vec![0.0; n],
             path_c: vec![0.0; n],
+            shift: Vec::with_capacity(n),
             n_updates: 0,
             n_since: 0,
         }
@@ -71,7 +75,9 @@ impl Distribution {
         let positive = &weights.of_rank[..n_parents];
         let sum: f64 = positive.iter().sum();
         // Equations 41 and 42: the mean.
-        let mut shift = vec![0.0; n];
+        let mut shift = std::mem::take(&mut self.shift);
+        shift.clear();
+        shift.resize(n, 0.0);
         for (w, (y, _)) in positive.iter().zip(ranked.clone()) {
             shift.iter_mut().zip(y).for_each(|(s, y)| *s += w / sum * y);
         }
@@ -118,6 +124,7 @@ impl Distribution {
             add_outer(&mut self.covariance, c_mu * scaled, y);
         }
         self.n_since += 1;
+        self.shift = shift;
     }
 
     /// Goes back to a point with half the step size: nothing was learnt.
