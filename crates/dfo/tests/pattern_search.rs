@@ -1,5 +1,5 @@
 //! Pattern search: beside a compass search, where costs have kinks, and its plans.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 mod common;
 mod problems;
