@@ -100,6 +100,8 @@ fn units_of_the_parameters_change_nothing() {
 fn runs_that_learn_nothing_end() {
     let flat = boxed(|_| 1.0, 3, CmaEs::default()).seed(1).run().unwrap();
     assert!(!flat.is_success() && flat.n_evaluations < 500, "{flat}");
+    let unbounded = minimize(|x: &[f64]| x[0]).start(&[1.0]).method(CmaEs::default()).seed(1).run().unwrap();
+    assert_eq!(unbounded.termination, Termination::Unbounded, "{unbounded}");
     let noise = |x: &[f64]| {
         let bits =
             x.iter().fold(1u64, |h, v| (h ^ v.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (h >> 29));

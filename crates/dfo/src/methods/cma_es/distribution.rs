@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 /// A larger condition number of the covariance matrix has no accurate decomposition (Hansen 2009: ConditionCov).
 const LARGEST_CONDITION: f64 = 1e14;
 
+/// Beyond this and its inverse the largest variance goes over into the step size.
+const LARGEST_VARIANCE: f64 = 1e8;
+
 /// Mean, step size, covariance matrix and evolution paths. Steps are in units of the sizes of the parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Distribution {
@@ -149,10 +152,18 @@ impl Distribution {
         if !self.covariance.iter().all(|c| c.is_finite()) {
             return false;
         }
+        let widest = (0..n).map(|k| self.covariance[k * (n + 1)]).fold(0.0, f64::max);
+        if !(1.0 / LARGEST_VARIANCE..=LARGEST_VARIANCE).contains(&widest) && widest > 0.0 {
+            // The same distribution with numbers in the middle of their range.
+            let unit = widest.sqrt();
+            self.sigma *= unit;
+            self.path_c.iter_mut().for_each(|p| *p /= unit);
+            self.covariance.iter_mut().for_each(|c| *c /= widest);
+        }
         let matrix = DMatrix::from_row_slice(n, n, &self.covariance);
         let Some(eigen) = SymmetricEigen::try_new(matrix, f64::EPSILON, 1000) else { return false };
         let (low, high) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
-        if !(high > f64::MIN_POSITIVE && high.is_finite()) {
+        if !(high > 0.0 && eigen.eigenvectors.iter().all(|v| v.is_finite())) {
             return false;
         }
         // A multiple of the identity brings the condition number down.
