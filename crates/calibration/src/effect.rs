@@ -88,6 +88,7 @@ impl Calibration {
         let is_over = matches!(
             report.termination,
             Termination::Converged
+                | Termination::Noise
                 | Termination::ConstantCost
                 | Termination::Target
                 | Termination::Collapsed

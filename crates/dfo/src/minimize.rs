@@ -369,7 +369,11 @@ impl<M: MethodOptions> Minimize<'_, M> {
         if let Some(pool) = &pool {
             self.description.options.workers = Some(pool.workers());
         }
-        let has_residuals = matches!(&source, Source::Objective(objective) if objective.has_residuals());
+        let has_residuals = match &source {
+            Source::Objective(objective) => objective.has_residuals(),
+            // Known when they come.
+            Source::Batches(_) => true,
+        };
         let needs_residuals = self.description.options.method.needs_residuals();
         let StartedRun {
             method, batch_ledger, limits, workers, writer, observed, first_recent, before, ..

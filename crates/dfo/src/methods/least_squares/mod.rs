@@ -2,10 +2,13 @@
 //! Marteau and Roberts, ACM TOMS 45, 2019): n + 1 points, each evaluated once, make a model of every residual; its sum of squares
 //! is smallest at the next trial point, within a radius that grows and shrinks with the success of the predictions.
 
+mod averaging;
 mod model;
 mod options;
+mod points;
 mod state;
 mod subproblem;
+mod trust_region;
 
 pub use options::LeastSquares;
 pub use state::LeastSquaresState;
@@ -24,11 +27,12 @@ impl MethodOptions for LeastSquares {
         setup.space.require_continuous("least-squares")?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         memory::check("a model of so many parameters", &[n + 1, 4 * n + 2 * n_user])?;
-        Ok(LeastSquaresState::new(setup, self.radius))
+        Ok(LeastSquaresState::new(&near(setup), self))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<LeastSquaresState, Error> {
-        restored(state, |s: &LeastSquaresState| s.is_sound(setup))
+        let setup = near(setup);
+        restored(state, |s: &LeastSquaresState| s.is_sound(&setup))
     }
 
     fn describe(&self) -> Vec<(String, String)> {
@@ -42,4 +46,9 @@ impl MethodOptions for LeastSquares {
     fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
         (Some(1000usize.saturating_mul(n + 1)), None)
     }
+}
+
+/// The same problem without bounds that stand for none.
+fn near(setup: &Setup) -> Setup {
+    Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
 }
