@@ -4,8 +4,8 @@
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
 use dfo::{
-    Answers, Barrier, Batch, BatchPlan, Bounds, DifferentialEvolution, Genetic, LeastSquares, Method,
-    MethodOptions, NelderMead, Outcome, Setup, Space, Status, minimize,
+    Answers, Barrier, Batch, BatchPlan, Bounds, CmaEs, DifferentialEvolution, Genetic, LeastSquares, Method,
+    MethodOptions, NelderMead, Outcome, PatternSearch, PollPlan, Setup, Space, Status, minimize,
 };
 use std::time::{Duration, Instant};
 
@@ -116,6 +116,12 @@ fn main() {
         let bar = 20.0 + 1e-3 * (m * N * N) as f64;
         println!("{:28} {asked:8.3}          (at most {bar:.0})", format!("least-squares, m = {m}"));
     }
+    for population in [10, 100, 1000, 10_000] {
+        let options = CmaEs::default().population(population);
+        line(&format!("cma-es, {population} individuals"), overhead(&options, COUNT, 0), driven(options));
+    }
+    let serial = PatternSearch::default().batch(PollPlan::Serial);
+    line("pattern-search", overhead(&serial, COUNT, 0), driven(serial));
     let (one, two) = (seconds(1), seconds(2));
     println!(
         "de-classic, population 20, 5 ms: {one:.2} s alone, {two:.2} s with two workers: {:.2} times",

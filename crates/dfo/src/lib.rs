@@ -19,6 +19,7 @@
 //! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
 //! | `cma-es` | badly scaled and turned valleys, noise; with restarts many minima in a box | [`CmaEs`] |
 //! | `multistart` | the same by local searches from several starts: least squares or Nelder-Mead; reports all minima found | [`Multistart`] |
+//! | `pattern-search` | kinks and jumps; few parameters, with or without bounds | [`PatternSearch`] |
 //! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
 //! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
@@ -85,8 +86,8 @@ pub use methods::{
     Adaptive, AnyMethod, Auto, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
     Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
     InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
-    NelderMeadState, Polish, QuadraticModel, QuadraticModelState, Repair, Restarts, Scheme, Selection,
-    Strategy, Weight,
+    NelderMeadState, PatternSearch, PatternSearchState, Polish, PollPlan, QuadraticModel,
+    QuadraticModelState, Repair, Restarts, Scheme, Selection, Strategy, Weight,
 };
 pub use minimize::{ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches};
 pub use objective::{

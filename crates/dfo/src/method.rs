@@ -184,6 +184,10 @@ pub enum Operation {
     TrustRegionStep,
     /// Local searches from several starts advanced by a step each.
     LocalSearches,
+    /// A poll found a better point.
+    Poll,
+    /// No point of a poll was better: the frame has shrunk.
+    Refinement,
 }
 
 impl fmt::Display for Operation {
@@ -200,6 +204,8 @@ impl fmt::Display for Operation {
             Self::Generation => "generation",
             Self::TrustRegionStep => "trust region step",
             Self::LocalSearches => "local searches",
+            Self::Poll => "poll",
+            Self::Refinement => "refinement",
         })
     }
 }

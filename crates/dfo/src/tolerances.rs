@@ -134,6 +134,8 @@ pub enum Extent {
     Model,
     /// Of the trust region around the best point; the spread is the decrease that the model predicts within it.
     TrustRegion,
+    /// Of the frame of a poll.
+    Frame,
 }
 
 impl Extent {
@@ -145,6 +147,7 @@ impl Extent {
             Self::BestSeen => "best points seen:",
             Self::Model => "distance to the model's minimum:",
             Self::TrustRegion => "trust region",
+            Self::Frame => "frame",
         }
     }
 }

@@ -9,8 +9,8 @@ use common::timeless;
 use dfo::{
     Answer, AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
     DifferentialEvolution, Error, Genetic, LeastSquares, Measure, MethodOptions, Multistart, NelderMead,
-    Objective, Outcome, QuadraticModel, Query, Report, Restarts, Sampling, Selection, Stop, Termination,
-    Transform, minimize,
+    Objective, Outcome, PatternSearch, PollPlan, QuadraticModel, Query, Report, Restarts, Sampling,
+    Selection, Stop, Termination, Transform, minimize,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -190,7 +190,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
         BatchPlan::TwoAhead,
         BatchPlan::LeeWiswall,
     ]);
-    match dice.below(13) {
+    match dice.below(14) {
         0..=3 => {
             let handling = dice.pick(&[BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine]);
             let coefficients = dice.pick(&[Coefficients::Standard, Coefficients::Adaptive]);
@@ -221,6 +221,10 @@ fn method(dice: &mut Dice) -> AnyMethod {
                 0 => least_squares.into(),
                 batch => least_squares.batch(2 + 3 * batch as usize).into(),
             }
+        }
+        12 => {
+            let plan = dice.pick(&[PollPlan::Serial, PollPlan::Poll]);
+            PatternSearch::default().frame(dice.pick(&[0.3, 1e-300, 1e300])).batch(plan).into()
         }
         _ => {
             let selection = dice.pick(&[Selection::FitnessProportional, Selection::Tournament(3)]);

@@ -6,7 +6,7 @@ mod common;
 use common::{cutting, methods_for_costs, probe, probe_fails, quiet_panics_on_purpose, rosenbrock, timeless};
 use dfo::{
     Answers, AnyMethod, BatchPlan, Bounds, ByHand, Checkpoint, Error, Limits, Minimize, NelderMead, Outcome,
-    Query, Report, Resume, Setup, Space, Termination, by_hand, minimize, with_query,
+    PollPlan, Query, Report, Resume, Setup, Space, Termination, by_hand, minimize, with_query,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -91,6 +91,7 @@ fn workers_and_cutoffs_change_nothing() {
                     m.clone().batch(BatchPlan::Serial).into()
                 }
                 AnyMethod::Barrier(m) => m.clone().batch(BatchPlan::Serial).into(),
+                AnyMethod::PatternSearch(m) => m.clone().batch(PollPlan::Serial).into(),
                 other => other.clone(),
             };
             let many = boxed(minimize(probe), &pinned).max_evaluations(600).workers(workers).run().unwrap();

@@ -5,8 +5,8 @@ mod common;
 
 use common::{methods_for_costs, probe, timeless};
 use dfo::{
-    AnyMethod, BatchPlan, Checkpoint, Limits, NelderMead, Outcome, Report, Resume, Termination, Trace,
-    by_hand, minimize,
+    AnyMethod, BatchPlan, Checkpoint, Limits, NelderMead, Outcome, PollPlan, Report, Resume, Termination,
+    Trace, by_hand, minimize,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -17,6 +17,7 @@ fn methods() -> Vec<AnyMethod> {
         match method {
             AnyMethod::NelderMead(m) => m.batch = BatchPlan::Serial,
             AnyMethod::Barrier(m) => *m = m.clone().batch(BatchPlan::Serial),
+            AnyMethod::PatternSearch(m) => m.batch = PollPlan::Serial,
             _ => {}
         }
     }

@@ -6,8 +6,8 @@ mod common;
 
 use common::{methods_for_costs, probe_fails, quiet_panics_on_purpose, rosenbrock};
 use dfo::{
-    AnyMethod, BatchPlan, BatchView, Error, Minimize, NelderMead, Objective, Outcome, Query, Report,
-    Termination, minimize, minimize_batches, with_query,
+    AnyMethod, BatchPlan, BatchView, Error, Minimize, NelderMead, Objective, Outcome, PatternSearch,
+    PollPlan, Query, Report, Termination, minimize, minimize_batches, with_query,
 };
 
 const PLANS: [BatchPlan; 6] = [
@@ -67,6 +67,8 @@ fn no_number_of_workers_changes_anything() {
     let mut methods: Vec<AnyMethod> = methods_for_costs();
     methods.extend(PLANS.map(|plan| NelderMead::default().batch(plan).into()));
     methods.push(dfo::Barrier::default().batch(BatchPlan::Ahead).into());
+    methods.push(PatternSearch::default().batch(PollPlan::Poll).into());
+    methods.push(PatternSearch::default().batch(PollPlan::Ahead).into());
     let mut dice = 1u64;
     for round in 0..20 {
         for method in &methods {
@@ -76,6 +78,7 @@ fn no_number_of_workers_changes_anything() {
             let pinned = match method {
                 AnyMethod::NelderMead(_) => NelderMead::default().batch(BatchPlan::Serial).into(),
                 AnyMethod::Barrier(_) => dfo::Barrier::default().batch(BatchPlan::Serial).into(),
+                AnyMethod::PatternSearch(_) => PatternSearch::default().batch(PollPlan::Serial).into(),
                 other => other.clone(),
             };
             let serial = told(described(minimize(dfo::ByRef(&objective)), &pinned, dice).run());

@@ -153,6 +153,7 @@ fn tagged(option: &str, value: Value) -> Value {
             Some(Value::Array(_)) => json!({ "vertices": value }),
             _ => json!({ "steps": value }),
         },
+        ("restarts", Value::Null) => json!("none"),
         ("selection", Value::Number(_)) => json!({ "tournament": value }),
         ("selection", Value::String(word)) if word == "fitness" => json!("fitness-proportional"),
         ("weight", Value::Number(_)) => json!({ "fixed": value }),

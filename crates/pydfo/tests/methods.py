@@ -6,7 +6,7 @@ import os
 
 import numpy as np
 
-METHODS = ["nelder-mead", "barrier", "de", "de-classic", "ga", "quadratic-model"]
+METHODS = ["nelder-mead", "barrier", "de", "de-classic", "ga", "quadratic-model", "cma-es", "pattern-search"]
 
 #: What a run over Rosenbrock's function needs, the same for every method.
 RUN = {"x0": [-1.2, 1.0], "bounds": [(-2.0, 2.0), (-2.0, 2.0)], "rng": 7}

@@ -49,7 +49,7 @@ def test_interrupted_at_random_points_and_resumed_is_the_uninterrupted_run(metho
         limits = {"max_evaluations": min(limit, calls + left) if how == "budget" else limit}
         options = {**run["options"], "checkpoint_interval": 0.0}
         workers = chance.choice([1, map, 2]) if how in ("budget", "stop") else 1
-        if method in ("nelder-mead", "barrier"):
+        if method in ("nelder-mead", "barrier", "pattern-search"):
             options["batch"] = "serial"
 
         def stop(progress, left=left):

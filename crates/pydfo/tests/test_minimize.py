@@ -66,9 +66,13 @@ def test_every_method_finds_the_minimum(method):
     np.testing.assert_allclose(res.x, [1.0, 1.0], atol=0.05)
     assert res.method == method and res.fun == rosenbrock(res.x) and len(res.trace) == res.nfev
     assert (res.final_simplex is None) == (method not in ("nelder-mead", "barrier"))
-    if method in ("de", "de-classic", "ga"):
+    if method in ("de", "de-classic", "ga", "cma-es"):
         members, costs = res.final_population
-        assert res.seed == 1 and members.shape[1] == 2 and np.all(np.diff(costs) >= 0) and costs[0] == res.fun
+        assert res.seed == 1 and members.shape[1] == 2 and np.all(np.diff(costs) >= 0)
+        # CMA-ES has the last generation, which need not hold the best point.
+        assert costs[0] == res.fun or method == "cma-es"
+    elif method == "pattern-search":
+        assert res.seed is None and res.final_population[1] == [res.fun]
     else:
         assert res.seed is None and res.final_population is None
     mus = [stage.mu for stage in res.schedule]
@@ -296,6 +300,9 @@ def test_sizes_scales_and_warm_starts_are_options():
         ("de-classic", {"strategy": "current_to_best1", "weight": 0.6}),
         ("ga", {"population": 20, "selection": 3, "crossover_rate": 0.6, "mutation_rate": 0.02, "elite": 2, "gray": np.True_}),
         ("ga", {"population": 20.0, "selection": 3.0, "elite": np.float64(2), "stall": 1e9}),
+        ("cma-es", {"population": 12, "sigma": 0.1, "restarts": "bipop", "bounds_handling": "mirror"}),
+        ("cma-es", {"population": 4.0, "sigma": np.float64(1), "restarts": None}),
+        ("pattern-search", {"batch": "poll", "frame": 0.1, "restarts": 0}),
         ("ga", {"selection": "fitness", "resolution": [0.01, 0.01], "sampling": "uniform", "stall": None, "cache": 0}),
     ],
 )
@@ -325,6 +332,10 @@ def test_every_option_of_every_method_reaches_it(method, options):
         ({"method": "differential_evolution"}, ValueError, "did you mean 'de'"),
         ({"x0": ["a"] * 150}, TypeError, r"x0 must be numbers, not \['a', 'a', 'a', 'a', 'a', 'a', \.\.\.\]$"),
         ({"method": "de", "options": {"crossover": "binomial"}}, ValueError, "de has no option 'crossover'; it has archive"),
+        ({"method": "cma-es", "options": {"restarts": "often"}}, ValueError, "restarts = 'often' is none of 'none', 'ipop', 'bipop'"),
+        ({"method": "cma-es", "options": {"sigma": 0}}, ValueError, "sigma = 0 must be positive and finite"),
+        ({"method": "cmaes"}, ValueError, "did you mean 'cma-es'"),
+        ({"method": "pattern-search", "options": {"frame": "wide"}}, TypeError, "option 'frame' of pattern-search must be a number"),
         ({"options": {"restarts": 1.5}}, TypeError, "option 'restarts' of nelder-mead must be a whole number"),
         ({"options": {"restarts": True}}, TypeError, "option 'restarts' of nelder-mead must be a whole number"),
         ({"options": {"restarts": -1}}, ValueError, "option 'restarts' of nelder-mead must be a whole number, at least 0.* not -1"),

@@ -19,7 +19,7 @@ def told(result):
     return result.x.tobytes(), result.fun, result.nfev, result.nit, result.nfail, result.termination
 
 
-@pytest.mark.parametrize("method", ["nelder-mead", "barrier", "de", "de-classic", "ga"])
+@pytest.mark.parametrize("method", ["nelder-mead", "barrier", "de", "de-classic", "ga", "cma-es", "pattern-search"])
 @pytest.mark.parametrize("budget", [7, 61, 150])
 def test_no_kind_of_workers_changes_anything(method, budget):
     def patchy(x):

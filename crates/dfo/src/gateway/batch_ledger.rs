@@ -42,7 +42,7 @@ pub(crate) struct BatchLedger {
     /// Places of the points of a batch, by their hash.
     places: HashMap<u64, usize>,
     truncated: bool,
-    /// The cost at which the run ends, and the place of the batch where a known answer has it.
+    /// The cost at which the run ends, and the place of the batch where a known answer ends it.
     target: Option<f64>,
     reached: Option<usize>,
 }
@@ -116,7 +116,10 @@ impl BatchLedger {
             };
             self.sources.push(source);
             let known = matches!(source, Source::Cached | Source::Replayed);
-            if known && self.reached.is_none() && self.is_target(&self.answers[k], cutoff) {
+            let ends = |answer: &Answer| {
+                matches!(answer.outcome, Outcome::Abort(_)) || self.is_target(answer, cutoff)
+            };
+            if known && self.reached.is_none() && ends(&self.answers[k]) {
                 self.reached = Some(k);
             }
         }
@@ -222,15 +225,17 @@ impl BatchLedger {
     pub(crate) fn last<'a>(&'a self, answers: &'a [Answer]) -> Option<(usize, Last<'a>)> {
         let mut new = answers.iter().enumerate().take(self.n_needed);
         self.sources.iter().enumerate().find_map(|(k, source)| {
-            if !source.is_work() {
-                return (self.reached == Some(k)).then_some((k, Last::Target));
-            }
-            let (place, answer) = new.next()?;
+            let (answer, is_last) = if source.is_work() {
+                let (place, answer) = new.next()?;
+                (answer, self.is_last(place, answer))
+            } else {
+                (&self.answers[k], self.reached == Some(k))
+            };
             let why = match &answer.outcome {
                 Outcome::Abort(message) => Last::Abort(message),
                 _ => Last::Target,
             };
-            self.is_last(place, answer).then_some((k, why))
+            is_last.then_some((k, why))
         })
     }
 

@@ -7,6 +7,7 @@ mod genetic;
 mod least_squares;
 mod multistart;
 mod nelder_mead;
+mod pattern_search;
 mod quadratic_model;
 mod shared;
 
@@ -19,6 +20,7 @@ pub use genetic::{Genetic, GeneticState, Selection};
 pub use least_squares::{LeastSquares, LeastSquaresState};
 pub use multistart::{Multistart, MultistartState, Polish};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
+pub use pattern_search::{PatternSearch, PatternSearchState, PollPlan};
 pub use quadratic_model::{QuadraticModel, QuadraticModelState};
 
 use crate::answer::Answers;
@@ -73,13 +75,15 @@ pub enum AnyMethod {
     Auto(Auto),
     /// `quadratic-model`, for smooth costs.
     QuadraticModel(QuadraticModel),
+    /// `pattern-search`.
+    PatternSearch(PatternSearch),
 }
 
 /// A method's name, its number in `fmin`, and its default options.
 type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
 
 /// The methods: a new one is added here.
-const LIST: [Listed; 9] = [
+const LIST: [Listed; 10] = [
     ("nelder-mead", Some(1), || NelderMead::default().into()),
     ("barrier", Some(2), || Barrier::default().into()),
     ("de", None, || DifferentialEvolution::default().into()),
@@ -89,6 +93,7 @@ const LIST: [Listed; 9] = [
     ("cma-es", None, || CmaEs::default().into()),
     ("multistart", None, || Multistart::default().into()),
     ("quadratic-model", None, || QuadraticModel::default().into()),
+    ("pattern-search", None, || PatternSearch::default().into()),
 ];
 
 impl AnyMethod {
@@ -115,6 +120,7 @@ impl AnyMethod {
             Self::Multistart(_) => "multistart",
             Self::Auto(_) => "auto",
             Self::QuadraticModel(_) => "quadratic-model",
+            Self::PatternSearch(_) => "pattern-search",
         }
     }
 
@@ -178,6 +184,7 @@ from_options!(
     CmaEs,
     Multistart,
     QuadraticModel,
+    PatternSearch,
     Auto
 );
 
@@ -194,6 +201,7 @@ macro_rules! each {
             AnyMethod::Multistart($options) => $call,
             AnyMethod::Auto($options) => $call,
             AnyMethod::QuadraticModel($options) => $call,
+            AnyMethod::PatternSearch($options) => $call,
         }
     };
 }

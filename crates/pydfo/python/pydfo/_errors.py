@@ -22,7 +22,6 @@ __all__ = [
     "CheckpointError",
     "FmuError",
     "Interrupted",
-    "MethodNotAvailable",
     "ModelTypeError",
     "NoResult",
     "PydfoError",
@@ -118,10 +117,6 @@ class AllStartsFailed(NoResult):
 
 class CheckpointError(PydfoError, ValueError):
     """A checkpoint that is damaged, or belongs to another run; the message names the difference. The file is untouched."""
-
-
-class MethodNotAvailable(ValueError, NotImplementedError):
-    """A method that this version does not have."""
 
 
 class Interrupted(KeyboardInterrupt):

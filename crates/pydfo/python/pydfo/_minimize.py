@@ -55,7 +55,8 @@ def minimize(
         its value makes no difference (infinite: there is no such cost), and may return ``pydfo.Above(cutoff)`` as soon as
         it knows that it is strictly above: the search decides the same, with less work.
     x0 : array_like, shape (n,), optional
-        Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without.
+        Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without;
+        so can "cma-es" and "pattern-search", which then begin in its middle.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
         ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
         outside is ever evaluated. "nelder-mead", "barrier" and "quadratic-model" take a bound that lies at least 1e10 times as far as the
@@ -63,7 +64,8 @@ def minimize(
     method : str
         "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
         "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings); "quadratic-model" (trust
-        region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`); "multistart" (differential
+        region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`); "cma-es" (covariance matrix
+        adaptation); "pattern-search" (mesh adaptive direct search); "multistart" (differential
         evolution, then local searches from several starts in a box; the minima they end at are the result's ``optima``).
         "auto" is Nelder-Mead, "multistart" where ``search="global"``, with integer parameters "de", with categorical ones "ga";
         the result has the reason (``method_reason``).
@@ -113,7 +115,12 @@ def minimize(
         tournament), ``crossover_rate``, ``mutation_rate``, ``elite``, ``gray``, ``resolution``, ``sampling``,
         ``include_start``, ``stall`` (generations without gain that end the run; None: never). Multistart: ``sample`` (points
         of a sample), ``sampling``, ``polish`` ("auto", "nelder-mead", "cma-es", "least-squares"), ``side_by_side`` (local searches
-        at once), ``max_starts``, ``exploration`` (share of the budget for differential evolution).
+        at once), ``max_starts``, ``exploration`` (share of the budget for differential evolution). CMA-ES: ``population``
+        (4 + floor(3 ln n)), ``sigma`` (0.3: the first standard deviation, in units of the parameters' sizes), ``restarts``
+        ("none": the run ends when its tests pass; "ipop" and "bipop": the search begins anew with other populations until a
+        limit ends the run), ``bounds_handling`` ("smooth", "mirror"). Pattern search: ``batch`` ("auto", "serial", "poll",
+        "ahead"), ``frame`` (0.3: the first distance of the points of a poll, in units of the parameters' sizes),
+        ``restarts`` (2: so many searches in a row with new directions must gain nothing).
     checkpoint : path, optional
         A file for the state of the run, written after batches and at the end.
     resume : {"auto", "never", "require"}
@@ -125,7 +132,7 @@ def minimize(
         number is always raised.
     vectorized : bool
         ``fun(x, *args)`` takes points as columns, shape (n, S), and returns costs of shape (S,). `workers` must then be a
-        number; it says how many points Nelder-Mead plans for.
+        number; it says how many points Nelder-Mead and pattern search plan for.
     search : {"local", "global"}
         With method "auto": whether the minimum next to the start is looked for, or the best in the box. A global search needs two
         finite bounds for every parameter and uses its whole budget (default 1000 (n + 1) evaluations) unless the minima found are

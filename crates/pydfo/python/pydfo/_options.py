@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _keywords
-from ._errors import MethodNotAvailable
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -35,7 +34,7 @@ def show(value: object) -> str:
 #: The names of the methods; "auto" stands for one of them.
 METHODS = tuple(name for name, _ in _core.method_names())
 
-#: The methods that sample a box and need no start.
+#: The methods that need no start: they sample a box, or begin in its middle.
 SAMPLERS = tuple(name for name, needs_start in _core.method_names() if not needs_start)
 
 #: Other names of the methods.
@@ -45,10 +44,9 @@ _SYNONYMS: Mapping[str, str] = {
     **dict.fromkeys(("genetic", "genetic-algorithm"), "ga"),
     **dict.fromkeys(("leastsquares", "lsq", "levenberg-marquardt", "lm", "trf", "dfo-ls"), "least-squares"),
     **dict.fromkeys(("bobyqa", "cobyqa", "newuoa"), "quadratic-model"),
+    **dict.fromkeys(("cma", "cmaes", "ipop-cma-es", "bipop-cma-es"), "cma-es"),
+    **dict.fromkeys(("mads", "compass-search", "direct-search", "patternsearch"), "pattern-search"),
 }
-
-#: What the methods that are to come will be called.
-LATER = ("pattern-search",)
 
 
 @dataclass(frozen=True)
@@ -211,8 +209,6 @@ def method_name(method: str) -> str:
     name = choice("method", method).strip().lower().replace("_", "-").replace(" ", "-")
     if name == "auto":
         return name
-    if name in LATER and name not in METHODS:
-        raise MethodNotAvailable(f"method = {method!r} is not in this version; there are: {', '.join(METHODS)}")
     if name not in METHODS:
         near = [_SYNONYMS[name]] if name in _SYNONYMS else difflib.get_close_matches(name, METHODS, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""

@@ -8,7 +8,7 @@ use super::options::CmaBounds;
 use crate::space::{Space, fold};
 
 /// The margin as a fraction of the size of the parameter or of the width of the box, whichever is smaller. Tuned on turned
-/// ellipsoids and Rosenbrock's function with 5 and 10 parameters, half of them at a bound in the minimum (`benches/dfo/cma.py`
+/// ellipsoids and Rosenbrock's function with 5 and 10 parameters, half of them at a bound in the minimum (`benches/dfo/cma_es.py`
 /// has these problems with 2, 3 and 8): c-cmaes has 1/20, which bends valleys inside and is no better where the cost goes down
 /// towards the bound; smaller ones come to what a mirror is, two to three times slower there, and faster where it is level.
 const MARGIN: f64 = 0.005;

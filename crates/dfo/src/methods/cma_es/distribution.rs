@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 /// A larger condition number of the covariance matrix has no accurate decomposition (Hansen 2009: ConditionCov).
 const LARGEST_CONDITION: f64 = 1e14;
 
+/// Beyond this and its inverse the largest variance goes over into the step size.
+const LARGEST_VARIANCE: f64 = 1e8;
+
 /// Mean, step size, covariance matrix and evolution paths. Steps are in units of the sizes of the parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Distribution {
@@ -22,6 +25,9 @@ pub(super) struct Distribution {
     deviations: Vec<f64>,
     path_sigma: Vec<f64>,
     path_c: Vec<f64>,
+    /// The weighted mean of the better steps of a generation.
+    #[serde(skip)]
+    shift: Vec<f64>,
     /// Updates since the beginning, and since the last decomposition.
     n_updates: u64,
     n_since: u64,
@@ -39,6 +45,7 @@ impl Distribution {
             deviations: vec![1.0; n],
             path_sigma: vec![0.0; n],
             path_c: vec![0.0; n],
+            shift: Vec::with_capacity(n),
             n_updates: 0,
             n_since: 0,
         }
@@ -71,7 +78,9 @@ impl Distribution {
         let positive = &weights.of_rank[..n_parents];
         let sum: f64 = positive.iter().sum();
         // Equations 41 and 42: the mean.
-        let mut shift = vec![0.0; n];
+        let mut shift = std::mem::take(&mut self.shift);
+        shift.clear();
+        shift.resize(n, 0.0);
         for (w, (y, _)) in positive.iter().zip(ranked.clone()) {
             shift.iter_mut().zip(y).for_each(|(s, y)| *s += w / sum * y);
         }
@@ -118,6 +127,7 @@ impl Distribution {
             add_outer(&mut self.covariance, c_mu * scaled, y);
         }
         self.n_since += 1;
+        self.shift = shift;
     }
 
     /// Goes back to a point with half the step size: nothing was learnt.
@@ -142,10 +152,18 @@ impl Distribution {
         if !self.covariance.iter().all(|c| c.is_finite()) {
             return false;
         }
+        let widest = (0..n).map(|k| self.covariance[k * (n + 1)]).fold(0.0, f64::max);
+        if !(1.0 / LARGEST_VARIANCE..=LARGEST_VARIANCE).contains(&widest) && widest > 0.0 {
+            // The same distribution with numbers in the middle of their range.
+            let unit = widest.sqrt();
+            self.sigma *= unit;
+            self.path_c.iter_mut().for_each(|p| *p /= unit);
+            self.covariance.iter_mut().for_each(|c| *c /= widest);
+        }
         let matrix = DMatrix::from_row_slice(n, n, &self.covariance);
         let Some(eigen) = SymmetricEigen::try_new(matrix, f64::EPSILON, 1000) else { return false };
         let (low, high) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
-        if !(high > f64::MIN_POSITIVE && high.is_finite()) {
+        if !(high > 0.0 && eigen.eigenvectors.iter().all(|v| v.is_finite())) {
             return false;
         }
         // A multiple of the identity brings the condition number down.

@@ -34,7 +34,8 @@ pub enum CmaBounds {
 
 /// Options of CMA-ES.
 ///
-/// It starts from the start point; without one, from the middle of the box. With restarts it goes on until a limit ends the
+/// It starts from the start point, which is the first individual; without one, from the middle of the box. Of the points of an
+/// earlier run it takes the best. With restarts it goes on until a limit ends the
 /// run (at the latest when the population has been doubled nine times), from points drawn in the box; along a parameter
 /// without a box they are drawn around the start point, with the size of the parameter as standard deviation.
 ///

@@ -30,7 +30,7 @@ pub struct CmaRules {
     squared: Vec<f64>,
     normals: Vec<f64>,
     point: Vec<f64>,
-    /// The best point since the last restart.
+    /// The best point since the last restart, in working coordinates.
     best: Vec<f64>,
     best_cost: f64,
     /// Generations since the last restart, those of them since the best point changed, and the last ones without a cost.
@@ -52,18 +52,19 @@ fn unbend(point: &mut [f64], space: &Space, handling: CmaBounds) {
 impl CmaRules {
     pub(super) fn begin(options: &CmaEs, setup: Setup, members: usize, seed: u64) -> CmaEsState {
         let (space, n) = (&setup.space, setup.space.n_free());
-        let mut mean = vec![0.0; n];
-        space.to_working(space.x0(), &mut mean);
+        let mut best = vec![0.0; n];
+        space.to_working(space.x0(), &mut best);
+        let mut mean = best.clone();
         unbend(&mut mean, space, options.bounds_handling);
         let mut rules = Self {
             handling: options.bounds_handling,
             weights: Weights::new(n, members),
-            distribution: Distribution::new(mean.clone(), options.sigma),
+            distribution: Distribution::new(mean, options.sigma),
             steps: Vec::new(),
             squared: Vec::new(),
             normals: vec![0.0; n],
             point: vec![0.0; n],
-            best: mean,
+            best,
             best_cost: f64::INFINITY,
             n_generations: 0,
             idle: 0,
@@ -126,8 +127,9 @@ impl CmaRules {
             self.distribution.retreat(&self.point);
             return;
         }
-        let ranked = generation.order()[..generation.n_finite()].iter();
-        let ranked = ranked.map(|&slot| (&self.steps[slot * n..(slot + 1) * n], self.squared[slot]));
+        let step_of =
+            |&slot: &usize| Some((self.steps.get(slot * n..(slot + 1) * n)?, *self.squared.get(slot)?));
+        let ranked = generation.order()[..generation.n_finite()].iter().filter_map(step_of);
         self.distribution.update(&self.weights, ranked, |k| space.size(k));
         // Wider than the box along every parameter it would be as good as uniform.
         let excess = |k: usize| match space.width(k) {

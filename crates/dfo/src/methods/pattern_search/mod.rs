@@ -1,0 +1,75 @@
+//! Pattern search: a mesh adaptive direct search that polls along orthogonal directions (Audet and Dennis, SIAM J. Optim. 17,
+//! 2006; Abramson, Audet, Dennis and Le Digabel, SIAM J. Optim. 20, 2009: OrthoMADS).
+//!
+//! A poll looks at the `2 n` points of a frame around the best point, along both ways of `n` orthogonal directions, rounded to
+//! a mesh that becomes finer than the frame as that shrinks. The first better point in the order of the poll is taken, and the
+//! step to it is doubled for as long as that gains; three doublings double the frame. After a poll without a better point
+//! the frame has half the size.
+//!
+//! **Directions.** A Householder reflection turns one of the coordinate axes along the way that the best point has gone since
+//! the frame last shrank, and the polls begin with the directions nearest to that way (Rosenbrock, Comput. J. 3, 1960, turns
+//! his axes for the same reason: steps along a valley). Where it has not moved, the reflection is that of the next point of
+//! Halton's sequence, as in OrthoMADS, so that the directions become dense on the sphere; with the first frame the axes
+//! stay as they are. The search is deterministic.
+//!
+//! **Restarts.** When the tests have passed, the search goes on with the first frame and new directions until that gains nothing
+//! any more: where the cost has kinks, few directions lead down, and the frame may have shrunk before one was met.
+//!
+//! **Bounds.** A point outside is moved onto the bound.
+//!
+//! **Failures** are points that are no better. Where the start has failed, the first poll must find a cost.
+//!
+//! **Plan.** The path takes one point after the other. Ahead of need, the points that follow in the poll are evaluated, then
+//! those of the next poll ([`PollPlan`]). **Cutoff**: the cost of the best point.
+//!
+//! **Tests.** The x test measures the frame of a poll that failed, the f test what the last four frames have gained.
+
+mod options;
+mod poll;
+mod state;
+
+pub use options::{PatternSearch, PollPlan};
+pub use state::PatternSearchState;
+
+use crate::error::Error;
+use crate::memory;
+use crate::method::{MethodOptions, Setup, restored};
+use crate::option_texts;
+
+/// The problem without bounds that stand for "none".
+fn prepared(setup: &Setup) -> Setup {
+    Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
+}
+
+impl MethodOptions for PatternSearch {
+    type Method = PatternSearchState;
+
+    fn begin(&self, setup: &Setup) -> Result<PatternSearchState, Error> {
+        setup.tolerances.check()?;
+        setup.space.require_continuous("pattern-search")?;
+        self.check()?;
+        memory::check(
+            "the directions of so many parameters",
+            &[2, setup.space.n_free(), setup.space.n_free()],
+        )?;
+        Ok(PatternSearchState::new(self, prepared(setup)))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<PatternSearchState, Error> {
+        let setup = prepared(setup);
+        restored(state, |s: &PatternSearchState| s.is_sound(&setup))
+    }
+
+    fn needs_start(&self) -> bool {
+        false
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        option_texts::fields(self)
+    }
+
+    /// The points of a mesh come back.
+    fn default_cache(&self) -> usize {
+        1000
+    }
+}

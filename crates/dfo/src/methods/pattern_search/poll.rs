@@ -1,0 +1,140 @@
+//! The directions of a poll and their order.
+
+use serde::{Deserialize, Serialize};
+
+/// The directions of a poll: the columns of a Householder matrix and their opposites, best guess first.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Poll {
+    /// The normal of the reflection, of length 1; zero where the axes stay as they are.
+    normal: Vec<f64>,
+    /// Axis and sign of each direction.
+    order: Vec<(usize, bool)>,
+}
+
+impl Poll {
+    /// Along the axes of the coordinates.
+    pub(super) fn along_axes(n: usize) -> Self {
+        let order = (0..n).flat_map(|k| [(k, true), (k, false)]).collect();
+        Self { normal: vec![0.0; n], order }
+    }
+
+    /// With the reflection of a point of Halton's sequence (OrthoMADS, section 3.1). `index` from 1.
+    pub(super) fn of_halton(n: usize, index: u64) -> Self {
+        let mut poll = Self::along_axes(n);
+        let bases = (2u64..).filter(|p| (2..).take_while(|d| d * d <= *p).all(|d| !p.is_multiple_of(d)));
+        // The first n points lie near a line.
+        poll.normal = bases.take(n).map(|base| 2.0 * radical_inverse(index + n as u64, base) - 1.0).collect();
+        poll.normalise();
+        poll
+    }
+
+    /// With one direction along `way`, and the directions nearest to it first. Along the axes where it has no length.
+    pub(super) fn along(way: &[f64]) -> Self {
+        let mut poll = Self::along_axes(way.len());
+        poll.normal.copy_from_slice(way);
+        poll.normalise();
+        let largest =
+            |far: usize, k: usize| if poll.normal[k].abs() > poll.normal[far].abs() { k } else { far };
+        let axis = (0..way.len()).fold(0, largest);
+        let along: f64 = (0..way.len()).map(|k| poll.normal[k].powi(2)).sum();
+        if along == 0.0 {
+            return poll;
+        }
+        // The reflection takes this axis, away from the way, to the way.
+        poll.normal[axis] += poll.normal[axis].signum();
+        poll.normalise();
+        let mut step = vec![0.0; way.len()];
+        let mut nearness: Vec<f64> = Vec::with_capacity(poll.order.len());
+        for k in 0..poll.order.len() {
+            poll.direction(k, &mut step);
+            nearness.push(step.iter().zip(way).map(|(a, b)| a * b).sum());
+        }
+        let mut ranked: Vec<usize> = (0..nearness.len()).collect();
+        ranked.sort_by(|&a, &b| nearness[b].total_cmp(&nearness[a]));
+        poll.order = ranked.iter().map(|&k| poll.order[k]).collect();
+        poll
+    }
+
+    /// Number of directions.
+    pub(super) fn len(&self) -> usize {
+        self.order.len()
+    }
+
+    /// Direction `k`, of length 1.
+    pub(super) fn direction(&self, k: usize, out: &mut [f64]) {
+        let (axis, is_positive) = self.order[k];
+        let sign = if is_positive { 1.0 } else { -1.0 };
+        for (i, (d, v)) in out.iter_mut().zip(&self.normal).enumerate() {
+            *d = sign * (f64::from(i == axis) - 2.0 * v * self.normal[axis]);
+        }
+    }
+
+    fn normalise(&mut self) {
+        let largest = self.normal.iter().fold(0.0f64, |most, v| most.max(v.abs()));
+        let length = self.normal.iter().map(|v| (v / largest).powi(2)).sum::<f64>().sqrt();
+        if largest > 0.0 && length.is_finite() {
+            self.normal.iter_mut().for_each(|v| *v = *v / largest / length);
+        } else {
+            self.normal.fill(0.0);
+        }
+    }
+
+    pub(super) fn is_sound(&self, n: usize) -> bool {
+        self.normal.len() == n && self.order.len() == 2 * n && self.order.iter().all(|(axis, _)| *axis < n)
+    }
+}
+
+/// The digits of a number in a base, mirrored at the point (Halton, Numer. Math. 2, 1960).
+fn radical_inverse(mut index: u64, base: u64) -> f64 {
+    let (mut value, mut unit) = (0.0, 1.0);
+    while index > 0 {
+        unit /= base as f64;
+        value += unit * (index % base) as f64;
+        index /= base;
+    }
+    value
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn directions(poll: &Poll, n: usize) -> Vec<Vec<f64>> {
+        let direction = |k: usize| {
+            let mut d = vec![0.0; n];
+            poll.direction(k, &mut d);
+            d
+        };
+        (0..poll.len()).map(direction).collect()
+    }
+
+    #[test]
+    fn directions_are_orthogonal_and_come_with_their_opposites() {
+        let ways: [&[f64]; 4] = [&[3.0, -4.0, 0.5], &[0.0, 0.0, -1e-200], &[1e300, 1e300, 1e300], &[0.0; 3]];
+        let mut polls: Vec<Poll> = ways.iter().map(|way| Poll::along(way)).collect();
+        polls.extend((1..20).map(|index| Poll::of_halton(3, index)));
+        for poll in polls {
+            let all = directions(&poll, 3);
+            let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+            for a in &all {
+                assert!((dot(a, a) - 1.0).abs() < 1e-14);
+                let parallel: Vec<f64> = all.iter().map(|b| dot(a, b)).filter(|d| d.abs() > 1e-14).collect();
+                assert!(parallel.len() == 2 && (parallel[0] + parallel[1]).abs() < 1e-14, "{poll:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_first_direction_is_the_way() {
+        let all = directions(&Poll::along(&[3.0, -4.0]), 2);
+        assert!((all[0][0] - 0.6).abs() < 1e-15 && (all[0][1] + 0.8).abs() < 1e-15, "{all:?}");
+        assert!((all[3][0] + 0.6).abs() < 1e-15, "{all:?}");
+    }
+
+    #[test]
+    fn numbers_of_the_sequence() {
+        let values: Vec<f64> = (1..6).map(|i| radical_inverse(i, 2)).collect();
+        assert_eq!(values, [0.5, 0.25, 0.75, 0.125, 0.625]);
+        assert!((radical_inverse(5, 3) - (2.0 / 3.0 + 1.0 / 9.0)).abs() < 1e-15);
+    }
+}

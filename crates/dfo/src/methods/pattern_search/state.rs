@@ -1,0 +1,394 @@
+//! The running search: which point the path needs next, and what follows from its cost.
+
+use super::options::{PatternSearch, PollPlan};
+use super::poll::Poll;
+use crate::answer::Answers;
+use crate::choices::{BoundsHandling, Measure, Transform};
+use crate::error::Error;
+use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::methods::shared::cost::Cost;
+use crate::methods::shared::ranked_points::RankedPoints;
+use crate::termination::Termination;
+use crate::tolerances::{Extent, Tests};
+use serde::{Deserialize, Serialize};
+
+/// The f test measures what so many frames have gained.
+const FRAMES: usize = 4;
+
+/// So many doublings of a step double the frame.
+const DOUBLINGS: u32 = 3;
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+enum Phase {
+    /// The start point is evaluated.
+    Starting,
+    /// The points of the poll are evaluated.
+    Polling,
+    /// A step that has gained is doubled.
+    Extending,
+    NoStart,
+    Ended(Termination),
+}
+
+/// The frame grows no more from here on: numbers end.
+const LARGEST: f64 = 1e100;
+
+/// A running pattern search; made by [`PatternSearch`].
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct PatternSearchState {
+    setup: Setup,
+    plan: PollPlan,
+    phase: Phase,
+    /// The best point, or the start.
+    best: RankedPoints,
+    trial: (Vec<f64>, Vec<f64>),
+    /// Size of the first frame, and of the present one as a multiple of it.
+    first: f64,
+    scale: f64,
+    poll: Poll,
+    /// Place of the trial point in the poll.
+    place: usize,
+    /// Frames that have shrunk.
+    n_refined: u64,
+    /// The best point when the frame last shrank, in working coordinates.
+    reference: Vec<f64>,
+    /// The last step, in units of the sizes, and how often it has been doubled.
+    step: Vec<f64>,
+    n_doubled: u32,
+    /// The best cost when each of the last frames shrank.
+    gains: Vec<f64>,
+    /// So many restarts in a row must gain nothing; how many have, and the best cost when the search last began.
+    restarts: usize,
+    n_idle: usize,
+    f_begin: f64,
+    /// The tests that had passed before the last restart; they hold while no better point is known.
+    passed: Option<Tests>,
+    waiting: bool,
+    n_points: u64,
+    n_iterations: usize,
+    operation: Option<Operation>,
+    tests: Option<Tests>,
+    f_0: f64,
+}
+
+impl PatternSearchState {
+    pub(super) fn new(options: &PatternSearch, setup: Setup) -> Self {
+        let (space, n) = (&setup.space, setup.space.n_free());
+        let mut best = RankedPoints::new(space, 1);
+        best.place_exactly(0, space.x0(), space);
+        Self {
+            reference: best.u(0).to_vec(),
+            trial: (best.u(0).to_vec(), best.x(0).to_vec()),
+            best,
+            plan: options.batch,
+            phase: Phase::Starting,
+            first: options.frame,
+            scale: 1.0,
+            poll: Poll::along_axes(n),
+            place: 0,
+            n_refined: 0,
+            step: vec![0.0; n],
+            n_doubled: 0,
+            gains: Vec::with_capacity(FRAMES + 1),
+            restarts: options.restarts,
+            n_idle: 0,
+            f_begin: f64::INFINITY,
+            passed: None,
+            waiting: false,
+            n_points: 0,
+            n_iterations: 0,
+            operation: None,
+            tests: None,
+            f_0: 0.0,
+            setup,
+        }
+    }
+
+    /// Whether this state fits to a problem and to itself.
+    pub(super) fn is_sound(&self, setup: &Setup) -> bool {
+        let n = setup.space.n_free();
+        self.setup.space == setup.space
+            && self.best.len() == 1
+            && self.best.is_sound(&setup.space)
+            && (self.trial.0.len(), self.trial.1.len()) == (n, setup.space.n())
+            && self.poll.is_sound(n)
+            && (self.place < self.poll.len() || self.phase != Phase::Polling)
+            && (self.reference.len(), self.step.len()) == (n, n)
+    }
+
+    fn best_cost(&self) -> f64 {
+        self.best.cost(0).value().unwrap_or(f64::INFINITY)
+    }
+
+    /// The step to point `k` of a poll, in units of the sizes, on the mesh of a frame of this scale.
+    fn poll_step(&self, poll: &Poll, k: usize, scale: f64, out: &mut [f64]) {
+        poll.direction(k, out);
+        let mesh = scale.min(scale * scale);
+        out.iter_mut().for_each(|d| *d = self.first * mesh * (scale * *d / mesh).round());
+    }
+
+    /// The point at a step from the best one, in working coordinates and the user's; false where it is the best one itself.
+    fn place(&self, step: &[f64], (u, x): &mut (Vec<f64>, Vec<f64>)) -> bool {
+        let space = &self.setup.space;
+        for (k, (u, step)) in u.iter_mut().zip(step).enumerate() {
+            let here = self.best.u(0)[k];
+            *u = space.bring_inside(k, here + space.size(k) * step, here, BoundsHandling::Clamp);
+        }
+        space.to_user(u, x);
+        x != self.best.x(0)
+    }
+
+    /// Makes this point the trial point.
+    fn place_trial(&mut self, step: &[f64]) -> bool {
+        let mut trial = std::mem::take(&mut self.trial);
+        let is_new = self.place(step, &mut trial);
+        self.trial = trial;
+        is_new
+    }
+
+    /// The poll from the best point, given how often the frame has shrunk and whether the point has moved since.
+    fn next_poll(&self, n_refined: u64, has_moved: bool) -> Poll {
+        let (space, n) = (&self.setup.space, self.step.len());
+        let way = |k: usize| (self.best.u(0)[k] - self.reference[k]) / space.size(k);
+        let way: Vec<f64> = (0..n).map(way).collect();
+        if has_moved && way.iter().any(|w| *w != 0.0) {
+            Poll::along(&way)
+        } else if n_refined == 0 {
+            Poll::along_axes(n)
+        } else {
+            Poll::of_halton(n, n_refined)
+        }
+    }
+
+    /// Begins a poll from the best point.
+    fn begin_poll(&mut self) {
+        self.poll = self.next_poll(self.n_refined, true);
+        self.phase = Phase::Polling;
+        self.go_to(0);
+    }
+
+    /// Goes to the first place of the poll from here on that holds another point than the best one; where there is none, the
+    /// poll has failed.
+    fn go_to(&mut self, from: usize) {
+        let mut step = std::mem::take(&mut self.step);
+        let found = (from..self.poll.len()).find(|&place| {
+            self.poll_step(&self.poll, place, self.scale, &mut step);
+            self.place_trial(&step)
+        });
+        self.step = step;
+        match found {
+            Some(place) => self.place = place,
+            None => self.poll_failed(from > 0),
+        }
+    }
+
+    /// No point of the poll was better. `counts`: whether any was evaluated.
+    fn poll_failed(&mut self, counts: bool) {
+        if self.operation.is_none() {
+            self.phase = Phase::NoStart;
+            return;
+        }
+        self.gains.push(self.best_cost());
+        if self.gains.len() > FRAMES {
+            self.gains.remove(0);
+        }
+        if counts {
+            self.conclude(Operation::Refinement);
+        }
+        match self.tests.filter(|tests| tests.passed && counts) {
+            Some(tests) => {
+                let gains = self.f_begin - tests.f_best > tests.f_limit;
+                self.n_idle = if gains { 0 } else { self.n_idle + 1 };
+                if self.n_idle >= self.restarts {
+                    self.phase = Phase::Ended(Termination::Converged);
+                    return;
+                }
+                self.f_begin = tests.f_best;
+                self.passed = Some(tests);
+                self.gains.clear();
+                self.scale = 1.0;
+            }
+            None if self.first * self.scale < f64::EPSILON => {
+                self.phase = Phase::Ended(Termination::Collapsed);
+                return;
+            }
+            None => self.scale *= 0.5,
+        }
+        self.n_refined += 1;
+        self.reference.copy_from_slice(self.best.u(0));
+        self.begin_poll();
+    }
+
+    /// Ends an iteration.
+    fn conclude(&mut self, operation: Operation) {
+        self.n_iterations += 1;
+        self.operation = Some(operation);
+        let known = (self.gains.len() == FRAMES && operation == Operation::Refinement).then(|| self.gains[0]);
+        let (f, size) = (self.best_cost(), self.frame_size());
+        let tests = self.setup.tolerances.judge(size, known.map(|earlier| earlier - f), f, self.f_0);
+        self.tests = Some(Tests { extent: Extent::Frame, ..tests });
+    }
+
+    /// Size of the frame as the x test measures it.
+    fn frame_size(&self) -> f64 {
+        let (space, frame) = (&self.setup.space, self.first * self.scale);
+        let size = |(k, &i): (usize, &usize)| match space.transform(k) {
+            Transform::Linear => frame * space.size(k),
+            Transform::Log => self.best.x(0)[i] * (frame * space.size(k)).exp_m1(),
+        };
+        match self.setup.tolerances.measure {
+            Measure::Relative => frame,
+            Measure::Absolute => space.free().iter().enumerate().map(size).fold(0.0, f64::max),
+        }
+    }
+
+    /// The trial point is better.
+    fn accept(&mut self, cost: Cost) {
+        let Self { setup, best, trial: (u, x), step, .. } = self;
+        for (k, step) in step.iter_mut().enumerate() {
+            *step = (u[k] - best.u(0)[k]) / setup.space.size(k);
+        }
+        best.set(0, u, x);
+        best.set_cost(0, cost);
+    }
+
+    /// Tries twice the last step, or ends the iteration where that leads nowhere.
+    fn extend(&mut self) {
+        let doubled: Vec<f64> = self.step.iter().map(|s| 2.0 * s).collect();
+        self.phase = Phase::Extending;
+        if !self.place_trial(&doubled) {
+            self.extended();
+        }
+    }
+
+    /// The step was doubled for as long as that gained.
+    fn extended(&mut self) {
+        if self.n_doubled >= DOUBLINGS && self.first * self.scale < LARGEST {
+            self.scale *= 2.0;
+        }
+        self.conclude(Operation::Poll);
+        self.begin_poll();
+    }
+
+    fn started(&mut self) {
+        self.f_0 = self.best_cost().abs();
+        self.operation = Some(Operation::Initial);
+        if self.step.is_empty() {
+            self.phase = Phase::Ended(Termination::AllFixed);
+        }
+    }
+}
+
+impl Method for PatternSearchState {
+    fn name(&self) -> &'static str {
+        "pattern-search"
+    }
+
+    fn ask(&mut self, batch: &mut Batch) {
+        batch.start(self.setup.space.n(), self.n_points, self.n_points);
+        if self.status() == Status::Running {
+            // The start is the first trial point.
+            batch.push(&self.trial.1, self.best_cost());
+            self.waiting = true;
+        }
+    }
+
+    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+        // The rest of this poll, then the one that follows if all of its points fail, or if the step cannot be doubled.
+        let (rest, next) = match self.phase {
+            Phase::Starting => (0, (self.next_poll(1, false), 0.5 * self.scale)),
+            Phase::Polling => (self.place + 1, (self.next_poll(self.n_refined + 1, false), 0.5 * self.scale)),
+            Phase::Extending => (self.poll.len(), (self.next_poll(self.n_refined, true), self.scale)),
+            _ => return,
+        };
+        let mut ahead = self.trial.clone();
+        let mut step = vec![0.0; self.step.len()];
+        let places = (rest..self.poll.len()).map(|k| (&self.poll, k, self.scale));
+        for (poll, k, scale) in places.chain((0..next.0.len()).map(|k| (&next.0, k, next.1))) {
+            if batch.len() == wanted {
+                return;
+            }
+            self.poll_step(poll, k, scale, &mut step);
+            if self.place(&step, &mut ahead) && ahead.1 != self.trial.1 && !known(&ahead.1) {
+                batch.push(&ahead.1, self.best_cost());
+            }
+        }
+    }
+
+    fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        let outcomes = answers.outcomes();
+        if !self.waiting {
+            return Err(Error::TellWithoutAsk);
+        }
+        if outcomes.len() > 1 {
+            return Err(Error::TooManyOutcomes { asked: 1, told: outcomes.len() });
+        }
+        self.waiting = false;
+        self.n_points += 1;
+        let Some(outcome) = outcomes.first().filter(|outcome| outcome.is_known()) else { return Ok(()) };
+        let cost = outcome.value().map_or(Cost::Failed, Cost::Value);
+        let gains = cost.value().is_some_and(|cost| cost < self.best_cost());
+        match self.phase {
+            Phase::Starting => {
+                self.best.set_cost(0, cost);
+                if cost != Cost::Failed {
+                    self.started();
+                }
+                if self.phase == Phase::Starting {
+                    self.begin_poll();
+                }
+            }
+            Phase::Polling if gains => {
+                self.accept(cost);
+                self.n_doubled = 0;
+                if self.operation.is_none() {
+                    // The first cost of a search whose start has failed.
+                    self.started();
+                    self.begin_poll();
+                } else {
+                    self.extend();
+                }
+            }
+            Phase::Polling => self.go_to(self.place + 1),
+            Phase::Extending if gains => {
+                self.accept(cost);
+                self.n_doubled += 1;
+                self.extend();
+            }
+            Phase::Extending => self.extended(),
+            Phase::NoStart | Phase::Ended(_) => {}
+        }
+        Ok(())
+    }
+
+    fn status(&self) -> Status {
+        match &self.phase {
+            Phase::NoStart => Status::NoStart,
+            Phase::Ended(termination) => Status::Ended(termination.clone()),
+            Phase::Starting | Phase::Polling | Phase::Extending => Status::Running,
+        }
+    }
+
+    fn best(&self) -> Option<(&[f64], f64)> {
+        Some((self.best.x(0), self.best.cost(0).value()?))
+    }
+
+    fn details(&self) -> Details<'_> {
+        let passed = self.passed.filter(|passed| self.best_cost() >= passed.f_best);
+        let tests = passed.or(self.tests);
+        Details {
+            n_iterations: self.n_iterations,
+            operation: self.operation,
+            tests,
+            settled: tests.is_some_and(|tests| tests.passed),
+            plan: self.plan.name(),
+            lookahead: self.plan.lookahead(self.step.len()),
+            population: Some(self.best.view()),
+            ..Details::default()
+        }
+    }
+
+    fn save(&self) -> Option<Vec<u8>> {
+        saved(self)
+    }
+}
