@@ -261,3 +261,14 @@ def test_a_callback_sees_the_cost_and_may_end_the_run():
     seen = []
     res = least_squares(decay, START, callback=lambda progress: seen.append(progress.fun) or len(seen) == 4)
     assert len(seen) == 4 and res.cost == seen[-1] and res.status == 4
+
+
+def test_rounds_of_several_points():
+    alone = least_squares(decay, START)
+    rounds = least_squares(decay, START, batch=6)
+    assert rounds.success and rounds.cost == pytest.approx(alone.cost, rel=1e-6) and rounds.n_batches < alone.n_batches
+    assert timeless(least_squares(decay, START, batch=6, workers=3)) == timeless(rounds)
+    assert timeless(least_squares(decay, START, batch="workers", workers=6)) == timeless(rounds)
+    assert timeless(least_squares(decay, START, batch="workers")) == timeless(least_squares(decay, START, batch=1))
+    with pytest.raises(TypeError, match="'batch' of least-squares must be a whole number"):
+        least_squares(decay, START, batch="many")

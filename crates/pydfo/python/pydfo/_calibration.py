@@ -335,7 +335,7 @@ class Calibration:
         max_time: SupportsFloat | None = None,
         target: SupportsFloat | None = None,
         stop: Literal["any", "all"] | None = None,
-        batch: str = "auto",
+        batch: str | SupportsIndex = "auto",
         disp: bool = False,
         callback: Callback | None = None,
         *,
@@ -375,8 +375,9 @@ class Calibration:
             at once with it and comes after it counts as speculative.
         stop : {"all", "any"}, optional
             Whether both tests must hold (the default), or one ends the fit.
-        batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
-            Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`.
+        batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}, "workers" or int
+            Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares: a
+            number of points, or "workers"; see `least_squares`.
         disp : bool
             Print a line per iteration.
         callback : callable, optional
@@ -429,6 +430,9 @@ class Calibration:
         for name in ("scale", "nominal", "kinds"):
             if name in own:
                 raise ValueError(f"options: {name} of a fit is that of its parameters")
+        count = _options.worker_count("workers", workers, None)
+        if own.get("batch") == "workers":
+            own["batch"] = count or _options.all_cores()
         built = _options.build(
             Calibration.fit,
             method,
@@ -437,7 +441,7 @@ class Calibration:
             _options.Limits.check(
                 ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
             ),
-            workers=_options.worker_count("workers", workers, None),
+            workers=count,
             rng=rng,
             checkpoint=checkpoint,
             resume=resume,

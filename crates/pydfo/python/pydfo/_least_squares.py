@@ -82,7 +82,8 @@ def least_squares(
         As in `minimize`.
     batch : "auto", "workers" or int
         How many points the method asks for at once. "auto" takes a path that depends on n alone: the first stencil at
-        once, then one point after the other; a number takes another path, "workers" that of their number.
+        once, then one point after the other; a number takes another path, in fewer rounds with more evaluations; "workers" is
+        the number of workers.
     callback, rng, checkpoint, resume, on_error : optional
         As in `minimize`; ``fun`` of a `Progress` is the cost.
     options : dict, optional
@@ -133,6 +134,8 @@ def least_squares(
             raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
         batches = _evaluate.vectorized(called, of_residuals=True)
     given = given_once(_options.dictionary(options), least_squares, x_tol=x_tol, f_tol=f_tol, batch=batch)
+    if given.get("batch") == "workers":
+        given["batch"] = count
     limits = (max_evaluations, max_iterations, max_time, target)
     bounds = _options.bounds_of_least_squares(bounds, start)
     begin, lower, upper, built = describe(
