@@ -4,7 +4,7 @@
 
 use dfo::{
     Answers, Barrier, Batch, BatchPlan, Bounds, DifferentialEvolution, Genetic, Method, MethodOptions,
-    NelderMead, Outcome, Setup, Space, Status, minimize,
+    NelderMead, Outcome, QuadraticModel, Setup, Space, Status, minimize,
 };
 use std::time::{Duration, Instant};
 
@@ -16,13 +16,18 @@ fn rosenbrock(x: &[f64]) -> f64 {
 
 /// Microseconds per evaluation spent in ask and tell, over so many evaluations.
 fn overhead<M: MethodOptions>(options: &M, evaluations: usize) -> f64 {
+    overhead_of(options, evaluations, N)
+}
+
+/// The same at `n` parameters.
+fn overhead_of<M: MethodOptions>(options: &M, evaluations: usize, n: usize) -> f64 {
     let (mut spent, mut count) = (Duration::ZERO, 0);
     let mut seed = 0;
     let mut batch = Batch::new();
     let mut answers = Answers::default();
     while count < evaluations {
-        let bounds = Bounds::new(&[-5.0; N], &[5.0; N]).unwrap();
-        let mut setup = Setup::new(Space::new(&[-1.2; N], bounds, &[], &[]).unwrap());
+        let bounds = Bounds::new(&vec![-5.0; n], &vec![5.0; n]).unwrap();
+        let mut setup = Setup::new(Space::new(&vec![-1.2; n], bounds, &[], &[]).unwrap());
         setup.seed = Some(seed);
         setup.max_evaluations = Some(20_000);
         seed += 1;
@@ -94,6 +99,10 @@ fn main() {
     line("de (L-SHADE)", overhead(&lshade, COUNT), driven(lshade));
     line("de-classic", overhead(&classic, COUNT), driven(classic));
     line("ga", overhead(&Genetic::default(), COUNT), driven(Genetic::default()));
+    for n in [2, 5, N, 20, 50] {
+        let asked = overhead_of(&QuadraticModel::default(), 20_000 / n, n);
+        println!("quadratic-model, n = {n:2}          {asked:8.1}");
+    }
     let (one, two) = (seconds(1), seconds(2));
     println!(
         "de-classic, population 20, 5 ms: {one:.2} s alone, {two:.2} s with two workers: {:.2} times",
