@@ -351,8 +351,8 @@ class Calibration:
         Parameters
         ----------
         method : str
-            The optimiser, as in `minimize`: "nelder-mead", "barrier", "quadratic-model", "de", "de-classic", "ga". The last three need two
-            finite bounds for every parameter. "auto" is "nelder-mead", with integer parameters "de", with categorical ones
+            The optimiser, as in `minimize`: "nelder-mead", "barrier", "quadratic-model", "de", "de-classic", "ga". The
+            last three need two finite bounds for every parameter. "auto" is "nelder-mead", with integer parameters "de", with categorical ones
             "ga".
         workers : int, optional
             Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.

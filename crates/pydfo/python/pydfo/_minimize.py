@@ -57,13 +57,14 @@ def minimize(
         Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
         ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
-        outside is ever evaluated. "nelder-mead", "barrier" and "quadratic-model" take a bound that lies at least 1e10 times as far as the
-        largest of 1, abs(x0) and the nominal size as none, but for keeping to it: it tells nothing of the size.
+        outside is ever evaluated. "nelder-mead", "barrier" and "quadratic-model" take a bound that lies at least 1e10
+        times as far as the largest of 1, abs(x0) and the nominal size as none, but for keeping to it: it tells nothing of
+        the size.
     method : str
         "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
         "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings); "quadratic-model" (trust
-        region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`). "auto" is Nelder-Mead, with
-        integer parameters "de", with categorical ones "ga".
+        region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`). "auto" is
+        Nelder-Mead, with integer parameters "de", with categorical ones "ga".
     args : tuple
         Further arguments of `fun`.
     workers : int, map-like or executor
