@@ -352,8 +352,8 @@ class Calibration:
         ----------
         method : str
             The optimiser, as in `minimize`: "nelder-mead", "barrier", "quadratic-model", "de", "de-classic", "ga". The
-            last three need two finite bounds for every parameter. "auto" is "nelder-mead", with integer parameters "de", with categorical ones
-            "ga".
+            last three need two finite bounds for every parameter. "auto" is "nelder-mead", with integer parameters "de",
+            with categorical ones "ga".
         workers : int, optional
             Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.
         x_tol : float, optional
