@@ -5,7 +5,8 @@
 
 use dfo::{
     Answers, Barrier, Batch, BatchPlan, Bounds, CmaEs, DifferentialEvolution, Genetic, LeastSquares, Method,
-    MethodOptions, NelderMead, Outcome, PatternSearch, PollPlan, Setup, Space, Status, minimize,
+    MethodOptions, NelderMead, Outcome, PatternSearch, PollPlan, QuadraticModel, Setup, Space, Status,
+    minimize,
 };
 use std::time::{Duration, Instant};
 
@@ -29,14 +30,19 @@ fn answer(x: &[f64], m: usize, residuals: &mut Vec<f64>) -> Outcome {
 
 /// Microseconds per evaluation spent in ask and tell, over so many evaluations, on `m` residuals or on costs alone.
 fn overhead<M: MethodOptions>(options: &M, evaluations: usize, m: usize) -> f64 {
+    overhead_of(options, evaluations, (N, m))
+}
+
+/// The same at `n` parameters.
+fn overhead_of<M: MethodOptions>(options: &M, evaluations: usize, (n, m): (usize, usize)) -> f64 {
     let mut residuals = Vec::new();
     let (mut spent, mut count) = (Duration::ZERO, 0);
     let mut seed = 0;
     let mut batch = Batch::new();
     let mut answers = Answers::default();
     while count < evaluations {
-        let bounds = Bounds::new(&[-5.0; N], &[5.0; N]).unwrap();
-        let mut setup = Setup::new(Space::new(&[-1.2; N], bounds, &[], &[]).unwrap());
+        let bounds = Bounds::new(&vec![-5.0; n], &vec![5.0; n]).unwrap();
+        let mut setup = Setup::new(Space::new(&vec![-1.2; n], bounds, &[], &[]).unwrap());
         setup.seed = Some(seed);
         setup.max_evaluations = Some(20_000);
         seed += 1;
@@ -122,6 +128,10 @@ fn main() {
     }
     let serial = PatternSearch::default().batch(PollPlan::Serial);
     line("pattern-search", overhead(&serial, COUNT, 0), driven(serial));
+    for n in [2, 5, N, 20, 50] {
+        let asked = overhead_of(&QuadraticModel::default(), 20_000 / n, (n, 0));
+        println!("quadratic-model, n = {n:2}          {asked:8.1}");
+    }
     let (one, two) = (seconds(1), seconds(2));
     println!(
         "de-classic, population 20, 5 ms: {one:.2} s alone, {two:.2} s with two workers: {:.2} times",

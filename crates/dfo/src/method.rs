@@ -415,7 +415,7 @@ pub struct Details<'a> {
     pub without_effect: Vec<usize>,
     /// The simplex, for methods that have one.
     pub simplex: Option<SimplexView<'a>>,
-    /// The population, for methods that have one.
+    /// The population, for methods that have one; of quadratic models the interpolation points.
     pub population: Option<SimplexView<'a>>,
     /// The stages of a sequential barrier search, complete ones only.
     pub schedule: &'a [BarrierStage],

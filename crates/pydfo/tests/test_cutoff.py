@@ -36,8 +36,8 @@ def test_giving_up_changes_no_decision(method):
     # What was given up was above, and what was not given up has the same cost.
     assert (plain.trace.fun[given_up] > less.trace.above[given_up]).all()
     assert plain.trace.fun[~given_up].tobytes() == less.trace.fun[~given_up].tobytes()
-    # The genetic algorithm with its selection by fitness needs every cost.
-    assert given_up.any() == (method not in ("ga", "cma-es"))
+    # The genetic algorithm with its selection by fitness needs every cost, and so do models of the cost.
+    assert given_up.any() == (method not in ("ga", "cma-es", "quadratic-model"))
 
 
 def test_every_way_of_calling_gives_the_same_trace():

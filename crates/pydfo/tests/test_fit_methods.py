@@ -26,6 +26,7 @@ def test_every_method_fits_with_its_options(dahlquist, method):
     options = {"population": 24} if method in ("de", "de-classic", "ga", "cma-es") else {"batch": "four"}
     if method == "pattern-search":
         options = {"batch": "poll"}
+    options = {"points": 3} if method == "quadratic-model" else options
     fits = [
         calibration.fit(method, rng=3, max_evaluations=500, workers=workers, options=options) for workers in (1, 2)
     ]
@@ -34,7 +35,7 @@ def test_every_method_fits_with_its_options(dahlquist, method):
     assert timeless(fits[0]) == timeless(fits[1])
     if "population" in options:
         assert fit.seed == 3 and np.count_nonzero(fit.trace.batch == 0) == 24
-    else:
+    elif "batch" in options:
         assert fit.batch == options["batch"]
 
 

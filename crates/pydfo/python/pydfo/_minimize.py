@@ -59,8 +59,9 @@ def minimize(
         so can "cma-es" and "pattern-search", which then begin in its middle.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
         ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
-        outside is ever evaluated. "nelder-mead", "barrier" and "quadratic-model" take a bound that lies at least 1e10 times as far as the
-        largest of 1, abs(x0) and the nominal size as none, but for keeping to it: it tells nothing of the size.
+        outside is ever evaluated. "nelder-mead", "barrier" and "quadratic-model" take a bound that lies at least 1e10
+        times as far as the largest of 1, abs(x0) and the nominal size as none, but for keeping to it: it tells nothing of
+        the size.
     method : str
         "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
         "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings); "quadratic-model" (trust

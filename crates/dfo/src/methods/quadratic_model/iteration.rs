@@ -343,7 +343,6 @@ impl QuadraticModelState {
         if ratio > 0.1 {
             self.n_refused = 0;
             self.is_refused = false;
-            self.rho_success = self.rho;
         }
         if let Some(slot) = self.slot_to_replace(&s, decrease > 0.0) {
             self.points.copy_from(slot, &self.trial, 0);

@@ -148,3 +148,58 @@ impl Interpolation {
 fn kernel(product: f64) -> f64 {
     product * (0.5 * product + GRADIENT_WEIGHT)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cost(s: &[f64]) -> f64 {
+        3.0 * s[0] - s[1] + 2.0 * s[0] * s[0] + 0.5 * s[0] * s[1] + s[1] * s[1]
+    }
+
+    const POINTS: [f64; 10] = [0.1, 0.0, 0.0, 0.1, -0.1, 0.0, 0.0, -0.1, 0.07, 0.08];
+
+    #[test]
+    fn as_many_points_as_coefficients_make_the_quadratic_itself() {
+        let points = Interpolation::new(2, (1..6).collect(), &POINTS).unwrap();
+        let values: Vec<f64> = POINTS.chunks_exact(2).map(cost).collect();
+        let mut model = Quadratic::zero(2);
+        assert!(points.update(&mut model, &values));
+        for (a, b) in model.gradient.iter().zip([3.0, -1.0]) {
+            assert!((a - b).abs() < 1e-9, "{model:?}");
+        }
+        for (a, b) in model.hessian.iter().zip([4.0, 0.5, 0.5, 2.0]) {
+            assert!((a - b).abs() < 1e-7, "{model:?}");
+        }
+        assert!((model.slope(&[1.0, 2.0])[0] - 8.0).abs() < 1e-7);
+        // Nothing is left to change.
+        let before = model.clone();
+        assert!(points.update(&mut model, &values));
+        assert!(model.hessian.iter().zip(&before.hessian).all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+
+    #[test]
+    fn lagrange_polynomials_are_one_at_their_points() {
+        let points = Interpolation::new(2, (1..5).collect(), &POINTS[..8]).unwrap();
+        for (j, y) in POINTS[..8].chunks_exact(2).chain([&[0.0, 0.0][..]]).enumerate() {
+            for (k, (value, factor)) in points.lagrange(y).enumerate() {
+                let expected = if k == j { 1.0 } else { 0.0 };
+                assert!(
+                    (value - expected).abs() < 1e-9 && (factor - expected).abs() < 1e-6,
+                    "{j} {k}: {value} {factor}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn points_that_coincide_or_are_no_numbers_make_no_panic() {
+        let twice = Interpolation::new(1, vec![1, 2], &[0.5, 0.5]).unwrap();
+        let mut model = Quadratic::zero(1);
+        assert!(twice.update(&mut model, &[1.0, 1.0]) && (model.value(&[0.5]) - 1.0).abs() < 0.1);
+        for bad in [[0.0, 0.0], [f64::NAN, 1.0], [f64::INFINITY, 1.0]] {
+            assert!(Interpolation::new(1, vec![1, 2], &bad).is_none(), "{bad:?}");
+        }
+        assert!(!twice.update(&mut model, &[f64::INFINITY, 0.0]));
+    }
+}

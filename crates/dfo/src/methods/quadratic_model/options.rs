@@ -24,7 +24,7 @@ pub struct QuadraticModel {
     /// The most points that the model interpolates, from n + 2 to (n + 1)(n + 2)/2 for n free parameters. The search begins with
     /// at most 2n + 1 and keeps later ones as long as there is room. Default 4n + 1, but not more than there may be.
     pub points: Option<usize>,
-    /// How often in a row the search starts anew around its best point, with a larger trust region, where steps that the model
+    /// How often in a row the search starts anew around its best point, with the first trust region, where steps that the model
     /// takes for good do not lower the cost (noise, kinks), before it gives up; a start that finds a lower cost begins the count anew.
     /// Default 3.
     pub restarts: usize,

@@ -62,8 +62,6 @@ pub struct QuadraticModelState {
     /// Whether a step of this resolution has failed; how many resolutions were given up for that in a row.
     pub(super) is_refused: bool,
     pub(super) n_refused: usize,
-    /// The resolution of the last step that did what the model predicted.
-    pub(super) rho_success: f64,
     /// The radius of the last start; restarts in a row that brought nothing; the best cost when the last began.
     pub(super) radius: f64,
     pub(super) n_useless: usize,
@@ -93,7 +91,6 @@ impl QuadraticModelState {
             failed: Vec::new(),
             is_refused: false,
             n_refused: 0,
-            rho_success: radius,
             radius,
             n_useless: 0,
             f_restart: f64::INFINITY,
@@ -125,6 +122,9 @@ impl QuadraticModelState {
             && self.rounds.is_sound(space.n())
             && self.model.is_sound(n)
             && self.failed.iter().all(|u| u.len() == n)
+            && !self.retries.is_empty()
+            && self.points.len() > 0
+            && (self.phase != Phase::Starting || self.points.len() == self.retries.len())
     }
 
     /// Places all points but the first around it.

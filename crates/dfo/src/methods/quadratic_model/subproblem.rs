@@ -158,3 +158,56 @@ fn within_ball(hessian: DMatrix<f64>, gradient: &DVector<f64>, radius: f64) -> O
     }
     Some(Part { p: &eigenvectors * p, multiplier })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A generator of small numbers (Knuth's MMIX constants).
+    fn random(state: &mut u64) -> f64 {
+        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (*state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+    }
+
+    #[test]
+    fn no_point_of_the_region_is_much_better() {
+        let mut state = 7;
+        for case in 0..200 {
+            let n = 1 + case % 4;
+            let gradient: Vec<f64> = (0..n).map(|_| random(&mut state)).collect();
+            // Convex: else there may be several minima on the box.
+            let root = DMatrix::from_fn(n, n, |_, _| 2.0 * random(&mut state));
+            let hessian = (&root * root.transpose()).iter().copied().collect();
+            let model = Quadratic { gradient, hessian };
+            let lower: Vec<f64> =
+                (0..n).map(|k| if (case + k) % 3 == 0 { 0.0 } else { random(&mut state) - 0.5 }).collect();
+            let upper: Vec<f64> =
+                (0..n).map(|k| if (case + k) % 5 == 1 { 0.0 } else { random(&mut state) + 0.5 }).collect();
+            let region = Region { radius: 0.7, lower: &lower, upper: &upper };
+            let s = minimize(&model, region);
+            let inside = |s: &[f64]| (0..n).all(|k| lower[k] <= s[k] && s[k] <= upper[k]);
+            assert!(inside(&s) && s.iter().map(|v| v * v).sum::<f64>().sqrt() <= 0.7 * (1.0 + 1e-9));
+            let value = model.value(&s);
+            let mut least = 0.0f64;
+            for _ in 0..2000 {
+                let mut t: Vec<f64> =
+                    (0..n).map(|k| (1.4 * random(&mut state)).clamp(lower[k], upper[k])).collect();
+                let length = t.iter().map(|v| v * v).sum::<f64>().sqrt();
+                t.iter_mut().for_each(|v| *v *= (0.7 / length).min(1.0));
+                least = least.min(model.value(&t));
+            }
+            assert!(value <= 0.9 * least, "case {case}: {value} {least}");
+        }
+    }
+
+    #[test]
+    fn numbers_at_their_ends_make_no_panic() {
+        let far = [f64::NEG_INFINITY; 2];
+        let away = [f64::INFINITY; 2];
+        let region = Region { radius: 1.0, lower: &far, upper: &away };
+        for v in [0.0, 1e308, 5e-324, f64::NAN, f64::INFINITY] {
+            let model = Quadratic { gradient: vec![v, -v], hessian: vec![v, 0.0, 0.0, -v] };
+            assert!(minimize(&model, region).iter().all(|s| s.is_finite() && s.abs() <= 1.0), "{v}");
+        }
+    }
+}
