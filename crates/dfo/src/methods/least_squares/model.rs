@@ -9,6 +9,7 @@ use nalgebra::{DMatrix, DVector, Dyn};
 const MOST_INNER: usize = 30;
 
 /// Linear interpolation around a base point.
+#[derive(Debug, Clone)]
 pub(super) struct Interpolation {
     pub(super) linear: Linear,
     /// Of the rows of distances from the base point, each divided by its length.

@@ -1,6 +1,7 @@
 //! The state machine: which points are asked for, and what becomes of their residuals. How the next points are chosen stands in
 //! `trust_region.rs` and, once noise has been found, in `averaging.rs`.
 
+use super::model::Interpolation;
 use super::options::LeastSquares;
 use super::points::Evaluated;
 use crate::answer::{Answers, Best, Want};
@@ -103,6 +104,9 @@ pub struct LeastSquaresState {
     pub(super) rho: f64,
     pub(super) phase: Phase,
     pub(super) round: Vec<Candidate>,
+    /// The model that the trial points of the round come from; made again where it is missing.
+    #[serde(skip)]
+    pub(super) model: Option<Interpolation>,
     asked: Vec<usize>,
     /// The points that the simplex asked for last.
     simplex_points: Vec<Vec<f64>>,
@@ -143,6 +147,7 @@ impl LeastSquaresState {
             rho: options.radius,
             phase: Phase::Starting,
             round: Vec::new(),
+            model: None,
             asked: Vec::new(),
             simplex_points: Vec::new(),
             waiting: false,

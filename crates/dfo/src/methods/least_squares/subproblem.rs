@@ -9,6 +9,7 @@ const MOST_SWEEPS: usize = 1000;
 
 /// Residuals as a linear function of the displacement `s` from a base point, turned so that only n numbers are left of them:
 /// `|r + J s|^2 = |c + F s|^2 + constant`, with `F` and `c` from the QR factorisation of `J`.
+#[derive(Debug, Clone)]
 pub(super) struct Linear {
     pub(super) factor: DMatrix<f64>,
     pub(super) reached: DVector<f64>,
@@ -83,9 +84,32 @@ impl Subproblem<'_> {
     }
 }
 
+/// The step that makes `|r + A s|` smallest, where `A` tells of all directions.
+fn unlimited(a: &DMatrix<f64>, r: &DVector<f64>) -> Option<DVector<f64>> {
+    let (m, n) = a.shape();
+    if m < n {
+        return None;
+    }
+    let qr = a.clone().qr();
+    let upper = qr.r();
+    let (least, most) = (0..n).fold((f64::INFINITY, 0.0f64), |(least, most), k| {
+        (least.min(upper[(k, k)].abs()), most.max(upper[(k, k)].abs()))
+    });
+    // Near the rounding of its entries a matrix has no inverse.
+    if least <= 1e-10 * most {
+        return None;
+    }
+    let mut turned = r.clone();
+    qr.q_tr_mul(&mut turned);
+    upper.solve_upper_triangular(&-turned.rows(0, n)).filter(|step| step.iter().all(|s| s.is_finite()))
+}
+
 /// The shortest of the steps that make `|r + A s|` smallest within `|s| <= radius`.
 fn within_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
     let n = a.ncols();
+    if let Some(step) = unlimited(&a, r).filter(|step| step.norm() <= radius) {
+        return step;
+    }
     // Numbers near the largest there are may have none.
     let svd = SVD::try_new(a, true, true, f64::EPSILON, MOST_SWEEPS);
     let Some(SVD { u: Some(u), v_t: Some(v_t), singular_values: sigma }) = &svd else {

@@ -79,13 +79,16 @@ impl LeastSquaresState {
             let (step, predicted) = best_step(&model.linear, self.delta, (&lower, &upper));
             let length = norm(&step);
             let f = self.points[base].cost;
-            let (x_size, mut gain) = self.uncertainty(base, &model.linear, length, predicted);
-            if length >= 0.9 * self.delta {
+            let mut tests = self.judge(self.rho, predicted, f);
+            if !tests.x_passed && self.judge(length, predicted, f).x_passed {
+                let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
+                tests = self.judge(x_size, gain, f);
+            }
+            if tests.passed && length >= 0.9 * self.delta {
                 // What the radius keeps away counts, too: failed points may have made it small.
                 let radius = self.options.radius.max(self.delta);
-                gain = best_step(&model.linear, radius, (&lower, &upper)).1;
+                tests = self.judge(self.rho, best_step(&model.linear, radius, (&lower, &upper)).1, f);
             }
-            let tests = self.judge(x_size, gain, f);
             self.tests = Some(tests);
             if tests.passed || f == 0.0 {
                 self.phase = Phase::Ended(Termination::Converged);
@@ -112,6 +115,7 @@ impl LeastSquaresState {
                 {
                     self.widen(&z, &step, &model.linear, more);
                 }
+                self.model = Some(model);
             }
         }
     }
@@ -272,7 +276,8 @@ impl LeastSquaresState {
         if ratio > 0.0 {
             self.n_failed = 0;
         }
-        if let Some(((k, ..), model)) = best.zip(self.interpolation(base)) {
+        let model = self.model.take().or_else(|| self.interpolation(base));
+        if let Some(((k, ..), model)) = best.zip(model) {
             let lagrange = model.lagrange(&difference(&self.points[k].z, &z));
             let misfit = self.misfit(base, k, &lagrange);
             if ratio >= 0.3 {
