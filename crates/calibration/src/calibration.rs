@@ -7,9 +7,10 @@ use crate::identity::{hash, identity};
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{ModelFile, Problem};
+use crate::residual::CostRule;
 use crate::solver::{Choice, Solver};
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
-use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, Want};
+use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
 use fmi::{FmiError, Fmu, Pool, Trajectory};
 use ode::{Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
@@ -331,7 +332,8 @@ impl Calibration {
     ) -> Result<(f64, Vec<f64>), CalibrationError> {
         self.check_length(x)?;
         let mut residuals = vec![0.0; self.n_residuals()];
-        let cost = self.evaluate_into(x, (f64::INFINITY, cancelled), &mut residuals, &mut Stats::default());
+        let rule = CostRule::whole(RobustLoss::default(), cancelled);
+        let cost = self.evaluate_into(x, rule, &mut residuals, &mut Stats::default());
         cost.map(|cost| (cost, residuals)).map_err(|no_cost| {
             let pairs = self.parameters().iter().zip(x);
             let at =
@@ -351,14 +353,14 @@ impl Calibration {
     pub(crate) fn evaluate_counted(
         &self,
         x: &[f64],
-        query: &Query<'_>,
+        (query, loss): (&Query<'_>, RobustLoss),
         answer: &mut Answer,
         stats: &mut Stats,
     ) {
         let before = stats.right_hand_sides;
         answer.residuals.resize(self.n_residuals(), 0.0);
-        let ends: (f64, &dyn Fn() -> bool) = (query.cutoff, &|| query.cancelled());
-        answer.outcome = match self.evaluate_into(x, ends, &mut answer.residuals, stats) {
+        let rule = CostRule { loss, cutoff: query.cutoff, cancelled: &|| query.cancelled() };
+        answer.outcome = match self.evaluate_into(x, rule, &mut answer.residuals, stats) {
             Ok(cost) => Outcome::Value(cost),
             Err(NoCost::Above) => Outcome::Above(query.cutoff),
             Err(NoCost::Cancelled) => Outcome::cancelled(),
@@ -375,14 +377,14 @@ impl Calibration {
     pub(crate) fn evaluate_into(
         &self,
         x: &[f64],
-        ends: (f64, &dyn Fn() -> bool),
+        rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         loop {
-            let cost = self.evaluator.evaluate(x, ends, out, stats, |k, x, observer| {
-                let pool = self.pool(k, ends.1)?;
-                Ok(pool.lend_until(ends.1).and_then(|mut simulator| simulator.run(x, observer)))
+            let cost = self.evaluator.evaluate(x, rule, out, stats, |k, x, observer| {
+                let pool = self.pool(k, rule.cancelled)?;
+                Ok(pool.lend_until(rule.cancelled).and_then(|mut simulator| simulator.run(x, observer)))
             });
             if !cost.as_ref().is_err_and(NoCost::is_by_history) {
                 return cost;
@@ -426,7 +428,7 @@ impl Calibration {
 
 impl Objective for Calibration {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
-        self.evaluate_counted(x, query, answer, &mut Stats::default());
+        self.evaluate_counted(x, (query, RobustLoss::default()), answer, &mut Stats::default());
     }
 
     fn has_residuals(&self) -> bool {

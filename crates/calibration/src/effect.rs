@@ -3,6 +3,7 @@
 use crate::calibration::Calibration;
 use crate::no_cost::NoCost;
 use crate::parameter::{Parameter, Scale};
+use crate::residual::CostRule;
 use dfo::{Kind, Measure, Outcome, Report, Termination, Tolerances};
 use ode::{Number, Stats};
 
@@ -88,6 +89,7 @@ impl Calibration {
         let is_over = matches!(
             report.termination,
             Termination::Converged
+                | Termination::Noise
                 | Termination::ConstantCost
                 | Termination::Target
                 | Termination::Collapsed
@@ -105,7 +107,7 @@ impl Calibration {
             checked.n_checks += 1;
             let mut x = report.x.clone();
             x[index] = value;
-            self.evaluate_into(&x, (f64::INFINITY, cancelled), &mut residuals, stats)
+            self.evaluate_into(&x, CostRule::whole(report.loss, cancelled), &mut residuals, stats)
         };
         // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
         let is_spent = report.termination == Termination::MaxEvaluations;

@@ -5,7 +5,7 @@ use crate::experiment::{Experiment, SimulationSettings};
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{Element, Problem};
-use crate::residual::{Accumulator, Comparison, Stop, sum_of_squares};
+use crate::residual::{Accumulator, Comparison, CostRule, Stop, sum_of_squares};
 use crate::warning::{SetupWarning, held_inputs};
 use dfo::FailureKind;
 use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan};
@@ -82,20 +82,21 @@ impl Evaluator {
     pub(crate) fn evaluate(
         &self,
         x: &[f64],
-        (cutoff, cancelled): (f64, &dyn Fn() -> bool),
+        rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
         mut run: impl FnMut(usize, &[f64], &mut dyn Observer) -> Result<Result<Report, FmiError>, NoCost>,
     ) -> Result<f64, NoCost> {
         // The running sum is in the order of time, the cost in that of the residuals. The sums of n numbers above 0 in two orders
         // differ by less than 2 n units of rounding (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 4.2).
-        let ends = (cutoff * (1.0 + 2.0 * self.n_residuals as f64 * f64::EPSILON), cancelled);
+        let running =
+            CostRule { cutoff: rule.cutoff * (1.0 + 2.0 * self.n_residuals as f64 * f64::EPSILON), ..rule };
         let mut sum = 0.0;
         let mut rest = &mut *out;
         for (k, simulation) in self.simulations.iter().enumerate() {
             let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
             rest = others;
-            let mut accumulator = Accumulator::new(&simulation.comparison, ends, sum, part);
+            let mut accumulator = Accumulator::new(&simulation.comparison, running, sum, part);
             let ran = run(k, &simulation.values(x), &mut accumulator)?;
             match &ran {
                 Ok(report) => *stats += report.stats,
@@ -108,7 +109,7 @@ impl Evaluator {
             })?;
         }
         let cost = sum_of_squares(out);
-        if cost > cutoff { Err(NoCost::Above) } else { Ok(cost) }
+        if cost > rule.cutoff { Err(NoCost::Above) } else { Ok(cost) }
     }
 
     /// The running sum after the simulation of an experiment.

@@ -4,11 +4,12 @@ use crate::calibration::Calibration;
 use crate::effect::BoundSide;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
+use crate::residual::CostRule;
 use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
 use dfo::{
-    Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RunOptions,
-    Search, Stop, Tolerances,
+    Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
+    RunOptions, Search, Stop, Tolerances,
 };
 use ode::Number;
 use ode::Stats;
@@ -37,6 +38,9 @@ pub struct FitOptions<'a> {
     /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
     /// work.
     pub cutoffs: bool,
+    /// What a residual counts; default: its square. With another loss [`Fit::cost`] is the sum of what they count, also where
+    /// the method sees costs alone.
+    pub loss: RobustLoss,
     /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
@@ -61,6 +65,7 @@ impl Default for FitOptions<'_> {
             run: Self::default_run(),
             start: None,
             cutoffs: true,
+            loss: RobustLoss::default(),
             observer: None,
             poll: None,
             cancel: None,
@@ -91,9 +96,9 @@ pub struct Fit {
     pub x: Vec<f64>,
     /// Names of the parameters, in the same order.
     pub names: Vec<String>,
-    /// Cost there: the sum of the squared weighted residuals.
+    /// Cost there: the sum of the squared weighted residuals; with a loss, of what they count.
     pub cost: f64,
-    /// Root of the mean squared weighted residual there.
+    /// Root of the mean squared weighted residual there; with a loss, of what they count.
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
@@ -141,6 +146,7 @@ impl fmt::Display for Fit {
 struct Counted<'a> {
     calibration: &'a Calibration,
     cutoffs: bool,
+    loss: RobustLoss,
     stats: Mutex<(Stats, SpotChecks)>,
     /// Findings before the run.
     n_findings: u64,
@@ -153,7 +159,7 @@ impl Objective for Counted<'_> {
             query.cutoff = f64::INFINITY;
         }
         let mut stats = Stats::default();
-        self.calibration.evaluate_counted(x, &query, answer, &mut stats);
+        self.calibration.evaluate_counted(x, (&query, self.loss), answer, &mut stats);
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
         let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
         known.0 += stats;
@@ -171,6 +177,10 @@ impl Objective for Counted<'_> {
     fn has_residuals(&self) -> bool {
         true
     }
+
+    fn residual_loss(&self) -> RobustLoss {
+        self.loss
+    }
 }
 
 impl Calibration {
@@ -183,7 +193,8 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        let FitOptions { run: mut described, start, cutoffs, mut observer, poll, cancel } = options.into();
+        let FitOptions { run: mut described, start, cutoffs, loss, mut observer, poll, cancel } =
+            options.into();
         let poll = RefCell::new(poll);
         described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
@@ -205,14 +216,15 @@ impl Calibration {
         let late = max_time.and_then(|limit| Instant::now().checked_add(limit));
         let is_late = || late.is_some_and(|late| Instant::now() >= late);
         let cancelled = || is_late() || is_asked();
-        described.problem = Some(self.problem_hash(solver));
+        let problem = self.problem_hash(solver);
+        described.problem = Some(if loss.is_linear() { problem } else { format!("{problem}, loss {loss}") });
         described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
         let tolerances = described.tolerances;
         let (mut stats, mut n_beginnings) = (Stats::default(), 0);
         let (mut report, found) = loop {
             n_beginnings += 1;
             let n_findings = self.n_history_findings();
-            let counted = Counted { calibration: self, cutoffs, stats: Mutex::default(), n_findings };
+            let counted = Counted { calibration: self, cutoffs, loss, stats: Mutex::default(), n_findings };
             let left = late.map(|late| late.saturating_duration_since(Instant::now()));
             described.limits.max_time = left.or(max_time);
             let mut run = dfo::minimize(ByRef(&counted))
@@ -241,7 +253,10 @@ impl Calibration {
             if is_sound() || cancelled() {
                 let report = outcome.map_err(|e| self.name_parameter(e))?;
                 let differs = || self.depends_on_history(&report.x, &cancelled);
-                if cancelled() || !(differs() || self.costs_depend_on_history(&checks, took, &cancelled)) {
+                if cancelled()
+                    || !(differs()
+                        || self.costs_depend_on_history(&checks, took, CostRule::whole(loss, &cancelled)))
+                {
                     let of_run = (start.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {

@@ -1,5 +1,6 @@
 //! Simulated against measured, sample by sample while the simulation runs; no trajectory is stored.
 
+use dfo::RobustLoss;
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
 
@@ -62,6 +63,24 @@ impl Comparison {
     }
 }
 
+/// What a residual counts, and when an evaluation is given up.
+#[derive(Clone, Copy)]
+pub(crate) struct CostRule<'a> {
+    /// Residuals are what it makes of the plain ones.
+    pub(crate) loss: RobustLoss,
+    /// The simulation ends when the sum is strictly above this.
+    pub(crate) cutoff: f64,
+    /// Asked before every step.
+    pub(crate) cancelled: &'a dyn Fn() -> bool,
+}
+
+impl<'a> CostRule<'a> {
+    /// The whole cost.
+    pub(crate) fn whole(loss: RobustLoss, cancelled: &'a dyn Fn() -> bool) -> Self {
+        Self { loss, cutoff: f64::INFINITY, cancelled }
+    }
+}
+
 /// The cost that residuals make: the sum of their squares from the first to the last, by which it has the same bits wherever it
 /// is computed.
 pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
@@ -72,10 +91,7 @@ pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
 /// within a time), which says when the cost is sure to be above a cutoff.
 pub(crate) struct Accumulator<'a> {
     comparison: &'a Comparison,
-    /// The simulation ends when the sum is strictly above this.
-    cutoff: f64,
-    /// Asked before every step.
-    cancelled: &'a dyn Fn() -> bool,
+    rule: CostRule<'a>,
     /// The sum so far; starts with what earlier experiments have left.
     pub(crate) sum: f64,
     /// Samples seen.
@@ -97,13 +113,8 @@ pub(crate) enum Stop {
 }
 
 impl<'a> Accumulator<'a> {
-    pub(crate) fn new(
-        comparison: &'a Comparison,
-        (cutoff, cancelled): (f64, &'a dyn Fn() -> bool),
-        sum: f64,
-        out: &'a mut [f64],
-    ) -> Self {
-        Self { comparison, cutoff, cancelled, sum, seen: 0, out, stop: None }
+    pub(crate) fn new(comparison: &'a Comparison, rule: CostRule<'a>, sum: f64, out: &'a mut [f64]) -> Self {
+        Self { comparison, rule, sum, seen: 0, out, stop: None }
     }
 
     /// Whether every requested time has been delivered.
@@ -127,7 +138,7 @@ impl Observer for Accumulator<'_> {
             if measured.is_nan() {
                 continue;
             }
-            let residual = c.weights[output] * (sample.outputs[output] - measured);
+            let residual = self.rule.loss.transform(c.weights[output] * (sample.outputs[output] - measured));
             self.out[c.positions[at] as usize] = residual;
             self.sum += residual * residual;
             if !self.sum.is_finite() {
@@ -135,11 +146,11 @@ impl Observer for Accumulator<'_> {
             }
         }
         self.seen = index + 1;
-        if self.sum > self.cutoff { self.end(Stop::AboveCutoff) } else { ControlFlow::Continue(()) }
+        if self.sum > self.rule.cutoff { self.end(Stop::AboveCutoff) } else { ControlFlow::Continue(()) }
     }
 
     fn poll(&mut self) -> ControlFlow<()> {
-        if (self.cancelled)() { self.end(Stop::Cancelled) } else { ControlFlow::Continue(()) }
+        if (self.rule.cancelled)() { self.end(Stop::Cancelled) } else { ControlFlow::Continue(()) }
     }
 }
 
@@ -226,7 +237,7 @@ mod tests {
         assert_eq!(times, [0.0, 1.0, 3.0]);
         assert_eq!(c.n_residuals(), 5);
         let mut out = [NAN; 5];
-        let mut a = Accumulator::new(&c, (f64::INFINITY, &|| false), 100.0, &mut out);
+        let mut a = Accumulator::new(&c, CostRule::whole(RobustLoss::default(), &|| false), 100.0, &mut out);
         for (i, t) in times.iter().enumerate() {
             let outputs = [0.0, 0.0];
             let s = Sample { time: *t, index: Some(i), side: Side::Right, states: &[], outputs: &outputs };
@@ -245,11 +256,12 @@ mod tests {
             a.sample(&Sample { time: 0.0, index: Some(i), side: Side::Right, states: &[], outputs: y })
                 .is_break()
         };
-        let mut a = Accumulator::new(&c, (4.0, &|| false), 0.0, &mut first);
+        let rule = CostRule { cutoff: 4.0, ..CostRule::whole(RobustLoss::default(), &|| false) };
+        let mut a = Accumulator::new(&c, rule, 0.0, &mut first);
         assert!(!sample(0, &[2.0], &mut a));
         assert!(sample(1, &[1e-3], &mut a));
         assert_eq!(a.stop, Some(Stop::AboveCutoff));
-        let mut a = Accumulator::new(&c, (4.0, &|| false), 0.0, &mut second);
+        let mut a = Accumulator::new(&c, rule, 0.0, &mut second);
         assert!(sample(0, &[NAN], &mut a));
         assert_eq!(a.stop, Some(Stop::NotFinite(0)));
         assert!(!a.is_complete());

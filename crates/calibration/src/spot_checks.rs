@@ -3,6 +3,7 @@
 
 use crate::calibration::Calibration;
 use crate::no_cost::NoCost;
+use crate::residual::CostRule;
 use fmi::Simulator;
 use ode::Stats;
 use std::hash::{DefaultHasher, Hasher};
@@ -59,20 +60,20 @@ impl Calibration {
         &self,
         checks: &SpotChecks,
         took: Duration,
-        cancelled: &dyn Fn() -> bool,
+        rule: CostRule<'_>,
     ) -> bool {
-        let Some(mut simulators) = self.simulators_in_new_copies(cancelled) else { return false };
+        let Some(mut simulators) = self.simulators_in_new_copies(rule.cancelled) else { return false };
         let (began, longest) = (Instant::now(), Duration::from_secs(1).max(took / PART_OF_TIME));
         for (x, cost) in checks.points() {
             if began.elapsed() > longest {
                 break;
             }
-            match self.cost_in(&mut simulators, x, cancelled) {
+            match self.cost_in(&mut simulators, x, rule) {
                 Err(NoCost::Cancelled | NoCost::Over(_)) => return false,
                 Ok(found) if found.to_bits() == cost.to_bits() => {}
                 _ => {
                     drop(simulators);
-                    return self.conclude(x, cancelled).unwrap_or(false);
+                    return self.conclude(x, rule).unwrap_or(false);
                 }
             }
         }
@@ -80,28 +81,22 @@ impl Calibration {
     }
 
     /// Whether the cost at a point, which is not what it was, is the same in two newly loaded copies; `None`: there are none.
-    fn conclude(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> Option<bool> {
+    fn conclude(&self, x: &[f64], rule: CostRule<'_>) -> Option<bool> {
         let cost = || {
-            let found = self.cost_in(&mut self.simulators_in_new_copies(cancelled)?, x, cancelled);
+            let found = self.cost_in(&mut self.simulators_in_new_copies(rule.cancelled)?, x, rule);
             match found {
                 Err(NoCost::Cancelled | NoCost::Over(_)) => None,
                 found => Some(found.ok().map(f64::to_bits)),
             }
         };
         let is_reproducible = cost()? == cost()?;
-        self.pool(0, cancelled).ok()?.note_difference(is_reproducible).ok()?;
+        self.pool(0, rule.cancelled).ok()?.note_difference(is_reproducible).ok()?;
         Some(is_reproducible)
     }
 
-    fn cost_in(
-        &self,
-        simulators: &mut [Simulator],
-        x: &[f64],
-        cancelled: &dyn Fn() -> bool,
-    ) -> Result<f64, NoCost> {
+    fn cost_in(&self, simulators: &mut [Simulator], x: &[f64], rule: CostRule<'_>) -> Result<f64, NoCost> {
         let mut residuals = vec![0.0; self.n_residuals()];
-        let ends = (f64::INFINITY, cancelled);
-        self.evaluator().evaluate(x, ends, &mut residuals, &mut Stats::default(), |k, x, observer| {
+        self.evaluator().evaluate(x, rule, &mut residuals, &mut Stats::default(), |k, x, observer| {
             Ok(simulators[k].run(x, observer))
         })
     }

@@ -12,6 +12,7 @@
 //!
 //! | method | for | options |
 //! |---|---|---|
+//! | `least-squares` | a cost that is a sum of squares of residuals: [`least_squares`] | [`LeastSquares`] |
 //! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
 //! | `quadratic-model` | smooth, with or without bounds: the fewest evaluations | [`QuadraticModel`] |
 //! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |

@@ -23,7 +23,61 @@ pub struct LinearModel {
     pub active: Vec<i8>,
 }
 
+/// Noise of residuals relative to their change over the size of a parameter: the least of these that agrees with the points.
+const NOISE: [f64; 4] = [1e-8, 1e-6, 1e-4, 1e-2];
+
+/// Curvature over the size of a parameter relative to the derivatives, up to which a misfit is no noise.
+const BENT: f64 = 10.0;
+
 impl LinearModel {
+    /// By regression on points of a search: their places in units of the sizes of the working coordinates and their residuals.
+    /// `best`: the point itself, its place and its residuals. A point at the distance d from it is wrong by d^2 for curvature,
+    /// and by the noise; its weight is the inverse of their sum. `None` where the points span no more than a plane.
+    pub(crate) fn regression<'a>(
+        space: &Space,
+        (x, z, residuals): (&[f64], &[f64], &[f64]),
+        points: impl Iterator<Item = (&'a [f64], &'a [f64])> + Clone,
+    ) -> Option<Self> {
+        let (n, m) = (z.len(), residuals.len());
+        let moved = |place: &[f64]| place.iter().zip(z).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let others: Vec<(Vec<f64>, f64, &[f64])> = points
+            .map(|(place, residuals)| (moved(place), residuals))
+            .map(|(step, residuals)| {
+                let length = step.iter().map(|s| s * s).sum::<f64>().sqrt();
+                (step, length, residuals)
+            })
+            .filter(|(_, length, residuals)| *length > 0.0 && length.is_finite() && residuals.len() == m)
+            .collect();
+        if n == 0 {
+            return Self::new(space, x, m, |_, _| 0.0);
+        }
+        if others.len() < n {
+            return None;
+        }
+        let differences = DMatrix::from_fn(others.len(), m, |k, i| others[k].2[i] - residuals[i]);
+        let mut found = None;
+        for noise in NOISE {
+            let weights: Vec<f64> = others.iter().map(|(_, d, _)| 1.0 / (d * d + noise)).collect();
+            let steps = DMatrix::from_fn(others.len(), n, |k, j| weights[k] * others[k].0[j]);
+            let svd = steps.clone().try_svd(true, true, f64::EPSILON, 10_000)?;
+            if svd.singular_values.min() <= RANK_TOLERANCE * svd.singular_values.max() {
+                break;
+            }
+            let mut weighted = differences.clone();
+            weighted.row_iter_mut().zip(&weights).for_each(|(mut row, weight)| row *= *weight);
+            let transposed = svd.solve(&weighted, 0.0).ok()?;
+            let misfit = (steps * &transposed - weighted).norm_squared();
+            let freedom = (others.len() - n).max(1) as f64;
+            let agrees = misfit <= BENT * BENT * freedom * transposed.norm_squared();
+            found = Some(transposed);
+            if agrees {
+                break;
+            }
+        }
+        let jacobian = found?;
+        Self::new(space, x, m, |i, k| jacobian[(k, i)] / space.size(k))
+    }
+
     /// From the derivatives of residual `i` by working coordinate `k` at the point `x`, of `m` residuals. `None` where one of
     /// them is not finite in the user's units.
     pub(crate) fn new(
@@ -66,12 +120,6 @@ pub struct Covariance {
     pub undetermined: Vec<usize>,
     /// Parameters that lie at a bound, or are fixed: taken as known.
     pub held: Vec<usize>,
-    /// What is to be said of it, in words; empty if nothing is.
-    pub message: String,
-}
-
-fn names(indices: &[usize]) -> String {
-    indices.iter().map(|index| format!("x[{index}]")).collect::<Vec<_>>().join(", ")
 }
 
 impl Covariance {
@@ -116,18 +164,27 @@ impl Covariance {
         }
         let undetermined: Vec<usize> =
             free.iter().zip(&determined).filter(|(_, known)| !**known).map(|(index, _)| *index).collect();
+        Self { matrix, variance, degrees_of_freedom, undetermined, held }
+    }
+
+    /// What is to be said of it, with these names for the parameters; empty if nothing is.
+    pub fn message(&self, name: impl Fn(usize) -> String) -> String {
+        let names =
+            |indices: &[usize]| indices.iter().map(|index| name(*index)).collect::<Vec<_>>().join(", ");
         let mut said = Vec::new();
-        if degrees_of_freedom == 0 && p > 0 {
-            said.push(format!("{m} residuals tell nothing of the variance of {p} parameters"));
+        if self.variance.is_nan() && self.held.len() * self.held.len() < self.matrix.len() {
+            said.push(
+                "there are no more residuals than parameters: they tell nothing of the variance".to_owned(),
+            );
         }
-        if !undetermined.is_empty() {
+        if !self.undetermined.is_empty() {
             let what = "do not determine (another value, alone or with others, fits as well)";
-            said.push(format!("the residuals {what}: {}", names(&undetermined)));
+            said.push(format!("the residuals {what}: {}", names(&self.undetermined)));
         }
-        if !held.is_empty() {
-            said.push(format!("at a bound or fixed, taken as known: {}", names(&held)));
+        if !self.held.is_empty() {
+            said.push(format!("at a bound or fixed, taken as known: {}", names(&self.held)));
         }
-        Self { matrix, variance, degrees_of_freedom, undetermined, held, message: said.join("; ") }
+        said.join("; ")
     }
 }
 
@@ -162,6 +219,10 @@ mod tests {
     use super::*;
     use crate::space::Bounds;
 
+    fn said(covariance: &Covariance) -> String {
+        covariance.message(|index| format!("x[{index}]"))
+    }
+
     #[test]
     fn a_line_has_the_textbook_variances() {
         // y = a + b t at t = 0, 1, 2, 3: (X' X)^-1 = [[0.7, -0.3], [-0.3, 0.2]].
@@ -172,11 +233,11 @@ mod tests {
         for (got, expected) in covariance.matrix.iter().zip([0.7, -0.3, -0.3, 0.2]) {
             assert!((got - s2 * expected).abs() < 1e-15, "{covariance:?}");
         }
-        assert_eq!((covariance.degrees_of_freedom, covariance.message.as_str()), (2, ""));
+        assert_eq!((covariance.degrees_of_freedom, said(&covariance)), (2, String::new()));
         // With b at a bound: the variance of a mean.
         let covariance = Covariance::new(&residuals, &jacobian, &[0, 1]);
         assert!((covariance.matrix[0] - 0.05 / 4.0).abs() < 1e-15 && covariance.matrix[1..] == [0.0; 3]);
-        assert_eq!(covariance.message, "at a bound or fixed, taken as known: x[1]");
+        assert_eq!(said(&covariance), "at a bound or fixed, taken as known: x[1]");
     }
 
     #[test]
@@ -195,12 +256,48 @@ mod tests {
         assert!(of(0, 0) == f64::INFINITY && of(1, 1) == f64::INFINITY && of(0, 1).is_nan());
         assert!(of(2, 2).is_finite() && of(0, 2).is_finite());
         assert_eq!(covariance.undetermined, [0, 1]);
-        assert!(covariance.message.ends_with("fits as well): x[0], x[1]"), "{}", covariance.message);
+        assert!(said(&covariance).ends_with("fits as well): x[0], x[1]"), "{}", said(&covariance));
         let none = Covariance::new(&[1.0, 2.0], &[1.0, 0.0, 0.0, 1.0], &[0, 0]);
         assert!(none.matrix[0] == f64::INFINITY && none.matrix[1].is_nan() && none.variance.is_nan());
         let zero = Covariance::new(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);
         assert_eq!(zero.undetermined, [1]);
         assert_eq!(Covariance::new(&[], &[], &[-1]).matrix, [0.0]);
+    }
+
+    #[test]
+    fn a_regression_finds_the_derivatives_through_curvature_and_noise() {
+        let space = Space::new(&[1.0, 10.0], Bounds::unbounded(2), &[], &[]).unwrap();
+        let r = |z: &[f64], noise: f64| {
+            let smooth = [z[0] * z[0] + 2.0 * z[1], z[0] - z[1] * z[1], (z[0] * z[1]).exp()];
+            smooth
+                .iter()
+                .enumerate()
+                .map(|(i, r)| r + noise * (1e7 * (z[0] + 3.0 * z[1]) + i as f64).sin())
+                .collect()
+        };
+        for (noise, tolerance) in [(0.0, 1e-3), (1e-7, 2e-3), (1e-3, 0.2)] {
+            let best = [1.0, 1.0];
+            let places: Vec<Vec<f64>> = (0..40)
+                .map(|k| {
+                    let (d, angle) = (0.5f64.powi(k), 2.4 * f64::from(k));
+                    vec![best[0] + d * angle.cos(), best[1] + d * angle.sin()]
+                })
+                .collect();
+            let values: Vec<Vec<f64>> = places.iter().map(|z| r(z, noise)).collect();
+            let at_best: Vec<f64> = r(&best, noise);
+            let points = places.iter().map(Vec::as_slice).zip(values.iter().map(Vec::as_slice));
+            let best_point = (&[1.0, 10.0][..], &best[..], &at_best[..]);
+            let model = LinearModel::regression(&space, best_point, points).unwrap();
+            let e = 1f64.exp();
+            let expected = [2.0, 0.2, 1.0, -0.2, e, 0.1 * e];
+            for (k, (j, expected)) in model.jacobian.iter().zip(expected).enumerate() {
+                let scale = if k % 2 == 0 { 1.0 } else { 10.0 };
+                assert!((j - expected).abs() * scale < tolerance, "{noise} {:?}", model.jacobian);
+            }
+        }
+        let line = [([1.5, 1.0], [0.0]), ([2.0, 1.0], [1.0])];
+        let points = line.iter().map(|(z, r)| (&z[..], &r[..]));
+        assert_eq!(LinearModel::regression(&space, (&[1.0, 10.0], &[1.0, 1.0], &[1.0]), points), None);
     }
 
     #[test]

@@ -197,6 +197,10 @@ fn message<M: Method + ?Sized>(
     let with_tests = |text: String| if tests.is_empty() { text } else { format!("{text}; {tests}") };
     let message = match termination {
         Termination::Converged => format!("converged; {tests}"),
+        Termination::Noise => with_tests(
+            "ended in the noise of the residuals: what could still be gained is less than it makes of it"
+                .to_owned(),
+        ),
         Termination::Target => {
             format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
         }

@@ -9,6 +9,8 @@ use std::fmt;
 pub enum Termination {
     /// The tolerance tests passed.
     Converged,
+    /// What could still be gained is less than the noise of the residuals makes of it: the tolerance tests cannot pass.
+    Noise,
     /// The target value was reached.
     Target,
     /// The search has no extent left that floating-point numbers could resolve, and the tests have not passed.
@@ -45,15 +47,16 @@ pub enum Termination {
 pub(crate) const UNBOUNDED: f64 = -1e300;
 
 impl Termination {
-    /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search.
+    /// Whether the tolerance tests passed, or nothing but noise is left, or the target was reached, or there was nothing to search.
     pub fn is_success(&self) -> bool {
-        matches!(self, Self::Converged | Self::Target | Self::AllFixed)
+        matches!(self, Self::Converged | Self::Noise | Self::Target | Self::AllFixed)
     }
 
     /// A short name, fit for tables and files.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Converged => "converged",
+            Self::Noise => "noise",
             Self::Target => "target",
             Self::Collapsed => "collapsed",
             Self::OneFiniteVertex => "one-finite-vertex",

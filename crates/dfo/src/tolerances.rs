@@ -129,8 +129,9 @@ pub enum Extent {
     BestEighth,
     /// Of the best points of all generations, as many as an eighth of the population.
     BestSeen,
-    /// Of the trust region around the best point; the spread is the decrease that the model predicts within it.
-    TrustRegion,
+    /// Of the region where a model is trusted, or of the step to the model's minimum with its error, where that is less; the
+    /// spread is the decrease that the model predicts.
+    Model,
 }
 
 impl Extent {
@@ -140,7 +141,7 @@ impl Extent {
             Self::Population => "population",
             Self::BestEighth => "best eighth of the population:",
             Self::BestSeen => "best points seen:",
-            Self::TrustRegion => "trust region",
+            Self::Model => "distance to the model's minimum:",
         }
     }
 }
@@ -180,17 +181,23 @@ impl fmt::Display for Tests {
         let x = relation(self.x_passed);
         write!(
             f,
-            "x test {}: {} size {:.3e} {x} x_tol {x_tol:e}{unit}",
+            "x test {}: {}{} {:.3e} {x} x_tol {x_tol:e}{unit}",
             verb(self.x_passed),
             self.extent.name(),
+            if self.extent == Extent::Model { "" } else { " size" },
             self.x_size
         )?;
+        let spread_name = if self.extent == Extent::Model { "predicted decrease" } else { "spread" };
         match self.f_spread {
             None => write!(f, "; f test not passed: a vertex has failed"),
             Some(spread) => {
                 let r = relation(self.f_passed);
-                let what = if self.extent == Extent::TrustRegion { "predicted decrease" } else { "spread" };
-                write!(f, "; f test {}: {what} {spread:.3e} {r} {:.3e}", verb(self.f_passed), self.f_limit)?;
+                write!(
+                    f,
+                    "; f test {}: {spread_name} {spread:.3e} {r} {:.3e}",
+                    verb(self.f_passed),
+                    self.f_limit
+                )?;
                 match measure {
                     Measure::Relative if self.f_limit > f_tol * self.f_best.abs() => {
                         write!(f, " (f_tol {f_tol:e} of {ZERO_COST:.1e} times the initial cost)")

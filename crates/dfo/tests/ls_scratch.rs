@@ -180,3 +180,81 @@ fn noise() {
         );
     }
 }
+
+#[test]
+fn rounds() {
+    let inst = instances();
+    for tau in [1e-1, 1e-3, 1e-5] {
+        let mut units: Vec<f64> = Vec::new();
+        let mut evals: Vec<f64> = Vec::new();
+        for p in &inst {
+            let f = |x: &[f64], out: &mut Vec<f64>| out.extend(residuals(p.number, p.m, x));
+            let r = minimize(of(f))
+                .start(&p.start())
+                .method(LeastSquares::default().batch(p.n + 4))
+                .x_tol(0.0)
+                .f_tol(0.0)
+                .max_evaluations(100 * (p.n + 1))
+                .run();
+            let Ok(r) = r else {
+                println!("{p:?} {r:?}");
+                units.push(f64::INFINITY);
+                continue;
+            };
+            let first = p.cost(&p.start());
+            let goal = first - (1.0 - tau) * (first - p.best);
+            let e = r.trace.iter().enumerate().find(|(_, e)| e.outcome.value().is_some_and(|v| v <= goal));
+            let u = e.map_or(f64::INFINITY, |(_, e)| (e.batch + 1) as f64);
+            let v = e.map_or(f64::INFINITY, |(k, _)| (k + 1) as f64 / (p.n + 1) as f64);
+            if tau == 1e-5 && !(u <= 25.0) {
+                println!(
+                    "{:?} n={} m={} rounds {u:.1} fun {:e} best {:e} start {:e} {} {}",
+                    p.number, p.n, p.m, r.fun, p.best, first, r.termination, r.n_evaluations
+                );
+            }
+            units.push(u);
+            evals.push(v);
+        }
+        let share = |c: f64| 100.0 * units.iter().filter(|u| **u <= c).count() as f64 / units.len() as f64;
+        let s = (share(10.0), share(25.0), share(50.0), share(1e9));
+        units.sort_by(f64::total_cmp);
+        evals.sort_by(f64::total_cmp);
+        println!(
+            "rounds tau {tau:e}: {:.0}/{:.0}/{:.0}/{:.0} median {:.1} evals {:.1}",
+            s.0,
+            s.1,
+            s.2,
+            s.3,
+            units[units.len() / 2],
+            evals[evals.len() / 2]
+        );
+    }
+}
+#[test]
+fn one() {
+    for p in instances().iter().filter(|p| [14, 19, 18].contains(&p.number)) {
+        println!("### {} n={} best {:e}", p.number, p.n, p.best);
+        let seed = 0;
+        let f = |x: &[f64], out: &mut Vec<f64>| {
+            let r = residuals(p.number, p.m, x);
+            out.extend(r.iter().enumerate().map(|(i, r)| r * (1.0 + 1e-3 * hash(x, i, seed))));
+        };
+        let r = minimize(of(f))
+            .start(&p.start())
+            .method(LeastSquares::default())
+            .x_tol(0.0)
+            .f_tol(0.0)
+            .max_evaluations(30 * (p.n + 1))
+            .run()
+            .unwrap();
+        let first = p.cost(&p.start());
+        for (k, e) in r.trace.iter().enumerate() {
+            println!(
+                "{k} {:e} rel excess {:.2e} x {:?}",
+                e.outcome.value().unwrap_or(f64::NAN),
+                (p.cost(e.x) - p.best) / (first - p.best),
+                &e.x[..2]
+            );
+        }
+    }
+}

@@ -4,7 +4,7 @@ use crate::description::Fmu;
 use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields};
 use crate::interrupt::{Watch, fits_here};
 use crate::report::{self, LastProgress, Listener, ResultKind};
-use crate::settings::{Options, Settings};
+use crate::settings::{self, LossFields, Options, Settings};
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
 use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
@@ -262,14 +262,16 @@ impl PyCalibration {
         self.inner.problem().experiments.iter().map(recording).collect()
     }
 
-    #[pyo3(signature = (options, *, start=None, observer=None))]
+    #[pyo3(signature = (options, *, start=None, observer=None, loss=None))]
     fn fit<'py>(
         &self,
         py: Python<'py>,
         options: Options,
         start: Option<Vec<f64>>,
         observer: Option<Py<PyAny>>,
+        loss: Option<LossFields>,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let loss = settings::loss(loss)?.unwrap_or_default();
         let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
@@ -281,6 +283,7 @@ impl PyCalibration {
             inner.fit(FitOptions {
                 run,
                 start,
+                loss,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
                     seen.pass_on(progress, caller, notified.as_ref())
                 })),
@@ -308,6 +311,9 @@ impl PyCalibration {
                 let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
                 result.setattr("without_effect", inert)?;
                 result.setattr("start_cost", fit.start_cost)?;
+                if let Some(covariance) = fit.report.covariance() {
+                    result.setattr("cov_message", covariance.message(|index| fit.names[index].clone()))?;
+                }
                 result.setattr("n_checks", fit.n_checks)?;
                 result.setattr("n_beginnings", fit.n_beginnings)?;
                 Some(result)

@@ -4,10 +4,8 @@ use crate::error;
 use crate::interrupt::{EndRequest, Watch};
 use crate::objective::PyObjective;
 use crate::report::{self, LastProgress, Listener, ResultKind, Snapshot};
-use crate::settings::{Options, Settings};
-use crate::words::word;
-use dfo::{ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, RobustLoss, Tolerances};
-use pyo3::exceptions::PyValueError;
+use crate::settings::{self, LossFields, Options, Settings};
+use dfo::{ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, Tolerances};
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -74,22 +72,16 @@ pub(crate) fn minimize<'py>(
     detail: bool,
     batches: bool,
     cutoffs: bool,
-    loss: Option<(String, f64)>,
+    loss: Option<LossFields>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let settings = options.check(py, Tolerances::default())?;
-    let loss = loss.map(|(name, scale)| {
-        let checked = RobustLoss::new(word("loss", &name)?, scale);
-        checked.map_err(|_| {
-            PyValueError::new_err(format!("f_scale = {scale} must be positive and finite (1e-300 to 1e300)"))
-        })
-    });
-    let loss = loss.transpose()?;
-    if loss.is_none() && settings.run.method.needs_residuals() {
+    let checked = options.check(py, Tolerances::default())?;
+    let loss = settings::loss(loss)?;
+    if loss.is_none() && checked.run.method.needs_residuals() {
         return Err(error::optimiser(py, &dfo::Error::NeedsResiduals { method: "least-squares" }));
     }
     let kind = ResultKind::of(loss.is_some());
-    let alone = settings.run.workers.is_none_or(|workers| workers == 1);
-    let setup = RunSetup::new(x0, lower, upper, settings);
+    let alone = checked.run.workers.is_none_or(|workers| workers == 1);
+    let setup = RunSetup::new(x0, lower, upper, checked);
     let watch = Watch::new(py)?;
     let stop = Arc::clone(watch.stop());
     let objective = Arc::new(PyObjective::new(func, (tolerant, cutoffs), loss, Arc::clone(&stop)));

@@ -241,8 +241,8 @@ pub(crate) fn to_python<'py>(
             .set_item("active_mask", PyArray1::from_iter(py, report.active.iter().map(|a| i64::from(*a))))?;
     }
     if let Some(covariance) = report.covariance() {
+        fields.set_item("cov_message", covariance.message(|index| format!("x[{index}]")))?;
         fields.set_item("cov", PyArray1::from_vec(py, covariance.matrix).reshape([n, n])?)?;
-        fields.set_item("cov_message", covariance.message)?;
     }
     if kind == ResultKind::Residuals {
         let residuals = report.residuals.as_deref().unwrap_or_default();

@@ -2,7 +2,9 @@
 
 use crate::methods;
 use crate::words::{word, words};
-use dfo::{AnyMethod, Checkpoint, Kind, Known, Limits, Minimize, RunOptions, Tolerances, Transform};
+use dfo::{
+    AnyMethod, Checkpoint, Kind, Known, Limits, Minimize, RobustLoss, RunOptions, Tolerances, Transform,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -110,6 +112,17 @@ impl Settings {
         let Self { run: options, transforms, sizes, kinds } = self;
         run.options(options).transforms(&transforms).known_scales(&sizes).kinds(&kinds)
     }
+}
+
+/// Name and scale of a loss.
+pub(crate) type LossFields = (String, f64);
+
+/// What the residuals count; `None`: there are none.
+pub(crate) fn loss(given: Option<LossFields>) -> PyResult<Option<RobustLoss>> {
+    let Some((name, scale)) = given else { return Ok(None) };
+    RobustLoss::new(word("loss", &name)?, scale).map(Some).map_err(|_| {
+        PyValueError::new_err(format!("f_scale = {scale} must be positive and finite (1e-300 to 1e300)"))
+    })
 }
 
 /// A limit of wall-clock time beyond this, in s, is none: 30 million years.

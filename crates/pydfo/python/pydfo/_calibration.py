@@ -339,6 +339,8 @@ class Calibration:
         disp: bool = False,
         callback: Callback | None = None,
         *,
+        loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear",
+        f_scale: SupportsFloat = 1.0,
         start: npt.ArrayLike | Mapping[str, float] | None = None,
         initial_simplex: npt.ArrayLike | None = None,
         rng: int | np.random.Generator | None = None,
@@ -352,9 +354,10 @@ class Calibration:
         Parameters
         ----------
         method : str
-            The optimiser, as in `minimize`: "least-squares", "nelder-mead", "barrier", "quadratic-model", "cma-es", "multistart", "de", "de-classic",
-            "ga". The last four need two finite bounds for every parameter. "auto" is "least-squares", with integer parameters "de",
-            with categorical ones "ga"; where an option is given that only "nelder-mead" has, it is that. The fit has the reason
+            The optimiser: "least-squares", which takes the residuals of the simulations one by one (see `least_squares`), and those
+            of `minimize`: "nelder-mead", "barrier", "quadratic-model", "cma-es", "multistart", "de", "de-classic", "ga". The last four
+            need two finite bounds for every parameter. "auto" is "least-squares", with integer parameters "de", with categorical
+            ones "ga"; where an option is given that only "nelder-mead" has, it is that. The fit has the reason
             (``method_reason``).
         workers : int, optional
             Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.
@@ -378,6 +381,9 @@ class Calibration:
             Print a line per iteration.
         callback : callable, optional
             Called after each iteration with a `Progress`, on the calling thread; StopIteration or True end the fit.
+        loss, f_scale : optional
+            What a residual counts, see `least_squares`, by every method: "soft_l1", "huber" and "cauchy" keep outliers from deciding.
+            Cost and rms of the fit are those of what the residuals count then; `Fit.residuals` has the plain ones.
         start : array_like or dict, optional
             Another start than that of the parameters.
         initial_simplex : array_like, optional
@@ -440,13 +446,14 @@ class Calibration:
             residuals=True,
             parameter_kinds=[p.kind for p in self._parameters if not p.fixed],
         )
+        counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
         begin = self._values(start)
         printer = Printer(self.names)
         listeners: list[Callback] = [printer] if _options.flag("disp", disp) else []
         if callback is not None:
             listeners.append(listen(callback))
         try:
-            result = self._native.fit(built, start=begin, observer=combine(listeners))
+            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):

@@ -28,7 +28,7 @@ class Fit(OptimizeResult):
     parameters : dict of str to float
         The same by name.
     cost : float
-        Sum of the squared weighted residuals there (the same as ``fun``).
+        Sum of the squared weighted residuals there (the same as ``fun``); with a loss, of what they count.
     rms : float
         Root of the mean squared weighted residual there.
     start : ndarray, shape (n,)

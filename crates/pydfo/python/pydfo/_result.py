@@ -18,6 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 STATUS: Final[dict[str, int]] = {
     "converged": 0,
     "target": 10,
+    "noise": 20,
     "all-fixed": 30,
     "max-evaluations": 1,
     "max-iterations": 2,

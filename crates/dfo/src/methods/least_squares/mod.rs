@@ -2,10 +2,13 @@
 //! Marteau and Roberts, ACM TOMS 45, 2019): n + 1 points, each evaluated once, make a model of every residual; its sum of squares
 //! is smallest at the next trial point, within a radius that grows and shrinks with the success of the predictions.
 
+mod averaging;
 mod model;
 mod options;
+mod points;
 mod state;
 mod subproblem;
+mod trust_region;
 
 pub use options::LeastSquares;
 pub use state::LeastSquaresState;
@@ -24,7 +27,7 @@ impl MethodOptions for LeastSquares {
         setup.space.require_continuous("least-squares")?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         memory::check("a model of so many parameters", &[n + 1, 4 * n + 2 * n_user])?;
-        Ok(LeastSquaresState::new(setup, self.radius))
+        Ok(LeastSquaresState::new(setup, self))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<LeastSquaresState, Error> {

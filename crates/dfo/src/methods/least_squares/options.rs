@@ -20,11 +20,13 @@ use serde::{Deserialize, Serialize};
 pub struct LeastSquares {
     /// The first radius, in units of the sizes of the parameters; default 0.1.
     pub radius: f64,
+    /// Points evaluated at once after the first n + 1; default one.
+    pub batch: Option<usize>,
 }
 
 impl Default for LeastSquares {
     fn default() -> Self {
-        Self { radius: 0.1 }
+        Self { radius: 0.1, batch: None }
     }
 }
 
@@ -33,6 +35,13 @@ impl LeastSquares {
     #[must_use]
     pub fn radius(mut self, radius: f64) -> Self {
         self.radius = radius;
+        self
+    }
+
+    /// Sets the number of points that are evaluated at once.
+    #[must_use]
+    pub fn batch(mut self, points: usize) -> Self {
+        self.batch = Some(points);
         self
     }
 

@@ -1,92 +1,116 @@
-//! The state machine: which point is asked for, and what follows from its residuals.
+//! The state machine: which points are asked for, and what becomes of their residuals. How the next points are chosen stands in
+//! `trust_region.rs` and, once noise has been found, in `averaging.rs`.
 
-use super::model::Model;
-use super::subproblem::{Subproblem, longest};
+use super::averaging::Averaging;
+use super::options::LeastSquares;
+use super::points::Evaluated;
 use crate::answer::{Answers, Best, Want};
+use crate::choices::Measure;
 use crate::error::Error;
 use crate::linear_model::LinearModel;
 use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
-use crate::methods::shared::cost::Cost;
-use crate::methods::shared::ranked_points::RankedPoints;
-use crate::space::Space;
 use crate::termination::Termination;
-use crate::tolerances::Tests;
+use crate::tolerances::{Extent, Tests};
 use serde::{Deserialize, Serialize};
 
-/// A radius below this cannot be resolved.
-const SMALLEST: f64 = 1e-15;
-/// Refinements without success that mean noise, restarts without progress that end the run, and what progress is.
-const MOST_REFINED: usize = 4;
-const MOST_USELESS: usize = 30;
-const USELESS: f64 = 1e-9;
 /// How often a starting point that failed is tried nearer to the start.
 const MOST_RETRIES: u32 = 12;
+/// Points that are kept: so many times n + 1.
+const MOST_KEPT: usize = 20;
 
-/// What the last point asked for is.
+/// Where the search stands.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-enum Phase {
-    /// The start and its neighbours.
+pub(super) enum Phase {
+    /// The start and its neighbours are evaluated.
     Starting,
-    /// The next point is to be chosen.
-    Choosing,
-    /// The model's best point: coordinates in units of sizes, and the decrease that it predicts.
-    Trial {
-        z: Vec<f64>,
-        predicted: f64,
-    },
-    /// A point that makes the model better, in the place of this slot.
-    Geometry {
-        z: Vec<f64>,
-        slot: usize,
-    },
+    /// Steps on interpolation models.
+    Descending,
+    /// Steps on regression models: there is noise.
+    Averaging(Averaging),
     NoStart,
     Ended(Termination),
 }
 
-/// A running least-squares search; made by [`LeastSquares`](super::LeastSquares).
+/// Why a point is asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) enum Role {
+    /// The start itself, or its neighbour along a coordinate.
+    Start(Option<usize>),
+    /// The model's best point within a radius, and the decrease that it predicts.
+    Trial { predicted: f64, radius: f64 },
+    /// A point that makes the model better, in the place of this point.
+    Geometry { instead: usize },
+    /// A point that makes the model better.
+    Near,
+}
+
+/// What is known of a point that was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) enum Known {
+    Pending,
+    Failed,
+    /// The index of the point.
+    Point(usize),
+}
+
+/// A point that is asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Candidate {
+    pub(super) role: Role,
+    pub(super) z: Vec<f64>,
+    pub(super) x: Vec<f64>,
+    pub(super) retries: u32,
+    pub(super) known: Known,
+}
+
+/// A running least-squares search; made by [`LeastSquares`].
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct LeastSquaresState {
-    setup: Setup,
-    points: RankedPoints,
-    residuals: Vec<Vec<f64>>,
+    pub(super) setup: Setup,
+    pub(super) options: LeastSquares,
+    /// The points paid for, the oldest first.
+    pub(super) points: Vec<Evaluated>,
+    /// Of these the n + 1 that the model interpolates; fewer where the others failed.
+    pub(super) set: Vec<usize>,
     best_seen: Best,
     /// The trust region, and the resolution that it is not smaller than: both in units of the parameters' sizes.
-    delta: f64,
-    rho: f64,
-    phase: Phase,
+    pub(super) delta: f64,
+    pub(super) rho: f64,
+    pub(super) phase: Phase,
+    pub(super) round: Vec<Candidate>,
     asked: Vec<usize>,
-    retries: Vec<u32>,
-    /// Whether the point of the last step of geometry improvement may be followed by a smaller resolution.
     waiting: bool,
     n_batches: u64,
     n_points: u64,
-    n_iterations: usize,
-    operation: Option<Operation>,
-    tests: Option<Tests>,
-    f_0: f64,
-    /// The first radius, restarts so far, those in a row that brought nothing, and the best cost before the last.
-    radius: f64,
-    n_restarts: usize,
-    n_useless: usize,
-    f_restart: f64,
-    /// Refinements since the last step that did what the model predicted.
-    n_refined: usize,
+    pub(super) n_iterations: usize,
+    pub(super) operation: Option<Operation>,
+    pub(super) tests: Option<Tests>,
+    /// The cost of the start.
+    pub(super) f_0: f64,
+    /// Of the last step that failed: the distance of the residuals from the model, and the size of step and set.
+    pub(super) failure: Option<(f64, f64)>,
+    /// Signs of noise in a row.
+    pub(super) n_noisy: usize,
+    /// How far the last step that succeeded was from its model: the change of the Jacobian per length.
+    pub(super) curvature: Option<f64>,
+    /// The point around which the directions that the model lacks were asked for last.
+    pub(super) completed_at: Option<usize>,
 }
 
 impl LeastSquaresState {
-    pub(super) fn new(setup: &Setup, radius: f64) -> Self {
-        let space = &setup.space;
-        let n = space.n_free();
+    pub(super) fn new(setup: &Setup, options: &LeastSquares) -> Self {
+        let n = setup.space.n_free();
         let mut state = Self {
             setup: setup.clone(),
-            points: RankedPoints::new(space, n + 1),
-            residuals: vec![Vec::new(); n + 1],
+            options: options.clone(),
+            points: Vec::new(),
+            set: Vec::new(),
             best_seen: Best::default(),
-            delta: radius,
-            rho: radius,
+            delta: options.radius,
+            rho: options.radius,
             phase: Phase::Starting,
+            round: Vec::new(),
             asked: Vec::new(),
-            retries: vec![0; n + 1],
             waiting: false,
             n_batches: 0,
             n_points: 0,
@@ -94,314 +118,180 @@ impl LeastSquaresState {
             operation: None,
             tests: None,
             f_0: 0.0,
-            radius,
-            n_restarts: 0,
-            n_useless: 0,
-            f_restart: f64::INFINITY,
-            n_refined: 0,
+            failure: None,
+            n_noisy: 0,
+            curvature: None,
+            completed_at: None,
         };
-        for slot in 0..=n {
-            state.place_start(slot);
+        for coordinate in std::iter::once(None).chain((0..n).map(Some)) {
+            let z = state.neighbour(coordinate, 0);
+            state.ask_for(z, Role::Start(coordinate));
         }
+        state.round[0].x.copy_from_slice(setup.space.x0());
         state
     }
 
-    fn n(&self) -> usize {
+    pub(super) fn n(&self) -> usize {
         self.setup.space.n_free()
     }
 
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
-        let n = setup.space.n_free();
+        let (n, n_user, len) = (setup.space.n_free(), setup.space.n(), self.points.len());
+        let m = self.points.first().map_or(0, |point| point.residuals.len());
+        let is_candidate = |c: &Candidate| {
+            c.z.len() == n
+                && c.x.len() == n_user
+                && !matches!(c.known, Known::Point(k) if k >= len)
+                && match c.role {
+                    Role::Start(coordinate) => coordinate.is_none_or(|k| k < n),
+                    Role::Geometry { instead } => instead < len,
+                    Role::Trial { .. } | Role::Near => true,
+                }
+        };
+        let is_point = |p: &Evaluated| p.z.len() == n && p.x.len() == n_user && p.residuals.len() == m;
         setup.space == self.setup.space
-            && self.points.is_sound(&setup.space)
-            && self.points.len() == n + 1
-            && self.residuals.len() == n + 1
-            && self.retries.len() == n + 1
-            && self.asked.iter().all(|slot| *slot <= n)
-            && match &self.phase {
-                Phase::Trial { z, .. } => z.len() == n,
-                Phase::Geometry { z, slot } => z.len() == n && *slot <= n,
-                _ => true,
-            }
+            && self.points.iter().all(is_point)
+            && self.round.iter().all(is_candidate)
+            && self.set.iter().all(|k| *k < len)
+            && self.set.len() <= n + 1
+            && self.asked.iter().all(|k| *k < self.round.len())
+            && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
+            && !matches!(&self.phase, Phase::Averaging(a) if !a.is_sound(n))
     }
 
-    /// A starting point: the start itself, or its neighbour along a coordinate.
-    fn place_start(&mut self, slot: usize) {
+    /// The start itself, or its neighbour along a coordinate: on the side with more space, on the other, nearer, and so on.
+    fn neighbour(&self, coordinate: Option<usize>, retries: u32) -> Vec<f64> {
         let space = &self.setup.space;
         let mut u = vec![0.0; space.n_free()];
-        if self.n_restarts == 0 {
-            space.to_working(space.x0(), &mut u);
-        } else {
-            u.copy_from_slice(self.points.u(0));
-        }
-        if slot > 0 {
-            let k = slot - 1;
+        space.to_working(space.x0(), &mut u);
+        if let Some(k) = coordinate {
             let (lower, upper) = space.working_bounds(k);
-            let retries = self.retries[slot] as i32;
-            let length = self.delta * space.size(k) * 0.5f64.powi(retries / 2);
+            let length = self.delta * space.size(k) * 0.5f64.powi((retries / 2) as i32);
             let (below, above) = (u[k] - lower, upper - u[k]);
-            let forward = if self.n_restarts % 2 == 0 {
-                if above >= length || above >= below { 1.0 } else { -1.0 }
-            } else if below >= length || below >= above {
-                -1.0
-            } else {
-                1.0
-            };
+            let forward = if above >= length || above >= below { 1.0 } else { -1.0 };
             let sign = if retries % 2 == 0 { forward } else { -forward };
             let moved = (u[k] + sign * length).clamp(lower, upper);
             u[k] = if moved == u[k] { (u[k] - sign * length).clamp(lower, upper) } else { moved };
         }
-        place(&mut self.points, slot, &u, space);
-        if slot == 0 && self.n_restarts == 0 {
-            self.points.x_mut(0).copy_from_slice(self.setup.space.x0());
-        }
+        u.iter().enumerate().map(|(k, u)| u / space.size(k)).collect()
     }
 
-    /// Coordinates of a slot in units of the sizes.
-    fn z(&self, slot: usize) -> Vec<f64> {
-        let space = &self.setup.space;
-        self.points.u(slot).iter().enumerate().map(|(k, u)| u / space.size(k)).collect()
+    /// Adds a point to the round; the box and the rounding of the user's units shift it a little.
+    pub(super) fn ask_for(&mut self, z: Vec<f64>, role: Role) {
+        let (z, x) = self.placed(&z);
+        self.round.push(Candidate { role, z, x, retries: 0, known: Known::Pending });
     }
 
-    fn cost(&self, slot: usize) -> f64 {
-        self.points.cost(slot).value().unwrap_or(f64::INFINITY)
-    }
-
-    fn best_slot(&self) -> usize {
-        (0..self.points.len()).min_by(|a, b| self.cost(*a).total_cmp(&self.cost(*b))).unwrap_or(0)
-    }
-
-    /// Displacements from a slot to another, in units of the sizes.
-    fn displacement(&self, from: usize, to: usize) -> Vec<f64> {
-        self.z(to).iter().zip(self.z(from)).map(|(a, b)| a - b).collect()
-    }
-
-    fn model(&self, base: usize) -> Option<Model> {
-        let others = (0..self.points.len()).filter(|slot| *slot != base);
-        let others = others.map(|slot| (self.displacement(base, slot), &self.residuals[slot][..]));
-        Model::interpolate(self.n(), &self.residuals[base], others)
-    }
-
-    /// How far a step from a slot may go along each coordinate.
-    fn space_around(&self, slot: usize) -> (Vec<f64>, Vec<f64>) {
-        let (space, z) = (&self.setup.space, self.z(slot));
-        let ends = |k: usize| {
-            let (lower, upper) = space.working_bounds(k);
-            ((lower / space.size(k) - z[k]).min(0.0), (upper / space.size(k) - z[k]).max(0.0))
-        };
-        (0..z.len()).map(ends).unzip()
-    }
-
-    /// The other slot that lies farthest from this one, and its distance.
-    fn farthest(&self, base: usize) -> (usize, f64) {
-        (0..self.points.len())
-            .filter(|slot| *slot != base)
-            .map(|slot| (slot, norm(&self.displacement(base, slot))))
-            .fold((base, 0.0), |far, other| if other.1 > far.1 { other } else { far })
-    }
-
-    /// Chooses the next point.
-    fn choose(&mut self) {
-        // Each turn shrinks the resolution.
-        while self.phase == Phase::Choosing {
-            let base = self.best_slot();
-            let Some(model) = self.model(base) else {
-                self.repair(base);
-                return;
-            };
-            let (lower, upper) = self.space_around(base);
-            let problem = Subproblem {
-                jacobian: &model.jacobian,
-                residuals: &self.residuals[base],
-                radius: self.delta,
-                lower: &lower,
-                upper: &upper,
-            };
-            let (step, predicted) = problem.solve();
-            let length = norm(&step);
-            let f = self.cost(base);
-            let tests = self.setup.tolerances.judge(self.rho, Some(predicted), f, self.f_0);
-            self.tests = Some(tests);
-            if tests.passed || f == 0.0 {
-                self.phase = Phase::Ended(Termination::Converged);
-            } else if length < 0.5 * self.rho || predicted <= 0.0 || predicted <= f64::EPSILON * f {
-                // Nothing to gain at this resolution, if the model is right.
-                self.delta = self.rho.max(0.1 * self.delta);
-                if self.delta <= 1.5 * self.rho {
-                    self.delta = self.rho;
-                }
-                let (slot, distance) = self.farthest(base);
-                if distance > (2.0 * self.delta).max(10.0 * self.rho) {
-                    self.improve(base, &model, slot, distance);
-                } else if self.delta <= self.rho {
-                    self.refine();
-                }
-            } else {
-                let z = self.z(base).iter().zip(&step).map(|(z, s)| z + s).collect();
-                self.phase = Phase::Trial { z, predicted };
-            }
-        }
-    }
-
-    /// A smaller resolution.
-    fn refine(&mut self) {
-        self.delta = 0.5 * self.rho;
-        self.rho *= 0.1;
-        self.delta = self.delta.max(self.rho);
-        self.n_refined += 1;
-        if self.n_refined >= MOST_REFINED || self.rho < SMALLEST {
-            self.restart();
-        }
-    }
-
-    /// What the model predicts has not come true at several resolutions: there is noise. New points around the best one, as far away as
-    /// the first.
-    fn restart(&mut self) {
-        let best = self.best_slot();
-        let f = self.cost(best);
-        let useless = f > self.f_restart * (1.0 - USELESS);
-        self.n_useless = if useless { self.n_useless + 1 } else { 0 };
-        if self.n_useless >= MOST_USELESS {
-            self.phase = Phase::Ended(Termination::Collapsed);
-            return;
-        }
-        self.f_restart = f;
-        self.n_restarts += 1;
-        self.n_refined = 0;
-        (self.delta, self.rho) = (self.radius, self.radius);
-        if best != 0 {
-            let (u, x) = (self.points.u(best).to_vec(), self.points.x(best).to_vec());
-            self.points.set(0, &u, &x);
-            self.points.set_cost(0, Cost::Value(f));
-            self.residuals.swap(0, best);
-        }
-        for slot in 1..self.points.len() {
-            self.retries[slot] = 0;
-            self.place_start(slot);
-        }
-        self.phase = Phase::Starting;
-    }
-
-    /// Replaces a slot that lies too far away by one that tells more.
-    fn improve(&mut self, base: usize, model: &Model, slot: usize, distance: f64) {
-        let radius = (0.1 * distance).min(0.5 * self.delta).max(self.rho);
-        let (lower, upper) = self.space_around(base);
-        let other = if slot > base { slot - 1 } else { slot };
-        let step = longest(&model.gradient(other), radius, &lower, &upper);
-        let z = self.z(base).iter().zip(&step).map(|(z, s)| z + s).collect();
-        self.phase = Phase::Geometry { z, slot };
-    }
-
-    /// The points lie in a plane: the one that lies farthest is placed along a coordinate.
-    fn repair(&mut self, base: usize) {
-        let (slot, _) = self.farthest(base);
-        let (lower, upper) = self.space_around(base);
-        let k = self.n_iterations % self.n();
-        let mut z = self.z(base);
-        z[k] += if upper[k] >= -lower[k] { self.delta.min(upper[k]) } else { -self.delta.min(-lower[k]) };
-        self.n_iterations += 1;
-        self.phase =
-            Phase::Geometry { z, slot: if slot == base { (base + 1) % self.points.len() } else { slot } };
-    }
-
-    /// Working coordinates of a point in units of the sizes.
-    fn working(&self, z: &[f64]) -> Vec<f64> {
+    fn placed(&self, z: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let space = &self.setup.space;
         let inside = |(k, z): (usize, &f64)| {
             let (lower, upper) = space.working_bounds(k);
             (z * space.size(k)).clamp(lower, upper)
         };
-        z.iter().enumerate().map(inside).collect()
+        let u: Vec<f64> = z.iter().enumerate().map(inside).collect();
+        let mut x = vec![0.0; space.n()];
+        space.to_user(&u, &mut x);
+        (u.iter().enumerate().map(|(k, u)| u / space.size(k)).collect(), x)
+    }
+
+    /// The tolerance tests, for a distance in units of the sizes and a decrease.
+    pub(super) fn judge(&self, distance: f64, decrease: f64, f: f64) -> Tests {
+        let Setup { space, tolerances, .. } = &self.setup;
+        let unit = match tolerances.measure {
+            Measure::Relative => 1.0,
+            Measure::Absolute => (0..space.n_free()).map(|k| space.size(k)).fold(0.0, f64::max),
+        };
+        let tests = tolerances.judge(distance * unit, Some(decrease), f, self.f_0);
+        Tests { extent: Extent::Model, ..tests }
+    }
+
+    /// How far a step from a point may go along each coordinate.
+    pub(super) fn space_around(&self, z: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let space = &self.setup.space;
+        let ends = |(k, z): (usize, &f64)| {
+            let (lower, upper) = space.working_bounds(k);
+            ((lower / space.size(k) - z).min(0.0), (upper / space.size(k) - z).max(0.0))
+        };
+        z.iter().enumerate().map(ends).unzip()
+    }
+
+    /// Of some points the one of smallest cost, the first of equal ones.
+    pub(super) fn best_of(&self, points: impl Iterator<Item = usize>) -> Option<usize> {
+        points.fold(None, |best, k| match best {
+            Some(b) if self.points[k].cost >= self.points[b].cost => Some(b),
+            _ => Some(k),
+        })
+    }
+
+    /// The base point of the model.
+    pub(super) fn base(&self) -> usize {
+        self.best_of(self.set.iter().copied()).unwrap_or(0)
+    }
+
+    /// Takes what is known of a point that was asked for. A neighbour of the start that failed is tried elsewhere.
+    fn take(&mut self, place: usize, answer: Option<(f64, &[f64])>) {
+        let Candidate { role, z, x, retries, .. } = &self.round[place];
+        let known = match (answer, role) {
+            (Some((cost, residuals)), _) => {
+                self.best_seen.offer(x, cost);
+                let (z, x, residuals) = (z.clone(), x.clone(), residuals.to_vec());
+                self.points.push(Evaluated { z, x, cost, residuals });
+                Known::Point(self.points.len() - 1)
+            }
+            (None, Role::Start(Some(coordinate))) if *retries < MOST_RETRIES => {
+                let retries = retries + 1;
+                let (z, x) = self.placed(&self.neighbour(Some(*coordinate), retries));
+                self.round[place] = Candidate { z, x, retries, ..self.round[place].clone() };
+                return;
+            }
+            (None, _) => Known::Failed,
+        };
+        self.round[place].known = known;
+    }
+
+    /// Every point of the round is known.
+    fn conclude(&mut self) {
+        let round = std::mem::take(&mut self.round);
+        match &self.phase {
+            Phase::Starting => self.started(),
+            Phase::Descending => self.descended(&round),
+            Phase::Averaging(_) => self.averaged(&round),
+            Phase::NoStart | Phase::Ended(_) => {}
+        }
+        self.forget();
     }
 
     fn started(&mut self) {
-        if self.cost(0).is_infinite() {
+        let Some(best) = self.best_of(0..self.points.len()) else {
             self.phase = Phase::NoStart;
             return;
-        }
-        if self.n_restarts == 0 {
-            self.f_0 = self.cost(0);
-        }
-        self.operation = Some(if self.n_restarts == 0 { Operation::Initial } else { Operation::Restart });
-        self.phase = if self.n() == 0 { Phase::Ended(Termination::AllFixed) } else { Phase::Choosing };
-    }
-
-    /// Takes a point into the place of a slot.
-    fn replace(&mut self, slot: usize, z: &[f64], cost: f64, residuals: &[f64]) {
-        let u = self.working(z);
-        place(&mut self.points, slot, &u, &self.setup.space);
-        self.points.set_cost(slot, Cost::Value(cost));
-        self.residuals[slot].clear();
-        self.residuals[slot].extend_from_slice(residuals);
-    }
-
-    /// What follows from the model's best point. `answer`: its cost and residuals; `None`: it failed.
-    fn tried(&mut self, z: &[f64], predicted: f64, answer: Option<(f64, &[f64])>) {
-        self.n_iterations += 1;
-        self.operation = Some(Operation::TrustRegionStep);
-        let base = self.best_slot();
-        let step: Vec<f64> = z.iter().zip(self.z(base)).map(|(z, b)| z - b).collect();
-        let length = norm(&step);
-        let ratio = answer.map_or(-1.0, |(cost, _)| (self.cost(base) - cost) / predicted);
-        if ratio >= 0.1 {
-            self.n_refined = 0;
-        }
-        self.delta = if ratio < 0.1 {
-            (0.5 * self.delta).min(length)
-        } else if ratio < 0.7 {
-            (0.5 * self.delta).max(length)
-        } else {
-            (2.0 * self.delta).min((0.5 * self.delta).max(4.0 * length)).max(self.delta)
         };
-        if self.delta <= 1.5 * self.rho {
-            self.delta = self.rho;
+        // The start is the first point asked for; where it failed, another one.
+        self.f_0 = self.points[0].cost;
+        self.operation = Some(Operation::Initial);
+        self.phase = if self.n() == 0 { Phase::Ended(Termination::AllFixed) } else { Phase::Descending };
+        self.choose_set(best);
+    }
+
+    /// Forgets the points that lie farthest, where there are too many.
+    fn forget(&mut self) {
+        let most = MOST_KEPT * (self.n() + 1);
+        if self.points.len() <= most || self.set.is_empty() || !self.round.is_empty() {
+            return;
         }
-        if let (Some((cost, residuals)), Some(model)) = (answer, self.model(base)) {
-            let lagrange = model.lagrange(&step);
-            let of_base = 1.0 - lagrange.iter().sum::<f64>();
-            let better = cost < self.cost(base);
-            let mut others = lagrange.iter();
-            let mut chosen = None;
-            for slot in 0..self.points.len() {
-                let value = if slot == base { of_base } else { others.next().copied().unwrap_or(0.0) };
-                if slot == base && !better {
-                    continue;
-                }
-                let from = if better { z.to_vec() } else { self.z(base) };
-                let distance = norm(&self.z(slot).iter().zip(from).map(|(a, b)| a - b).collect::<Vec<_>>());
-                let weight = value.abs() * (distance / self.delta).powi(2).max(1.0);
-                if chosen.is_none_or(|(_, most)| weight > most) {
-                    chosen = Some((slot, weight));
-                }
-            }
-            if let Some((slot, weight)) = chosen.filter(|(_, weight)| *weight > 0.0) {
-                let _ = weight;
-                self.replace(slot, z, cost, residuals);
-            }
-        }
-        self.phase = Phase::Choosing;
-        if ratio < 0.1 {
-            let base = self.best_slot();
-            let (slot, distance) = self.farthest(base);
-            if distance > (2.0 * self.delta).max(10.0 * self.rho) {
-                if let Some(model) = self.model(base) {
-                    self.improve(base, &model, slot, distance);
-                }
-            } else if self.delta.max(length) <= self.rho && ratio < 0.0 {
-                self.refine();
-            }
+        let centre = self.points[self.base()].z.clone();
+        while self.points.len() > most {
+            let far = |k: &usize| super::points::distance(&self.points[*k].z, &centre);
+            let others = (0..self.points.len()).filter(|k| !self.set.contains(k));
+            let Some(farthest) = others.max_by(|a, b| far(a).total_cmp(&far(b)).then(b.cmp(a))) else {
+                return;
+            };
+            self.points.remove(farthest);
+            let shift = |k: &mut usize| *k -= usize::from(*k > farthest);
+            self.set.iter_mut().for_each(shift);
+            self.completed_at.iter_mut().for_each(shift);
         }
     }
-}
-
-fn place(points: &mut RankedPoints, slot: usize, u: &[f64], space: &Space) {
-    points.u_mut(slot).copy_from_slice(u);
-    space.to_user(u, points.x_mut(slot));
-    points.set_cost(slot, Cost::Pending);
-}
-
-fn norm(v: &[f64]) -> f64 {
-    v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
 impl Method for LeastSquaresState {
@@ -413,25 +303,16 @@ impl Method for LeastSquaresState {
         batch.start(self.setup.space.n(), self.n_batches, self.n_points);
         batch.set_want(Want::Residuals);
         self.asked.clear();
-        if self.phase == Phase::Choosing {
-            self.choose();
+        if self.round.is_empty() {
+            match &self.phase {
+                Phase::Descending => self.descend(),
+                Phase::Averaging(_) => self.average(),
+                Phase::Starting | Phase::NoStart | Phase::Ended(_) => {}
+            }
         }
-        match &self.phase {
-            Phase::Starting => {
-                for slot in 0..self.points.len() {
-                    if self.points.cost(slot) == Cost::Pending {
-                        batch.push(self.points.x(slot), f64::INFINITY);
-                        self.asked.push(slot);
-                    }
-                }
-            }
-            Phase::Trial { z, .. } | Phase::Geometry { z, .. } => {
-                let mut x = vec![0.0; self.setup.space.n()];
-                self.setup.space.to_user(&self.working(z), &mut x);
-                batch.push(&x, f64::INFINITY);
-                self.asked.push(0);
-            }
-            Phase::Choosing | Phase::NoStart | Phase::Ended(_) => {}
+        for (k, candidate) in self.round.iter().enumerate().filter(|(_, c)| c.known == Known::Pending) {
+            batch.push(&candidate.x, f64::INFINITY);
+            self.asked.push(k);
         }
         self.waiting = !self.asked.is_empty();
     }
@@ -448,51 +329,11 @@ impl Method for LeastSquaresState {
         self.waiting = false;
         self.n_batches += 1;
         self.n_points += asked as u64;
-        if self.phase == Phase::Starting {
-            for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
-                let slot = self.asked[k];
-                match (outcome.value(), answers.residuals(k)) {
-                    (Some(cost), Some(residuals)) => {
-                        self.points.set_cost(slot, Cost::Value(cost));
-                        self.residuals[slot] = residuals.to_vec();
-                        self.best_seen.offer(self.points.x(slot), cost);
-                    }
-                    _ if slot == 0 || self.retries[slot] >= MOST_RETRIES => {
-                        self.points.set_cost(slot, Cost::Failed);
-                    }
-                    _ => {
-                        self.retries[slot] += 1;
-                        self.place_start(slot);
-                    }
-                }
-            }
-            if self.points.cost(0) == Cost::Failed || !self.points.is_pending() {
-                self.started();
-            }
-            return Ok(());
+        for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
+            self.take(self.asked[k], outcome.value().zip(answers.residuals(k)));
         }
-        let Some(outcome) = outcomes.first().filter(|outcome| outcome.is_known()) else { return Ok(()) };
-        let answer = outcome.value().zip(answers.residuals(0));
-        match std::mem::replace(&mut self.phase, Phase::Choosing) {
-            Phase::Trial { z, predicted } => {
-                if let Some((cost, _)) = answer {
-                    let mut x = vec![0.0; self.setup.space.n()];
-                    self.setup.space.to_user(&self.working(&z), &mut x);
-                    self.best_seen.offer(&x, cost);
-                }
-                self.tried(&z, predicted, answer);
-            }
-            Phase::Geometry { z, slot } => match answer {
-                Some((cost, residuals)) => {
-                    self.replace(slot, &z, cost, residuals);
-                    self.best_seen.offer(self.points.x(slot), cost);
-                }
-                None => {
-                    self.delta *= 0.5;
-                    self.rho = self.rho.min(self.delta);
-                }
-            },
-            other => self.phase = other,
+        if self.round.iter().all(|candidate| candidate.known != Known::Pending) {
+            self.conclude();
         }
         Ok(())
     }
@@ -510,7 +351,7 @@ impl Method for LeastSquaresState {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
-            plan: "serial",
+            plan: if self.options.batch.is_some_and(|batch| batch > 1) { "rounds" } else { "serial" },
             ..Details::default()
         }
     }
@@ -520,13 +361,9 @@ impl Method for LeastSquaresState {
     }
 
     fn linear_model(&self) -> Option<LinearModel> {
-        let (base, space) = (self.best_slot(), &self.setup.space);
-        if self.n() == 0 || self.phase == Phase::Starting || self.cost(base).is_infinite() {
-            return None;
-        }
-        let model = self.model(base)?;
-        let derivative = |i: usize, k: usize| model.jacobian[(i, k)] / space.size(k);
-        LinearModel::new(space, self.points.x(base), self.residuals[base].len(), derivative)
+        let best = self.points.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+        let points = self.points.iter().map(|p| (&p.z[..], &p.residuals[..]));
+        LinearModel::regression(&self.setup.space, (&best.x, &best.z, &best.residuals), points)
     }
 
     fn save(&self) -> Option<Vec<u8>> {

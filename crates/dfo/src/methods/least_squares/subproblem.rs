@@ -1,5 +1,6 @@
 //! The step of a Gauss-Newton model within a ball and a box.
 
+use super::model::Linear;
 use nalgebra::{DMatrix, DVector, SVD};
 
 /// Newton steps for the multiplier of the ball: from a good bracket it takes three or four.
@@ -12,8 +13,7 @@ const MOST_SWEEPS: usize = 1000;
 /// The problem in the ball alone is solved exactly by the singular values of `J` (Moré and Sorensen 1983, with `J'J` in place of the
 /// Hessian). Where the solution leaves the box, the coordinate that reaches its bound first is set there, and the rest is solved again.
 pub(super) struct Subproblem<'a> {
-    pub(super) jacobian: &'a DMatrix<f64>,
-    pub(super) residuals: &'a [f64],
+    pub(super) linear: &'a Linear,
     pub(super) radius: f64,
     pub(super) lower: &'a [f64],
     pub(super) upper: &'a [f64],
@@ -22,18 +22,9 @@ pub(super) struct Subproblem<'a> {
 impl Subproblem<'_> {
     /// The step, and the decrease of the sum of squares that the model predicts.
     pub(super) fn solve(&self) -> (Vec<f64>, f64) {
-        let (m, n) = self.jacobian.shape();
-        let r = DVector::from_column_slice(self.residuals);
-        // What the columns of J can reach of r.
-        let (factor, reached) = if m > n {
-            let qr = self.jacobian.clone().qr();
-            let mut reached = r.clone();
-            qr.q_tr_mul(&mut reached);
-            (qr.r(), reached.rows(0, n).into_owned())
-        } else {
-            (self.jacobian.clone(), r.clone())
-        };
-        let gradient = factor.tr_mul(&reached);
+        let Linear { factor, reached } = self.linear;
+        let n = factor.ncols();
+        let gradient = factor.tr_mul(reached);
         let mut step = vec![0.0; n];
         // At a bound with the descent leading out.
         let blocked = |k: usize| {
@@ -43,7 +34,7 @@ impl Subproblem<'_> {
         let mut left = self.radius * self.radius;
         let mut rest = reached.clone();
         while !free.is_empty() && left > 0.0 {
-            let part = within_ball(&factor.select_columns(&free), &rest, left.sqrt());
+            let part = within_ball(factor.select_columns(&free), &rest, left.sqrt());
             let share = |(place, &k): (usize, &usize)| {
                 let s = part[place];
                 let bound = if s > 0.0 { self.upper[k] } else { self.lower[k] };
@@ -67,17 +58,18 @@ impl Subproblem<'_> {
             }
             free = still;
         }
-        let after = &reached + &factor * DVector::from_column_slice(&step);
+        let after = reached + factor * DVector::from_column_slice(&step);
         (step, reached.norm_squared() - after.norm_squared())
     }
 }
 
 /// The shortest of the steps that make `|r + A s|` smallest within `|s| <= radius`.
-fn within_ball(a: &DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
+fn within_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
+    let n = a.ncols();
     // Numbers near the largest there are may have none.
-    let svd = SVD::try_new(a.clone(), true, true, f64::EPSILON, MOST_SWEEPS);
+    let svd = SVD::try_new(a, true, true, f64::EPSILON, MOST_SWEEPS);
     let Some(SVD { u: Some(u), v_t: Some(v_t), singular_values: sigma }) = &svd else {
-        return DVector::zeros(a.ncols());
+        return DVector::zeros(n);
     };
     let c = u.tr_mul(r);
     let largest = sigma.max();

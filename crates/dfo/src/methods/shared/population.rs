@@ -113,7 +113,7 @@ impl RankedPoints {
         let counted = match extent {
             // One member alone has nothing to be compared with.
             Extent::BestEighth => &self.order[..self.len().div_ceil(8).max(2).min(self.len())],
-            Extent::Population | Extent::Simplex | Extent::BestSeen | Extent::TrustRegion => &self.order[..],
+            Extent::Population | Extent::Simplex | Extent::BestSeen | Extent::Model => &self.order[..],
         };
         let best = self.best();
         let mut size = 0.0f64;

@@ -1,0 +1,179 @@
+//! Steps on regression models of all points around, for residuals with noise: the more points, the less of it is left in the model.
+
+use super::model::Regression;
+use super::points::{difference, distance, sum};
+use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
+use crate::method::Operation;
+use crate::termination::Termination;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use serde::{Deserialize, Serialize};
+
+/// The largest radius in units of the first one, and the smallest.
+const WIDEST: f64 = 10.0;
+const SMALLEST: f64 = 1e-15;
+/// F statistics of the terms of second degree from which on the radius is made smaller, and below which it may grow.
+const BENT: f64 = 4.0;
+const STRAIGHT: f64 = 1.5;
+/// Points asked for since noise was found before the run may end: so many times n + 1.
+const FEWEST: usize = 5;
+
+/// Where the regression stands.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Averaging {
+    /// Centre and radius of the points that count, in units of the parameters' sizes.
+    centre: Vec<f64>,
+    radius: f64,
+    /// Points asked for since noise was found.
+    n_asked: usize,
+}
+
+impl Averaging {
+    pub(super) fn new(centre: &[f64], radius: f64) -> Self {
+        Self { centre: centre.to_vec(), radius, n_asked: 0 }
+    }
+
+    pub(super) fn is_sound(&self, n: usize) -> bool {
+        self.centre.len() == n && self.radius > 0.0
+    }
+}
+
+impl LeastSquaresState {
+    /// The points around the centre, with their weights, nearest first: those within two radii, and as many more as a model needs.
+    fn around(&self, averaging: &Averaging) -> Vec<(usize, f64)> {
+        let far = |k: usize| distance(&self.points[k].z, &averaging.centre) / (2.0 * averaging.radius);
+        let mut near: Vec<(usize, f64)> = (0..self.points.len()).map(|k| (k, far(k))).collect();
+        near.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        let inside = near.iter().filter(|(_, far)| *far < 1.0).count();
+        near.truncate(inside.max(3 * (self.n() + 1)));
+        let reach = near.last().map_or(1.0, |(_, far)| far.max(1.0) * 1.05);
+        // The weights of local regression (Cleveland 1979).
+        near.iter_mut().for_each(|(_, far)| *far = (1.0 - (*far / reach).powi(3)).powf(1.5));
+        near
+    }
+
+    /// Begins with the largest radius within which the points do not contradict a linear model.
+    pub(super) fn begin_averaging(&mut self) {
+        let centre = self.points[self.base()].z.clone();
+        let mut averaging = Averaging::new(&centre, self.options.radius);
+        loop {
+            let near = self.around(&averaging);
+            let enough = near.len() > 3 * (self.n() + 1);
+            let bent = self.regression(&averaging, &near).and_then(|regression| regression.bent);
+            if !enough || bent.is_some_and(|bent| bent < BENT) {
+                break;
+            }
+            averaging.radius *= 0.7;
+        }
+        self.phase = Phase::Averaging(averaging);
+    }
+
+    fn weighted<'a>(
+        &'a self,
+        averaging: &Averaging,
+        near: &[(usize, f64)],
+    ) -> Vec<(Vec<f64>, f64, &'a [f64])> {
+        let weighted = near.iter().map(|(k, weight)| {
+            let point = &self.points[*k];
+            (difference(&point.z, &averaging.centre), *weight, &point.residuals[..])
+        });
+        weighted.collect()
+    }
+
+    fn regression(&self, averaging: &Averaging, near: &[(usize, f64)]) -> Option<Regression> {
+        Regression::new(&self.weighted(averaging, near))
+    }
+
+    /// Fills the round, or ends.
+    pub(super) fn average(&mut self) {
+        let Phase::Averaging(mut averaging) = self.phase.clone() else { return };
+        let n = self.n();
+        let near = self.around(&averaging);
+        let weighted = self.weighted(&averaging, &near);
+        let mut coverage = Coverage::new(n, averaging.radius);
+        weighted.iter().for_each(|(w, weight, _)| coverage.add(w, *weight));
+        let regression = Regression::new(&weighted);
+        let mut trial = None;
+        if let Some(regression) = &regression {
+            match regression.bent {
+                Some(bent) if bent > BENT && !regression.is_quadratic && near.len() > 3 * (n + 1) => {
+                    averaging.radius *= 0.7;
+                }
+                Some(bent) if bent < STRAIGHT && averaging.n_asked % 2 == 1 => {
+                    averaging.radius = (1.5 * averaging.radius).min(WIDEST * self.options.radius);
+                }
+                _ => {}
+            }
+            let (lower, upper) = self.space_around(&averaging.centre);
+            let (step, predicted) = regression.minimise(averaging.radius, &lower, &upper);
+            averaging.centre = sum(&averaging.centre, &step);
+            let best = self.best_of(0..self.points.len()).map_or(0.0, |k| self.points[k].cost);
+            self.tests = Some(self.judge(averaging.radius, predicted, best));
+            let tolerances = &self.setup.tolerances;
+            let may_end = tolerances.x_tol > 0.0 || tolerances.f_tol > 0.0;
+            if may_end && averaging.n_asked >= FEWEST * (n + 1) && predicted <= 3.0 * regression.excess {
+                self.phase = Phase::Ended(Termination::Noise);
+                return;
+            }
+            trial = Some(Role::Trial { predicted, radius: averaging.radius });
+        }
+        if averaging.radius < SMALLEST {
+            self.phase = Phase::Ended(Termination::Collapsed);
+            return;
+        }
+        // One point at a time the trial point and one that tells more take turns.
+        let batch = self.options.batch.unwrap_or(1);
+        if let Some(role) = trial.filter(|_| batch > 1 || averaging.n_asked % 2 == 0) {
+            self.ask_for(averaging.centre.clone(), role);
+        }
+        while self.round.len() < batch {
+            let v = self.fitted(&averaging.centre, &coverage.least(), averaging.radius);
+            coverage.add(&v, 1.0);
+            self.ask_for(sum(&averaging.centre, &v), Role::Near);
+        }
+        averaging.n_asked += self.round.len();
+        self.phase = Phase::Averaging(averaging);
+    }
+
+    /// What follows from a round.
+    pub(super) fn averaged(&mut self, round: &[Candidate]) {
+        self.n_iterations += 1;
+        self.operation = Some(Operation::TrustRegionStep);
+        let failed = round.iter().any(|candidate| candidate.known == Known::Failed);
+        let best = self.best_of(0..self.points.len()).map(|k| self.points[k].z.clone());
+        if let (Phase::Averaging(averaging), true, Some(best)) = (&mut self.phase, failed, best) {
+            averaging.radius *= 0.5;
+            averaging.centre = best;
+        }
+    }
+}
+
+/// How the points around a centre are spread.
+struct Coverage {
+    spread: DMatrix<f64>,
+    mean: DVector<f64>,
+    radius: f64,
+}
+
+impl Coverage {
+    fn new(n: usize, radius: f64) -> Self {
+        Self { spread: DMatrix::zeros(n, n), mean: DVector::zeros(n), radius }
+    }
+
+    fn add(&mut self, w: &[f64], weight: f64) {
+        let w = DVector::from_column_slice(w) * (weight / self.radius);
+        self.spread.ger(1.0, &w, &w, 1.0);
+        self.mean.axpy(weight, &w, 1.0);
+    }
+
+    /// The direction along which the points tell least, away from their mean.
+    fn least(&self) -> Vec<f64> {
+        let n = self.mean.len();
+        let eigen = SymmetricEigen::try_new(self.spread.clone(), f64::EPSILON, 1000);
+        let direction = eigen.map(|eigen| eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned());
+        let direction = direction.filter(|d| d.iter().all(|d| d.is_finite()));
+        let direction =
+            direction.unwrap_or_else(|| DVector::from_fn(n, |k, _| if k == 0 { 1.0 } else { 0.0 }));
+        let sign = if direction.dot(&self.mean) > 0.0 { -1.0 } else { 1.0 };
+        direction.iter().map(|d| sign * d).collect()
+    }
+}

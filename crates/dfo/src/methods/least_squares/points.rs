@@ -1,0 +1,119 @@
+//! Points that have been evaluated, with their residuals, and which of them a model is made from.
+
+use super::model::norm;
+use serde::{Deserialize, Serialize};
+
+/// Of a point that lies this far out of the plane of those chosen before it, in units of its distance, something is learned.
+const INDEPENDENT: f64 = 0.03;
+/// The same where nothing better is there.
+const BARELY_INDEPENDENT: f64 = 1e-7;
+
+/// A point with a cost.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Evaluated {
+    /// In units of the sizes of the parameters.
+    pub(super) z: Vec<f64>,
+    /// In the user's units.
+    pub(super) x: Vec<f64>,
+    pub(super) cost: f64,
+    pub(super) residuals: Vec<f64>,
+}
+
+pub(super) fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+pub(super) fn sum(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a + b).collect()
+}
+
+pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+/// Points chosen one by one, each out of the plane of those before.
+pub(super) struct Selection {
+    /// The points, by their indices.
+    pub(super) chosen: Vec<usize>,
+    /// An orthonormal basis of the directions to them.
+    basis: Vec<Vec<f64>>,
+}
+
+impl Selection {
+    pub(super) fn new() -> Self {
+        Self { chosen: Vec::new(), basis: Vec::new() }
+    }
+
+    /// The part of `v` that is orthogonal to all directions so far.
+    fn rest(&self, v: &[f64]) -> Vec<f64> {
+        let mut rest = v.to_vec();
+        // Twice, against rounding.
+        for _ in 0..2 {
+            for b in &self.basis {
+                let along: f64 = rest.iter().zip(b).map(|(r, b)| r * b).sum();
+                rest.iter_mut().zip(b).for_each(|(r, b)| *r -= along * b);
+            }
+        }
+        rest
+    }
+
+    /// Adds a direction if enough of it is new.
+    fn add(&mut self, v: &[f64], threshold: f64) -> bool {
+        let (rest, length) = (self.rest(v), norm(v));
+        let new = norm(&rest);
+        let added = new > threshold * length && new > 0.0;
+        if added {
+            self.basis.push(rest.iter().map(|r| r / new).collect());
+        }
+        added
+    }
+
+    /// Of the points but `centre` itself the nearest to it that are independent of each other, up to `most`.
+    pub(super) fn nearest(points: &[Evaluated], centre: &[f64], most: usize) -> Self {
+        let mut near: Vec<(usize, f64)> = points
+            .iter()
+            .enumerate()
+            .map(|(k, p)| (k, distance(&p.z, centre)))
+            .filter(|(_, d)| *d > 0.0)
+            .collect();
+        near.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        let mut selection = Self::new();
+        for threshold in [INDEPENDENT, BARELY_INDEPENDENT] {
+            for (k, _) in &near {
+                if selection.chosen.len() >= most {
+                    return selection;
+                }
+                if !selection.chosen.contains(k)
+                    && selection.add(&difference(&points[*k].z, centre), threshold)
+                {
+                    selection.chosen.push(*k);
+                }
+            }
+        }
+        selection
+    }
+
+    /// The directions towards these points.
+    pub(super) fn of<'a>(directions: impl Iterator<Item = &'a [f64]>) -> Self {
+        let mut selection = Self::new();
+        for direction in directions {
+            selection.add(direction, BARELY_INDEPENDENT);
+        }
+        selection
+    }
+
+    /// Unit vectors that complete the directions: coordinates, as far as they are independent.
+    pub(super) fn missing(mut self, n: usize) -> Vec<Vec<f64>> {
+        let n_known = self.basis.len();
+        while self.basis.len() < n {
+            // The coordinate of which most is missing.
+            let unit = |k: usize| (0..n).map(|j| if j == k { 1.0 } else { 0.0 }).collect::<Vec<f64>>();
+            let most = (0..n).map(|k| (k, norm(&self.rest(&unit(k)))));
+            let (k, _) = most.fold((0, -1.0), |best, new| if new.1 > best.1 { new } else { best });
+            if !self.add(&unit(k), 0.0) {
+                break;
+            }
+        }
+        self.basis.split_off(n_known)
+    }
+}

@@ -1,0 +1,322 @@
+//! Steps on interpolation models: the next points from the model, and radius, resolution and set from what they gave.
+
+use super::model::{Interpolation, Linear, norm};
+use super::points::{Selection, difference, distance, sum};
+use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
+use super::subproblem::{Subproblem, longest};
+use crate::method::Operation;
+use crate::termination::Termination;
+
+/// A radius below this cannot be resolved.
+const SMALLEST: f64 = 1e-15;
+/// Of two steps that failed the later one is so much shorter at least, points of the set included; the model of smooth residuals is
+/// then nearer to them by the square of that, and what is not nearer by this factor at least is noise.
+const NEARER: f64 = 0.25;
+const SMALLER: f64 = 0.5;
+/// So often in a row.
+const MOST_NOISY: usize = 2;
+/// Radii of the trial points of a round, in units of the trust region's, the most promising first.
+const RADII: [f64; 4] = [1.0, 0.3, 3.0, 0.1];
+/// Distance of the neighbours of a round's first trial point from it, in units of the step.
+const NEIGHBOUR: f64 = 0.1;
+
+impl LeastSquaresState {
+    /// The model around a point of the set. Along directions that no point tells of it is constant.
+    fn interpolation(&self, base: usize) -> Option<Interpolation> {
+        let (z, residuals) = (&self.points[base].z, &self.points[base].residuals[..]);
+        let others = self.set.iter().filter(|k| **k != base).map(|k| &self.points[*k]);
+        let mut others: Vec<(Vec<f64>, &[f64])> =
+            others.map(|p| (difference(&p.z, z), &p.residuals[..])).collect();
+        if others.len() < self.n() {
+            let missing = Selection::of(others.iter().map(|(w, _)| &w[..])).missing(self.n());
+            others
+                .extend(missing.into_iter().map(|v| (v.iter().map(|v| v * self.delta).collect(), residuals)));
+        }
+        Interpolation::new(residuals, &others)
+    }
+
+    /// Makes the set from a point and those nearest to it.
+    pub(super) fn choose_set(&mut self, base: usize) {
+        let selection = Selection::nearest(&self.points, &self.points[base].z, self.n());
+        self.set = std::iter::once(base).chain(selection.chosen).collect();
+    }
+
+    /// The point of the set that lies farthest from the base, and its distance.
+    fn farthest(&self, base: usize) -> (usize, f64) {
+        let far = |k: usize| (k, distance(&self.points[k].z, &self.points[base].z));
+        self.set
+            .iter()
+            .map(|k| far(*k))
+            .fold((base, 0.0), |far, other| if other.1 > far.1 { other } else { far })
+    }
+
+    fn best_step(&self, linear: &Linear, radius: f64, (lower, upper): (&[f64], &[f64])) -> (Vec<f64>, f64) {
+        Subproblem { linear, radius, lower, upper }.solve()
+    }
+
+    /// Fills the round, or ends.
+    pub(super) fn descend(&mut self) {
+        // Each turn without a point shrinks the resolution.
+        while self.round.is_empty() && self.phase == Phase::Descending {
+            let base = self.base();
+            if self.set.len() <= self.n() && self.completed_at != Some(base) {
+                self.complete(base);
+                return;
+            }
+            let Some(model) = self.interpolation(base) else {
+                // In a plane up to rounding: a direction is made anew.
+                let (farthest, _) = self.farthest(base);
+                self.set.retain(|k| *k == base || *k != farthest);
+                self.completed_at = None;
+                continue;
+            };
+            let z = self.points[base].z.clone();
+            let (lower, upper) = self.space_around(&z);
+            let (step, predicted) = self.best_step(&model.linear, self.delta, (&lower, &upper));
+            let length = norm(&step);
+            let f = self.points[base].cost;
+            let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
+            let tests = self.judge(x_size, gain, f);
+            self.tests = Some(tests);
+            if tests.passed || f == 0.0 {
+                self.phase = Phase::Ended(Termination::Converged);
+            } else if length < 0.5 * self.rho || predicted <= f64::EPSILON * f {
+                // Nothing to gain at this resolution, if the model is right.
+                self.delta = self.rho.max(0.1 * self.delta);
+                if self.delta <= 1.5 * self.rho {
+                    self.delta = self.rho;
+                }
+                let (point, distance) = self.farthest(base);
+                if distance > (2.0 * self.delta).max(10.0 * self.rho) {
+                    self.improve(base, &model, point, distance);
+                } else if self.delta <= self.rho {
+                    self.refine();
+                }
+            } else {
+                self.ask_for(sum(&z, &step), Role::Trial { predicted, radius: self.delta });
+                if let Some(more) =
+                    self.options.batch.map(|batch| batch.saturating_sub(1)).filter(|more| *more > 0)
+                {
+                    self.widen(&z, &step, &model.linear, more);
+                }
+            }
+        }
+    }
+
+    /// How far the minimum may lie from the base, and what may be gained there.
+    fn uncertainty(&self, base: usize, linear: &Linear, length: f64, predicted: f64) -> (f64, f64) {
+        let coarse = (self.rho, predicted);
+        let Some(curvature) = self.curvature.filter(|_| self.set.len() == self.n() + 1) else {
+            return coarse;
+        };
+        let sigma = nalgebra::SVD::try_new(linear.factor.clone(), false, false, f64::EPSILON, 1000);
+        let Some(sigma) = sigma.map(|svd| svd.singular_values.min()) else { return coarse };
+        let (_, far) = self.farthest(base);
+        // The Jacobian is wrong by the curvature times the size of the set, the gradient by that times the residuals.
+        let gradient = curvature * far * self.points[base].cost.sqrt() / sigma;
+        let x_size = length + gradient / sigma;
+        if x_size < self.rho { (x_size, predicted + gradient * gradient) } else { coarse }
+    }
+
+    /// More points for a round around its first trial point: other radii, and neighbours of it.
+    fn widen(&mut self, z: &[f64], step: &[f64], linear: &Linear, more: usize) {
+        let (lower, upper) = self.space_around(z);
+        let (n, length) = (self.n(), norm(step));
+        let centre = self.round[0].z.clone();
+        // As many radii as leave a neighbour along each coordinate, if that is possible.
+        let n_radii = if more >= n { (more - n).min(RADII.len() - 1) } else { more / 3 };
+        let unit = if length < 0.99 * self.delta { length } else { self.delta };
+        for radius in RADII[1..=n_radii].iter().map(|share| share * unit) {
+            let (other, predicted) = self.best_step(linear, radius, (&lower, &upper));
+            if predicted > 0.0 && distance(&other, step) > 0.05 * norm(&other) {
+                self.ask_for(sum(z, &other), Role::Trial { predicted, radius });
+            }
+        }
+        let n_neighbours = (more + 1 - self.round.len()).min(n);
+        let kept = Selection::nearest(&self.points, &centre, n - n_neighbours);
+        let kept = kept.chosen.iter().map(|k| difference(&self.points[*k].z, &centre)).collect::<Vec<_>>();
+        let reach = (NEIGHBOUR * length).max(self.rho.min(length) * 0.1);
+        for direction in Selection::of(kept.iter().map(|v| &v[..])).missing(n).into_iter().take(n_neighbours)
+        {
+            let v = self.fitted(&centre, &direction, reach);
+            self.ask_for(sum(&centre, &v), Role::Near);
+        }
+    }
+
+    /// A direction at a length, on the side where the box has space for it.
+    pub(super) fn fitted(&self, z: &[f64], direction: &[f64], length: f64) -> Vec<f64> {
+        let (lower, upper) = self.space_around(z);
+        let along = |sign: f64| {
+            let v = direction.iter().enumerate().map(|(k, d)| (sign * length * d).clamp(lower[k], upper[k]));
+            v.collect::<Vec<f64>>()
+        };
+        let (forth, back) = (along(1.0), along(-1.0));
+        if norm(&back) > norm(&forth) { back } else { forth }
+    }
+
+    /// Asks for points along the directions that the set does not tell of.
+    fn complete(&mut self, base: usize) {
+        let z = self.points[base].z.clone();
+        let others = self.set.iter().filter(|k| **k != base).map(|k| difference(&self.points[*k].z, &z));
+        let others: Vec<Vec<f64>> = others.collect();
+        for direction in Selection::of(others.iter().map(|v| &v[..])).missing(self.n()) {
+            let v = self.fitted(&z, &direction, self.delta);
+            self.ask_for(sum(&z, &v), Role::Near);
+        }
+        self.completed_at = Some(base);
+    }
+
+    /// A smaller resolution.
+    fn refine(&mut self) {
+        self.delta = 0.5 * self.rho;
+        self.rho *= 0.1;
+        self.delta = self.delta.max(self.rho);
+        if self.rho < SMALLEST {
+            self.phase = Phase::Ended(Termination::Collapsed);
+        }
+    }
+
+    /// Replaces a point that lies too far away by one that tells more.
+    fn improve(&mut self, base: usize, model: &Interpolation, point: usize, distance: f64) {
+        let radius = (0.1 * distance).min(0.5 * self.delta).max(self.rho);
+        let z = self.points[base].z.clone();
+        let (lower, upper) = self.space_around(&z);
+        let place = self.set.iter().filter(|k| **k != base).position(|k| *k == point).unwrap_or(0);
+        let step = longest(&model.gradient(place), radius, &lower, &upper);
+        self.ask_for(sum(&z, &step), Role::Geometry { instead: point });
+    }
+
+    /// What follows from a round.
+    pub(super) fn descended(&mut self, round: &[Candidate]) {
+        match (&round[0].role, round[0].known) {
+            (Role::Geometry { instead }, Known::Point(new)) => {
+                self.set.iter_mut().filter(|k| **k == *instead).for_each(|k| *k = new);
+            }
+            (Role::Geometry { .. }, _) => {
+                self.delta *= 0.5;
+                self.rho = self.rho.min(self.delta);
+                if self.rho < SMALLEST {
+                    self.phase = Phase::Ended(Termination::Collapsed);
+                }
+            }
+            (Role::Trial { .. }, _) => self.tried(round),
+            (Role::Near | Role::Start(_), _) => {
+                let base = self.base();
+                self.choose_set(base);
+                let base = self.base();
+                self.completed_at = self.completed_at.map(|_| base);
+            }
+        }
+    }
+
+    /// What follows from trial points.
+    fn tried(&mut self, round: &[Candidate]) {
+        self.n_iterations += 1;
+        self.operation = Some(Operation::TrustRegionStep);
+        let base = self.base();
+        let (f, z) = (self.points[base].cost, self.points[base].z.clone());
+        let mut trials = round.iter().filter_map(|candidate| match (&candidate.role, candidate.known) {
+            (Role::Trial { predicted, radius }, Known::Point(k)) => Some((k, *predicted, *radius)),
+            _ => None,
+        });
+        let first = trials.next();
+        let best = trials.fold(first, |best, new| match best {
+            Some(best) if self.points[new.0].cost >= self.points[best.0].cost => Some(best),
+            _ => Some(new),
+        });
+        let (ratio, length) = match best {
+            Some((k, predicted, radius)) => {
+                self.delta = if self.points[k].cost < f { radius } else { self.delta };
+                ((f - self.points[k].cost) / predicted, distance(&self.points[k].z, &z))
+            }
+            None => (-1.0, distance(&round[0].z, &z)),
+        };
+        self.delta = if ratio < 0.1 {
+            (0.5 * self.delta).min(length)
+        } else if ratio < 0.7 {
+            (0.5 * self.delta).max(length)
+        } else {
+            (2.0 * self.delta).min((0.5 * self.delta).max(4.0 * length)).max(self.delta)
+        };
+        if self.delta <= 1.5 * self.rho {
+            self.delta = self.rho;
+        }
+        self.curvature = None;
+        if let Some(((k, ..), model)) = best.zip(self.interpolation(base)) {
+            let lagrange = model.lagrange(&difference(&self.points[k].z, &z));
+            let misfit = self.misfit(base, k, &lagrange);
+            if ratio >= 0.3 {
+                self.curvature = Some(misfit / (length * length));
+            }
+            let size = length.max(self.farthest(base).1);
+            match self.failure {
+                _ if ratio >= 0.7 => (self.failure, self.n_noisy) = (None, 0),
+                Some((of, at)) if size <= NEARER * at => {
+                    self.n_noisy = if misfit > SMALLER * of { self.n_noisy + 1 } else { 0 };
+                    self.failure = Some((misfit, size));
+                }
+                None if ratio < 0.1 => self.failure = Some((misfit, size)),
+                _ => {}
+            }
+            if round.len() == 1 && self.set.len() == self.n() + 1 {
+                self.exchange(base, k, &lagrange);
+            }
+        }
+        if round.len() > 1 || self.set.len() <= self.n() {
+            let new = round.iter().filter_map(|candidate| match candidate.known {
+                Known::Point(k) => Some(k),
+                _ => None,
+            });
+            if let Some(best) = self.best_of(self.set.iter().copied().chain(new)) {
+                self.choose_set(best);
+            }
+        }
+        if self.n_noisy >= MOST_NOISY {
+            self.begin_averaging();
+        } else if ratio < 0.1 {
+            let base = self.base();
+            let (point, distance) = self.farthest(base);
+            if distance > (2.0 * self.delta).max(10.0 * self.rho) {
+                if let Some(model) = self.interpolation(base).filter(|_| self.set.len() == self.n() + 1) {
+                    self.improve(base, &model, point, distance);
+                }
+            } else if self.delta.max(length) <= self.rho && ratio < 0.0 {
+                self.refine();
+            }
+        }
+    }
+
+    /// Distance of the residuals at a new point from the model.
+    fn misfit(&self, base: usize, new: usize, lagrange: &[f64]) -> f64 {
+        let of_base = 1.0 - lagrange.iter().sum::<f64>();
+        let mut rest: Vec<f64> = self.points[new].residuals.clone();
+        let others = self.set.iter().filter(|k| **k != base);
+        for (k, weight) in others.zip(lagrange).chain(std::iter::once((&base, &of_base))) {
+            rest.iter_mut().zip(&self.points[*k].residuals).for_each(|(rest, r)| *rest -= weight * r);
+        }
+        norm(&rest)
+    }
+
+    /// Takes a new point into the set in the place of one that lies far away, or that it tells most of.
+    fn exchange(&mut self, base: usize, new: usize, lagrange: &[f64]) {
+        let of_base = 1.0 - lagrange.iter().sum::<f64>();
+        let better = self.points[new].cost < self.points[base].cost;
+        let from = if better { new } else { base };
+        let mut others = lagrange.iter();
+        let mut chosen: Option<(usize, f64)> = None;
+        for (place, &k) in self.set.iter().enumerate() {
+            let value = if k == base { of_base } else { others.next().copied().unwrap_or(0.0) };
+            if k == base && !better {
+                continue;
+            }
+            let distance = distance(&self.points[k].z, &self.points[from].z);
+            let weight = value.abs() * (distance / self.delta).powi(2).max(1.0);
+            if weight > chosen.map_or(0.0, |(_, most)| most) {
+                chosen = Some((place, weight));
+            }
+        }
+        if let Some((place, _)) = chosen {
+            self.set[place] = new;
+        }
+    }
+}
