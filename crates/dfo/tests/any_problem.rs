@@ -7,9 +7,10 @@ mod common;
 
 use common::timeless;
 use dfo::{
-    AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
-    DifferentialEvolution, Error, Genetic, Measure, Multistart, NelderMead, Outcome, QuadraticModel, Query,
-    Report, Restarts, Sampling, Selection, Stop, Termination, Transform, minimize, with_query,
+    Answer, AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
+    DifferentialEvolution, Error, Genetic, LeastSquares, Measure, MethodOptions, Multistart, NelderMead,
+    Objective, Outcome, QuadraticModel, Query, Report, Restarts, Sampling, Selection, Stop, Termination,
+    Transform, minimize,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -138,8 +139,7 @@ impl Problem {
         (workers, cutoffs, budget): (usize, bool, usize),
         file: Option<&Path>,
     ) -> Result<Report, Error> {
-        let objective = with_query(move |x: &[f64], e: &Query<'_>| self.outcome(x, e, cutoffs));
-        let run = minimize(objective)
+        let run = minimize(Costs { problem: self, cutoffs, as_squares: method.needs_residuals() })
             .start(&self.x0)
             .bounds(&self.lower, &self.upper)?
             .transforms(&self.transforms)
@@ -159,6 +159,29 @@ impl Problem {
     }
 }
 
+/// A problem as an objective, with residuals where the cost is made of squares.
+struct Costs<'a> {
+    problem: &'a Problem,
+    cutoffs: bool,
+    as_squares: bool,
+}
+
+impl Objective for Costs<'_> {
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        answer.outcome = self.problem.outcome(x, query, self.cutoffs);
+        if self.as_squares && matches!(answer.outcome, Outcome::Value(v) if v.is_finite()) {
+            let Problem { centre, unit, height, offset, flat, .. } = self.problem;
+            let residual = |k: usize| height.sqrt() * ((x[k] - centre[k]) / unit[k]);
+            answer.residuals.extend((0..x.len()).filter(|_| !flat).map(residual));
+            answer.residuals.push(offset.max(0.0).sqrt());
+            answer.outcome = Outcome::Value(answer.residuals.iter().map(|r| r * r).sum());
+        }
+    }
+    fn has_residuals(&self) -> bool {
+        self.as_squares
+    }
+}
+
 fn method(dice: &mut Dice) -> AnyMethod {
     let plan = dice.pick(&[
         BatchPlan::Serial,
@@ -167,7 +190,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
         BatchPlan::TwoAhead,
         BatchPlan::LeeWiswall,
     ]);
-    match dice.below(11) {
+    match dice.below(13) {
         0..=3 => {
             let handling = dice.pick(&[BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine]);
             let coefficients = dice.pick(&[Coefficients::Standard, Coefficients::Adaptive]);
@@ -192,6 +215,13 @@ fn method(dice: &mut Dice) -> AnyMethod {
         8 => QuadraticModel::default().radius(dice.pick(&[0.1, 1e-3, 1.0])).into(),
         // An exploration plans with the budget, which changes here.
         9 => Multistart::default().exploration(0.0).sample(6).side_by_side(dice.pick(&[1, 3])).into(),
+        10 | 11 => {
+            let least_squares = LeastSquares::default();
+            match dice.below(3) {
+                0 => least_squares.into(),
+                batch => least_squares.batch(2 + 3 * batch as usize).into(),
+            }
+        }
         _ => {
             let selection = dice.pick(&[Selection::FitnessProportional, Selection::Tournament(3)]);
             Genetic::default().population(10).selection(selection).into()

@@ -14,5 +14,5 @@ mod bounds;
 mod coordinates;
 
 pub use bounds::Bounds;
-pub(crate) use bounds::fold;
+pub(crate) use bounds::{clamp, fold};
 pub use coordinates::Space;

@@ -2,11 +2,10 @@
 
 use super::model::Regression;
 use super::points::{difference, distance, sum};
-use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
+use super::state::{Averaging, Candidate, Known, LeastSquaresState, Phase, Role};
 use crate::method::Operation;
 use crate::termination::Termination;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
-use serde::{Deserialize, Serialize};
 
 /// The largest radius in units of the first one, and the smallest.
 const WIDEST: f64 = 10.0;
@@ -16,26 +15,6 @@ const BENT: f64 = 4.0;
 const STRAIGHT: f64 = 1.5;
 /// Points asked for since noise was found before the run may end: so many times n + 1.
 const FEWEST: usize = 5;
-
-/// Where the regression stands.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Averaging {
-    /// Centre and radius of the points that count, in units of the parameters' sizes.
-    centre: Vec<f64>,
-    radius: f64,
-    /// Points asked for since noise was found.
-    n_asked: usize,
-}
-
-impl Averaging {
-    pub(super) fn new(centre: &[f64], radius: f64) -> Self {
-        Self { centre: centre.to_vec(), radius, n_asked: 0 }
-    }
-
-    pub(super) fn is_sound(&self, n: usize) -> bool {
-        self.centre.len() == n && self.radius > 0.0
-    }
-}
 
 impl LeastSquaresState {
     /// The points around the centre, with their weights, nearest first: those within two radii, and as many more as a model needs.

@@ -27,11 +27,12 @@ impl MethodOptions for LeastSquares {
         setup.space.require_continuous("least-squares")?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         memory::check("a model of so many parameters", &[n + 1, 4 * n + 2 * n_user])?;
-        Ok(LeastSquaresState::new(setup, self))
+        Ok(LeastSquaresState::new(&near(setup), self))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<LeastSquaresState, Error> {
-        restored(state, |s: &LeastSquaresState| s.is_sound(setup))
+        let setup = near(setup);
+        restored(state, |s: &LeastSquaresState| s.is_sound(&setup))
     }
 
     fn describe(&self) -> Vec<(String, String)> {
@@ -45,4 +46,9 @@ impl MethodOptions for LeastSquares {
     fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
         (Some(1000usize.saturating_mul(n + 1)), None)
     }
+}
+
+/// The same problem without bounds that stand for none.
+fn near(setup: &Setup) -> Setup {
+    Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
 }

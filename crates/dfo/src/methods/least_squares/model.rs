@@ -1,32 +1,12 @@
 //! Models of the residuals: linear interpolation on n + 1 points, linear regression on more.
 
-use super::subproblem::Subproblem;
+use super::points::norm;
+use super::subproblem::{Linear, Subproblem};
 use nalgebra::linalg::LU;
 use nalgebra::{DMatrix, DVector, Dyn};
 
 /// Steps to the minimum of a quadratic model of the residuals.
 const MOST_INNER: usize = 30;
-
-/// Residuals as a linear function of the displacement `s` from a base point, turned so that only n numbers are left of them:
-/// `|r + J s|^2 = |c + F s|^2 + constant`, with `F` and `c` from the QR factorisation of `J`.
-pub(super) struct Linear {
-    pub(super) factor: DMatrix<f64>,
-    pub(super) reached: DVector<f64>,
-}
-
-impl Linear {
-    /// Turns residuals and their Jacobian.
-    pub(super) fn new(residuals: &DVector<f64>, jacobian: DMatrix<f64>) -> Self {
-        let (m, n) = jacobian.shape();
-        if m <= n {
-            return Self { factor: jacobian, reached: residuals.clone() };
-        }
-        let qr = jacobian.qr();
-        let mut reached = residuals.clone();
-        qr.q_tr_mul(&mut reached);
-        Self { factor: qr.r(), reached: reached.rows(0, n).into_owned() }
-    }
-}
 
 /// Linear interpolation around a base point.
 pub(super) struct Interpolation {
@@ -209,10 +189,6 @@ impl Regression {
         }
         (best, first - cost)
     }
-}
-
-pub(super) fn norm(v: &[f64]) -> f64 {
-    v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
 #[cfg(test)]

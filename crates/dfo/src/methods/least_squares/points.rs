@@ -1,6 +1,5 @@
 //! Points that have been evaluated, with their residuals, and which of them a model is made from.
 
-use super::model::norm;
 use serde::{Deserialize, Serialize};
 
 /// Of a point that lies this far out of the plane of those chosen before it, in units of its distance, something is learned.
@@ -11,7 +10,7 @@ const BARELY_INDEPENDENT: f64 = 1e-7;
 /// A point with a cost.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Evaluated {
-    /// In units of the sizes of the parameters.
+    /// In units of the sizes of the parameters, from the start.
     pub(super) z: Vec<f64>,
     /// In the user's units.
     pub(super) x: Vec<f64>,
@@ -25,6 +24,10 @@ pub(super) fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
 
 pub(super) fn sum(a: &[f64], b: &[f64]) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| a + b).collect()
+}
+
+pub(super) fn norm(v: &[f64]) -> f64 {
+    v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
 pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {

@@ -1,7 +1,6 @@
 //! The state machine: which points are asked for, and what becomes of their residuals. How the next points are chosen stands in
 //! `trust_region.rs` and, once noise has been found, in `averaging.rs`.
 
-use super::averaging::Averaging;
 use super::options::LeastSquares;
 use super::points::Evaluated;
 use crate::answer::{Answers, Best, Want};
@@ -9,6 +8,8 @@ use crate::choices::Measure;
 use crate::error::Error;
 use crate::linear_model::LinearModel;
 use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::methods::nelder_mead::{BatchPlan, NelderMead, NelderMeadState};
+use crate::space::clamp;
 use crate::termination::Termination;
 use crate::tolerances::{Extent, Tests};
 use serde::{Deserialize, Serialize};
@@ -19,7 +20,7 @@ const MOST_RETRIES: u32 = 12;
 const MOST_KEPT: usize = 20;
 
 /// Where the search stands.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) enum Phase {
     /// The start and its neighbours are evaluated.
     Starting,
@@ -27,8 +28,30 @@ pub(super) enum Phase {
     Descending,
     /// Steps on regression models: there is noise.
     Averaging(Averaging),
+    /// A simplex search: points fail around the best one.
+    Simplex(Box<NelderMeadState>),
     NoStart,
     Ended(Termination),
+}
+
+/// Where the regression stands.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Averaging {
+    /// Centre and radius of the points that count, in units of the parameters' sizes.
+    pub(super) centre: Vec<f64>,
+    pub(super) radius: f64,
+    /// Points asked for since noise was found.
+    pub(super) n_asked: usize,
+}
+
+impl Averaging {
+    pub(super) fn new(centre: &[f64], radius: f64) -> Self {
+        Self { centre: centre.to_vec(), radius, n_asked: 0 }
+    }
+
+    pub(super) fn is_sound(&self, n: usize) -> bool {
+        self.centre.len() == n && self.radius > 0.0
+    }
 }
 
 /// Why a point is asked for.
@@ -67,6 +90,8 @@ pub(super) struct Candidate {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct LeastSquaresState {
     pub(super) setup: Setup,
+    /// The start in working coordinates.
+    origin: Vec<f64>,
     pub(super) options: LeastSquares,
     /// The points paid for, the oldest first.
     pub(super) points: Vec<Evaluated>,
@@ -79,6 +104,8 @@ pub struct LeastSquaresState {
     pub(super) phase: Phase,
     pub(super) round: Vec<Candidate>,
     asked: Vec<usize>,
+    /// The points that the simplex asked for last.
+    simplex_points: Vec<Vec<f64>>,
     waiting: bool,
     n_batches: u64,
     n_points: u64,
@@ -89,19 +116,25 @@ pub struct LeastSquaresState {
     pub(super) f_0: f64,
     /// Of the last step that failed: the distance of the residuals from the model, and the size of step and set.
     pub(super) failure: Option<(f64, f64)>,
+    /// Trial points, and points for the model, in a row that failed.
+    pub(super) n_failed: usize,
+    pub(super) n_geometry_failed: usize,
     /// Signs of noise in a row.
     pub(super) n_noisy: usize,
     /// How far the last step that succeeded was from its model: the change of the Jacobian per length.
     pub(super) curvature: Option<f64>,
-    /// The point around which the directions that the model lacks were asked for last.
-    pub(super) completed_at: Option<usize>,
+    /// The point around which directions that the model lacks were asked for last, and how often.
+    pub(super) completed: (usize, u32),
 }
 
 impl LeastSquaresState {
     pub(super) fn new(setup: &Setup, options: &LeastSquares) -> Self {
         let n = setup.space.n_free();
+        let mut origin = vec![0.0; n];
+        setup.space.to_working(setup.space.x0(), &mut origin);
         let mut state = Self {
             setup: setup.clone(),
+            origin,
             options: options.clone(),
             points: Vec::new(),
             set: Vec::new(),
@@ -111,6 +144,7 @@ impl LeastSquaresState {
             phase: Phase::Starting,
             round: Vec::new(),
             asked: Vec::new(),
+            simplex_points: Vec::new(),
             waiting: false,
             n_batches: 0,
             n_points: 0,
@@ -119,9 +153,11 @@ impl LeastSquaresState {
             tests: None,
             f_0: 0.0,
             failure: None,
+            n_failed: 0,
+            n_geometry_failed: 0,
             n_noisy: 0,
             curvature: None,
-            completed_at: None,
+            completed: (0, 0),
         };
         for coordinate in std::iter::once(None).chain((0..n).map(Some)) {
             let z = state.neighbour(coordinate, 0);
@@ -150,30 +186,34 @@ impl LeastSquaresState {
         };
         let is_point = |p: &Evaluated| p.z.len() == n && p.x.len() == n_user && p.residuals.len() == m;
         setup.space == self.setup.space
+            && self.origin.len() == n
             && self.points.iter().all(is_point)
             && self.round.iter().all(is_candidate)
             && self.set.iter().all(|k| *k < len)
             && self.set.len() <= n + 1
             && self.asked.iter().all(|k| *k < self.round.len())
             && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
-            && !matches!(&self.phase, Phase::Averaging(a) if !a.is_sound(n))
+            && match &self.phase {
+                Phase::Averaging(averaging) => averaging.is_sound(n),
+                Phase::Simplex(simplex) => simplex.is_sound(&simplex_method().prepared(setup)),
+                _ => true,
+            }
     }
 
     /// The start itself, or its neighbour along a coordinate: on the side with more space, on the other, nearer, and so on.
     fn neighbour(&self, coordinate: Option<usize>, retries: u32) -> Vec<f64> {
-        let space = &self.setup.space;
-        let mut u = vec![0.0; space.n_free()];
-        space.to_working(space.x0(), &mut u);
+        let mut z = vec![0.0; self.n()];
         if let Some(k) = coordinate {
-            let (lower, upper) = space.working_bounds(k);
-            let length = self.delta * space.size(k) * 0.5f64.powi((retries / 2) as i32);
-            let (below, above) = (u[k] - lower, upper - u[k]);
-            let forward = if above >= length || above >= below { 1.0 } else { -1.0 };
-            let sign = if retries % 2 == 0 { forward } else { -forward };
-            let moved = (u[k] + sign * length).clamp(lower, upper);
-            u[k] = if moved == u[k] { (u[k] - sign * length).clamp(lower, upper) } else { moved };
+            let (below, above) = self.space_around(&z);
+            let length = self.delta * 0.5f64.powi((retries / 2) as i32);
+            let forward = if above[k] >= length || above[k] >= -below[k] { 1.0 } else { -1.0 };
+            let sign = if retries.is_multiple_of(2) { forward } else { -forward };
+            z[k] = (sign * length).clamp(below[k], above[k]);
+            if z[k] == 0.0 {
+                z[k] = (-sign * length).clamp(below[k], above[k]);
+            }
         }
-        u.iter().enumerate().map(|(k, u)| u / space.size(k)).collect()
+        z
     }
 
     /// Adds a point to the round; the box and the rounding of the user's units shift it a little.
@@ -185,13 +225,21 @@ impl LeastSquaresState {
     fn placed(&self, z: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let space = &self.setup.space;
         let inside = |(k, z): (usize, &f64)| {
-            let (lower, upper) = space.working_bounds(k);
-            (z * space.size(k)).clamp(lower, upper)
+            let ((lower, upper), size) = (space.working_bounds(k), space.size(k));
+            let u = clamp(self.origin[k] + z * size, lower, upper, self.origin[k]);
+            // Rounding must not keep a point from its bound.
+            let near = |bound: f64| (u - bound).abs() <= 8.0 * f64::EPSILON * bound.abs().max(size);
+            [lower, upper].into_iter().find(|bound| bound.is_finite() && near(*bound)).unwrap_or(u)
         };
         let u: Vec<f64> = z.iter().enumerate().map(inside).collect();
         let mut x = vec![0.0; space.n()];
         space.to_user(&u, &mut x);
-        (u.iter().enumerate().map(|(k, u)| u / space.size(k)).collect(), x)
+        (u.iter().enumerate().map(|(k, u)| self.scaled(k, *u)).collect(), x)
+    }
+
+    /// A working coordinate in units of its size, counted from the start.
+    fn scaled(&self, k: usize, u: f64) -> f64 {
+        (u - self.origin[k]) / self.setup.space.size(k)
     }
 
     /// The tolerance tests, for a distance in units of the sizes and a decrease.
@@ -207,10 +255,9 @@ impl LeastSquaresState {
 
     /// How far a step from a point may go along each coordinate.
     pub(super) fn space_around(&self, z: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let space = &self.setup.space;
         let ends = |(k, z): (usize, &f64)| {
-            let (lower, upper) = space.working_bounds(k);
-            ((lower / space.size(k) - z).min(0.0), (upper / space.size(k) - z).max(0.0))
+            let (lower, upper) = self.setup.space.working_bounds(k);
+            ((self.scaled(k, lower) - z).min(0.0), (self.scaled(k, upper) - z).max(0.0))
         };
         z.iter().enumerate().map(ends).unzip()
     }
@@ -256,9 +303,47 @@ impl LeastSquaresState {
             Phase::Starting => self.started(),
             Phase::Descending => self.descended(&round),
             Phase::Averaging(_) => self.averaged(&round),
-            Phase::NoStart | Phase::Ended(_) => {}
+            Phase::Simplex(_) | Phase::NoStart | Phase::Ended(_) => {}
         }
         self.forget();
+    }
+
+    fn tell_simplex(&mut self, answers: &Answers) -> Result<(), Error> {
+        let Phase::Simplex(simplex) = &mut self.phase else { return Ok(()) };
+        simplex.tell(answers)?;
+        let status = simplex.status();
+        self.n_batches += 1;
+        self.n_points += self.simplex_points.len() as u64;
+        for (k, x) in std::mem::take(&mut self.simplex_points).into_iter().enumerate().take(answers.len()) {
+            if let Some((cost, residuals)) = answers.outcomes()[k].value().zip(answers.residuals(k)) {
+                self.best_seen.offer(&x, cost);
+                let mut z = vec![0.0; self.n()];
+                self.setup.space.to_working(&x, &mut z);
+                z.iter_mut().enumerate().for_each(|(k, z)| *z = self.scaled(k, *z));
+                self.points.push(Evaluated { z, x, cost, residuals: residuals.to_vec() });
+            }
+        }
+        if let Some(best) = self.best_of(0..self.points.len()) {
+            self.set = vec![best];
+        }
+        self.forget();
+        match status {
+            Status::Running => {}
+            Status::Ended(termination) => self.end(termination),
+            Status::NoStart => self.end(Termination::Collapsed),
+        }
+        Ok(())
+    }
+
+    /// Ends, with the tests of the simplex where it was one.
+    fn end(&mut self, termination: Termination) {
+        if let Phase::Simplex(simplex) = &self.phase {
+            let details = simplex.details();
+            self.tests = details.tests;
+            self.operation = details.operation;
+            self.n_iterations += details.n_iterations;
+        }
+        self.phase = Phase::Ended(termination);
     }
 
     fn started(&mut self) {
@@ -289,7 +374,7 @@ impl LeastSquaresState {
             self.points.remove(farthest);
             let shift = |k: &mut usize| *k -= usize::from(*k > farthest);
             self.set.iter_mut().for_each(shift);
-            self.completed_at.iter_mut().for_each(shift);
+            shift(&mut self.completed.0);
         }
     }
 }
@@ -307,8 +392,16 @@ impl Method for LeastSquaresState {
             match &self.phase {
                 Phase::Descending => self.descend(),
                 Phase::Averaging(_) => self.average(),
-                Phase::Starting | Phase::NoStart | Phase::Ended(_) => {}
+                Phase::Starting | Phase::Simplex(_) | Phase::NoStart | Phase::Ended(_) => {}
             }
+        }
+        if let Phase::Simplex(simplex) = &mut self.phase {
+            simplex.ask(batch);
+            batch.renumber(self.n_batches, self.n_points);
+            batch.set_want(Want::Residuals);
+            self.simplex_points = batch.points().map(<[f64]>::to_vec).collect();
+            self.waiting = !batch.is_empty();
+            return;
         }
         for (k, candidate) in self.round.iter().enumerate().filter(|(_, c)| c.known == Known::Pending) {
             batch.push(&candidate.x, f64::INFINITY);
@@ -318,6 +411,9 @@ impl Method for LeastSquaresState {
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        if matches!(self.phase, Phase::Simplex(_)) {
+            return self.tell_simplex(answers);
+        }
         let asked = self.asked.len();
         let outcomes = answers.outcomes();
         if !self.waiting {
@@ -332,6 +428,7 @@ impl Method for LeastSquaresState {
         for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
             self.take(self.asked[k], outcome.value().zip(answers.residuals(k)));
         }
+        self.asked.clear();
         if self.round.iter().all(|candidate| candidate.known != Known::Pending) {
             self.conclude();
         }
@@ -347,6 +444,17 @@ impl Method for LeastSquaresState {
     }
 
     fn details(&self) -> Details<'_> {
+        if let Phase::Simplex(simplex) = &self.phase {
+            let Details { n_iterations, operation, tests, settled, .. } = simplex.details();
+            return Details {
+                n_iterations: self.n_iterations + n_iterations,
+                operation: operation.or(self.operation),
+                tests: tests.or(self.tests),
+                settled,
+                plan: "serial",
+                ..Details::default()
+            };
+        }
         Details {
             n_iterations: self.n_iterations,
             operation: self.operation,
@@ -369,4 +477,9 @@ impl Method for LeastSquaresState {
     fn save(&self) -> Option<Vec<u8>> {
         saved(self)
     }
+}
+
+/// The simplex search that goes on where points fail.
+pub(super) fn simplex_method() -> NelderMead {
+    NelderMead::default().batch(BatchPlan::Serial)
 }

@@ -1,12 +1,32 @@
 //! The step of a Gauss-Newton model within a ball and a box.
 
-use super::model::Linear;
 use nalgebra::{DMatrix, DVector, SVD};
 
 /// Newton steps for the multiplier of the ball: from a good bracket it takes three or four.
 const MOST_STEPS: usize = 60;
 /// Sweeps for singular values: a few for each are enough.
 const MOST_SWEEPS: usize = 1000;
+
+/// Residuals as a linear function of the displacement `s` from a base point, turned so that only n numbers are left of them:
+/// `|r + J s|^2 = |c + F s|^2 + constant`, with `F` and `c` from the QR factorisation of `J`.
+pub(super) struct Linear {
+    pub(super) factor: DMatrix<f64>,
+    pub(super) reached: DVector<f64>,
+}
+
+impl Linear {
+    /// Turns residuals and their Jacobian.
+    pub(super) fn new(residuals: &DVector<f64>, jacobian: DMatrix<f64>) -> Self {
+        let (m, n) = jacobian.shape();
+        if m <= n {
+            return Self { factor: jacobian, reached: residuals.clone() };
+        }
+        let qr = jacobian.qr();
+        let mut reached = residuals.clone();
+        qr.q_tr_mul(&mut reached);
+        Self { factor: qr.r(), reached: reached.rows(0, n).into_owned() }
+    }
+}
 
 /// A step from the best point: `|s| <= radius` and `lower <= s <= upper`, such that `|r + J s|` is (nearly) smallest.
 ///
@@ -117,7 +137,8 @@ fn within_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
 }
 
 /// The point of a ball and a box where `|g s|` is largest: along `g` or against it, coordinates that reach their bounds set there.
-pub(super) fn longest(g: &[f64], radius: f64, lower: &[f64], upper: &[f64]) -> Vec<f64> {
+/// `other`: on the other side.
+pub(super) fn longest(g: &[f64], radius: f64, (lower, upper): (&[f64], &[f64]), other: bool) -> Vec<f64> {
     let along = |sign: f64| {
         let mut step = vec![0.0; g.len()];
         let mut free: Vec<usize> = (0..g.len()).filter(|&k| g[k] != 0.0).collect();
@@ -141,5 +162,5 @@ pub(super) fn longest(g: &[f64], radius: f64, lower: &[f64], upper: &[f64]) -> V
     };
     let value = |step: &[f64]| g.iter().zip(step).map(|(g, s)| g * s).sum::<f64>().abs();
     let (forth, back) = (along(1.0), along(-1.0));
-    if value(&back) > value(&forth) { back } else { forth }
+    if (value(&back) > value(&forth)) != other { back } else { forth }
 }

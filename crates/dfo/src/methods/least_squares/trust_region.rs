@@ -1,14 +1,18 @@
 //! Steps on interpolation models: the next points from the model, and radius, resolution and set from what they gave.
 
-use super::model::{Interpolation, Linear, norm};
-use super::points::{Selection, difference, distance, sum};
-use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
-use super::subproblem::{Subproblem, longest};
-use crate::method::Operation;
+use super::model::Interpolation;
+use super::points::{Selection, difference, distance, norm, sum};
+use super::state::{Candidate, Known, LeastSquaresState, Phase, Role, simplex_method};
+use super::subproblem::{Linear, Subproblem, longest};
+use crate::method::{MethodOptions, Operation};
 use crate::termination::Termination;
 
 /// A radius below this cannot be resolved.
 const SMALLEST: f64 = 1e-15;
+/// How often a direction that the set lacks is asked for around one point.
+const MOST_TRIES: u32 = 8;
+/// A radius that failures have made smaller than this is not made smaller any more: a simplex goes on.
+const STUCK: f64 = 1e-4;
 /// Of two steps that failed the later one is so much shorter at least, points of the set included; the model of smooth residuals is
 /// then nearer to them by the square of that, and what is not nearer by this factor at least is noise.
 const NEARER: f64 = 0.25;
@@ -50,36 +54,45 @@ impl LeastSquaresState {
             .fold((base, 0.0), |far, other| if other.1 > far.1 { other } else { far })
     }
 
-    fn best_step(&self, linear: &Linear, radius: f64, (lower, upper): (&[f64], &[f64])) -> (Vec<f64>, f64) {
-        Subproblem { linear, radius, lower, upper }.solve()
-    }
-
     /// Fills the round, or ends.
     pub(super) fn descend(&mut self) {
         // Each turn without a point shrinks the resolution.
-        while self.round.is_empty() && self.phase == Phase::Descending {
+        while self.round.is_empty() && matches!(self.phase, Phase::Descending) {
             let base = self.base();
-            if self.set.len() <= self.n() && self.completed_at != Some(base) {
+            if self.set.len() <= self.n() && (self.completed.0 != base || self.completed.1 < MOST_TRIES) {
                 self.complete(base);
                 return;
             }
             let Some(model) = self.interpolation(base) else {
                 // In a plane up to rounding: a direction is made anew.
                 let (farthest, _) = self.farthest(base);
+                if farthest == base || self.delta < SMALLEST {
+                    self.phase = Phase::Ended(Termination::Collapsed);
+                    return;
+                }
                 self.set.retain(|k| *k == base || *k != farthest);
-                self.completed_at = None;
+                self.completed.1 = 0;
                 continue;
             };
             let z = self.points[base].z.clone();
             let (lower, upper) = self.space_around(&z);
-            let (step, predicted) = self.best_step(&model.linear, self.delta, (&lower, &upper));
+            let (step, predicted) = best_step(&model.linear, self.delta, (&lower, &upper));
             let length = norm(&step);
             let f = self.points[base].cost;
-            let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
+            let (x_size, mut gain) = self.uncertainty(base, &model.linear, length, predicted);
+            if length >= 0.9 * self.delta {
+                // What the radius keeps away counts, too: failed points may have made it small.
+                let radius = self.options.radius.max(self.delta);
+                gain = best_step(&model.linear, radius, (&lower, &upper)).1;
+            }
             let tests = self.judge(x_size, gain, f);
             self.tests = Some(tests);
             if tests.passed || f == 0.0 {
                 self.phase = Phase::Ended(Termination::Converged);
+            } else if self.n_failed > 0 && self.delta < STUCK {
+                self.begin_simplex();
+            } else if self.rho < SMALLEST {
+                self.phase = Phase::Ended(Termination::Collapsed);
             } else if length < 0.5 * self.rho || predicted <= f64::EPSILON * f {
                 // Nothing to gain at this resolution, if the model is right.
                 self.delta = self.rho.max(0.1 * self.delta);
@@ -127,7 +140,7 @@ impl LeastSquaresState {
         let n_radii = if more >= n { (more - n).min(RADII.len() - 1) } else { more / 3 };
         let unit = if length < 0.99 * self.delta { length } else { self.delta };
         for radius in RADII[1..=n_radii].iter().map(|share| share * unit) {
-            let (other, predicted) = self.best_step(linear, radius, (&lower, &upper));
+            let (other, predicted) = best_step(linear, radius, (&lower, &upper));
             if predicted > 0.0 && distance(&other, step) > 0.05 * norm(&other) {
                 self.ask_for(sum(z, &other), Role::Trial { predicted, radius });
             }
@@ -159,11 +172,14 @@ impl LeastSquaresState {
         let z = self.points[base].z.clone();
         let others = self.set.iter().filter(|k| **k != base).map(|k| difference(&self.points[*k].z, &z));
         let others: Vec<Vec<f64>> = others.collect();
+        let tries = if self.completed.0 == base { self.completed.1 } else { 0 };
         for direction in Selection::of(others.iter().map(|v| &v[..])).missing(self.n()) {
-            let v = self.fitted(&z, &direction, self.delta);
+            // The other side in turn, and nearer.
+            let sign = if tries % 2 == 0 { 1.0 } else { -1.0 };
+            let v = self.fitted(&z, &direction, sign * self.delta * 0.5f64.powi((tries / 2) as i32));
             self.ask_for(sum(&z, &v), Role::Near);
         }
-        self.completed_at = Some(base);
+        self.completed = (base, tries + 1);
     }
 
     /// A smaller resolution.
@@ -171,9 +187,15 @@ impl LeastSquaresState {
         self.delta = 0.5 * self.rho;
         self.rho *= 0.1;
         self.delta = self.delta.max(self.rho);
-        if self.rho < SMALLEST {
-            self.phase = Phase::Ended(Termination::Collapsed);
-        }
+    }
+
+    /// Points fail around the best one, and a model tells nothing of that: a simplex search from the start, which keeps off such
+    /// places, takes over.
+    fn begin_simplex(&mut self) {
+        self.phase = match simplex_method().begin(&self.setup) {
+            Ok(simplex) => Phase::Simplex(Box::new(simplex)),
+            Err(_) => Phase::Ended(Termination::Collapsed),
+        };
     }
 
     /// Replaces a point that lies too far away by one that tells more.
@@ -182,7 +204,7 @@ impl LeastSquaresState {
         let z = self.points[base].z.clone();
         let (lower, upper) = self.space_around(&z);
         let place = self.set.iter().filter(|k| **k != base).position(|k| *k == point).unwrap_or(0);
-        let step = longest(&model.gradient(place), radius, &lower, &upper);
+        let step = longest(&model.gradient(place), radius, (&lower, &upper), self.n_geometry_failed % 2 == 1);
         self.ask_for(sum(&z, &step), Role::Geometry { instead: point });
     }
 
@@ -191,20 +213,25 @@ impl LeastSquaresState {
         match (&round[0].role, round[0].known) {
             (Role::Geometry { instead }, Known::Point(new)) => {
                 self.set.iter_mut().filter(|k| **k == *instead).for_each(|k| *k = new);
+                self.n_geometry_failed = 0;
             }
             (Role::Geometry { .. }, _) => {
-                self.delta *= 0.5;
-                self.rho = self.rho.min(self.delta);
-                if self.rho < SMALLEST {
-                    self.phase = Phase::Ended(Termination::Collapsed);
+                self.n_geometry_failed += 1;
+                self.n_failed += 1;
+                if self.n_geometry_failed.is_multiple_of(2) {
+                    self.delta *= 0.5;
+                    self.rho = self.rho.min(self.delta);
                 }
             }
             (Role::Trial { .. }, _) => self.tried(round),
             (Role::Near | Role::Start(_), _) => {
-                let base = self.base();
-                self.choose_set(base);
-                let base = self.base();
-                self.completed_at = self.completed_at.map(|_| base);
+                let new = round.iter().filter_map(|candidate| match candidate.known {
+                    Known::Point(k) => Some(k),
+                    _ => None,
+                });
+                if let Some(best) = self.best_of(self.set.iter().copied().chain(new)) {
+                    self.choose_set(best);
+                }
             }
         }
     }
@@ -242,6 +269,9 @@ impl LeastSquaresState {
             self.delta = self.rho;
         }
         self.curvature = None;
+        if ratio > 0.0 {
+            self.n_failed = 0;
+        }
         if let Some(((k, ..), model)) = best.zip(self.interpolation(base)) {
             let lagrange = model.lagrange(&difference(&self.points[k].z, &z));
             let misfit = self.misfit(base, k, &lagrange);
@@ -276,8 +306,13 @@ impl LeastSquaresState {
         } else if ratio < 0.1 {
             let base = self.base();
             let (point, distance) = self.farthest(base);
-            if distance > (2.0 * self.delta).max(10.0 * self.rho) {
-                if let Some(model) = self.interpolation(base).filter(|_| self.set.len() == self.n() + 1) {
+            let is_far = distance > (2.0 * self.delta).max(10.0 * self.rho);
+            if best.is_none() {
+                self.n_failed += 1;
+                self.delta = 0.5 * length;
+                self.rho = self.rho.min(self.delta);
+            } else if is_far && self.set.len() == self.n() + 1 {
+                if let Some(model) = self.interpolation(base) {
                     self.improve(base, &model, point, distance);
                 }
             } else if self.delta.max(length) <= self.rho && ratio < 0.0 {
@@ -319,4 +354,8 @@ impl LeastSquaresState {
             self.set[place] = new;
         }
     }
+}
+
+fn best_step(linear: &Linear, radius: f64, (lower, upper): (&[f64], &[f64])) -> (Vec<f64>, f64) {
+    Subproblem { linear, radius, lower, upper }.solve()
 }
