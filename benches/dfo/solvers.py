@@ -35,7 +35,9 @@ def ours(method: str, workers: int | str = 1, residuals: bool = False, **keyword
     """A method of pydfo, asked and told batch by batch; `workers`: how many it is told that there are ("n+4": so many)."""
 
     def run(p: Problem, record: Record) -> None:
-        options = {**NO_TOLERANCES, **keywords.get("options", {})}
+        # A global search has the tolerances of every user: they decide when a local search makes way for the next.
+        own = {} if "search" in keywords or method == "multistart" else NO_TOLERANCES
+        options = {**own, **keywords.get("options", {})}
         if options.get("batch") == "n+4":
             options["batch"] = p.n + 4
         count = p.n + 4 if workers == "n+4" else int(workers)

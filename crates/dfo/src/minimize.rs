@@ -414,9 +414,9 @@ impl<M: MethodOptions> Minimize<'_, M> {
             checkpoint.tags.push(("loss".to_owned(), loss.to_string()));
         }
         // A batch function shows by its first answer whether it has some.
-        let has_residuals = match &source {
-            Source::Objective(objective) => objective.has_residuals(),
-            Source::Batches(_) => true,
+        let (has_residuals, may_have_some) = match &source {
+            Source::Objective(objective) => (objective.has_residuals(), objective.has_residuals()),
+            Source::Batches(_) => (false, true),
         };
         let StartedRun {
             method,
@@ -431,7 +431,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
             method_reason,
             ..
         } = self.description.begin(has_residuals)?;
-        if needs_residuals && !has_residuals {
+        if needs_residuals && !may_have_some {
             return Err(Error::NeedsResiduals { method: method.name() });
         }
         let here = match (&pool, &poll) {

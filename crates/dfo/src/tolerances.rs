@@ -132,8 +132,6 @@ pub enum Extent {
     /// Of the region where a model is trusted, or of the step to the model's minimum with its error, where that is less; the
     /// spread is the decrease that the model predicts.
     Model,
-    /// Of the trust region around the best point; the spread is the decrease that the model predicts within it.
-    TrustRegion,
     /// Of the frame of a poll.
     Frame,
 }
@@ -146,7 +144,6 @@ impl Extent {
             Self::BestEighth => "best eighth of the population:",
             Self::BestSeen => "best points seen:",
             Self::Model => "distance to the model's minimum:",
-            Self::TrustRegion => "trust region",
             Self::Frame => "frame",
         }
     }
@@ -193,8 +190,7 @@ impl fmt::Display for Tests {
             if self.extent == Extent::Model { "" } else { " size" },
             self.x_size
         )?;
-        let of_model = matches!(self.extent, Extent::Model | Extent::TrustRegion);
-        let spread_name = if of_model { "predicted decrease" } else { "spread" };
+        let spread_name = if self.extent == Extent::Model { "predicted decrease" } else { "spread" };
         match self.f_spread {
             None => write!(f, "; f test not passed: a vertex has failed"),
             Some(spread) => {

@@ -188,7 +188,7 @@ def test_simulations_that_fail(dahlquist):
         calibration.cost([3.0])
     assert info.value.time == 0.0 and info.value.log == []
     with pytest.raises(pydfo.AllStartsFailed, match="time limit") as info:
-        calibration.fit()
+        calibration.fit("nelder-mead")
     assert sum(info.value.failures.values()) == 2 == info.value.nfev
 
 

@@ -354,10 +354,10 @@ class Calibration:
         Parameters
         ----------
         method : str
-            The optimiser, as in `minimize`: "least-squares", which takes the residuals of the simulations one by one,
-            "nelder-mead", "barrier", "quadratic-model", "cma-es", "pattern-search", "multistart", "de",
-            "de-classic", "ga". The last four need two finite bounds for every parameter. "auto" is "least-squares", with integer
-            parameters "de", with categorical ones "ga"; where an option is given that only "nelder-mead" has, it is that. The fit has the reason
+            The optimiser: "least-squares", which takes the residuals of the simulations one by one (see `least_squares`), and those
+            of `minimize`: "nelder-mead", "barrier", "quadratic-model", "cma-es", "pattern-search", "multistart", "de", "de-classic",
+            "ga". The last four need two finite bounds for every parameter. "auto" is "least-squares", with integer parameters "de", with categorical
+            ones "ga"; where an option is given that only "nelder-mead" has, it is that. The fit has the reason
             (``method_reason``).
         workers : int, optional
             Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.

@@ -60,7 +60,7 @@ class Optimizer:
     ----------
     method : str
         As in `minimize`.
-    x0, bounds, rng, max_evaluations, max_iterations, max_time, target, options, checkpoint, resume : optional
+    x0, bounds, rng, max_evaluations, max_iterations, max_time, target, options, checkpoint, resume, search : optional
         As in `minimize`. The checkpoint is written when a round is complete, at the end, and by `save`.
     workers : int
         How many points will be evaluated at once, which a batch plan may follow.
@@ -91,11 +91,12 @@ class Optimizer:
         options: Mapping[str, Any] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         resume: Literal["auto", "never", "require"] = "auto",
+        search: Literal["local", "global"] = "local",
     ) -> None:
         count = _options.worker_count("workers", workers, 1)
         limits = (max_evaluations, max_iterations, max_time, target)
         self._native = _core.Optimizer(
-            *describe(Optimizer, method, x0, bounds, options, count, rng, limits, checkpoint, resume)
+            *describe(Optimizer, method, x0, bounds, options, count, rng, limits, checkpoint, resume, search)
         )
 
     def ask(self, k: SupportsIndex | None = None) -> Asked:

@@ -151,10 +151,14 @@ def build(
     if search not in ("local", "global"):
         raise ValueError(f"search = {search!r} is none of 'local', 'global'")
     if name == "auto":
-        lower, upper = (side.tolist() for side in bounds)
-        given = [key for key in own if own[key] is not None]
-        name, chosen, reason = _core.auto_method(kinds or list(parameter_kinds), lower, upper, residuals, search, given)
-        own = {**dict(chosen), **own}
+        plan, of_parameters = own.get("batch"), kinds or list(parameter_kinds)
+        if isinstance(plan, str) and plan != "workers" and search == "local" and set(of_parameters) <= {"continuous"}:
+            name, reason = "nelder-mead", f"the batch plan {plan!r} is one of nelder-mead"
+        else:
+            lower, upper = (side.tolist() for side in bounds)
+            given = [key for key in own if own[key] is not None]
+            name, chosen, reason = _core.auto_method(of_parameters, lower, upper, residuals, search, given)
+            own = {**dict(chosen), **own}
     elif search == "global":
         raise ValueError(f"search='global' leaves the choice of the method to the run; with method={method!r} leave it out")
     return Options(

@@ -191,7 +191,7 @@ impl QuadraticModelState {
             }
         };
         let tests = tolerances.judge(size, Some(predicted.max(0.0)), self.cost(base), self.f_0);
-        Tests { extent: Extent::TrustRegion, ..tests }
+        Tests { extent: Extent::Model, ..tests }
     }
 
     /// Sets the trust region, not smaller than the resolution.
