@@ -121,10 +121,14 @@ fn every_method_fits() {
     let nearby = fit(&calibration, 2, BatchPlan::Auto);
     for name in AnyMethod::NAMES {
         let limits = Limits { max_evaluations: Some(1000), ..Limits::default() };
-        let options =
-            RunOptions { method: name.parse().unwrap(), seed: Some(1), limits, ..FitOptions::default_run() };
+        let method = match name {
+            // One population alone may end in a minimum nearby.
+            "cma-es" => fmufit::dfo::CmaEs::default().restarts(fmufit::dfo::Restarts::Bipop).into(),
+            name => name.parse().unwrap(),
+        };
+        let options = RunOptions { method, seed: Some(1), limits, ..FitOptions::default_run() };
         let found = calibration.fit(options).unwrap();
-        assert!(found.cost <= 1.02 * nearby.cost, "{found}");
+        assert!(found.cost <= 1.02 * nearby.cost, "{name}: {found} {}", found.report);
         assert!((found.x[0] - 0.010).abs() < 3e-4 && (found.x[1] - 0.001).abs() < 3e-5, "{found}");
     }
 }
@@ -180,10 +184,12 @@ fn cutoffs_save_right_hand_sides_and_change_no_decision() {
         }
         let (less, all) = (with.stats.right_hand_sides, without.stats.right_hand_sides);
         match name {
-            // Selection by fitness needs every cost.
-            "ga" => assert_eq!((above, less), (0, all)),
+            // Selection by fitness, means and models need every cost.
+            "ga" | "cma-es" | "least-squares" | "quadratic-model" => {
+                assert_eq!((above, less), (0, all), "{name}");
+            }
             "de" | "de-classic" => assert!(above > 40 && less < all),
-            _ => assert!(above > 0 && less < all),
+            _ => assert!(above > 0 && less < all, "{name}"),
         }
     }
 }
@@ -199,7 +205,7 @@ fn a_checkpoint_knows_model_data_and_settings() {
         calibration.fit(RunOptions { limits, checkpoint, ..FitOptions::default_run() })
     };
     let calibration = calibration(furuta_measurements());
-    let whole = fit(&calibration, 2, BatchPlan::Auto);
+    let whole = calibration.fit(FitOptions::default_run()).unwrap();
     let mut evaluations = 10;
     let resumed = loop {
         let fit = run(&calibration, evaluations).unwrap();

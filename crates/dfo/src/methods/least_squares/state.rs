@@ -290,7 +290,7 @@ impl LeastSquaresState {
                 self.points.push(Evaluated { z, x, cost, residuals });
                 Known::Point(self.points.len() - 1)
             }
-            (None, Role::Start(Some(coordinate))) if *retries < MOST_RETRIES => {
+            (None, Role::Start(Some(coordinate))) if *retries < MOST_RETRIES && !self.points.is_empty() => {
                 let retries = retries + 1;
                 let (z, x) = self.placed(&self.neighbour(Some(*coordinate), retries));
                 self.round[place] = Candidate { z, x, retries, ..self.round[place].clone() };
