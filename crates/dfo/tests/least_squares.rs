@@ -213,3 +213,26 @@ fn noise_of_a_thousandth_is_averaged() {
     println!("noise 1e-3: {solved:.0} % solved, median {median:.1}");
     assert!(solved >= 86.0);
 }
+
+/// Parameters of sizes from 1e-6 to 1e6 that start at zero: decays that saturate, and linear ones.
+#[test]
+fn sizes_that_nothing_tells_are_found() {
+    let mut evaluations = Vec::new();
+    for case in 0..60i32 {
+        let dice = |k: i32| f64::from((case * 7919 + k * 104_729) % 1000) / 1000.0;
+        let sizes: Vec<f64> = (0..3).map(|k| 10f64.powf(12.0 * dice(k) - 6.0)).collect();
+        let truth: Vec<f64> = (0..3).map(|k| sizes[k as usize] * (0.5 + dice(k + 3))).collect();
+        let model = |x: &[f64], t: f64| {
+            x[0] / sizes[0] * t + 1.0 - (-x[1] / sizes[1] * t).exp() - (x[2] / sizes[2]).tanh()
+        };
+        let f = |x: &[f64], out: &mut Vec<f64>| {
+            out.extend((0..9).map(|i| 0.2 * f64::from(i)).map(|t| model(x, t) - model(&truth, t)));
+        };
+        let report = minimize(residuals(f)).start(&[0.0; 3]).method(LeastSquares::default()).run().unwrap();
+        assert!(report.is_success() && report.fun < 1e-9, "{case}: {sizes:?} {report}");
+        evaluations.push(report.n_evaluations);
+    }
+    evaluations.sort_unstable();
+    println!("unknown sizes: median {} evaluations, at most {}", evaluations[30], evaluations[59]);
+    assert!(evaluations[59] < 150);
+}

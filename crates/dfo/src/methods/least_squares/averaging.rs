@@ -89,7 +89,9 @@ impl LeastSquaresState {
             self.tests = Some(self.judge(averaging.radius, predicted, best));
             let tolerances = &self.setup.tolerances;
             let may_end = tolerances.x_tol > 0.0 || tolerances.f_tol > 0.0;
-            if may_end && averaging.n_asked >= FEWEST * (n + 1) && predicted <= 3.0 * regression.excess {
+            let is_straight = regression.is_quadratic || regression.bent.is_some_and(|bent| bent < BENT);
+            let is_over = averaging.n_asked >= FEWEST * (n + 1) && predicted <= 3.0 * regression.excess;
+            if may_end && is_over && is_straight {
                 self.phase = Phase::Ended(Termination::Noise);
                 return;
             }

@@ -3,7 +3,7 @@
 
 use super::model::Interpolation;
 use super::options::LeastSquares;
-use super::points::Evaluated;
+use super::points::{Evaluated, distance};
 use crate::answer::{Answers, Best, Want};
 use crate::choices::Measure;
 use crate::error::Error;
@@ -17,6 +17,8 @@ use serde::{Deserialize, Serialize};
 
 /// How often a starting point that failed is tried nearer to the start.
 const MOST_RETRIES: u32 = 12;
+/// How often sizes that nothing tells are looked at.
+const MOST_RESIZED: u32 = 8;
 /// Points that are kept: so many times n + 1.
 const MOST_KEPT: usize = 20;
 
@@ -66,6 +68,8 @@ pub(super) enum Role {
     Geometry { instead: usize },
     /// A point that makes the model better.
     Near,
+    /// A point next to the best one, which shows whether residuals are noisy or only curved: how far the model was off.
+    Probe { misfit: f64 },
 }
 
 /// What is known of a point that was asked for.
@@ -116,6 +120,8 @@ pub struct LeastSquaresState {
     pub(super) n_iterations: usize,
     pub(super) operation: Option<Operation>,
     pub(super) tests: Option<Tests>,
+    /// How often sizes that nothing tells were looked at.
+    n_resized: u32,
     /// The cost of the start.
     pub(super) f_0: f64,
     /// Of the last step that failed: the distance of the residuals from the model, and the size of step and set.
@@ -156,6 +162,7 @@ impl LeastSquaresState {
             n_iterations: 0,
             operation: None,
             tests: None,
+            n_resized: 0,
             f_0: 0.0,
             failure: None,
             n_failed: 0,
@@ -186,11 +193,11 @@ impl LeastSquaresState {
                 && match c.role {
                     Role::Start(coordinate) => coordinate.is_none_or(|k| k < n),
                     Role::Geometry { instead } => instead < len,
-                    Role::Trial { .. } | Role::Near => true,
+                    Role::Trial { .. } | Role::Near | Role::Probe { .. } => true,
                 }
         };
         let is_point = |p: &Evaluated| p.z.len() == n && p.x.len() == n_user && p.residuals.len() == m;
-        setup.space == self.setup.space
+        setup.space.is_same_space(&self.setup.space)
             && self.origin.len() == n
             && self.points.iter().all(is_point)
             && self.round.iter().all(is_candidate)
@@ -210,7 +217,8 @@ impl LeastSquaresState {
         let mut z = vec![0.0; self.n()];
         if let Some(k) = coordinate {
             let (below, above) = self.space_around(&z);
-            let length = self.delta * 0.5f64.powi((retries / 2) as i32);
+            let nearer: f64 = if self.setup.space.size_is_unknown(k) { 0.03 } else { 0.5 };
+            let length = self.delta * nearer.powi((retries / 2) as i32);
             let forward = if above[k] >= length || above[k] >= -below[k] { 1.0 } else { -1.0 };
             let sign = if retries.is_multiple_of(2) { forward } else { -forward };
             z[k] = (sign * length).clamp(below[k], above[k]);
@@ -305,12 +313,48 @@ impl LeastSquaresState {
     fn conclude(&mut self) {
         let round = std::mem::take(&mut self.round);
         match &self.phase {
-            Phase::Starting => self.started(),
+            Phase::Starting => {
+                if !self.resized(&round) {
+                    self.started();
+                }
+            }
             Phase::Descending => self.descended(&round),
             Phase::Averaging(_) => self.averaged(&round),
             Phase::Simplex(_) | Phase::NoStart | Phase::Ended(_) => {}
         }
         self.forget();
+    }
+
+    /// Sizes that nothing tells are found by steps along the coordinates: in units of its size a parameter changes the residuals by
+    /// about as much as they are. Asks for such steps again; false if there is nothing to find.
+    fn resized(&mut self, round: &[Candidate]) -> bool {
+        let Some(start) = self.points.first().filter(|_| self.n_resized < MOST_RESIZED) else { return false };
+        let mut found = Vec::new();
+        for candidate in round {
+            let (Role::Start(Some(k)), Known::Point(new)) = (&candidate.role, candidate.known) else {
+                continue;
+            };
+            let new = &self.points[new];
+            let change = distance(&new.residuals, &start.residuals) / (new.z[*k] - start.z[*k]).abs();
+            let factor = (start.cost.sqrt() / change).clamp(1e-6, 1e6);
+            if self.setup.space.size_is_unknown(*k) && !(0.2..=5.0).contains(&factor) {
+                found.push((*k, if change == 0.0 { 1e3 } else { factor }));
+            }
+        }
+        self.n_resized += 1;
+        for (k, factor) in &found {
+            let size = (self.setup.space.size(*k) * factor).clamp(1e-150, 1e150);
+            self.setup.space.set_unit(*k, size);
+        }
+        let mut u = vec![0.0; self.n()];
+        for point in 0..self.points.len() {
+            self.setup.space.to_working(&self.points[point].x, &mut u);
+            self.points[point].z = u.iter().enumerate().map(|(k, u)| self.scaled(k, *u)).collect();
+        }
+        for (k, _) in &found {
+            self.ask_for(self.neighbour(Some(*k), 0), Role::Start(Some(*k)));
+        }
+        !found.is_empty()
     }
 
     fn tell_simplex(&mut self, answers: &Answers) -> Result<(), Error> {
@@ -371,7 +415,7 @@ impl LeastSquaresState {
         }
         let centre = self.points[self.base()].z.clone();
         while self.points.len() > most {
-            let far = |k: &usize| super::points::distance(&self.points[*k].z, &centre);
+            let far = |k: &usize| distance(&self.points[*k].z, &centre);
             let others = (0..self.points.len()).filter(|k| !self.set.contains(k));
             let Some(farthest) = others.max_by(|a, b| far(a).total_cmp(&far(b)).then(b.cmp(a))) else {
                 return;

@@ -19,6 +19,8 @@ const NEARER: f64 = 0.25;
 const SMALLER: f64 = 0.5;
 /// So often in a row.
 const MOST_NOISY: usize = 2;
+/// A change of the residuals next to a point, in units of the distance from the model, that is noise.
+const JUMP: f64 = 0.03;
 /// Radii of the trial points of a round, in units of the trust region's, the most promising first.
 const RADII: [f64; 4] = [1.0, 0.3, 3.0, 0.1];
 /// Distance of the neighbours of a round's first trial point from it, in units of the step.
@@ -228,6 +230,15 @@ impl LeastSquaresState {
                 }
             }
             (Role::Trial { .. }, _) => self.tried(round),
+            (Role::Probe { misfit }, Known::Point(new)) => {
+                let base = self.best_of(self.set.iter().copied()).unwrap_or(0);
+                let jump = distance(&self.points[new].residuals, &self.points[base].residuals);
+                (self.n_noisy, self.failure) = (0, None);
+                if jump > JUMP * misfit {
+                    self.begin_averaging();
+                }
+            }
+            (Role::Probe { .. }, _) => (self.n_noisy, self.failure) = (0, None),
             (Role::Near | Role::Start(_), _) => {
                 let new = round.iter().filter_map(|candidate| match candidate.known {
                     Known::Point(k) => Some(k),
@@ -306,8 +317,8 @@ impl LeastSquaresState {
                 self.choose_set(best);
             }
         }
-        if self.n_noisy >= MOST_NOISY {
-            self.begin_averaging();
+        if let Some((misfit, size)) = self.failure.filter(|_| self.n_noisy >= MOST_NOISY) {
+            self.probe(misfit, size);
         } else if ratio < 0.1 {
             let base = self.base();
             let (point, distance) = self.farthest(base);
@@ -324,6 +335,15 @@ impl LeastSquaresState {
                 self.refine();
             }
         }
+    }
+
+    /// Asks for a point next to the base, so near that smooth residuals hardly change.
+    fn probe(&mut self, misfit: f64, size: f64) {
+        let base = self.base();
+        let z = self.points[base].z.clone();
+        let direction: Vec<f64> = (0..self.n()).map(|_| 1.0 / (self.n() as f64).sqrt()).collect();
+        let step = self.fitted(&z, &direction, 1e-5 * size);
+        self.ask_for(sum(&z, &step), Role::Probe { misfit });
     }
 
     /// Distance of the residuals at a new point from the model.
