@@ -102,7 +102,7 @@ impl LeastSquaresState {
             return;
         }
         // One point at a time the trial point and one that tells more take turns.
-        let batch = self.options.batch.unwrap_or(1);
+        let batch = self.options.batch.unwrap_or(1).min(4 * (n + 1));
         if let Some(role) = trial.filter(|_| batch > 1 || averaging.n_asked % 2 == 0) {
             self.ask_for(averaging.centre.clone(), role);
         }

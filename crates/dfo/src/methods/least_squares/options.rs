@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 /// Options of the Gauss-Newton method on interpolation models, for objectives with residuals (see [`residuals`](crate::residuals)).
 ///
-/// The x test measures the radius within which the model is trusted, the f test the decrease that the model predicts within it.
+/// The x test measures the radius within which the model is trusted, or the step to the model's minimum with the error that the
+/// model may have, where that is less; the f test the decrease that the model predicts.
 ///
 /// ```
 /// use dfo::{LeastSquares, minimize, residuals};
@@ -46,6 +47,9 @@ impl LeastSquares {
     }
 
     pub(super) fn check(&self) -> Result<(), Error> {
+        if self.batch == Some(0) {
+            return Err(Error::Option { name: "batch", value: 0.0, range: "at least 1" });
+        }
         if self.radius > 0.0 && self.radius.is_finite() {
             return Ok(());
         }
