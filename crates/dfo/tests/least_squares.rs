@@ -236,3 +236,18 @@ fn sizes_that_nothing_tells_are_found() {
     println!("unknown sizes: median {} evaluations, at most {}", evaluations[30], evaluations[59]);
     assert!(evaluations[59] < 150);
 }
+
+/// One parameter does nothing.
+#[test]
+fn a_parameter_without_effect_costs_little() {
+    let model = |x: &[f64], out: &mut Vec<f64>| {
+        out.extend(
+            (0..30)
+                .map(|i| 4.0 / 29.0 * f64::from(i))
+                .map(|t| x[0] * (-x[1] * t).exp() - 2.0 * (-0.7 * t).exp() - 0.01 * (9.0 * t).sin()),
+        );
+    };
+    let report =
+        minimize(residuals(model)).start(&[1.0, 1.0, 5.0]).method(LeastSquares::default()).run().unwrap();
+    assert!(report.is_success() && report.n_evaluations < 80, "{report}");
+}

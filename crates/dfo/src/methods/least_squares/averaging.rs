@@ -10,6 +10,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 /// The largest radius in units of the first one, and the smallest.
 const WIDEST: f64 = 10.0;
 const SMALLEST: f64 = 1e-15;
+/// The smallest radius to begin with, in units of the first one.
+const SMALLEST_SHARE: f64 = 1e-9;
 /// F statistics of the terms of second degree from which on the radius is made smaller, and below which it may grow.
 const BENT: f64 = 4.0;
 const STRAIGHT: f64 = 1.5;
@@ -38,7 +40,8 @@ impl LeastSquaresState {
             let near = self.around(&averaging);
             let enough = near.len() > 3 * (self.n() + 1);
             let bent = self.regression(&averaging, &near).and_then(|regression| regression.bent);
-            if !enough || bent.is_some_and(|bent| bent < BENT) {
+            let is_least = averaging.radius < SMALLEST_SHARE * self.options.radius;
+            if !enough || is_least || bent.is_some_and(|bent| bent < BENT) {
                 break;
             }
             averaging.radius *= 0.7;

@@ -129,6 +129,8 @@ pub struct LeastSquaresState {
     /// Trial points, and points for the model, in a row that failed.
     pub(super) n_failed: usize,
     pub(super) n_geometry_failed: usize,
+    /// Points for the model in a row at one resolution.
+    pub(super) n_geometry: usize,
     /// Signs of noise in a row.
     pub(super) n_noisy: usize,
     /// How far the last step that succeeded was from its model: the change of the Jacobian per length.
@@ -167,6 +169,7 @@ impl LeastSquaresState {
             failure: None,
             n_failed: 0,
             n_geometry_failed: 0,
+            n_geometry: 0,
             n_noisy: 0,
             curvature: None,
             completed: (0, 0),
@@ -275,12 +278,9 @@ impl LeastSquaresState {
         z.iter().enumerate().map(ends).unzip()
     }
 
-    /// Of some points the one of smallest cost, the first of equal ones.
+    /// Of some points the one of smallest cost, the oldest of equal ones.
     pub(super) fn best_of(&self, points: impl Iterator<Item = usize>) -> Option<usize> {
-        points.fold(None, |best, k| match best {
-            Some(b) if self.points[k].cost >= self.points[b].cost => Some(b),
-            _ => Some(k),
-        })
+        points.min_by(|a, b| self.points[*a].cost.total_cmp(&self.points[*b].cost).then(a.cmp(b)))
     }
 
     /// The base point of the model.

@@ -4,6 +4,8 @@ use nalgebra::{DMatrix, DVector, SVD};
 
 /// Newton steps for the multiplier of the ball: from a good bracket it takes three or four.
 const MOST_STEPS: usize = 60;
+/// Singular values below this share of the largest are rounding: differences of residuals have lost some digits.
+const RANK: f64 = 1e-13;
 /// Sweeps for singular values: a few for each are enough.
 const MOST_SWEEPS: usize = 1000;
 
@@ -123,7 +125,7 @@ fn within_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
             sigma
                 .iter()
                 .zip(c.iter())
-                .map(|(s, c)| if *s <= f64::EPSILON * largest { 0.0 } else { -s * c / (s * s + multiplier) }),
+                .map(|(s, c)| if *s <= RANK * largest { 0.0 } else { -s * c / (s * s + multiplier) }),
         )
     };
     let mut part = at(0.0);

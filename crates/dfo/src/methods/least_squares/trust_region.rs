@@ -9,6 +9,8 @@ use crate::termination::Termination;
 
 /// A radius below this cannot be resolved.
 const SMALLEST: f64 = 1e-15;
+/// Turns without a point to ask for: the resolution has come to its end long before.
+const MOST_TURNS: usize = 200;
 /// How often a direction that the set lacks is asked for around one point.
 const MOST_TRIES: u32 = 8;
 /// A radius that failures have made smaller than this is not made smaller any more: a simplex goes on.
@@ -58,12 +60,19 @@ impl LeastSquaresState {
 
     /// Fills the round, or ends.
     pub(super) fn descend(&mut self) {
-        // Each turn without a point shrinks the resolution.
-        while self.round.is_empty() && matches!(self.phase, Phase::Descending) {
+        // Each turn without a point shrinks the resolution, or takes a point out of the set.
+        for turn in 0.. {
+            if !self.round.is_empty() || !matches!(self.phase, Phase::Descending) {
+                return;
+            }
+            if turn >= MOST_TURNS {
+                self.phase = Phase::Ended(Termination::Collapsed);
+                return;
+            }
             let base = self.base();
             if self.set.len() <= self.n() && (self.completed.0 != base || self.completed.1 < MOST_TRIES) {
                 self.complete(base);
-                return;
+                continue;
             }
             let Some(model) = self.interpolation(base) else {
                 // In a plane up to rounding: a direction is made anew.
@@ -92,20 +101,26 @@ impl LeastSquaresState {
                 tests = self.judge(self.rho, best_step(&model.linear, radius, (&lower, &upper)).1, f);
             }
             self.tests = Some(tests);
+            // What rounding makes of a sum of squares, and what is nothing next to the tolerance: a direction without effect
+            // would be followed for ever.
+            let rounding = 4.0 * self.points[base].residuals.len() as f64 * f64::EPSILON * f;
+            let nothing = rounding.max(1e-4 * tests.f_limit);
             if tests.passed || f == 0.0 {
                 self.phase = Phase::Ended(Termination::Converged);
             } else if self.n_failed > 0 && self.delta < STUCK {
                 self.begin_simplex();
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
-            } else if length < 0.5 * self.rho || predicted <= f64::EPSILON * f {
+            } else if length < 0.5 * self.rho || predicted <= nothing {
+                self.n_geometry += 1;
                 // Nothing to gain at this resolution, if the model is right.
                 self.delta = self.rho.max(0.1 * self.delta);
                 if self.delta <= 1.5 * self.rho {
                     self.delta = self.rho;
                 }
                 let (point, distance) = self.farthest(base);
-                if distance > (2.0 * self.delta).max(10.0 * self.rho) {
+                let may_improve = self.n_geometry <= 2 * (self.n() + 1);
+                if distance > (2.0 * self.delta).max(10.0 * self.rho) && may_improve {
                     self.improve(base, &model, point, distance);
                 } else if self.delta <= self.rho {
                     self.refine();
@@ -190,6 +205,7 @@ impl LeastSquaresState {
 
     /// A smaller resolution.
     fn refine(&mut self) {
+        self.n_geometry = 0;
         self.delta = 0.5 * self.rho;
         self.rho *= 0.1;
         self.delta = self.delta.max(self.rho);
@@ -285,7 +301,7 @@ impl LeastSquaresState {
         }
         self.curvature = None;
         if ratio > 0.0 {
-            self.n_failed = 0;
+            (self.n_failed, self.n_geometry) = (0, 0);
         }
         let model = self.model.take().or_else(|| self.interpolation(base));
         if let Some(((k, ..), model)) = best.zip(model) {
@@ -331,8 +347,12 @@ impl LeastSquaresState {
                 if let Some(model) = self.interpolation(base) {
                     self.improve(base, &model, point, distance);
                 }
-            } else if self.delta.max(length) <= self.rho && ratio < 0.0 {
-                self.refine();
+            } else if self.delta <= self.rho {
+                // The model has got a new point; where that helps nothing for long, the resolution is the cause.
+                self.n_geometry += 1;
+                if (length <= self.rho && ratio < 1e-3) || self.n_geometry > 2 * (self.n() + 1) {
+                    self.refine();
+                }
             }
         }
     }
