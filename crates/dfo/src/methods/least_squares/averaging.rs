@@ -15,6 +15,8 @@ const SMALLEST_SHARE: f64 = 1e-9;
 /// F statistics of the terms of second degree from which on the radius is made smaller, and below which it may grow.
 const BENT: f64 = 4.0;
 const STRAIGHT: f64 = 1.5;
+/// What may still be predicted to be gained where the run ends, in units of the best cost.
+const LITTLE: f64 = 0.05;
 /// Points asked for since noise was found before the run may end: so many times n + 1.
 const FEWEST: usize = 5;
 
@@ -93,8 +95,12 @@ impl LeastSquaresState {
             let tolerances = &self.setup.tolerances;
             let may_end = tolerances.x_tol > 0.0 || tolerances.f_tol > 0.0;
             let is_straight = regression.is_quadratic || regression.bent.is_some_and(|bent| bent < BENT);
-            let is_over = averaging.n_asked >= FEWEST * (n + 1) && predicted <= 3.0 * regression.excess;
-            if may_end && is_over && is_straight {
+            let most = (3.0 * regression.excess).min(LITTLE * best);
+            let may_end =
+                may_end && is_straight && averaging.n_asked >= FEWEST * (n + 1) && predicted <= most;
+            // What the radius keeps away counts, too.
+            let wide = averaging.radius.max(self.options.radius);
+            if may_end && regression.minimise(wide, &lower, &upper).1 <= most {
                 self.phase = Phase::Ended(Termination::Noise);
                 return;
             }
@@ -104,17 +110,16 @@ impl LeastSquaresState {
             self.phase = Phase::Ended(Termination::Collapsed);
             return;
         }
-        // One point at a time the trial point and one that tells more take turns.
-        let batch = self.options.batch.unwrap_or(1).min(4 * (n + 1));
-        if let Some(role) = trial.filter(|_| batch > 1 || averaging.n_asked % 2 == 0) {
-            self.ask_for(averaging.centre.clone(), role);
+        // The trial point and one that tells more take turns; more at once would be asked for before the first of them has told
+        // anything of the noise.
+        match trial.filter(|_| averaging.n_asked.is_multiple_of(2)) {
+            Some(role) => self.ask_for(averaging.centre.clone(), role),
+            None => {
+                let v = self.fitted(&averaging.centre, &coverage.least(), averaging.radius);
+                self.ask_for(sum(&averaging.centre, &v), Role::Near);
+            }
         }
-        while self.round.len() < batch {
-            let v = self.fitted(&averaging.centre, &coverage.least(), averaging.radius);
-            coverage.add(&v, 1.0);
-            self.ask_for(sum(&averaging.centre, &v), Role::Near);
-        }
-        averaging.n_asked += self.round.len();
+        averaging.n_asked += 1;
         self.phase = Phase::Averaging(averaging);
     }
 

@@ -3,7 +3,7 @@
 //! is smallest at the next trial point, within a radius that grows and shrinks with the success of the predictions
 //! (`trust_region.rs`). With rounds of several points the others are trial points at other radii, and neighbours of the first one,
 //! so that its Jacobian is known in the same round. Where a point next to the best one shows noise, the models are regressions on
-//! all points around (`averaging.rs`). Where points fail around the best one, Nelder-Mead takes over from the start.
+//! all points around, one new point at a time (`averaging.rs`). Where points fail around the best one, Nelder-Mead takes over from the start.
 
 mod averaging;
 mod model;
