@@ -104,7 +104,7 @@ impl LeastSquaresState {
             // What rounding makes of a sum of squares, and what is nothing next to the tolerance: a direction without effect
             // would be followed for ever.
             let rounding = 4.0 * self.points[base].residuals.len() as f64 * f64::EPSILON * f;
-            let nothing = rounding.max(1e-4 * tests.f_limit);
+            let nothing = rounding.max(1e-7 * tests.f_limit);
             if tests.passed || f == 0.0 {
                 self.phase = Phase::Ended(Termination::Converged);
             } else if self.n_failed > 0 && self.delta < STUCK {
