@@ -9,6 +9,7 @@ mod averaging;
 mod model;
 mod options;
 mod points;
+mod simplex_search;
 mod state;
 mod subproblem;
 mod trust_region;

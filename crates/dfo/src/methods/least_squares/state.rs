@@ -1,5 +1,5 @@
 //! The state machine: which points are asked for, and what becomes of their residuals. How the next points are chosen stands in
-//! `trust_region.rs` and, once noise has been found, in `averaging.rs`.
+//! `trust_region.rs`; in `averaging.rs` once noise has been found; in `simplex_search.rs` where points fail.
 
 use super::model::Interpolation;
 use super::options::LeastSquares;
@@ -102,7 +102,7 @@ pub struct LeastSquaresState {
     pub(super) points: Vec<Evaluated>,
     /// Of these the n + 1 that the model interpolates; fewer where the others failed.
     pub(super) set: Vec<usize>,
-    best_seen: Best,
+    pub(super) best_seen: Best,
     /// The trust region, and the resolution that it is not smaller than: both in units of the parameters' sizes.
     pub(super) delta: f64,
     pub(super) rho: f64,
@@ -113,10 +113,10 @@ pub struct LeastSquaresState {
     pub(super) model: Option<Interpolation>,
     asked: Vec<usize>,
     /// The points that the simplex asked for last.
-    simplex_points: Vec<Vec<f64>>,
+    pub(super) simplex_points: Vec<Vec<f64>>,
     waiting: bool,
-    n_batches: u64,
-    n_points: u64,
+    pub(super) n_batches: u64,
+    pub(super) n_points: u64,
     pub(super) n_iterations: usize,
     pub(super) operation: Option<Operation>,
     pub(super) tests: Option<Tests>,
@@ -254,7 +254,7 @@ impl LeastSquaresState {
     }
 
     /// A working coordinate in units of its size, counted from the start.
-    fn scaled(&self, k: usize, u: f64) -> f64 {
+    pub(super) fn scaled(&self, k: usize, u: f64) -> f64 {
         (u - self.origin[k]) / self.setup.space.size(k)
     }
 
@@ -357,44 +357,6 @@ impl LeastSquaresState {
         !found.is_empty()
     }
 
-    fn tell_simplex(&mut self, answers: &Answers) -> Result<(), Error> {
-        let Phase::Simplex(simplex) = &mut self.phase else { return Ok(()) };
-        simplex.tell(answers)?;
-        let status = simplex.status();
-        self.n_batches += 1;
-        self.n_points += self.simplex_points.len() as u64;
-        for (k, x) in std::mem::take(&mut self.simplex_points).into_iter().enumerate().take(answers.len()) {
-            if let Some((cost, residuals)) = answers.outcomes()[k].value().zip(answers.residuals(k)) {
-                self.best_seen.offer(&x, cost);
-                let mut z = vec![0.0; self.n()];
-                self.setup.space.to_working(&x, &mut z);
-                z.iter_mut().enumerate().for_each(|(k, z)| *z = self.scaled(k, *z));
-                self.points.push(Evaluated { z, x, cost, residuals: residuals.to_vec() });
-            }
-        }
-        if let Some(best) = self.best_of(0..self.points.len()) {
-            self.set = vec![best];
-        }
-        self.forget();
-        match status {
-            Status::Running => {}
-            Status::Ended(termination) => self.end(termination),
-            Status::NoStart => self.end(Termination::Collapsed),
-        }
-        Ok(())
-    }
-
-    /// Ends, with the tests of the simplex where it was one.
-    fn end(&mut self, termination: Termination) {
-        if let Phase::Simplex(simplex) = &self.phase {
-            let details = simplex.details();
-            self.tests = details.tests;
-            self.operation = details.operation;
-            self.n_iterations += details.n_iterations;
-        }
-        self.phase = Phase::Ended(termination);
-    }
-
     fn started(&mut self) {
         let Some(best) = self.best_of(0..self.points.len()) else {
             self.phase = Phase::NoStart;
@@ -408,7 +370,7 @@ impl LeastSquaresState {
     }
 
     /// Forgets the points that lie farthest, where there are too many.
-    fn forget(&mut self) {
+    pub(super) fn forget(&mut self) {
         let most = MOST_KEPT * (self.n() + 1);
         if self.points.len() <= most || self.set.is_empty() || !self.round.is_empty() {
             return;

@@ -2,9 +2,9 @@
 
 use super::model::Interpolation;
 use super::points::{Selection, difference, distance, norm, sum};
-use super::state::{Candidate, Known, LeastSquaresState, Phase, Role, simplex_method};
+use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
 use super::subproblem::{Linear, Subproblem, longest};
-use crate::method::{MethodOptions, Operation};
+use crate::method::Operation;
 use crate::termination::Termination;
 
 /// A radius below this cannot be resolved.
@@ -47,6 +47,17 @@ impl LeastSquaresState {
     pub(super) fn choose_set(&mut self, base: usize) {
         let selection = Selection::nearest(&self.points, &self.points[base].z, self.n());
         self.set = std::iter::once(base).chain(selection.chosen).collect();
+    }
+
+    /// The same around the best point of the set and of a round.
+    fn choose_set_from(&mut self, round: &[Candidate]) {
+        let new = round.iter().filter_map(|candidate| match candidate.known {
+            Known::Point(k) => Some(k),
+            _ => None,
+        });
+        if let Some(best) = self.best_of(self.set.iter().copied().chain(new)) {
+            self.choose_set(best);
+        }
     }
 
     /// The point of the set that lies farthest from the base, and its distance.
@@ -211,15 +222,6 @@ impl LeastSquaresState {
         self.delta = self.delta.max(self.rho);
     }
 
-    /// Points fail around the best one, and a model tells nothing of that: a simplex search from the start, which keeps off such
-    /// places, takes over.
-    fn begin_simplex(&mut self) {
-        self.phase = match simplex_method().begin(&self.setup) {
-            Ok(simplex) => Phase::Simplex(Box::new(simplex)),
-            Err(_) => Phase::Ended(Termination::Collapsed),
-        };
-    }
-
     /// Replaces a point that lies too far away by one that tells more.
     fn improve(&mut self, base: usize, model: &Interpolation, point: usize, distance: f64) {
         let radius = (0.1 * distance).min(0.5 * self.delta).max(self.rho);
@@ -247,7 +249,7 @@ impl LeastSquaresState {
             }
             (Role::Trial { .. }, _) => self.tried(round),
             (Role::Probe { misfit }, Known::Point(new)) => {
-                let base = self.best_of(self.set.iter().copied()).unwrap_or(0);
+                let base = self.base();
                 let jump = distance(&self.points[new].residuals, &self.points[base].residuals);
                 (self.n_noisy, self.failure) = (0, None);
                 if jump > JUMP * misfit {
@@ -255,15 +257,7 @@ impl LeastSquaresState {
                 }
             }
             (Role::Probe { .. }, _) => (self.n_noisy, self.failure) = (0, None),
-            (Role::Near | Role::Start(_), _) => {
-                let new = round.iter().filter_map(|candidate| match candidate.known {
-                    Known::Point(k) => Some(k),
-                    _ => None,
-                });
-                if let Some(best) = self.best_of(self.set.iter().copied().chain(new)) {
-                    self.choose_set(best);
-                }
-            }
+            (Role::Near | Role::Start(_), _) => self.choose_set_from(round),
         }
     }
 
@@ -325,13 +319,7 @@ impl LeastSquaresState {
             }
         }
         if round.len() > 1 || self.set.len() <= self.n() {
-            let new = round.iter().filter_map(|candidate| match candidate.known {
-                Known::Point(k) => Some(k),
-                _ => None,
-            });
-            if let Some(best) = self.best_of(self.set.iter().copied().chain(new)) {
-                self.choose_set(best);
-            }
+            self.choose_set_from(round);
         }
         if let Some((misfit, size)) = self.failure.filter(|_| self.n_noisy >= MOST_NOISY) {
             self.probe(misfit, size);
