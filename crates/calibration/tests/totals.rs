@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
-use dfo::{Limits, NelderMead, RunOptions};
+use dfo::{BatchPlan, Limits, NelderMead, RunOptions};
 use example_models::example_fmu;
 use fmi::Fmu;
 use ode::{Method, Stats};
@@ -22,8 +22,11 @@ fn calibration() -> Calibration {
 
 fn options(evaluations: usize, workers: usize, cutoffs: bool) -> FitOptions<'static> {
     let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
-    let method = NelderMead::default().into();
-    let run = RunOptions { method, limits, workers: Some(workers), ..FitOptions::default_run() };
+    // No speculation, whatever a machine takes for an evaluation: what it computes would count, too.
+    let mut method = NelderMead::default();
+    method.batch = BatchPlan::Serial;
+    let run =
+        RunOptions { method: method.into(), limits, workers: Some(workers), ..FitOptions::default_run() };
     FitOptions { cutoffs, ..run.into() }
 }
 
