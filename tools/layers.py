@@ -24,7 +24,7 @@ LAYERS = {
         evaluate identity
         solver
         calibration
-        effect spot_checks
+        effect spot_checks output_fit worth
         fit
     """,
     "dfo": """
@@ -75,7 +75,7 @@ LAYERS = {
         error files values
         description inputs trajectory
         settings
-        experiment minimize model py_system
+        experiment fit minimize model py_system
         calibration optimizer solve
     """,
 }

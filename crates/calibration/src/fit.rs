@@ -3,10 +3,12 @@
 use crate::calibration::Calibration;
 use crate::effect::BoundSide;
 use crate::error::CalibrationError;
+use crate::output_fit::OutputFit;
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
 use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
+use crate::worth::Worth;
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
     RunOptions, Search, Stop, Tolerances,
@@ -96,6 +98,8 @@ pub struct Fit {
     pub x: Vec<f64>,
     /// Names of the parameters, in the same order.
     pub names: Vec<String>,
+    /// Where the fit started.
+    pub start: Vec<f64>,
     /// Cost there: the sum of the squared weighted residuals; with a loss, of what they count.
     pub cost: f64,
     /// Root of the mean squared weighted residual there; with a loss, of what they count.
@@ -115,6 +119,10 @@ pub struct Fit {
     /// How often the fit was begun: more than once where a simulation was found to depend on earlier ones
     /// ([`Fmu::n_history_findings`](fmi::Fmu::n_history_findings)). Its budget of evaluations counts from the last beginning.
     pub n_beginnings: usize,
+    /// How well each output is reproduced, in the order of the residual vector; empty where the run was ended from outside.
+    pub outputs: Vec<OutputFit>,
+    /// What the fit is worth; `None` where it was not asked for, or the run was ended from outside.
+    pub worth: Option<Worth>,
     /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
     /// Those that failed or were given up count, those of a resumed fit from before do not.
     pub stats: Stats,
@@ -279,6 +287,9 @@ impl Calibration {
         Ok(Fit {
             x: report.x.clone(),
             names,
+            start,
+            outputs: Vec::new(),
+            worth: None,
             cost: report.fun,
             rms: self.rms(report.fun),
             start_cost,

@@ -2,6 +2,7 @@
 
 use crate::description::Fmu;
 use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields};
+use crate::fit::PyFit;
 use crate::interrupt::{Watch, fits_here};
 use crate::report::{self, LastProgress, Listener, ResultKind};
 use crate::settings::{self, LossFields, Options, Settings};
@@ -316,6 +317,10 @@ impl PyCalibration {
                 }
                 result.setattr("n_checks", fit.n_checks)?;
                 result.setattr("n_beginnings", fit.n_beginnings)?;
+                result.setattr(
+                    "_native",
+                    PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) },
+                )?;
                 Some(result)
             }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),

@@ -8,6 +8,7 @@ mod dict;
 mod error;
 mod experiment;
 mod files;
+mod fit;
 mod fmu_error;
 mod inputs;
 mod interrupt;
@@ -43,6 +44,8 @@ mod core_module {
     use super::experiment::{check_parameter, find_time};
     #[pymodule_export]
     use super::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
+    #[pymodule_export]
+    use super::fit::PyFit;
     #[pymodule_export]
     use super::methods::{auto_method, method_names, option_names};
     #[pymodule_export]

@@ -1,0 +1,11 @@
+//! `Fit`: the native result of a fit with its calibration, which `pydfo.Fit` holds.
+
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+/// A fit and what was fitted.
+#[pyclass(frozen, module = "pydfo._core", name = "Fit")]
+pub(crate) struct PyFit {
+    pub(crate) inner: Arc<calibration::Fit>,
+    pub(crate) calibration: Arc<calibration::Calibration>,
+}
