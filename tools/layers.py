@@ -16,12 +16,16 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error layout race
-        data no_cost parameter residual
+        error prior race
+        data layout no_cost parameter
+        input
         experiment
-        warning
+        measurements names
+        residual warning
         problem
-        evaluate identity
+        assignment identity
+        simulation
+        evaluate
         solver
         calibration
         effect spot_checks output_fit worth

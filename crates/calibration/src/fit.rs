@@ -98,11 +98,13 @@ pub struct Fit {
     pub x: Vec<f64>,
     /// Names of the parameters, in the same order.
     pub names: Vec<String>,
+    /// Values of the parameters that are tied to others, by name.
+    pub tied: Vec<(String, f64)>,
     /// Where the fit started.
     pub start: Vec<f64>,
     /// Cost there: the sum of the squared weighted residuals; with a loss, of what they count.
     pub cost: f64,
-    /// Root of the mean squared weighted residual there; with a loss, of what they count.
+    /// Root of the mean squared weighted residual of the measurements there; with a loss, of what they count.
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
@@ -134,7 +136,8 @@ pub struct Fit {
 
 impl fmt::Display for Fit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (name, value) in self.names.iter().zip(&self.x) {
+        let tied = self.tied.iter().map(|(name, value)| (name, value));
+        for (name, value) in self.names.iter().zip(&self.x).chain(tied) {
             writeln!(f, "{name} = {}", Number(*value))?;
         }
         writeln!(f, "cost {}, RMS {}", Number(self.cost), Number(self.rms))?;
@@ -291,7 +294,8 @@ impl Calibration {
             outputs: Vec::new(),
             worth: None,
             cost: report.fun,
-            rms: self.rms(report.fun),
+            rms: self.rms(report.fun - self.prior_cost(&report.x, loss)),
+            tied: self.tied_values(&report.x),
             start_cost,
             at_bound: found.at_bound,
             without_effect: found.without_effect,
@@ -342,7 +346,9 @@ impl Calibration {
         match parameter.scale_kind() {
             Scale::Log => Some(usable((upper / lower).ln()).unwrap_or(1.0)),
             Scale::Linear => {
-                let nominal = self.fmu().description().variable(parameter.variable()).and_then(|v| v.nominal);
+                let variable = parameter.variable().and_then(|name| self.fmu().description().variable(name));
+                // That of the model is in the unit of the model.
+                let nominal = variable.filter(|_| parameter.given_unit().is_none()).and_then(|v| v.nominal);
                 parameter
                     .nominal_size()
                     .or(nominal)

@@ -5,11 +5,13 @@
 //! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
 //! [`Calibration::residuals`] and [`Calibration::fit`].
 //!
-//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `residual` (measured against simulated), `evaluate`
-//! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `measurements` (which of them count), `residual` (measured
+//! against simulated), `assignment` (what an entry of `x` sets), `simulation` (of an experiment), `evaluate` (residuals and cost at a
+//! point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
 //! (checks after a fit), `fit`.
 #![forbid(unsafe_code)]
 
+mod assignment;
 mod calibration;
 mod data;
 mod effect;
@@ -18,13 +20,18 @@ mod evaluate;
 mod experiment;
 mod fit;
 mod identity;
+mod input;
 mod layout;
+mod measurements;
+mod names;
 mod no_cost;
 mod output_fit;
 mod parameter;
+mod prior;
 mod problem;
 mod race;
 mod residual;
+mod simulation;
 mod solver;
 mod spot_checks;
 mod warning;
@@ -36,12 +43,13 @@ pub use dfo;
 pub use dfo::Kind;
 pub use effect::BoundSide;
 pub use error::CalibrationError;
-pub use experiment::{Experiment, SimulationSettings};
+pub use experiment::{Experiment, InitialState, SimulationSettings, Weight};
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use output_fit::OutputFit;
-pub use parameter::{Parameter, Scale};
+pub use parameter::{Parameter, Scale, Target, Tie};
+pub use prior::Prior;
 pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use residual::quad_err;
