@@ -2,6 +2,7 @@
 
 mod csv;
 mod dates;
+mod symbols;
 mod table;
 mod time_column;
 mod units;
