@@ -17,10 +17,12 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = {
     "calibration": """
         error race
-        data no_cost parameter residual
+        data no_cost residual
+        parameter
         experiment
         warning
         problem
+        column_units
         evaluate identity
         solver
         calibration
