@@ -76,7 +76,7 @@ LAYERS = {
         error files values
         description inputs trajectory
         settings
-        experiment fit minimize model py_system
+        experiment fit minimize model py_system stages
         calibration optimizer solve
     """,
 }

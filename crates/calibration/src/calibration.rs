@@ -127,7 +127,13 @@ impl Calibration {
     }
 
     /// The same with other windows in all experiments.
-    pub(crate) fn windowed(&self, window: (f64, f64)) -> Result<Self, CalibrationError> {
+    pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
+        let [window] = *windows else {
+            return Err(CalibrationError::Setup(format!(
+                "{} windows are given, one is needed",
+                windows.len()
+            )));
+        };
         let mut problem = self.problem().clone();
         problem.experiments.iter_mut().for_each(|experiment| experiment.window = Some(window));
         self.derived(problem)

@@ -23,8 +23,8 @@ pub struct Stage {
     /// The parameters that it frees, by name: all values of a [local](crate::Parameter::local) one (`T0`), or one of them
     /// (`T0[run1]`). The others stay where they are.
     pub parameters: Vec<String>,
-    /// Only measurements in it count in this stage, in all experiments, in s; default: those of the calibration.
-    pub window: Option<(f64, f64)>,
+    /// Only measurements in these count in this stage, in all experiments, in s; none: those that count in the calibration.
+    pub windows: Vec<(f64, f64)>,
     /// The method; default: that of the fit.
     pub method: Option<AnyMethod>,
     /// Why it was chosen, where the user left it open.
@@ -41,10 +41,10 @@ impl Stage {
         Self { parameters: parameters.into_iter().map(Into::into).collect(), ..Self::default() }
     }
 
-    /// Only measurements in `[from, to]` count in this stage.
+    /// Only measurements in `[from, to]`, and in other windows given so, count in this stage.
     #[must_use]
     pub fn window(mut self, from: f64, to: f64) -> Self {
-        self.window = Some((from, to));
+        self.windows.push((from, to));
         self
     }
 
@@ -130,7 +130,10 @@ impl Calibration {
         self.solver_until(&is_asked)?;
         self.prepare(&is_asked)?;
         let windowed = (stages.iter().enumerate())
-            .map(|(k, stage)| stage.window.map(|w| self.windowed(w).map_err(in_stage(k))).transpose())
+            .map(|(k, stage)| match stage.windows.is_empty() {
+                true => Ok(None),
+                false => self.windowed(&stage.windows).map(Some).map_err(in_stage(k)),
+            })
             .collect::<Result<Vec<_>, _>>()?;
         let began = Instant::now();
         let late = run.limits.max_time.and_then(|limit| began.checked_add(limit));
@@ -161,7 +164,7 @@ impl Calibration {
                 max_iterations: least(stage.limits.max_iterations, iterations),
                 max_time: least(stage.limits.max_time, time),
                 // What a target says of one window says nothing of another.
-                target: stage.limits.target.or(run.limits.target.filter(|_| stage.window.is_none())),
+                target: stage.limits.target.or(run.limits.target.filter(|_| stage.windows.is_empty())),
             };
             own.checkpoint = run.checkpoint.as_ref().map(|checkpoint| checkpoint_of(checkpoint, k));
             let before = began.elapsed().as_secs_f64();
@@ -216,7 +219,7 @@ impl Calibration {
             n_checks += 1;
             self.evaluate_into(x, CostRule::whole(loss, &is_asked), &mut residuals, &mut stats).ok()
         };
-        let is_own = |k: usize| stages[k].window.is_none();
+        let is_own = |k: usize| stages[k].windows.is_empty();
         let cost = if is_own(fits.len() - 1) { None } else { Some(cost_at(&x).unwrap_or(f64::NAN)) };
         let start_cost = if is_own(0) { fits[0].start_cost } else { cost_at(&start) };
         let mut fit = self.in_all(stages, fits, &freed, ended);
@@ -279,9 +282,9 @@ impl Calibration {
             all.n_beginnings = all.n_beginnings.max(earlier.n_beginnings);
         }
         report.failures.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
-        let last_window = stages[fits.len() - 1].window;
-        let one_window = |k: &usize| stages[*k..fits.len()].iter().all(|s| s.window == last_window);
-        let first = (0..fits.len()).find(one_window).unwrap_or(0);
+        let last_windows = &stages[fits.len() - 1].windows;
+        let same_windows = |k: &usize| stages[*k..fits.len()].iter().all(|s| s.windows == *last_windows);
+        let first = (0..fits.len()).find(same_windows).unwrap_or(0);
         let mut traces = fits[first..].iter().map(|fit| fit.report.trace.clone());
         if let Some(mut trace) = traces.next() {
             traces.for_each(|later| trace.append(later));
