@@ -28,6 +28,7 @@ LAYERS = {
         calibration
         effect spot_checks output_fit worth
         fit
+        stages
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -77,7 +78,7 @@ LAYERS = {
         error files values
         description inputs trajectory
         settings
-        experiment fit minimize model py_system
+        experiment fit minimize model py_system stages
         calibration optimizer solve
     """,
 }

@@ -7,7 +7,7 @@
 //!
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model); `residual` (measured against simulated), `evaluate`
 //! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
-//! (checks after a fit), `fit`.
+//! (checks after a fit), `fit`, `stages`.
 #![forbid(unsafe_code)]
 
 mod calibration;
@@ -27,6 +27,7 @@ mod race;
 mod residual;
 mod solver;
 mod spot_checks;
+mod stages;
 mod warning;
 mod worth;
 
@@ -45,5 +46,6 @@ pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use residual::quad_err;
 pub use solver::Solver;
+pub use stages::Stage;
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use worth::{Estimator, ResidualCheck, Worth};
