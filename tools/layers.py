@@ -26,6 +26,7 @@ LAYERS = {
         calibration
         effect spot_checks output_fit worth
         fit
+        report
     """,
     "dfo": """
         number option_texts choices rng answer encoding

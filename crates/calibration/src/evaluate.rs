@@ -11,6 +11,7 @@ use dfo::FailureKind;
 use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan};
 use ode::{Number, Observer, Report, Stats};
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// A checked problem and its model.
@@ -39,6 +40,19 @@ pub(crate) struct Simulation {
     elements: Option<Vec<usize>>,
 }
 
+/// What was measured of one output of one experiment, as far as it counts.
+#[derive(Debug)]
+pub(crate) struct Measurements {
+    pub(crate) experiment: usize,
+    /// Position among the outputs of the experiment.
+    pub(crate) output: usize,
+    /// Where its residuals are in the residual vector.
+    pub(crate) range: Range<usize>,
+    pub(crate) times: Vec<f64>,
+    pub(crate) values: Vec<f64>,
+    pub(crate) weights: Vec<f64>,
+}
+
 impl Evaluator {
     /// Looks everything up and checks it; loads the model, but simulates nothing yet.
     pub(crate) fn new(fmu: Fmu, problem: Problem) -> Result<Self, CalibrationError> {
@@ -61,6 +75,24 @@ impl Evaluator {
         let n_residuals = simulations.iter().map(|s| s.comparison.n_residuals()).sum();
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
         Ok(Self { fmu, problem, parameters, simulations, n_residuals, warnings })
+    }
+
+    /// What was measured, output by output in the order of the residual vector.
+    pub(crate) fn measurements(&self) -> Vec<Measurements> {
+        let mut first = 0;
+        let mut all = Vec::new();
+        for (experiment, simulation) in self.simulations.iter().enumerate() {
+            let requested = simulation.options.times.as_deref().unwrap_or_default();
+            for output in 0..self.problem.experiments[experiment].outputs.len() {
+                let rows = || simulation.comparison.of_output(output);
+                let times: Vec<f64> = rows().map(|(row, _, _)| requested[row]).collect();
+                let range = first..first + times.len();
+                first = range.end;
+                let (values, weights) = rows().map(|(_, value, weight)| (value, weight)).unzip();
+                all.push(Measurements { experiment, output, range, times, values, weights });
+            }
+        }
+        all
     }
 
     /// Start values of all entries of `x`.

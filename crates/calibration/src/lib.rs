@@ -7,7 +7,7 @@
 //!
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `residual` (measured against simulated), `evaluate`
 //! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
-//! (checks after a fit), `fit`.
+//! (checks after a fit), `fit`; `report` (what it found, for people).
 #![forbid(unsafe_code)]
 
 mod calibration;
@@ -23,6 +23,7 @@ mod output_fit;
 mod parameter;
 mod problem;
 mod race;
+mod report;
 mod residual;
 mod solver;
 mod spot_checks;

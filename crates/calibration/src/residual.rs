@@ -61,6 +61,14 @@ impl Comparison {
     pub(crate) fn n_residuals(&self) -> usize {
         self.n_residuals
     }
+
+    /// What was measured of an output, in the order of its residuals: the number of the requested time, the value, its weight.
+    pub(crate) fn of_output(&self, output: usize) -> impl Iterator<Item = (usize, f64, f64)> {
+        let column = self.measured.iter().skip(output).step_by(self.n_outputs).enumerate();
+        column
+            .filter(|(_, value)| !value.is_nan())
+            .map(move |(row, value)| (row, *value, self.weights[output]))
+    }
 }
 
 /// What a residual counts, and when an evaluation is given up.
