@@ -2,6 +2,7 @@
 
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
+use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{Element, Problem};
@@ -11,7 +12,6 @@ use dfo::FailureKind;
 use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan};
 use ode::{Number, Observer, Report, Stats};
 use std::borrow::Cow;
-use std::ops::Range;
 use std::sync::Arc;
 
 /// A checked problem and its model.
@@ -23,6 +23,7 @@ pub(crate) struct Evaluator {
     pub(crate) parameters: Vec<Parameter>,
     pub(crate) simulations: Vec<Simulation>,
     pub(crate) n_residuals: usize,
+    pub(crate) layout: ResidualLayout,
     pub(crate) warnings: Vec<SetupWarning>,
 }
 
@@ -38,19 +39,6 @@ pub(crate) struct Simulation {
     comparison: Comparison,
     /// Which entries of `x` it takes; `None`: all of them.
     elements: Option<Vec<usize>>,
-}
-
-/// What was measured of one output of one experiment, as far as it counts.
-#[derive(Debug)]
-pub(crate) struct Measurements {
-    pub(crate) experiment: usize,
-    /// Position among the outputs of the experiment.
-    pub(crate) output: usize,
-    /// Where its residuals are in the residual vector.
-    pub(crate) range: Range<usize>,
-    pub(crate) times: Vec<f64>,
-    pub(crate) values: Vec<f64>,
-    pub(crate) weights: Vec<f64>,
 }
 
 impl Evaluator {
@@ -72,27 +60,10 @@ impl Evaluator {
                 Ok(simulation)
             })
             .collect::<Result<Vec<_>, CalibrationError>>()?;
-        let n_residuals = simulations.iter().map(|s| s.comparison.n_residuals()).sum();
+        let layout = layout(&problem, &simulations);
+        let n_residuals = layout.n_residuals();
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
-        Ok(Self { fmu, problem, parameters, simulations, n_residuals, warnings })
-    }
-
-    /// What was measured, output by output in the order of the residual vector.
-    pub(crate) fn measurements(&self) -> Vec<Measurements> {
-        let mut first = 0;
-        let mut all = Vec::new();
-        for (experiment, simulation) in self.simulations.iter().enumerate() {
-            let requested = simulation.options.times.as_deref().unwrap_or_default();
-            for output in 0..self.problem.experiments[experiment].outputs.len() {
-                let rows = || simulation.comparison.of_output(output);
-                let times: Vec<f64> = rows().map(|(row, _, _)| requested[row]).collect();
-                let range = first..first + times.len();
-                first = range.end;
-                let (values, weights) = rows().map(|(_, value, weight)| (value, weight)).unzip();
-                all.push(Measurements { experiment, output, range, times, values, weights });
-            }
-        }
-        all
+        Ok(Self { fmu, problem, parameters, simulations, n_residuals, layout, warnings })
     }
 
     /// Start values of all entries of `x`.
@@ -223,6 +194,22 @@ impl Simulation {
             Some(elements) => elements.iter().map(|&i| x[i]).collect(),
         }
     }
+}
+
+/// What the residual vector is made of.
+fn layout(problem: &Problem, simulations: &[Simulation]) -> ResidualLayout {
+    let mut layout = ResidualLayout::default();
+    for (k, (experiment, simulation)) in problem.experiments.iter().zip(simulations).enumerate() {
+        let times = simulation.options.times.as_deref().unwrap_or_default();
+        let of_experiment = simulation.comparison.layout((layout.n_measurements(), times));
+        for (mut residuals, measured) in of_experiment.into_iter().zip(&experiment.outputs) {
+            residuals.experiment = k;
+            residuals.variable = measured.variable.clone();
+            residuals.column = measured.column.clone();
+            layout.outputs.push(residuals);
+        }
+    }
+    layout
 }
 
 /// Where the simulation of an experiment starts; refuses one after the first measurement.

@@ -105,8 +105,8 @@ pub struct Fit {
     pub bounds: Vec<(f64, f64)>,
     /// Name of the model.
     pub model: String,
-    /// Length of the residual vector: how many measurements count.
-    pub n_residuals: usize,
+    /// How many measurements count.
+    pub n_measurements: usize,
     /// Cost there: the sum of the squared weighted residuals; with a loss, of what they count.
     pub cost: f64,
     /// Root of the mean squared weighted residual there; with a loss, of what they count.
@@ -142,7 +142,7 @@ pub struct Fit {
 impl Fit {
     /// Root of the mean squared weighted residual at the start, if the simulation did not fail there.
     pub fn start_rms(&self) -> Option<f64> {
-        self.start_cost.map(|cost| (cost / self.n_residuals as f64).sqrt())
+        self.start_cost.map(|cost| (cost / self.n_measurements as f64).sqrt())
     }
 }
 
@@ -302,7 +302,7 @@ impl Calibration {
             units: self.parameters().iter().map(unit).collect(),
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
             model: description.model_name.clone(),
-            n_residuals: self.n_residuals(),
+            n_measurements: self.n_measurements(),
             x: report.x.clone(),
             names,
             start,

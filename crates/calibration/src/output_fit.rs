@@ -1,7 +1,7 @@
 //! How well each output is reproduced.
 
 use crate::calibration::Calibration;
-use crate::evaluate::Measurements;
+use crate::layout::OutputResiduals;
 use crate::residual::CostRule;
 use dfo::RobustLoss;
 use ode::Stats;
@@ -87,27 +87,26 @@ impl Calibration {
         };
         let Some(at_end) = at_end.or_else(|| simulated(x)) else { return Vec::new() };
         let at_start = at_start.or_else(|| simulated(start));
-        let of_output = |series: Measurements| {
+        let of_output = |series: &OutputResiduals| {
             let rms = |residuals: &[f64]| {
                 let own = residuals[series.range.clone()].iter().zip(&series.weights);
                 let sum: f64 = own.map(|(r, w)| (r / w).powi(2)).sum();
-                (sum / series.values.len() as f64).sqrt()
+                (sum / series.measured.len() as f64).sqrt()
             };
-            let measured = &self.problem().experiments[series.experiment].outputs[series.output];
-            let declared = self.fmu().description().variable(&measured.variable);
+            let declared = self.fmu().description().variable(&series.variable);
             let rms_at_end = rms(&at_end);
             OutputFit {
                 experiment: self.evaluator().simulations[series.experiment].name.clone(),
-                variable: measured.variable.clone(),
-                column: measured.column.clone(),
+                variable: series.variable.clone(),
+                column: series.column.clone(),
                 unit: declared.and_then(|variable| variable.unit.clone()),
-                n: series.values.len(),
+                n: series.measured.len(),
                 rms: rms_at_end,
                 start_rms: at_start.as_deref().map(rms),
-                fit_percent: 100.0 * (1.0 - rms_at_end / deviation(&series.values)),
+                fit_percent: 100.0 * (1.0 - rms_at_end / deviation(&series.measured)),
             }
         };
-        self.evaluator().measurements().into_iter().map(of_output).collect()
+        self.residual_layout().outputs.iter().map(of_output).collect()
     }
 }
 

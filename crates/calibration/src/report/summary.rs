@@ -130,7 +130,7 @@ fn sentence(fit: &Fit) -> String {
         }
     };
     let rms = rounded(fit.rms, FEW_DIGITS);
-    format!("{ended}: RMS {rms} ({before}) over {} measurements.{mistrust}", fit.n_residuals)
+    format!("{ended}: RMS {rms} ({before}) over {} measurements.{mistrust}", fit.n_measurements)
 }
 
 /// What is not to be trusted.
