@@ -17,19 +17,23 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = {
     "calibration": """
         error prior race
-        data layout no_cost parameter
+        data layout no_cost
+        parameter
         input
         experiment
         measurements names
         residual warning
         problem
-        assignment identity
+        column_units identity
+        assignment
         simulation
         evaluate
         solver
         calibration
         effect spot_checks output_fit worth
         fit
+        stages
+        report
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -79,7 +83,7 @@ LAYERS = {
         error files values
         description inputs trajectory
         settings
-        experiment fit minimize model py_system
+        experiment fit minimize model py_system stages
         calibration optimizer solve
     """,
 }

@@ -117,6 +117,26 @@ impl Calibration {
         Ok(Self { evaluator, choice: Choice::default(), identity })
     }
 
+    /// A calibration of another problem with the same model, with the solver of this one if it is known. Warnings of the problem
+    /// are not logged again.
+    pub(crate) fn derived(&self, problem: Problem) -> Result<Self, CalibrationError> {
+        let evaluator = Evaluator::new(self.fmu().clone(), problem)?;
+        let identity = identity(&evaluator.problem, &evaluator.parameters);
+        let derived = Self { evaluator, choice: Choice::default(), identity };
+        self.known_solver().map_or(Ok(()), |solver| derived.set_solver(solver.clone()))?;
+        Ok(derived)
+    }
+
+    /// The same with other windows in all experiments; simulations start when and where they do.
+    pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
+        let mut problem = self.problem().clone();
+        for (experiment, simulation) in problem.experiments.iter_mut().zip(&self.evaluator.simulations) {
+            experiment.windows = windows.to_vec();
+            simulation.keep_start(experiment);
+        }
+        self.derived(problem)
+    }
+
     pub(crate) fn evaluator(&self) -> &Evaluator {
         &self.evaluator
     }
@@ -158,10 +178,16 @@ impl Calibration {
         self.evaluator.layout.n_measurements()
     }
 
-    /// The root of the mean squared weighted residual of the measurements, from the part of a cost that is theirs: all but the
-    /// [part of the priors](Self::prior_cost).
-    pub fn rms(&self, cost: f64) -> f64 {
-        (cost / self.n_measurements() as f64).sqrt()
+    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with the loss of a fit, of what they
+    /// count): the priors have their part of the cost, and are no measurements.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn rms(&self, x: &[f64], cost: f64, loss: RobustLoss) -> f64 {
+        let priors = if self.residual_layout().priors.is_empty() { 0.0 } else { self.prior_cost(x, loss) };
+        let squares = cost - priors;
+        // The rounding of a difference.
+        (if squares < 0.0 { 0.0 } else { squares } / self.n_measurements() as f64).sqrt()
     }
 
     /// The part of the cost at `x` that is that of the priors, with the loss of a fit; NaN where one is not defined.

@@ -5,14 +5,15 @@
 //! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
 //! [`Calibration::residuals`] and [`Calibration::fit`].
 //!
-//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `measurements` (which of them count), `residual` (measured
-//! against simulated), `assignment` (what an entry of `x` sets), `simulation` (of an experiment), `evaluate` (residuals and cost at a
-//! point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
-//! (checks after a fit), `fit`.
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model);
+//! `measurements` (which of them count), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
+//! `simulation` (of an experiment), `evaluate` (residuals and cost at a point); `race` and `solver` (which method integrates);
+//! `calibration`; `effect` and `spot_checks` (checks after a fit), `fit`, `stages`; `report` (what it found, for people).
 #![forbid(unsafe_code)]
 
 mod assignment;
 mod calibration;
+mod column_units;
 mod data;
 mod effect;
 mod error;
@@ -30,15 +31,17 @@ mod parameter;
 mod prior;
 mod problem;
 mod race;
+mod report;
 mod residual;
 mod simulation;
 mod solver;
 mod spot_checks;
+mod stages;
 mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
-pub use data::{Data, TimeColumn};
+pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, find_column};
 pub use dfo;
 pub use dfo::Kind;
 pub use effect::BoundSide;
@@ -54,5 +57,6 @@ pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use residual::quad_err;
 pub use solver::Solver;
+pub use stages::Stage;
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use worth::{Estimator, ResidualCheck, Worth};

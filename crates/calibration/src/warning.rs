@@ -1,6 +1,6 @@
 //! What a setup leaves in doubt: it can be evaluated, but perhaps it is not what was meant.
 
-use crate::data::parts;
+use crate::data::{UnitError, parts};
 use crate::experiment::{Experiment, Weight};
 use crate::input::InputSource;
 use crate::parameter::{Parameter, Scale};
@@ -24,6 +24,17 @@ pub enum SetupWarning {
         /// The input.
         input: String,
     },
+    /// A column states a unit that was not converted to that of its variable.
+    NotConverted {
+        /// The recording.
+        data: String,
+        /// The column.
+        column: String,
+        /// The variable.
+        variable: String,
+        /// Why not.
+        reason: UnitError,
+    },
     /// A setting that is ignored; the sentence says which, and why.
     NoEffect(String),
     /// What is in doubt about one of several experiments.
@@ -43,6 +54,12 @@ impl fmt::Display for SetupWarning {
                 "{data}: column '{column}' is not used, but the model has an input '{input}' that nothing drives; name it \
                  among the inputs, if it is its recording"
             ),
+            Self::NotConverted { data, column, variable, reason } => {
+                write!(
+                    f,
+                    "{data}: column '{column}' is taken in the unit of '{variable}', without conversion: {reason}"
+                )
+            }
             Self::NoEffect(sentence) => f.write_str(sentence),
             Self::Experiment { name, warning } => write!(f, "{name}: {warning}"),
         }

@@ -23,6 +23,7 @@ mod quad_err;
 mod report;
 mod settings;
 mod solve;
+mod stages;
 mod threads;
 mod trajectory;
 mod values;

@@ -37,10 +37,11 @@ from ._least_squares import least_squares
 from ._minimize import minimize
 from ._model import FMUModel, load_fmu
 from ._optimizer import Above, Asked, Optimizer
-from ._parameter import Parameter
+from ._parameter import LogNormal, Normal, Parameter
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
+from ._stages import Stage
 from ._trajectory import SimulationResult
 
 __all__ = [
@@ -65,12 +66,15 @@ __all__ = [
     "NoResult",
     "OptimizeResult",
     "Optimizer",
+    "LogNormal",
+    "Normal",
     "Parameter",
     "Progress",
     "PydfoError",
     "Raced",
     "SimulationError",
     "SimulationResult",
+    "Stage",
     "Trace",
     "UnknownVariableError",
     "Variable",
