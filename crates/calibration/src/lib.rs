@@ -31,7 +31,7 @@ mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
-pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, find_column};
+pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, date_seconds, find_column};
 pub use dfo;
 pub use dfo::Kind;
 pub use effect::BoundSide;
