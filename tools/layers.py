@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error race
+        error layout race
         data no_cost residual
         parameter
         experiment
@@ -28,6 +28,8 @@ LAYERS = {
         calibration
         effect spot_checks output_fit worth
         fit
+        stages
+        report
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -77,7 +79,7 @@ LAYERS = {
         error files values
         description inputs trajectory
         settings
-        experiment fit minimize model py_system
+        experiment fit minimize model py_system stages
         calibration optimizer solve
     """,
 }

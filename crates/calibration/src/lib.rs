@@ -7,7 +7,7 @@
 //!
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model); `residual` (measured against simulated), `evaluate`
 //! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
-//! (checks after a fit), `fit`.
+//! (checks after a fit), `fit`, `stages`; `report` (what it found, for people).
 #![forbid(unsafe_code)]
 
 mod calibration;
@@ -19,14 +19,17 @@ mod evaluate;
 mod experiment;
 mod fit;
 mod identity;
+mod layout;
 mod no_cost;
 mod output_fit;
 mod parameter;
 mod problem;
 mod race;
+mod report;
 mod residual;
 mod solver;
 mod spot_checks;
+mod stages;
 mod warning;
 mod worth;
 
@@ -39,11 +42,13 @@ pub use error::CalibrationError;
 pub use experiment::{Experiment, SimulationSettings};
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
+pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use output_fit::OutputFit;
 pub use parameter::{Parameter, Scale};
 pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use residual::quad_err;
 pub use solver::Solver;
+pub use stages::Stage;
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use worth::{Estimator, ResidualCheck, Worth};

@@ -15,10 +15,12 @@ from ._options import Options
 from ._parameter import Parameter
 from ._progress import Progress
 from ._result import OptimizeResult
+from ._stages import BuiltStage
 from .ode import OdeResult, _Problem
 
 __all__ = [
     "Calibration",
+    "Fit",
     "Fmu",
     "Model",
     "Optimizer",
@@ -131,9 +133,12 @@ class Calibration:
         start: list[float] | None = None,
         observer: Callable[[Progress], Any] | None = None,
         loss: tuple[str, float] | None = None,
+        stages: list[BuiltStage] | None = None,
     ) -> OptimizeResult: ...
 @final
-class Fit: ...
+class Fit:
+    @property
+    def start(self) -> list[float]: ...
 
 def build_fmu(folder: str | os.PathLike[str], out: str | os.PathLike[str]) -> None: ...
 def example_fmu(name: str, version: str, kind: str) -> Path: ...
