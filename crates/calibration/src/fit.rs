@@ -1,14 +1,15 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
-use crate::effect::BoundSide;
+use crate::effect::{BoundSide, Findings, is_over};
 use crate::error::CalibrationError;
 use crate::output_fit::OutputFit;
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
+use crate::simulations::Simulations;
 use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
-use crate::worth::Worth;
+use crate::worth::{KnownPoint, Worth, WorthOptions};
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
     RunOptions, Search, Stop, Tolerances,
@@ -43,6 +44,10 @@ pub struct FitOptions<'a> {
     /// What a residual counts; default: its square. With another loss [`Fit::cost`] is the sum of what they count, also where
     /// the method sees costs alone.
     pub loss: RobustLoss,
+    /// What the fit is worth is found out after the run: standard errors, correlation, what the data cannot tell. Takes at least two
+    /// simulations for each parameter and one that is more accurate, in parallel; they are none of the run's evaluations, are not
+    /// made after an interrupt or when the time is up, and are part of `stats`. `None`: it is not. Its loss is that of the fit.
+    pub worth: Option<WorthOptions>,
     /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
@@ -68,6 +73,7 @@ impl Default for FitOptions<'_> {
             start: None,
             cutoffs: true,
             loss: RobustLoss::default(),
+            worth: Some(WorthOptions::default()),
             observer: None,
             poll: None,
             cancel: None,
@@ -150,6 +156,14 @@ impl fmt::Display for Fit {
     }
 }
 
+/// The tolerance of the cost relative to this one.
+fn relative_f_tol(tolerances: &Tolerances, cost: f64) -> f64 {
+    match tolerances.measure {
+        Measure::Relative => tolerances.f_tol,
+        Measure::Absolute => tolerances.f_tol / cost,
+    }
+}
+
 /// The objective of one fit, which adds up what its simulations take.
 struct Counted<'a> {
     calibration: &'a Calibration,
@@ -201,7 +215,7 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        let FitOptions { run: mut described, start, cutoffs, loss, mut observer, poll, cancel } =
+        let FitOptions { run: mut described, start, cutoffs, loss, worth, mut observer, poll, cancel } =
             options.into();
         let poll = RefCell::new(poll);
         described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
@@ -278,6 +292,13 @@ impl Calibration {
             described.known.iter_mut().for_each(|known| known.problem = None);
         };
         report.message += &self.remarks(&found);
+        let worth = worth.and_then(|options| {
+            let asked = WorthOptions { workers: options.workers.or(described.workers), loss, ..options };
+            self.worth_of_fit(&report, (&found, tolerances), &asked, (&cancelled, &mut stats))
+        });
+        if let Some(worth) = &worth {
+            report.message += &worth.remarks(relative_f_tol(&tolerances, report.fun));
+        }
         if n_beginnings > 1 {
             report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
         }
@@ -289,7 +310,7 @@ impl Calibration {
             names,
             start,
             outputs: Vec::new(),
-            worth: None,
+            worth,
             cost: report.fun,
             rms: self.rms(report.fun),
             start_cost,
@@ -301,6 +322,30 @@ impl Calibration {
             solver: solver.clone(),
             report,
         })
+    }
+
+    /// What the result of a run is worth; `None` where it cannot be found out, or shall not.
+    fn worth_of_fit(
+        &self,
+        report: &Report,
+        (found, tolerances): (&Findings, Tolerances),
+        options: &WorthOptions,
+        (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
+    ) -> Option<Worth> {
+        if !is_over(&report.termination) || cancelled() {
+            return None;
+        }
+        let workers = options.workers.unwrap_or(1);
+        let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
+        let known = KnownPoint {
+            residuals: report.residuals.as_deref(),
+            jacobian: report.jacobian.as_deref(),
+            at_bound: found.at_bound.iter().map(|(index, _)| *index).collect(),
+            f_tol: relative_f_tol(&tolerances, report.fun),
+        };
+        let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
+        *stats += simulations.stats;
+        worth.inspect_err(|error| log::info!("what the fit is worth could not be found out: {error}")).ok()
     }
 
     /// The optimiser knows parameters by number, the user by name.
