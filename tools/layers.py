@@ -17,16 +17,19 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = {
     "calibration": """
         error layout parallel race
-        data no_cost parameter residual
+        data no_cost residual
+        parameter
         experiment
         warning
         problem
+        column_units
         evaluate identity
         solver
         calibration
         effect simulations spot_checks output_fit
         worth
         fit
+        stages
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -76,8 +79,9 @@ LAYERS = {
         error files values
         description inputs trajectory
         settings
-        experiment fit minimize model py_system
+        experiment fit minimize model py_system stages
         calibration optimizer solve
+        worth
     """,
 }
 

@@ -1,7 +1,7 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
-use crate::effect::{BoundSide, Findings, is_over};
+use crate::effect::{BoundSide, is_over};
 use crate::error::CalibrationError;
 use crate::output_fit::OutputFit;
 use crate::parameter::{Parameter, Scale};
@@ -38,6 +38,8 @@ pub struct FitOptions<'a> {
     pub run: RunOptions<AnyMethod>,
     /// Where to start; default: the parameters' start values.
     pub start: Option<Vec<f64>>,
+    /// Parameters, by number, that stay at the start as if they were fixed; default: none.
+    pub held: Vec<usize>,
     /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
     /// work.
     pub cutoffs: bool,
@@ -71,6 +73,7 @@ impl Default for FitOptions<'_> {
         Self {
             run: Self::default_run(),
             start: None,
+            held: Vec::new(),
             cutoffs: true,
             loss: RobustLoss::default(),
             worth: Some(WorthOptions::default()),
@@ -112,6 +115,10 @@ pub struct Fit {
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
+    /// RMS at the start, if the simulation did not fail there.
+    pub start_rms: Option<f64>,
+    /// The fit of each stage, see [`Calibration::fit_stages`]; empty if there were none.
+    pub stages: Vec<Fit>,
     /// Parameters that ended at a bound, by number: the best values may lie beyond.
     pub at_bound: Vec<(usize, BoundSide)>,
     /// Parameters that did not change the cost (by more than the relative tolerance of the simulations), by number: their
@@ -138,6 +145,13 @@ pub struct Fit {
     pub report: Report,
 }
 
+impl Fit {
+    /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the start.
+    pub fn scaled_rms(&self) -> Option<f64> {
+        self.start_rms.map(|start| self.rms / start)
+    }
+}
+
 impl fmt::Display for Fit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (name, value) in self.names.iter().zip(&self.x) {
@@ -153,14 +167,6 @@ impl fmt::Display for Fit {
             self.stats.seconds_in_model.get()
         )?;
         self.report.fmt(f)
-    }
-}
-
-/// The tolerance of the cost relative to this one.
-fn relative_f_tol(tolerances: &Tolerances, cost: f64) -> f64 {
-    match tolerances.measure {
-        Measure::Relative => tolerances.f_tol,
-        Measure::Absolute => tolerances.f_tol / cost,
     }
 }
 
@@ -215,15 +221,27 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        let FitOptions { run: mut described, start, cutoffs, loss, worth, mut observer, poll, cancel } =
+        let FitOptions { run: mut described, start, held, cutoffs, loss, worth, mut observer, poll, cancel } =
             options.into();
         let poll = RefCell::new(poll);
         described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
-        let bound = |side: fn(&Parameter) -> f64| self.parameters().iter().map(side).collect::<Vec<_>>();
+        if let Some(index) = held.iter().find(|&&i| i >= start.len()) {
+            let n = start.len();
+            return Err(CalibrationError::Setup(format!(
+                "parameter {index} is held, but there are only {n}"
+            )));
+        }
+        let bound = |side: fn(&Parameter) -> f64| {
+            let mut bounds: Vec<f64> = self.parameters().iter().map(side).collect();
+            held.iter().for_each(|&i| bounds[i] = start[i]);
+            bounds
+        };
         let transforms: Vec<Scale> = self.parameters().iter().map(Parameter::scale_kind).collect();
-        let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
+        let mut kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
+        // What is held can have any value, and does not choose the method.
+        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
         let sizes: Vec<Option<f64>> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.known_size(p, *x)).collect();
         if let Some(checkpoint) = &described.checkpoint {
@@ -279,7 +297,7 @@ impl Calibration {
                     || !(differs()
                         || self.costs_depend_on_history(&checks, took, CostRule::whole(loss, &cancelled)))
                 {
-                    let of_run = (start.as_slice(), &report);
+                    let of_run = (start.as_slice(), held.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {
                         break (report, found);
@@ -292,13 +310,16 @@ impl Calibration {
             described.known.iter_mut().for_each(|known| known.problem = None);
         };
         report.message += &self.remarks(&found);
-        let worth = worth.and_then(|options| {
-            let asked = WorthOptions { workers: options.workers.or(described.workers), loss, ..options };
-            self.worth_of_fit(&report, (&found, tolerances), &asked, (&cancelled, &mut stats))
+        let worth = worth.and_then(|mut options| {
+            options.workers = options.workers.or(described.workers);
+            options.held.extend(held.iter().chain(found.at_bound.iter().map(|(index, _)| index)));
+            self.worth_of_fit(
+                &mut report,
+                &tolerances,
+                WorthOptions { loss, ..options },
+                (&cancelled, &mut stats),
+            )
         });
-        if let Some(worth) = &worth {
-            report.message += &worth.remarks(relative_f_tol(&tolerances, report.fun));
-        }
         if n_beginnings > 1 {
             report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
         }
@@ -314,6 +335,8 @@ impl Calibration {
             cost: report.fun,
             rms: self.rms(report.fun),
             start_cost,
+            start_rms: start_cost.map(|cost| self.rms(cost)),
+            stages: Vec::new(),
             at_bound: found.at_bound,
             without_effect: found.without_effect,
             n_checks: found.n_checks,
@@ -324,12 +347,13 @@ impl Calibration {
         })
     }
 
-    /// What the result of a run is worth; `None` where it cannot be found out, or shall not.
-    fn worth_of_fit(
+    /// What the result of a run is worth, with what is to be said of it added to its message; `None` where it cannot be found out, or
+    /// shall not.
+    pub(crate) fn worth_of_fit(
         &self,
-        report: &Report,
-        (found, tolerances): (&Findings, Tolerances),
-        options: &WorthOptions,
+        report: &mut Report,
+        tolerances: &Tolerances,
+        options: WorthOptions,
         (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
     ) -> Option<Worth> {
         if !is_over(&report.termination) || cancelled() {
@@ -338,14 +362,27 @@ impl Calibration {
         let workers = options.workers.unwrap_or(1);
         let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
         let known = KnownPoint {
-            residuals: report.residuals.as_deref(),
+            // Those of a stage with a window of its own are others.
+            residuals: report.residuals.as_deref().filter(|r| r.len() == self.n_residuals()),
             jacobian: report.jacobian.as_deref(),
-            at_bound: found.at_bound.iter().map(|(index, _)| *index).collect(),
-            f_tol: relative_f_tol(&tolerances, report.fun),
+            held: options.held,
+            f_tol: match tolerances.measure {
+                Measure::Relative => tolerances.f_tol,
+                Measure::Absolute => tolerances.f_tol / report.fun,
+            },
         };
         let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
         *stats += simulations.stats;
-        worth.inspect_err(|error| log::info!("what the fit is worth could not be found out: {error}")).ok()
+        match worth {
+            Ok(worth) => {
+                report.message += &worth.remarks(known.f_tol);
+                Some(worth)
+            }
+            Err(error) => {
+                log::info!("what the fit is worth could not be found out: {error}");
+                None
+            }
+        }
     }
 
     /// The optimiser knows parameters by number, the user by name.

@@ -94,11 +94,6 @@ impl<'a> Simulations<'a> {
 }
 
 impl Calibration {
-    /// The relative tolerance of the simulations.
-    pub(crate) fn relative_tolerance(&self) -> f64 {
-        self.evaluator().simulations[0].pool.plan().relative_tolerance()
-    }
-
     /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance.
     fn evaluate_accurately(
         &self,

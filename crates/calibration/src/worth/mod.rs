@@ -34,6 +34,16 @@ pub enum Estimator {
     Pooled,
 }
 
+impl Estimator {
+    /// "sandwich" or "pooled".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sandwich => "sandwich",
+            Self::Pooled => "pooled",
+        }
+    }
+}
+
 impl fmt::Display for Estimator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -44,13 +54,16 @@ impl fmt::Display for Estimator {
 }
 
 /// How [`Calibration::worth`] is found out.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct WorthOptions {
     /// How the covariance is estimated.
     pub estimator: Estimator,
     /// Simulations that run at once; default: all cores, in a fit: as many as its evaluations. The result does not depend on it.
     pub workers: Option<usize>,
+    /// Parameters that are taken as known, by number, besides those that are fixed or lie at a bound: the standard errors of the others
+    /// are conditional then. In a fit: those that it [holds](crate::FitOptions::held), too.
+    pub held: Vec<usize>,
     /// What a residual counts; in a fit: as there. With a robust loss residuals and Jacobian are those of the residuals as they
     /// count.
     pub loss: RobustLoss,
@@ -85,7 +98,7 @@ pub struct Worth {
     pub residual_checks: Vec<ResidualCheck>,
     /// Number of residuals less that of the parameters that are not held.
     pub degrees_of_freedom: usize,
-    /// Parameters that are fixed, lie at a bound, or are no continuous numbers, by number: taken as known.
+    /// Parameters that are fixed, held, lie at a bound, or are no continuous numbers, by number: taken as known.
     pub held: Vec<usize>,
     /// Parameters that the data do not determine, by number.
     pub undetermined: Vec<usize>,
@@ -121,8 +134,8 @@ pub(crate) struct KnownPoint<'a> {
     /// Their derivatives in the user's units, m x n: where the differences begin. The derivatives of a search come from points as it
     /// happened to try them, so they never replace differences.
     pub(crate) jacobian: Option<&'a [f64]>,
-    /// Parameters that are known to lie at a bound.
-    pub(crate) at_bound: Vec<usize>,
+    /// Parameters that lie at a bound, or are held.
+    pub(crate) held: Vec<usize>,
     /// What differences of the cost count as none, relative to it.
     pub(crate) f_tol: f64,
 }
@@ -158,6 +171,16 @@ impl Worth {
         Ok(self.x.iter().zip(errors).zip(&self.is_log).map(interval).collect())
     }
 
+    /// What is to be said of the covariance: who is not determined, who is taken as known; empty if nothing is.
+    pub fn message(&self) -> String {
+        let mut said = self.undetermined_sentences();
+        if !self.held.is_empty() {
+            let names: Vec<&str> = self.held.iter().map(|i| self.names[*i].as_str()).collect();
+            said.push(format!("at a bound or fixed, taken as known: {}", names.join(", ")));
+        }
+        said.join("; ")
+    }
+
     /// What the message of a fit must not leave out: parameters that the data do not determine or cannot tell apart, a cost that
     /// depends on the accuracy of the simulations.
     pub(crate) fn remarks(&self, f_tol: f64) -> String {
@@ -165,6 +188,33 @@ impl Worth {
         let said =
             self.undetermined_sentences().into_iter().chain(pairs).chain(self.accuracy_sentence(f_tol));
         said.map(|sentence| format!("; {sentence}")).collect()
+    }
+}
+
+/// A line per parameter with its standard error, then the verdict.
+impl fmt::Display for Worth {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "standard errors: {}, {} degrees of freedom", self.estimator, self.degrees_of_freedom)?;
+        let width = self.names.iter().map(String::len).max().unwrap_or(0);
+        for (i, name) in self.names.iter().enumerate() {
+            let (x, error) = (self.x[i], self.standard_errors[i]);
+            write!(f, "{name:>width$}: {}", Number(x))?;
+            if self.held.contains(&i) {
+                f.write_str(", taken as known (fixed, held or at a bound)")?;
+            } else if error.is_infinite() {
+                f.write_str(", not determined")?;
+            } else {
+                write!(f, " +- {}", digits(error))?;
+                if x != 0.0 {
+                    write!(f, " ({} %)", digits(100.0 * error / x.abs()))?;
+                }
+                if let Some(corrected) = &self.corrected_errors {
+                    write!(f, ", +- {} with autocorrelated residuals", digits(corrected[i]))?;
+                }
+            }
+            f.write_str("\n")?;
+        }
+        self.verdict.iter().try_for_each(|said| writeln!(f, "- {said}"))
     }
 }
 
@@ -200,7 +250,13 @@ impl Calibration {
         self.check_length(x)?;
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let mut simulations = Simulations::new(self, (options.loss, workers), cancelled)?;
-        let known = KnownPoint { f_tol: 1e-4, ..KnownPoint::default() };
+        if let Some(index) = options.held.iter().find(|i| **i >= x.len()) {
+            let n = x.len();
+            return Err(CalibrationError::Setup(format!(
+                "parameter {index} is held, but there are only {n}"
+            )));
+        }
+        let known = KnownPoint { f_tol: 1e-4, held: options.held.clone(), ..KnownPoint::default() };
         self.worth_of(x, options.estimator, &known, &mut simulations)
     }
 
@@ -213,7 +269,7 @@ impl Calibration {
     ) -> Result<Worth, CalibrationError> {
         let parameters = self.parameters();
         let (n, before) = (x.len(), simulations.n);
-        let is_held = |i: usize| known.at_bound.contains(&i) || self.is_held(&parameters[i], x[i]);
+        let is_held = |i: usize| known.held.contains(&i) || self.is_held(&parameters[i], x[i]);
         let (held, free): (Vec<usize>, Vec<usize>) = (0..n).partition(|i| is_held(*i));
         let loss = simulations.loss;
         let mut points = vec![Point { x: x.to_vec(), is_accurate: true }];

@@ -41,7 +41,9 @@ from ._parameter import Parameter
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
+from ._stages import Stage
 from ._trajectory import SimulationResult
+from ._worth import ResidualCheck, Worth
 
 __all__ = [
     "Above",
@@ -69,11 +71,14 @@ __all__ = [
     "Progress",
     "PydfoError",
     "Raced",
+    "ResidualCheck",
     "SimulationError",
     "SimulationResult",
+    "Stage",
     "Trace",
     "UnknownVariableError",
     "Variable",
+    "Worth",
     "__version__",
     "build_fmu",
     "clear_caches",

@@ -6,13 +6,13 @@ import errno
 import logging
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options
+from . import _core, _options, _stages, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import Names, Settings, collected, path_of
 from ._files import OpenOptions
@@ -22,6 +22,8 @@ from ._keywords import also_called, argument_names, explained, given_once
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
+from ._stages import Stage
+from ._worth import Worth
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -348,6 +350,8 @@ class Calibration:
         checkpoint: str | os.PathLike[str] | None = None,
         resume: Literal["auto", "never", "require"] = "auto",
         search: Literal["local", "global"] = "local",
+        stages: Sequence[Stage | Sequence[str]] | None = None,
+        covariance: Literal["sandwich", "pooled"] | None = "sandwich",
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
@@ -400,6 +404,13 @@ class Calibration:
             With method "auto": the minimum next to the start, or the best within the bounds of the parameters, by least squares from
             several starts ("multistart"), which needs two finite bounds for every parameter; the minima found are the
             fit's ``optima``.
+        stages : list of Stage, or of lists of names, optional
+            ``[["C2", "G2"], ["C1", "G1"]]``: each stage frees these parameters, from where the last one left them, and holds the
+            others. Limits hold for all stages together, ``nfev`` and the trace are those of all; the fit has that of each stage in
+            ``stages``. A checkpoint has a file for each: ``fit.ckpt.stage1``, ``fit.ckpt.stage2`` and so on.
+        covariance : {"sandwich", "pooled"} or None
+            How the standard errors of the fit are estimated, see `worth`. Found out after the run, with simulations that do not
+            count in ``nfev``: at least two for each parameter and an accurate one, in parallel. None: not at all.
 
         Returns
         -------
@@ -433,23 +444,36 @@ class Calibration:
         count = _options.worker_count("workers", workers, None)
         if own.get("batch") == "workers":
             own["batch"] = count or _options.all_cores()
-        built = _options.build(
-            Calibration.fit,
-            method,
-            own,
-            len(self.names),
-            _options.Limits.check(
-                ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
-            ),
-            workers=count,
-            rng=rng,
-            checkpoint=checkpoint,
-            resume=resume,
-            bounds=self._bounds(),
-            search=search,
-            residuals=True,
-            parameter_kinds=[p.kind for p in self._parameters if not p.fixed],
+        limits = _options.Limits.check(
+            ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
         )
+
+        def build(method: str, own: Mapping[str, Any], limits: _options.Limits, free: Callable[[str], bool]) -> _options.Options:
+            return _options.build(
+                Calibration.fit,
+                method,
+                own,
+                len(self.names),
+                limits,
+                workers=count,
+                rng=rng,
+                checkpoint=checkpoint,
+                resume=resume,
+                bounds=self._bounds(),
+                search=search,
+                residuals=True,
+                parameter_kinds=[p.kind for p in self._parameters if not p.fixed and free(p.name)],
+            )
+
+        built = build(method, own, limits, lambda _: True)
+        of_stages = None
+        if stages is not None:
+            of_stages = _stages.built(
+                _stages.collected(stages),
+                method,
+                own,
+                lambda stage, method, own: build(method, own, stage.limits, lambda name: name in stage.parameters),
+            )
         counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
         begin = self._values(start)
         printer = Printer(self.names)
@@ -457,7 +481,7 @@ class Calibration:
         if callback is not None:
             listeners.append(listen(callback))
         try:
-            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted)
+            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages, covariance=covariance)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):
@@ -470,6 +494,40 @@ class Calibration:
         if disp:
             printer.end(fit.message, fit.x, fit.cost, fit.nit, fit.nfev, fit.solve_time)
         return fit
+
+    @explained
+    def worth(
+        self,
+        x: npt.ArrayLike | Mapping[str, float] | None = None,
+        covariance: Literal["sandwich", "pooled"] = "sandwich",
+        parameters: Sequence[str] | None = None,
+        workers: SupportsIndex | None = None,
+    ) -> Worth:
+        """What a point is worth as the result of a fit: standard errors, correlation, what the data cannot tell.
+
+        From central differences of the residuals over steps of about one standard error along the principal axes of the
+        covariance, and one simulation with a hundredth of the relative tolerance; all in parallel.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+        covariance : {"sandwich", "pooled"}
+            With one residual variance per output of the model, over all of its recordings:
+            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``; or with one for all: ``s**2 * inv(J.T @ J)``.
+        parameters : sequence of str, optional
+            Only these are free, the others are taken as known: the standard errors are conditional then.
+        workers : int, optional
+            Simulations that may run at once; None: all cores. The result does not depend on it.
+
+        Raises
+        ------
+        SimulationError
+            The simulation fails there, or on both sides of it.
+        ValueError, TypeError
+            Arguments that cannot be used.
+        """
+        return _worth.at(self, self._values(x), _options.choice("covariance", covariance), parameters, workers)
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the parameters; equal where one is fixed."""

@@ -15,10 +15,12 @@ from ._options import Options
 from ._parameter import Parameter
 from ._progress import Progress
 from ._result import OptimizeResult
+from ._stages import BuiltStage
 from .ode import OdeResult, _Problem
 
 __all__ = [
     "Calibration",
+    "Fit",
     "Fmu",
     "Model",
     "Optimizer",
@@ -37,6 +39,9 @@ __all__ = [
     "option_names",
     "quad_err",
     "solve",
+    "Worth",
+    "worth_at",
+    "worth_of_fit",
 ]
 
 __version__: str
@@ -123,10 +128,25 @@ class Calibration:
         start: list[float] | None = None,
         observer: Callable[[Progress], Any] | None = None,
         loss: tuple[str, float] | None = None,
+        stages: list[BuiltStage] | None = None,
+        covariance: str | None = None,
     ) -> OptimizeResult: ...
 @final
-class Fit: ...
+class Fit:
+    @property
+    def start(self) -> list[float]: ...
 
+@final
+class Worth:
+    def fields(self) -> dict[str, Any]: ...
+    def intervals(self, level: float, corrected: bool) -> npt.NDArray[np.float64]: ...
+    def message(self) -> str: ...
+    def text(self) -> str: ...
+
+def worth_of_fit(fit: Fit) -> Worth | None: ...
+def worth_at(
+    calibration: Calibration, x: Sequence[float], covariance: str, held: Sequence[int], workers: int | None
+) -> Worth: ...
 def build_fmu(folder: str | os.PathLike[str], out: str | os.PathLike[str]) -> None: ...
 def example_fmu(name: str, version: str, kind: str) -> Path: ...
 def dtypes() -> dict[str, str]: ...
