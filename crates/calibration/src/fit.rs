@@ -312,13 +312,10 @@ impl Calibration {
         report.message += &self.remarks(&found);
         let worth = worth.and_then(|mut options| {
             options.workers = options.workers.or(described.workers);
-            options.held.extend(held.iter().chain(found.at_bound.iter().map(|(index, _)| index)));
-            self.worth_of_fit(
-                &mut report,
-                &tolerances,
-                WorthOptions { loss, ..options },
-                (&cancelled, &mut stats),
-            )
+            options.held.extend(&held);
+            let asked = WorthOptions { loss, ..options };
+            let found = (&found.at_bound[..], &found.without_effect[..]);
+            self.worth_of_fit((&mut report, found), &tolerances, asked, (&cancelled, &mut stats))
         });
         if n_beginnings > 1 {
             report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
@@ -351,9 +348,9 @@ impl Calibration {
     /// shall not.
     pub(crate) fn worth_of_fit(
         &self,
-        report: &mut Report,
+        (report, (at_bound, inert)): (&mut Report, (&[(usize, BoundSide)], &[usize])),
         tolerances: &Tolerances,
-        options: WorthOptions,
+        mut options: WorthOptions,
         (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
     ) -> Option<Worth> {
         if !is_over(&report.termination) || cancelled() {
@@ -361,11 +358,13 @@ impl Calibration {
         }
         let workers = options.workers.unwrap_or(1);
         let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
+        options.held.extend(at_bound.iter().map(|(index, _)| index).filter(|index| !inert.contains(index)));
         let known = KnownPoint {
             // Those of a stage with a window of its own are others.
             residuals: report.residuals.as_deref().filter(|r| r.len() == self.n_residuals()),
             jacobian: report.jacobian.as_deref(),
             held: options.held,
+            inert,
             f_tol: match tolerances.measure {
                 Measure::Relative => tolerances.f_tol,
                 Measure::Absolute => tolerances.f_tol / report.fun,

@@ -65,6 +65,9 @@ impl<'a> Simulations<'a> {
     /// # Errors
     /// [`CalibrationError::Cancelled`]; no simulation can be made any more.
     pub(crate) fn residuals(&mut self, points: &[Point]) -> Result<Vec<Found>, CalibrationError> {
+        if (self.cancelled)() {
+            return Err(CalibrationError::Cancelled);
+        }
         let (calibration, loss) = (self.calibration, self.loss);
         let task = |k: usize, cancelled: &dyn Fn() -> bool| {
             let mut residuals = vec![0.0; calibration.n_residuals()];
