@@ -16,9 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error prior race
-        data layout no_cost
-        parameter
+        error parallel prior race
+        data layout no_cost parameter
         input
         experiment
         measurements names
@@ -30,7 +29,8 @@ LAYERS = {
         evaluate
         solver
         calibration
-        effect spot_checks output_fit worth
+        effect simulations spot_checks output_fit
+        worth
         fit
         stages
         report
@@ -85,6 +85,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system stages
         calibration optimizer solve
+        worth
     """,
 }
 
