@@ -129,7 +129,8 @@ impl Callback {
     pub(crate) fn value(&self, time: f64, position: usize) -> f64 {
         let mut last = lock(&self.last);
         if last.as_ref().is_none_or(|(known, _)| known.to_bits() != time.to_bits()) {
-            *last = Some((time, self.call(time)));
+            // After an exception there is nothing to remember.
+            *last = Some((time, self.call(time))).filter(|(_, values)| !values.is_empty());
         }
         last.as_ref().and_then(|(_, values)| values.get(position)).copied().unwrap_or(f64::NAN)
     }
