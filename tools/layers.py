@@ -26,6 +26,7 @@ LAYERS = {
         calibration
         effect spot_checks output_fit worth
         fit
+        export
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -77,6 +78,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system
         calibration optimizer solve
+        share
     """,
 }
 

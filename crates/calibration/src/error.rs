@@ -42,6 +42,14 @@ pub enum CalibrationError {
         /// What is wrong.
         source: Box<CalibrationError>,
     },
+    /// A file that should hold a fit, and does not, or not one of this version.
+    #[error("{name}: {message}")]
+    SavedFit {
+        /// The file.
+        name: String,
+        /// What is wrong with it.
+        message: String,
+    },
     /// The model of a stored problem is another one now.
     #[error("the FMU {} has changed: the problem was made with content {expected}, now it is {found}", path.display())]
     OtherModel {

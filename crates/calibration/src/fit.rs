@@ -15,6 +15,7 @@ use dfo::{
 };
 use ode::Number;
 use ode::Stats;
+use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -91,7 +92,7 @@ impl fmt::Debug for FitOptions<'_> {
 }
 
 /// The result of a fit. `Display` prints a summary.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Fit {
     /// Fitted values, one per parameter, user's order and units; fixed ones included.

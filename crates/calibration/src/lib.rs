@@ -7,7 +7,7 @@
 //!
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `residual` (measured against simulated), `evaluate`
 //! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
-//! (checks after a fit), `fit`.
+//! (checks after a fit), `fit`; `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
 mod calibration;
@@ -16,6 +16,7 @@ mod effect;
 mod error;
 mod evaluate;
 mod experiment;
+mod export;
 mod fit;
 mod identity;
 mod no_cost;
@@ -36,6 +37,7 @@ pub use dfo::Kind;
 pub use effect::BoundSide;
 pub use error::CalibrationError;
 pub use experiment::{Experiment, SimulationSettings};
+pub use export::SavedFit;
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use output_fit::OutputFit;

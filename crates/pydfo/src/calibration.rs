@@ -4,9 +4,8 @@ use crate::description::Fmu;
 use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields};
 use crate::fit::PyFit;
 use crate::interrupt::{Watch, fits_here};
-use crate::report::{self, LastProgress, Listener, ResultKind};
+use crate::report::{self, LastProgress, Listener};
 use crate::settings::{self, LossFields, Options, Settings};
-use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
 use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
 use dfo::{Progress, Termination};
@@ -14,7 +13,7 @@ use fmi::OpenOptions;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::{IntoPyDict, PyBytes, PyDict};
+use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -23,12 +22,16 @@ use std::time::{Duration, Instant};
 /// A calibration; `pydfo.Calibration` is its Python class.
 #[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
 pub(crate) struct PyCalibration {
-    inner: Arc<calibration::Calibration>,
+    pub(crate) inner: Arc<calibration::Calibration>,
     /// How long the last evaluation took, in ns; 0: there was none.
     last: Arc<AtomicU64>,
 }
 
 impl PyCalibration {
+    pub(crate) fn of(inner: Arc<calibration::Calibration>) -> Self {
+        Self { inner, last: Arc::default() }
+    }
+
     /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C ends it at
     /// the next step.
     fn compute<T: Send + 'static>(
@@ -124,7 +127,7 @@ impl PyCalibration {
         });
         logs::pass_on(py)?;
         let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self { inner: Arc::new(inner), last: Arc::default() })
+        Ok(Self::of(Arc::new(inner)))
     }
 
     /// The problem and the solver, if it is known: what a pickle holds.
@@ -154,7 +157,7 @@ impl PyCalibration {
         });
         logs::pass_on(py)?;
         let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self { inner: Arc::new(inner), last: Arc::default() })
+        Ok(Self::of(Arc::new(inner)))
     }
 
     /// Names of the entries of `x`.
@@ -305,23 +308,7 @@ impl PyCalibration {
                     raised = Some(fmu_error::unusable(reason));
                 }
                 report::set_raised(&mut fit.report, raised.as_ref());
-                let result = report::to_python(py, &fit.report, ResultKind::Cost)?;
-                result.setattr("stats", Counts::new(&fit.stats))?;
-                let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
-                result.setattr("at_bound", at_bound.into_py_dict(py)?)?;
-                let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
-                result.setattr("without_effect", inert)?;
-                result.setattr("start_cost", fit.start_cost)?;
-                if let Some(covariance) = fit.report.covariance() {
-                    result.setattr("cov_message", covariance.message(|index| fit.names[index].clone()))?;
-                }
-                result.setattr("n_checks", fit.n_checks)?;
-                result.setattr("n_beginnings", fit.n_beginnings)?;
-                result.setattr(
-                    "_native",
-                    PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) },
-                )?;
-                Some(result)
+                Some(PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) }.to_python(py)?)
             }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
             Err(_) => None,
