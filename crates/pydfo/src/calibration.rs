@@ -308,7 +308,7 @@ impl PyCalibration {
                     raised = Some(fmu_error::unusable(reason));
                 }
                 report::set_raised(&mut fit.report, raised.as_ref());
-                Some(PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) }.to_python(py)?)
+                Some(PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) }.into_python(py)?)
             }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
             Err(_) => None,

@@ -15,7 +15,7 @@ pub(crate) struct PyFit {
 
 impl PyFit {
     /// The `pydfo.OptimizeResult` with what a fit has beyond that, which `pydfo.Fit` is made of; this is its `_native`.
-    pub(crate) fn to_python(self, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    pub(crate) fn into_python(self, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
         let fit = &*self.inner;
         let result = report::to_python(py, &fit.report, ResultKind::Cost)?;
         result.setattr("stats", Counts::new(&fit.stats))?;

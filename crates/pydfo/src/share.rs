@@ -52,7 +52,7 @@ pub(crate) fn load_fit<'py>(
     logs::pass_on(py)?;
     let calibration = Arc::new(made.map_err(|e| error::calibration(py, &e))?);
     let fit = PyFit { inner: Arc::new(saved.fit), calibration: Arc::clone(&calibration) };
-    Ok((PyCalibration::of(calibration), fit.to_python(py)?))
+    Ok((PyCalibration::of(calibration), fit.into_python(py)?))
 }
 
 /// Where a fit started.

@@ -19,6 +19,7 @@ from .ode import OdeResult, _Problem
 
 __all__ = [
     "Calibration",
+    "Fit",
     "Fmu",
     "Model",
     "Optimizer",
