@@ -16,17 +16,20 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error race
-        data no_cost parameter residual
+        error layout race
+        data no_cost residual
+        parameter
         experiment
         warning
         problem
+        column_units
         evaluate identity
         solver
         calibration
         effect spot_checks output_fit worth
         fit
-        export
+        stages
+        report export
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -76,7 +79,7 @@ LAYERS = {
         error files values
         description inputs trajectory
         settings
-        experiment fit minimize model py_system
+        experiment fit minimize model py_system stages
         calibration optimizer solve
         share
     """,

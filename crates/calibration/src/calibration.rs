@@ -4,6 +4,7 @@ use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
 use crate::experiment::{Experiment, SimulationSettings};
 use crate::identity::{hash, identity};
+use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{ModelFile, Problem};
@@ -116,6 +117,29 @@ impl Calibration {
         Ok(Self { evaluator, choice: Choice::default(), identity })
     }
 
+    /// A calibration of another problem with the same model, with the solver of this one if it is known. Warnings of the problem
+    /// are not logged again.
+    pub(crate) fn derived(&self, problem: Problem) -> Result<Self, CalibrationError> {
+        let evaluator = Evaluator::new(self.fmu().clone(), problem)?;
+        let identity = identity(&evaluator.problem, &evaluator.parameters);
+        let derived = Self { evaluator, choice: Choice::default(), identity };
+        self.known_solver().map_or(Ok(()), |solver| derived.set_solver(solver.clone()))?;
+        Ok(derived)
+    }
+
+    /// The same with other windows in all experiments.
+    pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
+        let [window] = *windows else {
+            return Err(CalibrationError::Setup(format!(
+                "{} windows are given, one is needed",
+                windows.len()
+            )));
+        };
+        let mut problem = self.problem().clone();
+        problem.experiments.iter_mut().for_each(|experiment| experiment.window = Some(window));
+        self.derived(problem)
+    }
+
     pub(crate) fn evaluator(&self) -> &Evaluator {
         &self.evaluator
     }
@@ -147,9 +171,19 @@ impl Calibration {
         self.evaluator.n_residuals
     }
 
+    /// What each entry of the residual vector stands for, with what was measured, when, and its weight.
+    pub fn residual_layout(&self) -> &ResidualLayout {
+        &self.evaluator.layout
+    }
+
+    /// How many measurements count: the length of the residual vector without the priors at its end.
+    pub fn n_measurements(&self) -> usize {
+        self.evaluator.layout.n_measurements()
+    }
+
     /// The root of the mean squared weighted residual that a cost stands for.
     pub fn rms(&self, cost: f64) -> f64 {
-        (cost / self.n_residuals() as f64).sqrt()
+        (cost / self.n_measurements() as f64).sqrt()
     }
 
     /// Start values of all parameters.

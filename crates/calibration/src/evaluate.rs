@@ -1,7 +1,9 @@
 //! A problem with its model loaded: residuals and cost at any point.
 
+use crate::column_units::convert_columns;
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
+use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{Element, Problem};
@@ -22,6 +24,7 @@ pub(crate) struct Evaluator {
     pub(crate) parameters: Vec<Parameter>,
     pub(crate) simulations: Vec<Simulation>,
     pub(crate) n_residuals: usize,
+    pub(crate) layout: ResidualLayout,
     pub(crate) warnings: Vec<SetupWarning>,
 }
 
@@ -41,8 +44,9 @@ pub(crate) struct Simulation {
 
 impl Evaluator {
     /// Looks everything up and checks it; loads the model, but simulates nothing yet.
-    pub(crate) fn new(fmu: Fmu, problem: Problem) -> Result<Self, CalibrationError> {
+    pub(crate) fn new(fmu: Fmu, mut problem: Problem) -> Result<Self, CalibrationError> {
         let mut warnings = problem.check(fmu.description())?;
+        warnings.extend(convert_columns(&mut problem, fmu.description())?);
         let elements = problem.elements()?;
         let simulations = (problem.experiments.iter().zip(problem.experiment_names()).enumerate())
             .map(|(k, (experiment, name))| {
@@ -58,9 +62,10 @@ impl Evaluator {
                 Ok(simulation)
             })
             .collect::<Result<Vec<_>, CalibrationError>>()?;
-        let n_residuals = simulations.iter().map(|s| s.comparison.n_residuals()).sum();
+        let layout = layout(&problem, &simulations);
+        let n_residuals = layout.n_residuals();
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
-        Ok(Self { fmu, problem, parameters, simulations, n_residuals, warnings })
+        Ok(Self { fmu, problem, parameters, simulations, n_residuals, layout, warnings })
     }
 
     /// Start values of all entries of `x`.
@@ -191,6 +196,22 @@ impl Simulation {
             Some(elements) => elements.iter().map(|&i| x[i]).collect(),
         }
     }
+}
+
+/// What the residual vector is made of.
+fn layout(problem: &Problem, simulations: &[Simulation]) -> ResidualLayout {
+    let mut layout = ResidualLayout::default();
+    for (k, (experiment, simulation)) in problem.experiments.iter().zip(simulations).enumerate() {
+        let times = simulation.options.times.as_deref().unwrap_or_default();
+        let of_experiment = simulation.comparison.layout((layout.n_measurements(), times));
+        for (mut residuals, measured) in of_experiment.into_iter().zip(&experiment.outputs) {
+            residuals.experiment = k;
+            residuals.variable = measured.variable.clone();
+            residuals.column = measured.column.clone();
+            layout.outputs.push(residuals);
+        }
+    }
+    layout
 }
 
 /// Where the simulation of an experiment starts; refuses one after the first measurement.

@@ -3,7 +3,7 @@
 use crate::calibration::Calibration;
 use crate::effect::BoundSide;
 use crate::error::CalibrationError;
-use crate::output_fit::OutputFit;
+use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
 use crate::solver::Solver;
@@ -11,10 +11,9 @@ use crate::spot_checks::SpotChecks;
 use crate::worth::Worth;
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
-    RunOptions, Search, Stop, Tolerances,
+    RunOptions, Search, Stop, Tolerances, Want,
 };
-use ode::Number;
-use ode::Stats;
+use ode::{Number, Stats};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::fmt;
@@ -38,6 +37,8 @@ pub struct FitOptions<'a> {
     pub run: RunOptions<AnyMethod>,
     /// Where to start; default: the parameters' start values.
     pub start: Option<Vec<f64>>,
+    /// Parameters, by number, that stay at the start as if they were fixed; default: none.
+    pub held: Vec<usize>,
     /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
     /// work.
     pub cutoffs: bool,
@@ -67,6 +68,7 @@ impl Default for FitOptions<'_> {
         Self {
             run: Self::default_run(),
             start: None,
+            held: Vec::new(),
             cutoffs: true,
             loss: RobustLoss::default(),
             observer: None,
@@ -101,12 +103,24 @@ pub struct Fit {
     pub names: Vec<String>,
     /// Where the fit started.
     pub start: Vec<f64>,
+    /// Units of the parameters, where they are known, in the same order.
+    pub units: Vec<Option<String>>,
+    /// Lower and upper bounds of the parameters, in the same order; both the same where one is fixed.
+    pub bounds: Vec<(f64, f64)>,
+    /// Name of the model.
+    pub model: String,
+    /// How many measurements count.
+    pub n_measurements: usize,
     /// Cost there: the sum of the squared weighted residuals; with a loss, of what they count.
     pub cost: f64,
     /// Root of the mean squared weighted residual there; with a loss, of what they count.
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
+    /// RMS at the start, if the simulation did not fail there.
+    pub start_rms: Option<f64>,
+    /// The fit of each stage, see [`Calibration::fit_stages`]; empty if there were none.
+    pub stages: Vec<Fit>,
     /// Parameters that ended at a bound, by number: the best values may lie beyond.
     pub at_bound: Vec<(usize, BoundSide)>,
     /// Parameters that did not change the cost (by more than the relative tolerance of the simulations), by number: their
@@ -133,21 +147,10 @@ pub struct Fit {
     pub report: Report,
 }
 
-impl fmt::Display for Fit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (name, value) in self.names.iter().zip(&self.x) {
-            writeln!(f, "{name} = {}", Number(*value))?;
-        }
-        writeln!(f, "cost {}, RMS {}", Number(self.cost), Number(self.rms))?;
-        writeln!(
-            f,
-            "{} right-hand sides, solver {}; {:.3} s in simulations, {:.3} s of them inside the model",
-            self.stats.right_hand_sides,
-            self.solver.method.name(),
-            self.stats.seconds.get(),
-            self.stats.seconds_in_model.get()
-        )?;
-        self.report.fmt(f)
+impl Fit {
+    /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the start.
+    pub fn scaled_rms(&self) -> Option<f64> {
+        self.start_rms.map(|start| self.rms / start)
     }
 }
 
@@ -156,7 +159,8 @@ struct Counted<'a> {
     calibration: &'a Calibration,
     cutoffs: bool,
     loss: RobustLoss,
-    stats: Mutex<(Stats, SpotChecks)>,
+    start: &'a [f64],
+    stats: Mutex<(Stats, SpotChecks, KeptResiduals)>,
     /// Findings before the run.
     n_findings: u64,
 }
@@ -167,13 +171,20 @@ impl Objective for Counted<'_> {
         if !self.cutoffs {
             query.cutoff = f64::INFINITY;
         }
+        let wanted = std::mem::replace(&mut query.want, Want::Residuals);
         let mut stats = Stats::default();
         self.calibration.evaluate_counted(x, (&query, self.loss), answer, &mut stats);
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
         let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
         known.0 += stats;
         known.1.note(x, answer.outcome.value());
+        if let Some(cost) = answer.outcome.value() {
+            known.2.note((x, self.start), cost, &answer.residuals);
+        }
         drop(known);
+        if wanted == Want::Cost {
+            answer.residuals.clear();
+        }
         if self.calibration.n_history_findings() > self.n_findings {
             answer.outcome = Outcome::Abort(HISTORY.to_owned());
         }
@@ -202,15 +213,27 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        let FitOptions { run: mut described, start, cutoffs, loss, mut observer, poll, cancel } =
+        let FitOptions { run: mut described, start, held, cutoffs, loss, mut observer, poll, cancel } =
             options.into();
         let poll = RefCell::new(poll);
         described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
-        let bound = |side: fn(&Parameter) -> f64| self.parameters().iter().map(side).collect::<Vec<_>>();
+        if let Some(index) = held.iter().find(|&&i| i >= start.len()) {
+            let n = start.len();
+            return Err(CalibrationError::Setup(format!(
+                "parameter {index} is held, but there are only {n}"
+            )));
+        }
+        let bound = |side: fn(&Parameter) -> f64| {
+            let mut bounds: Vec<f64> = self.parameters().iter().map(side).collect();
+            held.iter().for_each(|&i| bounds[i] = start[i]);
+            bounds
+        };
         let transforms: Vec<Scale> = self.parameters().iter().map(Parameter::scale_kind).collect();
-        let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
+        let mut kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
+        // What is held can have any value, and does not choose the method.
+        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
         let sizes: Vec<Option<f64>> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.known_size(p, *x)).collect();
         if let Some(checkpoint) = &described.checkpoint {
@@ -230,10 +253,17 @@ impl Calibration {
         described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
         let tolerances = described.tolerances;
         let (mut stats, mut n_beginnings) = (Stats::default(), 0);
-        let (mut report, found) = loop {
+        let (mut report, found, residuals) = loop {
             n_beginnings += 1;
             let n_findings = self.n_history_findings();
-            let counted = Counted { calibration: self, cutoffs, loss, stats: Mutex::default(), n_findings };
+            let counted = Counted {
+                calibration: self,
+                cutoffs,
+                loss,
+                start: &start,
+                stats: Mutex::default(),
+                n_findings,
+            };
             let left = late.map(|late| late.saturating_duration_since(Instant::now()));
             described.limits.max_time = left.or(max_time);
             let mut run = dfo::minimize(ByRef(&counted))
@@ -256,7 +286,7 @@ impl Calibration {
             let began = Instant::now();
             let outcome = run.run();
             let took = began.elapsed();
-            let (taken, checks) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+            let (taken, checks, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
             stats += taken;
             let is_sound = || self.n_history_findings() == n_findings;
             if is_sound() || cancelled() {
@@ -266,10 +296,10 @@ impl Calibration {
                     || !(differs()
                         || self.costs_depend_on_history(&checks, took, CostRule::whole(loss, &cancelled)))
                 {
-                    let of_run = (start.as_slice(), &report);
+                    let of_run = (start.as_slice(), held.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {
-                        break (report, found);
+                        break (report, found, residuals);
                     }
                 }
             }
@@ -284,16 +314,25 @@ impl Calibration {
         }
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
+        let outputs = self.output_fits((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
+        let description = self.fmu().description();
+        let unit = |p: &Parameter| description.variable(p.variable()).and_then(|v| v.unit.clone());
         Ok(Fit {
+            units: self.parameters().iter().map(unit).collect(),
+            bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
+            model: description.model_name.clone(),
+            n_measurements: self.n_measurements(),
             x: report.x.clone(),
             names,
             start,
-            outputs: Vec::new(),
+            outputs,
             worth: None,
             cost: report.fun,
             rms: self.rms(report.fun),
             start_cost,
+            start_rms: start_cost.map(|cost| self.rms(cost)),
+            stages: Vec::new(),
             at_bound: found.at_bound,
             without_effect: found.without_effect,
             n_checks: found.n_checks,

@@ -24,6 +24,7 @@ mod report;
 mod settings;
 mod share;
 mod solve;
+mod stages;
 mod threads;
 mod trajectory;
 mod values;
@@ -58,7 +59,7 @@ mod core_module {
     #[pymodule_export]
     use super::quad_err::quad_err;
     #[pymodule_export]
-    use super::share::{fit_start, fit_to_bytes, load_fit, parameters_of, save_fit};
+    use super::share::{fit_to_bytes, load_fit, parameters_of, save_fit};
     #[pymodule_export]
     use super::solve::solve;
     #[pymodule_export]

@@ -50,15 +50,9 @@ pub(crate) fn load_fit<'py>(
         (None, None) => saved.calibration(),
     });
     logs::pass_on(py)?;
-    let calibration = Arc::new(made.map_err(|e| error::calibration(py, &e))?);
-    let fit = PyFit { inner: Arc::new(saved.fit), calibration: Arc::clone(&calibration) };
-    Ok((PyCalibration::of(calibration), fit.into_python(py)?))
-}
-
-/// Where a fit started.
-#[pyfunction]
-pub(crate) fn fit_start(fit: &PyFit) -> Vec<f64> {
-    fit.inner.start.clone()
+    let calibration = PyCalibration::of(Arc::new(made.map_err(|e| error::calibration(py, &e))?));
+    let result = calibration.result(py, saved.fit)?;
+    Ok((calibration, result))
 }
 
 /// The place of the model of a calibration, and the arguments of the `pydfo.Parameter` of each of its parameters.

@@ -179,7 +179,7 @@ impl SavedFit {
 /// Whether the lengths of the parts of a fit fit together.
 fn is_sound(fit: &Fit) -> bool {
     let n = fit.x.len();
-    let Fit { names, start, report, at_bound, without_effect, worth, .. } = fit;
+    let Fit { names, start, report, at_bound, without_effect, worth, stages, .. } = fit;
     let of_worth = |worth: &Worth| {
         let Worth { covariance, correlation, standard_errors, corrected_errors, jacobian, residuals, .. } =
             worth;
@@ -194,6 +194,7 @@ fn is_sound(fit: &Fit) -> bool {
         && report.is_sound()
         && at_bound.iter().map(|(index, _)| index).chain(without_effect).all(|index| *index < n)
         && worth.as_ref().is_none_or(of_worth)
+        && stages.iter().all(is_sound)
 }
 
 fn document_of(saved: &SavedFit) -> Result<Document, String> {

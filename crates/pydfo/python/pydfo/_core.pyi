@@ -15,6 +15,7 @@ from ._options import Options
 from ._parameter import Parameter
 from ._progress import Progress
 from ._result import OptimizeResult
+from ._stages import BuiltStage
 from .ode import OdeResult, _Problem
 
 __all__ = [
@@ -32,7 +33,6 @@ __all__ = [
     "example_fmu",
     "example_names",
     "find_time",
-    "fit_start",
     "fit_to_bytes",
     "load_fit",
     "parameters_of",
@@ -129,14 +129,16 @@ class Calibration:
         start: list[float] | None = None,
         observer: Callable[[Progress], Any] | None = None,
         loss: tuple[str, float] | None = None,
+        stages: list[BuiltStage] | None = None,
     ) -> OptimizeResult: ...
 @final
-class Fit: ...
+class Fit:
+    @property
+    def start(self) -> list[float]: ...
 
 def save_fit(fit: Fit, path: str) -> None: ...
 def fit_to_bytes(fit: Fit) -> bytes: ...
 def load_fit(path: str, content: bytes | None = None, model: Fmu | None = None) -> tuple[Calibration, OptimizeResult]: ...
-def fit_start(fit: Fit) -> list[float]: ...
 def parameters_of(calibration: Calibration) -> tuple[Path, list[dict[str, Any]]]: ...
 
 def build_fmu(folder: str | os.PathLike[str], out: str | os.PathLike[str]) -> None: ...

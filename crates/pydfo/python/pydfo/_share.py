@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from . import _core
 from ._experiment import path_of
 from ._parameter import Parameter
@@ -55,7 +53,6 @@ def load_fit(path: PathLike, model: Any = None) -> Fit:
 
 def _loaded(path: str, content: bytes | None, model: Any, opened: OpenOptions | None) -> Fit:
     from ._calibration import Calibration
-    from ._fit import Fit
 
     fmu = None
     if model is not None:
@@ -68,8 +65,7 @@ def _loaded(path: str, content: bytes | None, model: Any, opened: OpenOptions | 
     calibration._model = os.fspath(place)
     calibration._opened = opened
     calibration._native = native
-    start = np.array(_core.fit_start(vars(result)["_native"]), dtype=np.float64)
-    return Fit(calibration, result, start, native.known_solver())
+    return calibration._fit(result, vars(result)["_native"].start)
 
 
 def pickled(fit: Fit) -> tuple[Any, ...]:
