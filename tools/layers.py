@@ -32,7 +32,7 @@ LAYERS = {
         worth
         fit
         stages
-        report
+        report export
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -84,7 +84,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system stages
         calibration optimizer solve
-        worth
+        share worth
     """,
 }
 
