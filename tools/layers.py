@@ -77,7 +77,7 @@ LAYERS = {
         description inputs trajectory
         settings
         experiment fit minimize model py_system
-        calibration optimizer solve
+        calibration fit_report optimizer solve
     """,
 }
 

@@ -231,7 +231,7 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     if !report.loss.is_linear() {
         facts.push(("loss", report.loss.to_string()));
     }
-    facts.push(("errors", errors(fit)));
+    facts.push(("standard errors", errors(fit)));
     let counts = [(report.n_failed, "failed"), (report.n_speculative, "speculative")];
     let counts: String =
         counts.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!(", {n} {what}")).collect();

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import os
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from . import _core
+from ._errors import CalibrationError
 from ._result import OptimizeResult
 from ._trajectory import SimulationStats
 
@@ -18,8 +21,31 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 
 
+class OutputFit(NamedTuple):
+    """How well a fit reproduces one output of one experiment."""
+
+    experiment: str
+    """The experiment."""
+    variable: str
+    """The variable of the model."""
+    column: str
+    """The column that measured it."""
+    unit: str | None
+    """The unit of the variable, where the model states it."""
+    n: int
+    """How many measurements count."""
+    rms: float
+    """Root of the mean squared difference between simulation and measurement, without weights, in the unit of the variable."""
+    start_rms: float | None
+    """The same at the start; None if the simulation failed there."""
+    fit_percent: float
+    """Fit percentage: ``100 (1 - norm(simulated - measured) / norm(measured - mean))``; NaN where the measurements do not vary."""
+
+
 class Fit(OptimizeResult):
     """The result of a fit: all that an `OptimizeResult` has, with names and in terms of the measurements.
+
+    ``print(fit)`` shows it as a table, a notebook as a better one, and `report` writes a page.
 
     Attributes
     ----------
@@ -52,6 +78,8 @@ class Fit(OptimizeResult):
     n_beginnings : int
         How often the fit was begun: more than once where its simulations were found to depend on earlier ones, by a state that
         the model keeps and no variable shows; ``model.description.quirks`` says so, too. ``nfev`` counts from the last beginning.
+    outputs : list of OutputFit
+        How well each output is reproduced: RMS at the end and at the start, fit percentage. (Empty: interrupted twice.)
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
@@ -68,10 +96,12 @@ class Fit(OptimizeResult):
             self.without_effect: list[str] = []
             self.n_checks = 0
             self.n_beginnings = 1
+        self._native: _core.Fit | None = vars(self).get("_native")
         self._calibration = calibration
         self.start = start
         self.solver = solver
         self.race = calibration.race
+        self.outputs = [] if self._native is None else [OutputFit(*output) for output in _core.fit_outputs(self._native)]
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -138,21 +168,36 @@ class Fit(OptimizeResult):
             return getattr(self, key)
         return super().__getitem__(key)
 
-    def __repr__(self) -> str:
-        width = max(10, *(len(name) for name in self._calibration.names))
-        lines = [f"{name:>{width}}: {value:.8g}" for name, value in self.parameters.items()]
-        lines.append(f"{'cost':>{width}}: {self.cost:.8g}" + self._was(self.start_cost))
-        lines.append(f"{'rms':>{width}}: {self.rms:.8g}" + self._was(self.start_rms))
-        for line in super().__repr__().splitlines():
-            name, _, text = line.partition(": ")
-            if name.strip() not in ("fun", "x"):
-                lines.append(f"{name.strip():>{width}}: {text}")
-        if self.stats is not None:
-            seconds, in_model = self.stats.seconds, self.stats.seconds_in_model
-            work = f"{self.stats.right_hand_sides} right-hand sides, {seconds:.3g} s, {in_model:.3g} s of them inside the model"
-            lines.append(f"{'simulated':>{width}}: {work}")
-        return "\n".join(lines)
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Writes a report: one HTML page that needs no network, with parameters and their intervals, outputs, figures, settings,
+        versions, and hashes of model and data.
 
-    @staticmethod
-    def _was(value: float | None) -> str:
-        return "" if value is None else f" ({value:.8g} at the start)"
+        Each experiment is simulated at the start and at the fitted values. An existing file is replaced once the new one is
+        whole.
+
+        Parameters
+        ----------
+        path : path
+            The file, ``"fit.html"``.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+        SimulationError
+            A simulation fails that did not in the fit.
+        """
+        _core.fit_report(self._of_run("report"), path)
+
+    def _of_run(self, what: str) -> _core.Fit:
+        """The native fit."""
+        if self._native is None:
+            raise CalibrationError(f"{what}: the fit was interrupted twice, and has nothing but its last iteration")
+        return self._native
+
+    def __repr__(self) -> str:
+        return super().__repr__() if self._native is None else _core.fit_text(self._native)
+
+    def _repr_html_(self) -> str | None:
+        """The same for notebooks."""
+        return None if self._native is None else _core.fit_html(self._native)
