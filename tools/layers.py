@@ -17,15 +17,18 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = {
     "calibration": """
         error layout race
-        data no_cost parameter residual
+        data no_cost residual
+        parameter
         experiment
         warning
         problem
+        column_units
         evaluate identity
         solver
         calibration
         effect spot_checks output_fit worth
         fit
+        stages
         report
     """,
     "dfo": """
@@ -76,7 +79,7 @@ LAYERS = {
         error files values
         description inputs trajectory
         settings
-        experiment fit minimize model py_system
+        experiment fit minimize model py_system stages
         calibration fit_report optimizer solve
     """,
 }

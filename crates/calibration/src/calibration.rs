@@ -117,6 +117,29 @@ impl Calibration {
         Ok(Self { evaluator, choice: Choice::default(), identity })
     }
 
+    /// A calibration of another problem with the same model, with the solver of this one if it is known. Warnings of the problem
+    /// are not logged again.
+    pub(crate) fn derived(&self, problem: Problem) -> Result<Self, CalibrationError> {
+        let evaluator = Evaluator::new(self.fmu().clone(), problem)?;
+        let identity = identity(&evaluator.problem, &evaluator.parameters);
+        let derived = Self { evaluator, choice: Choice::default(), identity };
+        self.known_solver().map_or(Ok(()), |solver| derived.set_solver(solver.clone()))?;
+        Ok(derived)
+    }
+
+    /// The same with other windows in all experiments.
+    pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
+        let [window] = *windows else {
+            return Err(CalibrationError::Setup(format!(
+                "{} windows are given, one is needed",
+                windows.len()
+            )));
+        };
+        let mut problem = self.problem().clone();
+        problem.experiments.iter_mut().for_each(|experiment| experiment.window = Some(window));
+        self.derived(problem)
+    }
+
     pub(crate) fn evaluator(&self) -> &Evaluator {
         &self.evaluator
     }

@@ -74,13 +74,15 @@ impl Calibration {
     /// one with the parameter moved for each that no evaluation has shown to change the cost. No budget of the search counts them.
     pub(crate) fn findings(
         &self,
-        (start, report): (&[f64], &Report),
+        (start, held, report): (&[f64], &[usize], &Report),
         tolerances: &Tolerances,
         cancelled: &dyn Fn() -> bool,
         stats: &mut Stats,
     ) -> Findings {
-        let candidates = self.near_bound(report, tolerances);
-        let suspects = self.suspects(start, report);
+        let mut candidates = self.near_bound(report, tolerances);
+        candidates.retain(|c| !held.contains(&c.index));
+        let mut suspects = self.suspects(start, report);
+        suspects.retain(|s| !held.contains(&s.index));
         let mut found = Findings {
             at_bound: candidates.iter().filter(|c| c.is_likely).map(|c| (c.index, c.side)).collect(),
             without_effect: suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect(),

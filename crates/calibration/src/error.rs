@@ -50,6 +50,14 @@ pub enum CalibrationError {
         /// What is wrong.
         source: Box<CalibrationError>,
     },
+    /// What is wrong with one of the stages of a fit.
+    #[error("stage {number}: {source}")]
+    Stage {
+        /// Its number, from 1.
+        number: usize,
+        /// What is wrong.
+        source: Box<CalibrationError>,
+    },
     /// The model of a stored problem is another one now.
     #[error("the FMU {} has changed: the problem was made with content {expected}, now it is {found}", path.display())]
     OtherModel {

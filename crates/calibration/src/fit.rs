@@ -36,6 +36,8 @@ pub struct FitOptions<'a> {
     pub run: RunOptions<AnyMethod>,
     /// Where to start; default: the parameters' start values.
     pub start: Option<Vec<f64>>,
+    /// Parameters, by number, that stay at the start as if they were fixed; default: none.
+    pub held: Vec<usize>,
     /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
     /// work.
     pub cutoffs: bool,
@@ -65,6 +67,7 @@ impl Default for FitOptions<'_> {
         Self {
             run: Self::default_run(),
             start: None,
+            held: Vec::new(),
             cutoffs: true,
             loss: RobustLoss::default(),
             observer: None,
@@ -113,6 +116,10 @@ pub struct Fit {
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
+    /// RMS at the start, if the simulation did not fail there.
+    pub start_rms: Option<f64>,
+    /// The fit of each stage, see [`Calibration::fit_stages`]; empty if there were none.
+    pub stages: Vec<Fit>,
     /// Parameters that ended at a bound, by number: the best values may lie beyond.
     pub at_bound: Vec<(usize, BoundSide)>,
     /// Parameters that did not change the cost (by more than the relative tolerance of the simulations), by number: their
@@ -140,9 +147,9 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// Root of the mean squared weighted residual at the start, if the simulation did not fail there.
-    pub fn start_rms(&self) -> Option<f64> {
-        self.start_cost.map(|cost| (cost / self.n_measurements as f64).sqrt())
+    /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the start.
+    pub fn scaled_rms(&self) -> Option<f64> {
+        self.start_rms.map(|start| self.rms / start)
     }
 }
 
@@ -205,15 +212,27 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        let FitOptions { run: mut described, start, cutoffs, loss, mut observer, poll, cancel } =
+        let FitOptions { run: mut described, start, held, cutoffs, loss, mut observer, poll, cancel } =
             options.into();
         let poll = RefCell::new(poll);
         described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
         self.check_start(&start)?;
-        let bound = |side: fn(&Parameter) -> f64| self.parameters().iter().map(side).collect::<Vec<_>>();
+        if let Some(index) = held.iter().find(|&&i| i >= start.len()) {
+            let n = start.len();
+            return Err(CalibrationError::Setup(format!(
+                "parameter {index} is held, but there are only {n}"
+            )));
+        }
+        let bound = |side: fn(&Parameter) -> f64| {
+            let mut bounds: Vec<f64> = self.parameters().iter().map(side).collect();
+            held.iter().for_each(|&i| bounds[i] = start[i]);
+            bounds
+        };
         let transforms: Vec<Scale> = self.parameters().iter().map(Parameter::scale_kind).collect();
-        let kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
+        let mut kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
+        // What is held can have any value, and does not choose the method.
+        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
         let sizes: Vec<Option<f64>> =
             self.parameters().iter().zip(&start).map(|(p, x)| self.known_size(p, *x)).collect();
         if let Some(checkpoint) = &described.checkpoint {
@@ -276,7 +295,7 @@ impl Calibration {
                     || !(differs()
                         || self.costs_depend_on_history(&checks, took, CostRule::whole(loss, &cancelled)))
                 {
-                    let of_run = (start.as_slice(), &report);
+                    let of_run = (start.as_slice(), held.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {
                         break (report, found, residuals);
@@ -311,6 +330,8 @@ impl Calibration {
             cost: report.fun,
             rms: self.rms(report.fun),
             start_cost,
+            start_rms: start_cost.map(|cost| self.rms(cost)),
+            stages: Vec::new(),
             at_bound: found.at_bound,
             without_effect: found.without_effect,
             n_checks: found.n_checks,

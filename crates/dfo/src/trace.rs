@@ -243,6 +243,26 @@ impl Trace {
         })
     }
 
+    /// Appends the evaluations of a run that came after this one, over the same parameters. Its points and batches are numbered on.
+    pub fn append(&mut self, mut later: Trace) {
+        if later.dropped > 0 {
+            later.dropped += self.end();
+            self.points.clear();
+            self.records.clear();
+            self.dropped = 0;
+        }
+        let batches = self.records.iter().map(|r| r.batch).chain(self.speculative.iter().map(|e| e.batch));
+        let (points, n_early) = (self.end() as u64, self.speculative.len() as u64);
+        let batch = batches.max().map_or(0, |last| last + 1);
+        later.records.iter_mut().for_each(|r| (r.id, r.batch) = (r.id + points, r.batch + batch));
+        later.speculative.iter_mut().for_each(|e| (e.id, e.batch) = (e.id + n_early, e.batch + batch));
+        self.n = later.n;
+        self.points.append(&mut later.points);
+        self.records.append(&mut later.records);
+        self.speculative.append(&mut later.speculative);
+        self.dropped += later.dropped;
+    }
+
     /// The first of the used points with the smallest cost, among those not above their cutoffs (which only a barrier
     /// makes possible: see [`Barrier`](crate::Barrier)).
     pub fn best(&self) -> Option<(&[f64], f64)> {

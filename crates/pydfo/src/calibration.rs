@@ -6,6 +6,7 @@ use crate::fit::PyFit;
 use crate::interrupt::{Watch, fits_here};
 use crate::report::{self, LastProgress, Listener, ResultKind};
 use crate::settings::{self, LossFields, Options, Settings};
+use crate::stages::StageFields;
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
 use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
@@ -23,7 +24,7 @@ use std::time::{Duration, Instant};
 /// A calibration; `pydfo.Calibration` is its Python class.
 #[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
 pub(crate) struct PyCalibration {
-    inner: Arc<calibration::Calibration>,
+    pub(crate) inner: Arc<calibration::Calibration>,
     /// How long the last evaluation took, in ns; 0: there was none.
     last: Arc<AtomicU64>,
 }
@@ -31,7 +32,7 @@ pub(crate) struct PyCalibration {
 impl PyCalibration {
     /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C ends it at
     /// the next step.
-    fn compute<T: Send + 'static>(
+    pub(crate) fn compute<T: Send + 'static>(
         &self,
         py: Python<'_>,
         work: impl FnOnce(&calibration::Calibration, &dyn Fn() -> bool) -> Result<T, CalibrationError>
@@ -68,6 +69,27 @@ impl PyCalibration {
             Some(result) => result.map_err(|e| error::calibration(py, &e)),
             None => Err(error::interrupted(py, None, None)),
         }
+    }
+
+    /// A fit as `pydfo.OptimizeResult`, with what only a fit has.
+    fn result<'py>(&self, py: Python<'py>, fit: calibration::Fit) -> PyResult<Bound<'py, PyAny>> {
+        let result = report::to_python(py, &fit.report, ResultKind::Cost)?;
+        result.setattr("stats", Counts::new(&fit.stats))?;
+        let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
+        result.setattr("at_bound", at_bound.into_py_dict(py)?)?;
+        let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
+        result.setattr("without_effect", inert)?;
+        result.setattr("start_cost", fit.start_cost)?;
+        if let Some(covariance) = fit.report.covariance() {
+            result.setattr("cov_message", covariance.message(|index| fit.names[index].clone()))?;
+        }
+        let stages = fit.stages.iter().map(|stage| self.result(py, stage.clone()));
+        result.setattr("stages", stages.collect::<PyResult<Vec<_>>>()?)?;
+        result.setattr("_rms", (fit.rms, fit.start_rms))?;
+        result.setattr("n_checks", fit.n_checks)?;
+        result.setattr("n_beginnings", fit.n_beginnings)?;
+        result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) })?;
+        Ok(result)
     }
 }
 
@@ -263,7 +285,7 @@ impl PyCalibration {
         self.inner.problem().experiments.iter().map(recording).collect()
     }
 
-    #[pyo3(signature = (options, *, start=None, observer=None, loss=None))]
+    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None))]
     fn fit<'py>(
         &self,
         py: Python<'py>,
@@ -271,7 +293,10 @@ impl PyCalibration {
         start: Option<Vec<f64>>,
         observer: Option<Py<PyAny>>,
         loss: Option<LossFields>,
+        stages: Option<Vec<StageFields>>,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let check = |stages: Vec<StageFields>| stages.into_iter().map(|stage| stage.check(py)).collect();
+        let stages: Option<Vec<calibration::Stage>> = stages.map(check).transpose()?;
         let loss = settings::loss(loss)?.unwrap_or_default();
         let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
@@ -281,7 +306,7 @@ impl PyCalibration {
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
         let outcome = watch.run(move |caller| {
-            inner.fit(FitOptions {
+            let options = FitOptions {
                 run,
                 start,
                 loss,
@@ -291,7 +316,11 @@ impl PyCalibration {
                 cancel: Some(asked.flag()),
                 poll: asked.has_parent().then(|| Box::new(|| asked.is_asked()) as Box<dyn FnMut() -> bool>),
                 ..FitOptions::default()
-            })
+            };
+            match stages {
+                Some(stages) => inner.fit_stages(&stages, options),
+                None => inner.fit(options),
+            }
         })?;
         logs::pass_on(py)?;
         let Some(outcome) = outcome else {
@@ -305,23 +334,7 @@ impl PyCalibration {
                     raised = Some(fmu_error::unusable(reason));
                 }
                 report::set_raised(&mut fit.report, raised.as_ref());
-                let result = report::to_python(py, &fit.report, ResultKind::Cost)?;
-                result.setattr("stats", Counts::new(&fit.stats))?;
-                let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
-                result.setattr("at_bound", at_bound.into_py_dict(py)?)?;
-                let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
-                result.setattr("without_effect", inert)?;
-                result.setattr("start_cost", fit.start_cost)?;
-                if let Some(covariance) = fit.report.covariance() {
-                    result.setattr("cov_message", covariance.message(|index| fit.names[index].clone()))?;
-                }
-                result.setattr("n_checks", fit.n_checks)?;
-                result.setattr("n_beginnings", fit.n_beginnings)?;
-                result.setattr(
-                    "_native",
-                    PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) },
-                )?;
-                Some(result)
+                Some(self.result(py, fit)?)
             }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
             Err(_) => None,

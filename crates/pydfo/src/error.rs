@@ -69,7 +69,9 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
         E::Simulation { source: None, .. } => SimulationError::new_err(message),
         // Of the class and with the numbers of the cause, but with the parameters or the experiment in the message.
         E::Simulation { source: Some(e), .. } => reworded(py, fmu_error::raise(py, e), message),
-        E::Experiment { source, .. } => reworded(py, calibration(py, source), message),
+        E::Experiment { source, .. } | E::Stage { source, .. } => {
+            reworded(py, calibration(py, source), message)
+        }
         E::Optimiser(e) => optimiser(py, e),
         _ => CalibrationError::new_err(message),
     }

@@ -9,3 +9,12 @@ pub(crate) struct PyFit {
     pub(crate) inner: Arc<calibration::Fit>,
     pub(crate) calibration: Arc<calibration::Calibration>,
 }
+
+#[pymethods]
+impl PyFit {
+    /// Where it started.
+    #[getter]
+    fn start(&self) -> Vec<f64> {
+        self.inner.start.clone()
+    }
+}

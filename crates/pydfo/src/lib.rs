@@ -24,6 +24,7 @@ mod quad_err;
 mod report;
 mod settings;
 mod solve;
+mod stages;
 mod threads;
 mod trajectory;
 mod values;

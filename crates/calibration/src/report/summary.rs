@@ -108,7 +108,7 @@ fn sentence(fit: &Fit) -> String {
         Termination::StoppedByObserver => "The callback ended the fit before it converged",
         _ => "The fit did not converge",
     };
-    let before = match fit.start_rms() {
+    let before = match fit.start_rms {
         Some(rms) => format!("at the start {}", rounded(rms, FEW_DIGITS)),
         None => "no simulation at the start".to_owned(),
     };

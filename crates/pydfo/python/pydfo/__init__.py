@@ -41,6 +41,7 @@ from ._parameter import Parameter
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
+from ._stages import Stage
 from ._trajectory import SimulationResult
 
 __all__ = [
@@ -72,6 +73,7 @@ __all__ = [
     "Raced",
     "SimulationError",
     "SimulationResult",
+    "Stage",
     "Trace",
     "UnknownVariableError",
     "Variable",

@@ -6,13 +6,13 @@ import errno
 import logging
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options
+from . import _core, _options, _stages
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import Names, Settings, collected, path_of
 from ._files import OpenOptions
@@ -22,6 +22,7 @@ from ._keywords import also_called, argument_names, explained, given_once
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
+from ._stages import Stage
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -348,6 +349,7 @@ class Calibration:
         checkpoint: str | os.PathLike[str] | None = None,
         resume: Literal["auto", "never", "require"] = "auto",
         search: Literal["local", "global"] = "local",
+        stages: Sequence[Stage | Sequence[str]] | None = None,
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
@@ -400,6 +402,10 @@ class Calibration:
             With method "auto": the minimum next to the start, or the best within the bounds of the parameters, by least squares from
             several starts ("multistart"), which needs two finite bounds for every parameter; the minima found are the
             fit's ``optima``.
+        stages : list of Stage, or of lists of names, optional
+            ``[["C2", "G2"], ["C1", "G1"]]``: each stage frees these parameters, from where the last one left them, and holds the
+            others. Limits hold for all stages together, ``nfev`` and the trace are those of all; the fit has that of each stage in
+            ``stages``. A checkpoint has a file for each: ``fit.ckpt.stage1``, ``fit.ckpt.stage2`` and so on.
 
         Returns
         -------
@@ -433,23 +439,36 @@ class Calibration:
         count = _options.worker_count("workers", workers, None)
         if own.get("batch") == "workers":
             own["batch"] = count or _options.all_cores()
-        built = _options.build(
-            Calibration.fit,
-            method,
-            own,
-            len(self.names),
-            _options.Limits.check(
-                ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
-            ),
-            workers=count,
-            rng=rng,
-            checkpoint=checkpoint,
-            resume=resume,
-            bounds=self._bounds(),
-            search=search,
-            residuals=True,
-            parameter_kinds=[p.kind for p in self._parameters if not p.fixed],
+        limits = _options.Limits.check(
+            ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
         )
+
+        def build(method: str, own: Mapping[str, Any], limits: _options.Limits, free: Callable[[str], bool]) -> _options.Options:
+            return _options.build(
+                Calibration.fit,
+                method,
+                own,
+                len(self.names),
+                limits,
+                workers=count,
+                rng=rng,
+                checkpoint=checkpoint,
+                resume=resume,
+                bounds=self._bounds(),
+                search=search,
+                residuals=True,
+                parameter_kinds=[p.kind for p in self._parameters if not p.fixed and free(p.name)],
+            )
+
+        built = build(method, own, limits, lambda _: True)
+        of_stages = None
+        if stages is not None:
+            of_stages = _stages.built(
+                _stages.collected(stages),
+                method,
+                own,
+                lambda stage, method, own: build(method, own, stage.limits, lambda name: name in stage.parameters),
+            )
         counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
         begin = self._values(start)
         printer = Printer(self.names)
@@ -457,7 +476,7 @@ class Calibration:
         if callback is not None:
             listeners.append(listen(callback))
         try:
-            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted)
+            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):

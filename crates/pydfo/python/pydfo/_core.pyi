@@ -15,10 +15,12 @@ from ._options import Options
 from ._parameter import Parameter
 from ._progress import Progress
 from ._result import OptimizeResult
+from ._stages import BuiltStage
 from .ode import OdeResult, _Problem
 
 __all__ = [
     "Calibration",
+    "Fit",
     "Fmu",
     "Model",
     "Optimizer",
@@ -123,9 +125,12 @@ class Calibration:
         start: list[float] | None = None,
         observer: Callable[[Progress], Any] | None = None,
         loss: tuple[str, float] | None = None,
+        stages: list[BuiltStage] | None = None,
     ) -> OptimizeResult: ...
 @final
-class Fit: ...
+class Fit:
+    @property
+    def start(self) -> list[float]: ...
 
 def fit_text(fit: Fit) -> str: ...
 def fit_html(fit: Fit) -> str: ...

@@ -80,6 +80,11 @@ class Fit(OptimizeResult):
         the model keeps and no variable shows; ``model.description.quirks`` says so, too. ``nfev`` counts from the last beginning.
     outputs : list of OutputFit
         How well each output is reproduced: RMS at the end and at the start, fit percentage. (Empty: interrupted twice.)
+    scaled_rms : float or None
+        The RMS over that at the start, on the same measurements.
+    stages : list of Fit
+        The fit of each stage; empty if there were none. Standard errors of a stage (its ``cov``) are conditional: they take
+        what the stage holds as known. ``success`` of the whole fit is that of all its stages.
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
@@ -87,6 +92,8 @@ class Fit(OptimizeResult):
 
     def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
         vars(self).update(vars(result))
+        rms = calibration._native.rms(self.fun)
+        self._rms_and_start: tuple[float, float | None] = vars(self).pop("_rms", (rms, None))
         counts = vars(self).pop("stats", None)
         self.stats = None if counts is None else SimulationStats(**counts)
         if "at_bound" not in vars(self):
@@ -97,6 +104,7 @@ class Fit(OptimizeResult):
             self.n_checks = 0
             self.n_beginnings = 1
         self._native: _core.Fit | None = vars(self).get("_native")
+        self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
         self.start = start
         self.solver = solver
@@ -117,12 +125,17 @@ class Fit(OptimizeResult):
     @property
     def rms(self) -> float:
         """Root of the mean squared weighted residual at the fitted values."""
-        return self._calibration._native.rms(self.fun)
+        return self._rms_and_start[0]
 
     @property
     def start_rms(self) -> float | None:
         """Root of the mean squared weighted residual at the start."""
-        return None if self.start_cost is None else self._calibration._native.rms(self.start_cost)
+        return self._rms_and_start[1]
+
+    @property
+    def scaled_rms(self) -> float | None:
+        """RMS over that at the start, on the same measurements; None if the simulation failed at the start."""
+        return None if self.start_rms is None else self.rms / self.start_rms
 
     def simulate(self, x: npt.ArrayLike | None = None, times: npt.ArrayLike | None = None) -> dict[str, Any]:
         """Simulates at the fitted values; see `Calibration.simulate`.
@@ -164,7 +177,7 @@ class Fit(OptimizeResult):
         return _plot.fit(self, self._calibration)
 
     def __getitem__(self, key: Any) -> Any:
-        if key in ("parameters", "cost", "rms", "start_rms"):
+        if key in ("parameters", "cost", "rms", "start_rms", "scaled_rms"):
             return getattr(self, key)
         return super().__getitem__(key)
 

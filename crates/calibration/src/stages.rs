@@ -1,0 +1,357 @@
+//! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the last.
+
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::fit::{Fit, FitOptions};
+use crate::residual::CostRule;
+use dfo::{AnyMethod, Checkpoint, Limits, Progress, Report, Resume, Termination, Tolerances};
+use ode::Stats;
+use std::cell::RefCell;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+/// One stage of a fit.
+///
+/// ```
+/// use calibration::Stage;
+/// use calibration::dfo::NelderMead;
+/// let walls = Stage::new(["C2", "G2"]).window(0.0, 600.0).method(NelderMead::default());
+/// assert_eq!(walls.parameters, ["C2", "G2"]);
+/// ```
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Stage {
+    /// The parameters that it frees, by name: all values of a [local](crate::Parameter::local) one (`T0`), or one of them
+    /// (`T0[run1]`). The others stay where they are.
+    pub parameters: Vec<String>,
+    /// Only measurements in these count in this stage, in all experiments, in s; none: those that count in the calibration.
+    pub windows: Vec<(f64, f64)>,
+    /// The method; default: that of the fit.
+    pub method: Option<AnyMethod>,
+    /// Why it was chosen, where the user left it open.
+    pub method_reason: Option<String>,
+    /// Limits of this stage; those of the fit hold for all stages together.
+    pub limits: Limits,
+    /// When the tests of this stage pass; default: as in the fit.
+    pub tolerances: Option<Tolerances>,
+}
+
+impl Stage {
+    /// Frees these parameters.
+    pub fn new<S: Into<String>>(parameters: impl IntoIterator<Item = S>) -> Self {
+        Self { parameters: parameters.into_iter().map(Into::into).collect(), ..Self::default() }
+    }
+
+    /// Only measurements in `[from, to]`, and in other windows given so, count in this stage.
+    #[must_use]
+    pub fn window(mut self, from: f64, to: f64) -> Self {
+        self.windows.push((from, to));
+        self
+    }
+
+    /// A method of its own.
+    #[must_use]
+    pub fn method(mut self, method: impl Into<AnyMethod>) -> Self {
+        self.method = Some(method.into());
+        self
+    }
+
+    /// Limits of its own.
+    #[must_use]
+    pub fn limits(mut self, limits: Limits) -> Self {
+        self.limits = limits;
+        self
+    }
+
+    /// Tolerances of its own.
+    #[must_use]
+    pub fn tolerances(mut self, tolerances: Tolerances) -> Self {
+        self.tolerances = Some(tolerances);
+        self
+    }
+}
+
+/// The smaller of two limits.
+fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(if b < a { b } else { a }),
+        (a, b) => a.or(b),
+    }
+}
+
+/// The checkpoint of a stage: the file of the fit with `.stage1`, `.stage2` and so on appended. A file that is required is that of
+/// the first stage; the later ones may not have begun.
+fn checkpoint_of(fit: &Checkpoint, k: usize) -> Checkpoint {
+    let mut path = fit.path.clone().into_os_string();
+    path.push(format!(".stage{}", k + 1));
+    let resume = if k > 0 && fit.resume == Resume::Require { Resume::Auto } else { fit.resume };
+    let mut own = fit.clone().resume(resume);
+    own.path = path.into();
+    own
+}
+
+impl Calibration {
+    /// Fits in stages. Each frees its parameters, from where the last stage left them, and holds the others; those that no stage
+    /// frees stay at the start.
+    ///
+    /// Limits of the fit (evaluations, iterations, time, target) hold for all stages together, and so do an interrupt and an
+    /// observer that ends the fit; a stage may have limits of its own, at which the next one begins. The result is that of the last
+    /// stage, with the evaluations, simulations and the trace of all; it is a success if all stages were one, and
+    /// [`Fit::stages`] has the fit of each. A stage with a window of its own sees other costs: then those of the result are
+    /// computed once more, on the measurements of the calibration, and its trace is that of the last stages with one window.
+    /// A checkpoint has one file per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
+    ///
+    /// The covariance of a method at the end of a stage ([`Report::covariance`]) is conditional: it takes the held parameters as
+    /// known. So the result has no Jacobian in its report, only the stages have.
+    ///
+    /// # Errors
+    /// As [`Calibration::fit`]; no stages, stages without parameters, names that are no parameters or those of fixed ones.
+    pub fn fit_stages<'a>(
+        &self,
+        stages: &[Stage],
+        options: impl Into<FitOptions<'a>>,
+    ) -> Result<Fit, CalibrationError> {
+        let FitOptions { run, start, held, cutoffs, loss, mut observer, poll, cancel } = options.into();
+        let poll = RefCell::new(poll);
+        let start = start.unwrap_or_else(|| self.start());
+        let in_stage =
+            |k: usize| move |source| CalibrationError::Stage { number: k + 1, source: Box::new(source) };
+        if stages.is_empty() {
+            return Err(CalibrationError::Setup("stages: there are none".to_owned()));
+        }
+        let freed = (stages.iter().enumerate())
+            .map(|(k, stage)| self.freed(stage, &held).map_err(in_stage(k)))
+            .collect::<Result<Vec<_>, _>>()?;
+        if let Some(checkpoint) = &run.checkpoint {
+            self.adopt_solver(&checkpoint_of(checkpoint, 0))?;
+        }
+        let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
+        let is_asked = || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
+        // As in a fit of one stage, the race is not part of the time.
+        self.solver_until(&is_asked)?;
+        self.prepare(&is_asked)?;
+        let windowed = (stages.iter().enumerate())
+            .map(|(k, stage)| match stage.windows.is_empty() {
+                true => Ok(None),
+                false => self.windowed(&stage.windows).map(Some).map_err(in_stage(k)),
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let began = Instant::now();
+        let late = run.limits.max_time.and_then(|limit| began.checked_add(limit));
+        let (mut x, mut fits, mut ended) = (start.clone(), Vec::<Fit>::new(), None);
+        for (k, stage) in stages.iter().enumerate() {
+            let spent = |count: fn(&Report) -> usize| fits.iter().map(|f| count(&f.report)).sum::<usize>();
+            let (n_evaluations, n_iterations) = (spent(|r| r.n_evaluations), spent(|r| r.n_iterations));
+            let evaluations = run.limits.max_evaluations.map(|n| n.saturating_sub(n_evaluations));
+            let iterations = run.limits.max_iterations.map(|n| n.saturating_sub(n_iterations));
+            let time = late.map(|late| late.saturating_duration_since(Instant::now()));
+            ended = match (evaluations, iterations, time) {
+                _ if k == 0 => None,
+                (Some(0), ..) => Some(Termination::MaxEvaluations),
+                (_, Some(0), _) => Some(Termination::MaxIterations),
+                (.., Some(time)) if time.is_zero() => Some(Termination::MaxTime),
+                _ => None,
+            };
+            if ended.is_some() {
+                break;
+            }
+            let mut own = run.clone();
+            if let Some(method) = &stage.method {
+                (own.method, own.method_reason) = (method.clone(), stage.method_reason.clone());
+            }
+            own.tolerances = stage.tolerances.unwrap_or(run.tolerances);
+            own.limits = Limits {
+                max_evaluations: least(stage.limits.max_evaluations, evaluations),
+                max_iterations: least(stage.limits.max_iterations, iterations),
+                max_time: least(stage.limits.max_time, time),
+                // What a target says of one window says nothing of another.
+                target: stage.limits.target.or(run.limits.target.filter(|_| stage.windows.is_empty())),
+            };
+            own.checkpoint = run.checkpoint.as_ref().map(|checkpoint| checkpoint_of(checkpoint, k));
+            let before = began.elapsed().as_secs_f64();
+            let fitted = windowed[k].as_ref().unwrap_or(self).fit(FitOptions {
+                run: own,
+                start: Some(x.clone()),
+                held: (0..x.len()).filter(|i| !freed[k].contains(i)).collect(),
+                cutoffs,
+                loss,
+                observer: observer.as_mut().map(|observer| {
+                    Box::new(move |progress: &Progress<'_>| {
+                        let mut progress = *progress;
+                        progress.n_evaluations += n_evaluations;
+                        progress.n_iterations += n_iterations;
+                        progress.seconds += before;
+                        observer(&progress)
+                    }) as Box<crate::fit::FitObserver<'_>>
+                }),
+                poll: poll.borrow().is_some().then(|| Box::new(&is_asked) as Box<dyn FnMut() -> bool>),
+                cancel: cancel.clone(),
+            });
+            let fit = match fitted {
+                Ok(fit) => fit,
+                // The results of the stages before are not lost.
+                Err(error) if k > 0 => match ended_by(&error) {
+                    Some(termination) => {
+                        ended = Some(termination);
+                        break;
+                    }
+                    None => return Err(in_stage(k)(error)),
+                },
+                Err(error) => return Err(in_stage(k)(error)),
+            };
+            x.clone_from(&fit.x);
+            let is_last = match &fit.report.termination {
+                Termination::Interrupted
+                | Termination::StoppedByObserver
+                | Termination::Aborted(_)
+                | Termination::NotSaved(_) => true,
+                Termination::Target => stage.limits.target.is_none(),
+                _ => false,
+            };
+            fits.push(fit);
+            if is_last {
+                break;
+            }
+        }
+        let mut stats = Stats::default();
+        let mut n_checks = 0;
+        let mut cost_at = |x: &[f64]| {
+            let mut residuals = vec![0.0; self.n_residuals()];
+            n_checks += 1;
+            self.evaluate_into(x, CostRule::whole(loss, &is_asked), &mut residuals, &mut stats).ok()
+        };
+        let is_own = |k: usize| stages[k].windows.is_empty();
+        let cost = if is_own(fits.len() - 1) { None } else { Some(cost_at(&x).unwrap_or(f64::NAN)) };
+        let start_cost = if is_own(0) { fits[0].start_cost } else { cost_at(&start) };
+        let mut fit = self.in_all(stages, fits, &freed, ended);
+        fit.stats += stats;
+        fit.n_checks += n_checks;
+        if let Some(cost) = cost {
+            (fit.cost, fit.report.fun, fit.rms) = (cost, cost, self.rms(cost));
+        }
+        (fit.start_cost, fit.start_rms) = (start_cost, start_cost.map(|cost| self.rms(cost)));
+        Ok(fit)
+    }
+
+    /// The fit of all stages, from that of each.
+    fn in_all(
+        &self,
+        stages: &[Stage],
+        fits: Vec<Fit>,
+        freed: &[Vec<usize>],
+        ended: Option<Termination>,
+    ) -> Fit {
+        let mut all = fits[fits.len() - 1].clone();
+        all.start.clone_from(&fits[0].start);
+        let (at_bound, without_effect) = (&mut all.at_bound, &mut all.without_effect);
+        at_bound.clear();
+        without_effect.clear();
+        for (fit, freed) in fits.iter().zip(freed) {
+            at_bound.retain(|(i, _)| !freed.contains(i));
+            without_effect.retain(|i| !freed.contains(i));
+            at_bound.extend(&fit.at_bound);
+            without_effect.extend(&fit.without_effect);
+        }
+        at_bound.sort_by_key(|(i, _)| *i);
+        without_effect.sort_unstable();
+        let report = &mut all.report;
+        // Each takes what other stages hold as known.
+        (report.jacobian, report.active) = (None, Vec::new());
+        report.message = format!("stage {} of {}: {}", fits.len(), stages.len(), report.message);
+        for (k, earlier) in fits[..fits.len() - 1].iter().enumerate().rev() {
+            let before = &earlier.report;
+            report.n_evaluations += before.n_evaluations;
+            report.n_iterations += before.n_iterations;
+            report.n_batches += before.n_batches;
+            report.n_failed += before.n_failed;
+            report.n_cached += before.n_cached;
+            report.n_speculative += before.n_speculative;
+            report.seconds += before.seconds;
+            for (reason, count) in &before.failures {
+                match report.failures.iter_mut().find(|(known, _)| known == reason) {
+                    Some((_, known)) => *known += count,
+                    None => report.failures.push((reason.clone(), *count)),
+                }
+            }
+            if report.termination.is_success() {
+                report.termination.clone_from(&before.termination);
+            }
+            report.message =
+                format!("stage {} of {}: {}; {}", k + 1, stages.len(), before.message, report.message);
+            all.stats += earlier.stats;
+            all.n_checks += earlier.n_checks;
+            all.n_beginnings = all.n_beginnings.max(earlier.n_beginnings);
+        }
+        report.failures.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+        let last_windows = &stages[fits.len() - 1].windows;
+        let same_windows = |k: &usize| stages[*k..fits.len()].iter().all(|s| s.windows == *last_windows);
+        let first = (0..fits.len()).find(same_windows).unwrap_or(0);
+        let mut traces = fits[first..].iter().map(|fit| fit.report.trace.clone());
+        if let Some(mut trace) = traces.next() {
+            traces.for_each(|later| trace.append(later));
+            report.trace = trace;
+        }
+        if let Some(termination) = ended {
+            report.message += &format!("; the fit ended before stage {}: {termination}", fits.len() + 1);
+            report.termination = termination;
+        }
+        let is_freed = |i: &usize| freed.iter().any(|freed| freed.contains(i));
+        let held = (0..all.x.len()).filter(|i| !is_freed(i) && !self.parameters()[*i].is_fixed());
+        let names: Vec<&str> = held.map(|i| all.names[i].as_str()).collect();
+        if !names.is_empty() {
+            report.message += &format!("; no stage frees {}: at the start", names.join(", "));
+        }
+        all.stages = fits;
+        all
+    }
+
+    /// The entries of `x` that a stage frees.
+    fn freed(&self, stage: &Stage, held: &[usize]) -> Result<Vec<usize>, CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        if stage.parameters.is_empty() {
+            return setup("it frees no parameter".to_owned());
+        }
+        let mut freed: Vec<usize> = Vec::new();
+        for name in &stage.parameters {
+            let entries = self.entries_of(name);
+            if entries.is_empty() {
+                let names = self.parameters().iter().map(|p| p.name());
+                let names = names.collect::<Vec<_>>().join(", ");
+                return setup(format!("there is no parameter '{name}'; there are: {names}"));
+            }
+            if entries.iter().all(|&i| self.parameters()[i].is_fixed() || held.contains(&i)) {
+                return setup(format!("parameter '{name}' is fixed, a stage cannot free it"));
+            }
+            if entries.iter().any(|i| freed.contains(i)) {
+                return setup(format!("parameter '{name}' is named twice"));
+            }
+            freed.extend(entries.iter().filter(|i| !held.contains(i)));
+        }
+        Ok(freed)
+    }
+
+    /// The entries of `x` that a name stands for: one, or all of a local parameter.
+    pub(crate) fn entries_of(&self, name: &str) -> Vec<usize> {
+        let is_local = self.problem().parameters.iter().any(|p| p.is_local() && p.name() == name);
+        let is_it =
+            |own: &str| own == name || (is_local && own.strip_prefix(name).is_some_and(is_in_experiment));
+        let entries = self.parameters().iter().enumerate();
+        entries.filter(|(_, p)| is_it(p.name())).map(|(i, _)| i).collect()
+    }
+}
+
+/// Whether this is what the name of a local parameter ends with in an experiment.
+fn is_in_experiment(rest: &str) -> bool {
+    rest.starts_with('[') && rest.ends_with(']')
+}
+
+/// How a fit ends whose last stage has found nothing; `None`: it is an error.
+fn ended_by(error: &CalibrationError) -> Option<Termination> {
+    match error {
+        CalibrationError::Cancelled => Some(Termination::Interrupted),
+        CalibrationError::Optimiser(dfo::Error::EndedWithoutPoint { termination, .. }) => {
+            Some(termination.clone())
+        }
+        CalibrationError::Optimiser(dfo::Error::AllStartsFailed(_)) => Some(Termination::AllFailed),
+        _ => None,
+    }
+}

@@ -1,0 +1,175 @@
+//! Fits in stages: what each frees and holds, what holds for all of them together.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::dfo::{Checkpoint, Limits, NelderMead, Resume, RunOptions, Termination};
+use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, SimulationSettings, Stage};
+use example_models::example_fmu;
+use std::ops::ControlFlow;
+use std::path::Path;
+
+const OUTLETS: [&str; 4] = ["qt.a1", "qt.a2", "qt.a3", "qt.a4"];
+
+fn tanks(starts: &[(&str, f64)], window: Option<(f64, f64)>) -> Calibration {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/data/quad_tank.csv");
+    let mut experiment = Experiment::new(Data::from_csv(path).unwrap()).input("u1", "u1").input("u2", "u2");
+    for column in ["x1", "x2", "x3", "x4"] {
+        experiment = experiment.output(format!("qt.{column}"), column);
+    }
+    if let Some((from, to)) = window {
+        experiment = experiment.window(from, to);
+    }
+    let settings = SimulationSettings { method: ode::Method::Tsit5, ..SimulationSettings::default() };
+    let fmu = fmi::Fmu::open(example_fmu("quad_tank").unwrap()).unwrap();
+    let mut builder = Calibration::builder(fmu).experiment(experiment).settings(settings);
+    for name in OUTLETS {
+        let start = starts.iter().find(|(n, _)| *n == name).map(|(_, start)| *start);
+        let parameter = Parameter::new(name, start.unwrap_or(3e-6)).bounds(2e-6, 4e-6);
+        builder = builder.parameter(parameter.fixed(start.is_some()));
+    }
+    builder.build().unwrap()
+}
+
+fn two() -> [Stage; 2] {
+    [Stage::new(["qt.a1", "qt.a2"]), Stage::new(["qt.a3", "qt.a4"])]
+}
+
+fn limited(n: usize) -> RunOptions<calibration::dfo::AnyMethod> {
+    let limits = Limits { max_evaluations: Some(n), ..Limits::default() };
+    RunOptions { limits, workers: Some(2), ..FitOptions::default_run() }
+}
+
+fn bits(fit: &Fit) -> Vec<u64> {
+    fit.report.trace.points().iter().chain([&fit.cost]).map(|v| v.to_bits()).collect()
+}
+
+#[test]
+fn each_stage_starts_from_the_last_and_holds_the_others() {
+    let calibration = tanks(&[], None);
+    let fit = calibration.fit_stages(&two(), FitOptions::default()).unwrap();
+    let [first, second] = &fit.stages[..] else { panic!("{fit}") };
+    assert_eq!((&first.x[2..], &second.x[..2]), (&[3e-6; 2][..], &first.x[..2]));
+    assert_eq!((&second.start, &fit.x, fit.cost), (&first.x, &second.x, second.cost));
+    assert_eq!((&fit.start, fit.start_cost), (&calibration.start(), first.start_cost));
+    assert!(fit.cost < first.cost && fit.report.is_success(), "{fit}");
+    assert_eq!(fit.report.n_evaluations, first.report.n_evaluations + second.report.n_evaluations);
+    assert_eq!(fit.report.trace.len(), fit.report.n_evaluations);
+    assert_eq!(fit.scaled_rms(), Some((fit.cost / fit.start_cost.unwrap()).sqrt()));
+    assert!(fit.report.jacobian.is_none() && second.report.jacobian.is_some());
+    assert!(fit.report.message.contains("stage 1 of 2: converged"), "{}", fit.report.message);
+    // The same by hand, with fixed parameters.
+    let fixed: Vec<_> = OUTLETS[..2].iter().copied().zip(first.x.iter().copied()).collect();
+    let by_hand = tanks(&fixed, None).fit(FitOptions::default()).unwrap();
+    assert_eq!(bits(&by_hand), bits(second));
+}
+
+#[test]
+fn a_method_and_a_window_of_its_own() {
+    let calibration = tanks(&[], None);
+    let stages = [
+        Stage::new(["qt.a1", "qt.a2"]).window(0.0, 30.0).method(NelderMead::default()),
+        Stage::new(["qt.a3", "qt.a4"]),
+    ];
+    let fit = calibration.fit_stages(&stages, FitOptions::default()).unwrap();
+    let methods: Vec<_> = fit.stages.iter().map(|stage| stage.report.method).collect();
+    assert_eq!(methods, ["nelder-mead", "least-squares"]);
+    let half = tanks(&[("qt.a3", 3e-6), ("qt.a4", 3e-6)], Some((0.0, 30.0)));
+    assert_eq!(fit.stages[0].cost, half.cost(&fit.stages[0].x).unwrap());
+    assert_eq!(fit.start_cost, Some(calibration.cost(&calibration.start()).unwrap()));
+    // The costs of the first stage are those of another window.
+    assert_eq!(fit.report.trace.len(), fit.stages[1].report.n_evaluations);
+    let last = [stages[1].clone(), stages[0].clone()];
+    let fit = calibration.fit_stages(&last, FitOptions::default()).unwrap();
+    assert_eq!(fit.cost, calibration.cost(&fit.x).unwrap());
+    assert!(fit.cost > fit.stages[1].cost);
+}
+
+#[test]
+fn limits_hold_for_all_stages_together() {
+    let calibration = tanks(&[], None);
+    let whole = calibration.fit_stages(&two(), limited(1000)).unwrap();
+    let first = whole.stages[0].report.n_evaluations;
+    for n in [1, first - 1, first, first + 1] {
+        let fit = calibration.fit_stages(&two(), limited(n)).unwrap();
+        assert_eq!(fit.report.n_evaluations, n);
+        assert_eq!(fit.report.termination, Termination::MaxEvaluations);
+        assert_eq!(fit.stages.len(), 1 + usize::from(n > first), "{fit}");
+    }
+    let own = Limits { max_evaluations: Some(4), ..Limits::default() };
+    let [one, two] = two();
+    let fit = calibration.fit_stages(&[one.limits(own), two], FitOptions::default()).unwrap();
+    assert_eq!((fit.stages.len(), fit.stages[0].report.n_evaluations), (2, 4));
+    assert!(!fit.report.is_success(), "{fit}");
+}
+
+#[test]
+fn an_observer_ends_all_and_counts_on() {
+    let calibration = tanks(&[], None);
+    let (mut counts, first) =
+        (Vec::new(), calibration.fit_stages(&two()[..1], limited(1000)).unwrap().report.n_evaluations);
+    let options = FitOptions {
+        observer: Some(Box::new(|progress| {
+            counts.push(progress.n_evaluations);
+            if progress.n_evaluations > first + 1 {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
+        })),
+        ..FitOptions::default()
+    };
+    let fit = calibration.fit_stages(&two(), options).unwrap();
+    assert_eq!((fit.stages.len(), &fit.report.termination), (2, &Termination::StoppedByObserver));
+    assert!(counts.is_sorted() && counts[counts.len() - 1] == fit.report.n_evaluations, "{counts:?}");
+    assert!(fit.cost <= fit.stages[0].cost);
+}
+
+#[test]
+fn a_checkpoint_has_a_file_for_each_stage() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fit.ckpt");
+    let with = |n: usize, resume: Resume| RunOptions {
+        checkpoint: Some(Checkpoint::new(&path).resume(resume)),
+        ..limited(n)
+    };
+    let calibration = tanks(&[], None);
+    let whole = calibration.fit_stages(&two(), limited(1000)).unwrap();
+    let first = whole.stages[0].report.n_evaluations;
+    assert!(calibration.fit_stages(&two(), with(1000, Resume::Require)).is_err());
+    for n in [first - 1, first + 2, 1000] {
+        let fit = calibration.fit_stages(&two(), with(n, Resume::Auto)).unwrap();
+        assert_eq!(fit.report.n_evaluations, n.min(whole.report.n_evaluations));
+        assert!(folder.path().join("fit.ckpt.stage1").is_file() && !path.exists());
+        assert_eq!(folder.path().join("fit.ckpt.stage2").is_file(), n > first);
+    }
+    let again = calibration.fit_stages(&two(), with(1000, Resume::Require)).unwrap();
+    assert_eq!(bits(&again), bits(&whole));
+    assert_eq!(
+        again.stats.right_hand_sides,
+        again.stages.iter().map(|s| s.stats.right_hand_sides).sum::<u64>()
+    );
+    // Other stages are another fit.
+    let other = [Stage::new(["qt.a1", "qt.a3"]), Stage::new(["qt.a2"])];
+    let error = calibration.fit_stages(&other, with(1000, Resume::Auto)).unwrap_err().to_string();
+    assert!(error.contains("stage 1: ") && error.contains("fit.ckpt.stage1"), "{error}");
+}
+
+#[test]
+fn what_is_wrong_with_stages_is_named() {
+    let calibration = tanks(&[("qt.a4", 3e-6)], None);
+    let stage = |names: &[&str]| Stage::new(names.iter().copied());
+    for (stages, expected) in [
+        (vec![], "there are none"),
+        (vec![stage(&["qt.a1"]), stage(&[])], "stage 2: it frees no parameter"),
+        (vec![stage(&["qt.a1", "a2"])], "stage 1: there is no parameter 'a2'; there are: qt.a1, qt.a2"),
+        (vec![stage(&["qt.a4"])], "stage 1: parameter 'qt.a4' is fixed"),
+        (vec![stage(&["qt.a1", "qt.a1"])], "'qt.a1' is named twice"),
+        (vec![stage(&["qt.a1"]).window(70.0, 80.0)], "stage 1: "),
+        (vec![stage(&["qt.a1"]).window(5.0, 1.0)], "stage 1: window from 5 to 1"),
+    ] {
+        let error = calibration.fit_stages(&stages, FitOptions::default()).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    let fit = calibration.fit_stages(&[stage(&["qt.a1"])], limited(3)).unwrap();
+    assert!(fit.report.message.ends_with("no stage frees qt.a2, qt.a3: at the start"), "{fit}");
+}
