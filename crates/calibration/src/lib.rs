@@ -47,6 +47,7 @@ pub use output_fit::OutputFit;
 pub use parameter::{Parameter, Scale};
 pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
+pub use report::{ExperimentCurves, OutputCurves, Signal};
 pub use residual::quad_err;
 pub use solver::Solver;
 pub use stages::Stage;

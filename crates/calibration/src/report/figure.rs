@@ -108,10 +108,21 @@ type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64
 type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
 impl Panel {
-    fn draw(&self, area: &Area<'_>, x: Range<f64>, x_label: Option<&str>) -> Drawn {
+    /// The values from the smallest to the largest. What the start has beyond twice the width of the others is cut off.
+    fn y_range(&self) -> Option<Range<f64>> {
+        let of = |is_start: bool| {
+            let series = self.series.iter().filter(move |s| matches!(s, Series::Start(_)) == is_start);
+            series.flat_map(Series::points).map(|(_, y)| *y)
+        };
         let zero = self.has_zero.then_some(0.0);
-        let values = self.series.iter().flat_map(Series::points).map(|(_, y)| *y).chain(zero);
-        let Some(y) = range(values, 0.05) else { return Ok(()) };
+        let Some(others) = range(of(false).chain(zero), 0.05) else { return range(of(true), 0.05) };
+        let by = 2.0 * (others.end - others.start);
+        let start = of(true).map(|y| y.clamp(others.start - by, others.end + by));
+        range(of(false).chain(zero).chain(start.filter(|y| y.is_finite())), 0.05)
+    }
+
+    fn draw(&self, area: &Area<'_>, x: Range<f64>, x_label: Option<&str>) -> Drawn {
+        let Some(y) = self.y_range() else { return Ok(()) };
         let mut chart = ChartBuilder::on(area)
             .margin(MARGIN * FINE)
             .set_label_area_size(LabelAreaPosition::Left, LEFT * FINE)
@@ -139,11 +150,11 @@ impl Panel {
             chart
                 .draw_series(LineSeries::new([(x.start, 0.0), (x.end, 0.0)], MEASURED.stroke_width(FINE)))?;
         }
-        self.series.iter().try_for_each(|series| draw_series(&mut chart, series))
+        self.series.iter().try_for_each(|series| draw_series(&mut chart, series, &y))
     }
 }
 
-fn draw_series(chart: &mut Chart<'_, '_>, series: &Series) -> Drawn {
+fn draw_series(chart: &mut Chart<'_, '_>, series: &Series, y: &Range<f64>) -> Drawn {
     let line = |colour: RGBColor| colour.stroke_width(2 * FINE - 1);
     match series {
         Series::Measured(points) | Series::Marks(points) => {
@@ -152,7 +163,8 @@ fn draw_series(chart: &mut Chart<'_, '_>, series: &Series) -> Drawn {
             chart.draw_series(marks.map(|point| Circle::new(point, 2 * FINE, colour.filled())))?;
         }
         Series::Start(points) => {
-            chart.draw_series(LineSeries::new(thinned(points), line(START)))?;
+            let inside = points.iter().map(|(t, value)| (*t, value.clamp(y.start, y.end)));
+            chart.draw_series(LineSeries::new(thinned(&inside.collect::<Vec<_>>()), line(START)))?;
         }
         Series::Fitted(points) => {
             chart.draw_series(LineSeries::new(thinned(points), line(FITTED)))?;
@@ -267,6 +279,11 @@ mod tests {
             assert!(!svg.contains("<script>") && !svg.contains("NaN"), "{values:?}: {svg}");
         }
         assert_eq!(draw(&[panel(&[f64::NAN])], ""), None);
+        let mut wild = panel(&[1.0, 2.0]);
+        wild.series.push(Series::Start(vec![(0.0, 1.5), (1.0, 1e150), (2.0, f64::INFINITY)]));
+        let y = wild.y_range().unwrap();
+        assert!(y.end < 5.0 && y.start > 0.5, "{y:?}");
+        assert!(draw(&[wild], "").is_some());
         assert_eq!(draw(&[], ""), None);
     }
 

@@ -1,11 +1,14 @@
 //! What a fit found, for people: as text, as a part of a notebook, and as a page with figures.
 
+mod curves;
 mod figure;
 mod number;
 mod page;
 mod summary;
 mod template;
 mod text;
+
+pub use curves::{ExperimentCurves, OutputCurves, Signal};
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;

@@ -1,5 +1,6 @@
 //! The report: one page with tables, figures, settings and hashes, that needs nothing but itself.
 
+use super::curves::{ExperimentCurves, OutputCurves, Signal};
 use super::figure::{self, Panel, Point, Series};
 use super::number::rounded;
 use super::summary::{Fact, Summary};
@@ -7,13 +8,8 @@ use super::template;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
-use crate::layout::OutputResiduals;
-use fmi::Trajectory;
 use ode::Number;
 use serde::Serialize;
-
-/// Points of a drawn response, before it is thinned.
-const CURVE_POINTS: usize = 2001;
 
 /// Heights of the panels of a figure, in pixels.
 const TALL: u32 = 230;
@@ -66,9 +62,8 @@ pub(super) fn page(
     fit: &Fit,
     cancelled: &dyn Fn() -> bool,
 ) -> Result<String, CalibrationError> {
-    calibration.check_length(&fit.x)?;
     let page = Page {
-        outputs: output_figures(calibration, fit, cancelled)?,
+        outputs: output_figures(&calibration.curves(fit, cancelled)?),
         search: [convergence(fit), waterfall(fit)].into_iter().flatten().collect(),
         correlation: correlation(fit),
         residual_checks: residual_checks(fit),
@@ -82,75 +77,38 @@ pub(super) fn page(
 }
 
 /// Per output: measured, at the start, fitted; below, the residuals.
-fn output_figures(
-    calibration: &Calibration,
-    fit: &Fit,
-    cancelled: &dyn Fn() -> bool,
-) -> Result<Vec<Figure>, CalibrationError> {
-    let layout = calibration.residual_layout();
-    let residuals = match &fit.worth {
-        Some(worth) if worth.residuals.len() == layout.n_residuals() => worth.residuals.clone(),
-        _ => calibration.residuals_until(&fit.x, cancelled)?,
-    };
-    let curves = |x: &[f64]| -> Result<Vec<Option<Trajectory>>, CalibrationError> {
-        let simulations = calibration.evaluator().simulations.iter().enumerate();
-        let curve = |(k, simulation): (usize, &crate::evaluate::Simulation)| {
-            let (start, end) = (simulation.options.start_time?, simulation.options.final_time?);
-            let step = (end - start) / (CURVE_POINTS - 1) as f64;
-            let mut times: Vec<f64> = (0..CURVE_POINTS).map(|i| (start + i as f64 * step).min(end)).collect();
-            times.dedup();
-            match calibration.simulate_experiment_until(k, x, Some(&times), cancelled) {
-                Err(CalibrationError::Cancelled) => Some(Err(CalibrationError::Cancelled)),
-                other => other.ok().map(Ok),
-            }
+fn output_figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
+    let figure = |experiment: &ExperimentCurves, output: &OutputCurves| {
+        let OutputCurves { measured, residuals, start, fitted } = output;
+        let unit = measured.unit.as_ref().map_or_else(String::new, |unit| format!(" in {unit}"));
+        let points = |times: &[f64], values: &[f64]| -> Vec<Point> {
+            times.iter().copied().zip(values.iter().copied()).collect()
         };
-        simulations.map(|each| curve(each).transpose()).collect()
-    };
-    let (at_start, at_end) = (curves(&fit.start)?, curves(&fit.x)?);
-    let names = calibration.problem().experiment_names();
-    let figure = |series: &OutputResiduals| {
-        let variable = calibration.fmu().description().variable(&series.variable);
-        let unit =
-            variable.and_then(|v| v.unit.as_ref()).map_or_else(String::new, |unit| format!(" in {unit}"));
-        let curve = |curves: &[Option<Trajectory>]| -> Option<Vec<Point>> {
-            let trajectory = curves.get(series.experiment)?.as_ref()?;
-            let values = trajectory.columns.get(series.output)?;
-            Some(trajectory.time.iter().copied().zip(values.iter().copied()).collect())
+        let curve = |signal: &Signal| points(&signal.times, &signal.values);
+        let mut upper = vec![Series::Measured(curve(measured))];
+        upper.extend(start.as_ref().map(|signal| Series::Start(curve(signal))));
+        upper.extend(fitted.as_ref().map(|signal| Series::Fitted(curve(signal))));
+        let lower = vec![Series::Marks(points(&measured.times, residuals))];
+        let panel = |height, y_label, series, has_zero| Panel {
+            height,
+            y_label,
+            series,
+            is_logarithm: false,
+            has_zero,
         };
-        let measured = series.times.iter().copied().zip(series.measured.iter().copied()).collect();
-        let plain = residuals[series.range.clone()].iter().zip(&series.weights).map(|(r, w)| r / w);
-        let mut upper = vec![Series::Measured(measured)];
-        upper.extend(curve(&at_start).map(Series::Start));
-        upper.extend(curve(&at_end).map(Series::Fitted));
         let panels = [
-            Panel {
-                height: TALL,
-                y_label: format!("{}{unit}", series.variable),
-                series: upper,
-                is_logarithm: false,
-                has_zero: false,
-            },
-            Panel {
-                height: LOW,
-                y_label: format!("residual{unit}"),
-                series: vec![Series::Marks(series.times.iter().copied().zip(plain).collect())],
-                is_logarithm: false,
-                has_zero: true,
-            },
+            panel(TALL, format!("{}{unit}", measured.variable), upper, false),
+            panel(LOW, format!("residual{unit}"), lower, true),
         ];
-        let experiment = match names.len() {
-            1 => String::new(),
-            _ => format!("{}: ", names[series.experiment]),
+        let title = match experiments.len() {
+            1 => measured.variable.clone(),
+            _ => format!("{}: {}", experiment.name, measured.variable),
         };
-        let title = format!("{experiment}{}", series.variable);
-        let mut caption = match at_start.get(series.experiment) {
-            Some(Some(_)) => String::new(),
-            _ => "The simulation at the start failed. ".to_owned(),
-        };
-        caption += &figure::note(series.times.len());
+        let failed = if start.is_none() { "The simulation at the start failed. " } else { "" };
+        let caption = format!("{failed}{}", figure::note(measured.times.len()));
         Figure { title, caption, svg: figure::draw(&panels, "time in s") }
     };
-    Ok(layout.outputs.iter().map(figure).collect())
+    experiments.iter().flat_map(|e| e.outputs.iter().map(move |output| figure(e, output))).collect()
 }
 
 /// A cost as it is drawn.

@@ -160,12 +160,13 @@ class Fit(OptimizeResult):
         return self._calibration.residuals(self.x)
 
     def plot(self) -> Figure:
-        """Draws measurements, the response at the start and the fitted one, and below the residuals.
+        """Draws measurements, the response at the start and the fitted one, below them the residuals of the fitted one, at the
+        bottom the inputs.
 
         Returns
         -------
         matplotlib.figure.Figure
-            One column per output of each experiment. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
+            Two panels per output of each experiment. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
 
         Raises
         ------
@@ -174,7 +175,33 @@ class Fit(OptimizeResult):
         """
         from . import _plot
 
-        return _plot.fit(self, self._calibration)
+        return _plot.fit(self, self._of_run("plot"))
+
+    def plot_convergence(self) -> Figure:
+        """Draws the cost of each evaluation and the best so far, and below them how the best point moved; as `plot`."""
+        from . import _plot
+
+        return _plot.convergence(self, self._calibration.names)
+
+    def plot_waterfall(self) -> Figure:
+        """Draws the costs at which local searches from several starts ended, sorted: what lies on one level is one minimum; as
+        `plot`. ValueError: the method was another one than "multistart"."""
+        from . import _plot
+
+        return _plot.waterfall(self)
+
+    def plot_correlation(self) -> Figure:
+        """Draws the correlation of the parameters as a coloured table; as `plot`. ValueError: the fit has no standard errors."""
+        from . import _plot
+
+        return _plot.correlation(self._of_run("plot_correlation"), self._calibration.names)
+
+    def plot_sensitivity(self) -> Figure:
+        """Draws what a relative change of each parameter makes of each output, over time, or for more than six parameters its root
+        mean square; as `plot`. ValueError: the fit has no standard errors, and no derivatives."""
+        from . import _plot
+
+        return _plot.sensitivity(self._of_run("plot_sensitivity"), self._calibration.names)
 
     def __getitem__(self, key: Any) -> Any:
         if key in ("parameters", "cost", "rms", "start_rms", "scaled_rms"):
