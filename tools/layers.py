@@ -83,7 +83,7 @@ LAYERS = {
         description inputs trajectory
         settings
         experiment fit minimize model py_system stages
-        calibration optimizer solve
+        calibration fit_report optimizer solve
         share worth
     """,
 }

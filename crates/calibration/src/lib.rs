@@ -60,6 +60,7 @@ pub use parameter::{Parameter, Scale, Target, Tie};
 pub use prior::Prior;
 pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
+pub use report::{ExperimentCurves, OutputCurves, Signal};
 pub use residual::quad_err;
 pub use solver::Solver;
 pub use stages::Stage;
