@@ -26,7 +26,7 @@ LAYERS = {
         evaluate identity
         solver
         calibration
-        effect spot_checks output_fit worth
+        effect check spot_checks output_fit worth
         fit
         stages
         report
@@ -77,6 +77,7 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
+        data
         description inputs trajectory
         settings
         experiment fit minimize model py_system stages

@@ -6,11 +6,12 @@
 //! [`Calibration::residuals`] and [`Calibration::fit`].
 //!
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model); `residual` (measured against simulated), `evaluate`
-//! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
+//! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `check` (what does not fit, before a fit); `effect` and `spot_checks`
 //! (checks after a fit), `fit`, `stages`; `report` (what it found, for people).
 #![forbid(unsafe_code)]
 
 mod calibration;
+mod check;
 mod column_units;
 mod data;
 mod effect;
@@ -34,6 +35,7 @@ mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
+pub use check::{Check, Finding, Severity};
 pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, date_seconds, find_column};
 pub use dfo;
 pub use dfo::Kind;
