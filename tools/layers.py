@@ -28,7 +28,7 @@ LAYERS = {
         evaluate
         solver
         calibration
-        effect simulations spot_checks output_fit
+        check effect simulations spot_checks output_fit
         worth
         fit
         stages
@@ -80,6 +80,7 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
+        data
         description inputs trajectory
         settings
         experiment fit minimize model py_system stages

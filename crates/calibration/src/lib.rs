@@ -8,12 +8,13 @@
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `measurements` (which of them count), `column_units`
 //! (recordings in the units of the model), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
 //! `simulation` (of an experiment), `evaluate` (residuals and cost at a point); `race` and `solver` (which method integrates);
-//! `calibration`; `effect` and `spot_checks` (checks after a fit), `fit`, `stages`; `report` (what it found, for people);
+//! `calibration`; `check` (what does not fit, before a fit); `effect` and `spot_checks` (checks after a fit), `fit`, `stages`; `report` (what it found, for people);
 //! `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
 mod assignment;
 mod calibration;
+mod check;
 mod column_units;
 mod data;
 mod effect;
@@ -45,6 +46,7 @@ mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
+pub use check::{Check, Finding, Severity};
 pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, date_seconds, find_column};
 pub use dfo;
 pub use dfo::Kind;
