@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error race
+        error layout race
         data no_cost parameter residual
         experiment
         warning
@@ -26,7 +26,7 @@ LAYERS = {
         calibration
         effect spot_checks output_fit worth
         fit
-        stages
+        stages report
     """,
     "dfo": """
         number option_texts choices rng answer encoding

@@ -4,6 +4,7 @@ use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
 use crate::experiment::{Experiment, SimulationSettings};
 use crate::identity::{hash, identity};
+use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{ModelFile, Problem};
@@ -170,9 +171,19 @@ impl Calibration {
         self.evaluator.n_residuals
     }
 
+    /// What each entry of the residual vector stands for, with what was measured, when, and its weight.
+    pub fn residual_layout(&self) -> &ResidualLayout {
+        &self.evaluator.layout
+    }
+
+    /// How many measurements count: the length of the residual vector without the priors at its end.
+    pub fn n_measurements(&self) -> usize {
+        self.evaluator.layout.n_measurements()
+    }
+
     /// The root of the mean squared weighted residual that a cost stands for.
     pub fn rms(&self, cost: f64) -> f64 {
-        (cost / self.n_residuals() as f64).sqrt()
+        (cost / self.n_measurements() as f64).sqrt()
     }
 
     /// Start values of all parameters.

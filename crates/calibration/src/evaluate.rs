@@ -2,6 +2,7 @@
 
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
+use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{Element, Problem};
@@ -22,6 +23,7 @@ pub(crate) struct Evaluator {
     pub(crate) parameters: Vec<Parameter>,
     pub(crate) simulations: Vec<Simulation>,
     pub(crate) n_residuals: usize,
+    pub(crate) layout: ResidualLayout,
     pub(crate) warnings: Vec<SetupWarning>,
 }
 
@@ -58,9 +60,10 @@ impl Evaluator {
                 Ok(simulation)
             })
             .collect::<Result<Vec<_>, CalibrationError>>()?;
-        let n_residuals = simulations.iter().map(|s| s.comparison.n_residuals()).sum();
+        let layout = layout(&problem, &simulations);
+        let n_residuals = layout.n_residuals();
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
-        Ok(Self { fmu, problem, parameters, simulations, n_residuals, warnings })
+        Ok(Self { fmu, problem, parameters, simulations, n_residuals, layout, warnings })
     }
 
     /// Start values of all entries of `x`.
@@ -191,6 +194,22 @@ impl Simulation {
             Some(elements) => elements.iter().map(|&i| x[i]).collect(),
         }
     }
+}
+
+/// What the residual vector is made of.
+fn layout(problem: &Problem, simulations: &[Simulation]) -> ResidualLayout {
+    let mut layout = ResidualLayout::default();
+    for (k, (experiment, simulation)) in problem.experiments.iter().zip(simulations).enumerate() {
+        let times = simulation.options.times.as_deref().unwrap_or_default();
+        let of_experiment = simulation.comparison.layout((layout.n_measurements(), times));
+        for (mut residuals, measured) in of_experiment.into_iter().zip(&experiment.outputs) {
+            residuals.experiment = k;
+            residuals.variable = measured.variable.clone();
+            residuals.column = measured.column.clone();
+            layout.outputs.push(residuals);
+        }
+    }
+    layout
 }
 
 /// Where the simulation of an experiment starts; refuses one after the first measurement.

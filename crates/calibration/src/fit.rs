@@ -3,7 +3,7 @@
 use crate::calibration::Calibration;
 use crate::effect::BoundSide;
 use crate::error::CalibrationError;
-use crate::output_fit::OutputFit;
+use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
 use crate::solver::Solver;
@@ -11,10 +11,9 @@ use crate::spot_checks::SpotChecks;
 use crate::worth::Worth;
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
-    RunOptions, Search, Stop, Tolerances,
+    RunOptions, Search, Stop, Tolerances, Want,
 };
-use ode::Number;
-use ode::Stats;
+use ode::{Number, Stats};
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -103,6 +102,14 @@ pub struct Fit {
     pub names: Vec<String>,
     /// Where the fit started.
     pub start: Vec<f64>,
+    /// Units of the parameters, where they are known, in the same order.
+    pub units: Vec<Option<String>>,
+    /// Lower and upper bounds of the parameters, in the same order; both the same where one is fixed.
+    pub bounds: Vec<(f64, f64)>,
+    /// Name of the model.
+    pub model: String,
+    /// How many measurements count.
+    pub n_measurements: usize,
     /// Cost there: the sum of the squared weighted residuals; with a loss, of what they count.
     pub cost: f64,
     /// Root of the mean squared weighted residual there; with a loss, of what they count.
@@ -146,30 +153,13 @@ impl Fit {
     }
 }
 
-impl fmt::Display for Fit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (name, value) in self.names.iter().zip(&self.x) {
-            writeln!(f, "{name} = {}", Number(*value))?;
-        }
-        writeln!(f, "cost {}, RMS {}", Number(self.cost), Number(self.rms))?;
-        writeln!(
-            f,
-            "{} right-hand sides, solver {}; {:.3} s in simulations, {:.3} s of them inside the model",
-            self.stats.right_hand_sides,
-            self.solver.method.name(),
-            self.stats.seconds.get(),
-            self.stats.seconds_in_model.get()
-        )?;
-        self.report.fmt(f)
-    }
-}
-
 /// The objective of one fit, which adds up what its simulations take.
 struct Counted<'a> {
     calibration: &'a Calibration,
     cutoffs: bool,
     loss: RobustLoss,
-    stats: Mutex<(Stats, SpotChecks)>,
+    start: &'a [f64],
+    stats: Mutex<(Stats, SpotChecks, KeptResiduals)>,
     /// Findings before the run.
     n_findings: u64,
 }
@@ -180,13 +170,20 @@ impl Objective for Counted<'_> {
         if !self.cutoffs {
             query.cutoff = f64::INFINITY;
         }
+        let wanted = std::mem::replace(&mut query.want, Want::Residuals);
         let mut stats = Stats::default();
         self.calibration.evaluate_counted(x, (&query, self.loss), answer, &mut stats);
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
         let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
         known.0 += stats;
         known.1.note(x, answer.outcome.value());
+        if let Some(cost) = answer.outcome.value() {
+            known.2.note((x, self.start), cost, &answer.residuals);
+        }
         drop(known);
+        if wanted == Want::Cost {
+            answer.residuals.clear();
+        }
         if self.calibration.n_history_findings() > self.n_findings {
             answer.outcome = Outcome::Abort(HISTORY.to_owned());
         }
@@ -255,10 +252,17 @@ impl Calibration {
         described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
         let tolerances = described.tolerances;
         let (mut stats, mut n_beginnings) = (Stats::default(), 0);
-        let (mut report, found) = loop {
+        let (mut report, found, residuals) = loop {
             n_beginnings += 1;
             let n_findings = self.n_history_findings();
-            let counted = Counted { calibration: self, cutoffs, loss, stats: Mutex::default(), n_findings };
+            let counted = Counted {
+                calibration: self,
+                cutoffs,
+                loss,
+                start: &start,
+                stats: Mutex::default(),
+                n_findings,
+            };
             let left = late.map(|late| late.saturating_duration_since(Instant::now()));
             described.limits.max_time = left.or(max_time);
             let mut run = dfo::minimize(ByRef(&counted))
@@ -281,7 +285,7 @@ impl Calibration {
             let began = Instant::now();
             let outcome = run.run();
             let took = began.elapsed();
-            let (taken, checks) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+            let (taken, checks, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
             stats += taken;
             let is_sound = || self.n_history_findings() == n_findings;
             if is_sound() || cancelled() {
@@ -294,7 +298,7 @@ impl Calibration {
                     let of_run = (start.as_slice(), held.as_slice(), &report);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {
-                        break (report, found);
+                        break (report, found, residuals);
                     }
                 }
             }
@@ -309,12 +313,19 @@ impl Calibration {
         }
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
+        let outputs = self.output_fits((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
+        let description = self.fmu().description();
+        let unit = |p: &Parameter| description.variable(p.variable()).and_then(|v| v.unit.clone());
         Ok(Fit {
+            units: self.parameters().iter().map(unit).collect(),
+            bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
+            model: description.model_name.clone(),
+            n_measurements: self.n_measurements(),
             x: report.x.clone(),
             names,
             start,
-            outputs: Vec::new(),
+            outputs,
             worth: None,
             cost: report.fun,
             rms: self.rms(report.fun),

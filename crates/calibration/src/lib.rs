@@ -7,7 +7,7 @@
 //!
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `residual` (measured against simulated), `evaluate`
 //! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
-//! (checks after a fit), `fit`, `stages`.
+//! (checks after a fit), `fit`, `stages`; `report` (what it found, for people).
 #![forbid(unsafe_code)]
 
 mod calibration;
@@ -18,11 +18,13 @@ mod evaluate;
 mod experiment;
 mod fit;
 mod identity;
+mod layout;
 mod no_cost;
 mod output_fit;
 mod parameter;
 mod problem;
 mod race;
+mod report;
 mod residual;
 mod solver;
 mod spot_checks;
@@ -39,6 +41,7 @@ pub use error::CalibrationError;
 pub use experiment::{Experiment, SimulationSettings};
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
+pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use output_fit::OutputFit;
 pub use parameter::{Parameter, Scale};
 pub use problem::{ModelFile, Problem};

@@ -1,5 +1,6 @@
 //! Simulated against measured, sample by sample while the simulation runs; no trajectory is stored.
 
+use crate::layout::OutputResiduals;
 use dfo::RobustLoss;
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
@@ -60,6 +61,34 @@ impl Comparison {
     /// Length of the residual vector.
     pub(crate) fn n_residuals(&self) -> usize {
         self.n_residuals
+    }
+
+    /// The rows in which an output was measured: their numbers, in the order of time.
+    fn rows(&self, output: usize) -> impl Iterator<Item = usize> {
+        let n = self.n_outputs;
+        (0..self.measured.len() / n.max(1)).filter(move |row| !self.measured[row * n + output].is_nan())
+    }
+
+    /// What stands in the residual vector, output by output; `offset` is the position of the first residual, `times` are those
+    /// that [`new`](Self::new) returned.
+    pub(crate) fn layout(&self, (mut offset, times): (usize, &[f64])) -> Vec<OutputResiduals> {
+        let of_output = |output: usize| {
+            let measured: Vec<f64> =
+                self.rows(output).map(|row| self.measured[row * self.n_outputs + output]).collect();
+            let range = offset..offset + measured.len();
+            offset = range.end;
+            OutputResiduals {
+                experiment: 0,
+                output,
+                variable: String::new(),
+                column: String::new(),
+                range,
+                times: self.rows(output).map(|row| times[row]).collect(),
+                weights: vec![self.weights[output]; measured.len()],
+                measured,
+            }
+        };
+        (0..self.n_outputs).map(of_output).collect()
     }
 }
 

@@ -161,3 +161,37 @@ fn a_fit_can_be_cancelled_while_its_solver_is_chosen() {
         assert_eq!(calibration.known_solver(), None);
     }
 }
+
+#[test]
+fn the_layout_of_the_residuals_says_what_each_one_compares() {
+    let nan = f64::NAN;
+    let columns = [("x".to_owned(), vec![1.0, nan, 0.5, 0.2]), ("z".to_owned(), vec![nan, 0.7, nan, 0.1])];
+    let data = Data::from_columns(vec![0.0, 0.5, 1.0, 1.5], columns).unwrap();
+    let one = Experiment::new(data.clone()).output("x", "x").weighted_output("der(x)", "z", 2.0);
+    let calibration = Calibration::builder(open("dahlquist"))
+        .experiment(one)
+        .experiment(Experiment::new(data).output("x", "z").window(1.0, 2.0))
+        .parameter(Parameter::new("k", 1.0))
+        .build()
+        .unwrap();
+    let layout = calibration.residual_layout();
+    let rows: Vec<_> = (layout.outputs.iter())
+        .map(|o| (o.experiment, o.output, o.variable.as_str(), o.column.as_str(), o.range.clone()))
+        .collect();
+    assert_eq!(rows, [(0, 0, "x", "x", 0..3), (0, 1, "der(x)", "z", 3..5), (1, 0, "x", "z", 5..6)]);
+    assert_eq!(layout.outputs[1].times, [0.5, 1.5]);
+    assert_eq!(layout.outputs[1].measured, [0.7, 0.1]);
+    assert_eq!(layout.outputs[1].weights, [2.0, 2.0]);
+    assert_eq!(layout.n_residuals(), calibration.n_residuals());
+    // Together with a simulation they make the residuals.
+    let (residuals, trajectories) =
+        (calibration.residuals(&[1.3]).unwrap(), calibration.simulate(&[1.3], None).unwrap());
+    for o in &layout.outputs {
+        let trajectory = &trajectories[o.experiment];
+        for (i, t) in o.times.iter().enumerate() {
+            let row = trajectory.time.iter().position(|s| s == t).unwrap();
+            let difference = trajectory.columns[o.output][row] - o.measured[i];
+            assert_eq!(residuals[o.range.start + i], o.weights[i] * difference);
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! What each entry of the residual vector stands for.
+
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+/// What the residual vector is made of: the measurements, output by output, then the priors.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct ResidualLayout {
+    /// The residuals of the measurements: experiment by experiment, output by output.
+    pub outputs: Vec<OutputResiduals>,
+    /// The residuals of the priors, which follow those of the measurements.
+    pub priors: Vec<PriorResidual>,
+}
+
+/// The residuals of one output of one experiment: `weight (simulated - measured)`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OutputResiduals {
+    /// The experiment, counted from 0.
+    pub experiment: usize,
+    /// The output, counted from 0 within the experiment.
+    pub output: usize,
+    /// The variable of the model.
+    pub variable: String,
+    /// The column that measured it.
+    pub column: String,
+    /// Where they stand in the residual vector.
+    pub range: Range<usize>,
+    /// Times of the measurements, in s.
+    pub times: Vec<f64>,
+    /// What was measured.
+    pub measured: Vec<f64>,
+    /// What the differences are multiplied with.
+    pub weights: Vec<f64>,
+}
+
+/// The residual of a prior.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PriorResidual {
+    /// The parameter: an entry of `x`, counted from 0.
+    pub parameter: usize,
+    /// Where it stands in the residual vector.
+    pub index: usize,
+}
+
+impl ResidualLayout {
+    /// How many residuals belong to measurements; those of the priors follow.
+    pub fn n_measurements(&self) -> usize {
+        self.outputs.last().map_or(0, |output| output.range.end)
+    }
+
+    /// Length of the residual vector.
+    pub fn n_residuals(&self) -> usize {
+        self.n_measurements() + self.priors.len()
+    }
+}

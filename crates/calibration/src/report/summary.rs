@@ -1,0 +1,274 @@
+//! What a fit found, as tables and sentences: what `Display`, the notebook and the report show.
+
+use super::number::{rounded, with_error};
+use crate::effect::BoundSide;
+use crate::fit::Fit;
+use crate::worth::{Estimator, Worth};
+use dfo::Termination;
+use ode::Number;
+use serde::Serialize;
+
+/// Digits of a number that has no error.
+const DIGITS: usize = 8;
+
+/// Digits of an RMS, a share or an error.
+const FEW_DIGITS: usize = 4;
+
+/// Half the width of a 95 % interval of the normal distribution, in standard errors.
+const HALF_WIDTH: f64 = 1.959_964;
+
+/// A fit as tables and sentences.
+#[derive(Debug, Serialize)]
+pub(super) struct Summary {
+    /// What it is: the model.
+    pub(super) title: String,
+    /// Whether the run ended as it should.
+    pub(super) is_success: bool,
+    /// How it ended and how good it is, in a sentence.
+    pub(super) sentence: String,
+    /// What is not to be trusted, in sentences.
+    pub(super) doubts: Vec<String>,
+    pub(super) parameters: Vec<ParameterRow>,
+    pub(super) outputs: Vec<OutputRow>,
+    /// Whether the fit has standard errors, and corrected ones.
+    pub(super) has_errors: bool,
+    pub(super) has_corrected_errors: bool,
+    /// Whether outputs belong to several experiments.
+    pub(super) has_several_experiments: bool,
+    /// How it was found: names and values.
+    pub(super) facts: Vec<Fact>,
+}
+
+/// A name and its value.
+#[derive(Debug, Serialize)]
+pub(super) struct Fact {
+    pub(super) name: &'static str,
+    pub(super) value: String,
+}
+
+/// A parameter.
+#[derive(Debug, Serialize)]
+pub(super) struct ParameterRow {
+    pub(super) name: String,
+    pub(super) start: String,
+    pub(super) value: String,
+    /// Its standard error, or why it has none; empty without any errors.
+    pub(super) error: String,
+    /// The standard error that takes account of autocorrelated residuals.
+    pub(super) corrected_error: String,
+    /// Bounds of its 95 % interval.
+    pub(super) interval: Option<[String; 2]>,
+    pub(super) unit: String,
+    pub(super) bounds: [String; 2],
+    pub(super) remark: String,
+}
+
+/// An output of an experiment.
+#[derive(Debug, Serialize)]
+pub(super) struct OutputRow {
+    pub(super) experiment: String,
+    pub(super) variable: String,
+    pub(super) column: String,
+    pub(super) n: usize,
+    pub(super) rms: String,
+    pub(super) start_rms: String,
+    pub(super) fit_percent: String,
+    pub(super) unit: String,
+}
+
+impl Summary {
+    pub(super) fn new(fit: &Fit) -> Self {
+        let worth = fit.worth.as_ref();
+        let first = fit.outputs.first().map(|output| &output.experiment);
+        Self {
+            title: format!("Fit of {}", fit.model),
+            is_success: fit.report.is_success(),
+            sentence: sentence(fit),
+            doubts: doubts(fit),
+            parameters: (0..fit.x.len()).map(|i| parameter(fit, i)).collect(),
+            outputs: outputs(fit),
+            has_errors: worth.is_some(),
+            has_corrected_errors: worth.is_some_and(|worth| worth.corrected_errors.is_some()),
+            has_several_experiments: fit.outputs.iter().any(|output| Some(&output.experiment) != first),
+            facts: facts(fit),
+        }
+    }
+}
+
+/// How the fit ended and how good it is.
+fn sentence(fit: &Fit) -> String {
+    let ended = match &fit.report.termination {
+        Termination::Converged | Termination::Noise => "The fit converged",
+        Termination::Target => "The fit reached its target",
+        Termination::AllFixed => "All parameters are fixed",
+        Termination::MaxEvaluations => "The fit did not converge within its limit of evaluations",
+        Termination::MaxIterations => "The fit did not converge within its limit of iterations",
+        Termination::MaxTime => "The fit did not converge within its time limit",
+        Termination::Interrupted => "The fit was interrupted before it converged",
+        Termination::StoppedByObserver => "The callback ended the fit before it converged",
+        _ => "The fit did not converge",
+    };
+    let before = match fit.start_rms {
+        Some(rms) => format!("at the start {}", rounded(rms, FEW_DIGITS)),
+        None => "no simulation at the start".to_owned(),
+    };
+    let mut suspects: Vec<usize> = fit.at_bound.iter().map(|(i, _)| *i).collect();
+    suspects.extend(&fit.without_effect);
+    if let Some(Worth { undetermined, confounded, .. }) = &fit.worth {
+        suspects.extend(undetermined);
+        suspects.extend(confounded.iter().flat_map(|(i, k, _)| [*i, *k]));
+    }
+    suspects.sort_unstable();
+    suspects.dedup();
+    let names: Vec<&str> = suspects.iter().filter_map(|i| fit.names.get(*i)).map(String::as_str).collect();
+    let mistrust = match (names.as_slice(), fit.report.is_success()) {
+        ([], true) => String::new(),
+        ([], false) => " Mistrust all values.".to_owned(),
+        (names, true) => format!(" Mistrust {}: see the remarks.", names.join(", ")),
+        (names, false) => {
+            format!(" Mistrust all values, and {} above all: see the remarks.", names.join(", "))
+        }
+    };
+    let rms = rounded(fit.rms, FEW_DIGITS);
+    format!("{ended}: RMS {rms} ({before}) over {} measurements.{mistrust}", fit.n_measurements)
+}
+
+/// What is not to be trusted.
+fn doubts(fit: &Fit) -> Vec<String> {
+    let name = |i: &usize| fit.names[*i].as_str();
+    let at_bound = |(i, side): &(usize, BoundSide)| {
+        let bound = Number(bound(fit, *i, *side));
+        format!("{} is at its {} bound {bound}: the best value may lie beyond.", name(i), side.name())
+    };
+    let without_effect = |i: &usize| format!("{} did not change the cost: its value says nothing.", name(i));
+    let undetermined = |i: &usize| format!("The measurements do not determine {}.", name(i));
+    let verdict: &[String] = fit.worth.as_ref().map_or(&[], |worth| &worth.verdict);
+    // The verdict has its own words for what it says of a parameter.
+    let is_said = |i: &usize| verdict.iter().any(|sentence| sentence.contains(name(i)));
+    let mut all: Vec<String> = fit.at_bound.iter().filter(|(i, _)| !is_said(i)).map(at_bound).collect();
+    all.extend(fit.without_effect.iter().filter(|i| !is_said(i)).map(without_effect));
+    if let Some(worth) = &fit.worth {
+        let unsaid = worth.undetermined.iter().filter(|i| !is_said(i) && !fit.without_effect.contains(i));
+        all.extend(unsaid.map(undetermined));
+    }
+    all.extend(verdict.iter().cloned());
+    all
+}
+
+fn bound(fit: &Fit, i: usize, side: BoundSide) -> f64 {
+    let (lower, upper) = fit.bounds[i];
+    match side {
+        BoundSide::Lower => lower,
+        BoundSide::Upper => upper,
+    }
+}
+
+fn parameter(fit: &Fit, i: usize) -> ParameterRow {
+    let value = fit.x[i];
+    let (lower, upper) = fit.bounds[i];
+    let is_fixed = lower == upper;
+    let side = fit.at_bound.iter().find(|(k, _)| *k == i).map(|(_, side)| *side);
+    let worth = fit.worth.as_ref();
+    let of = |errors: &[f64]| errors.get(i).copied().unwrap_or(f64::NAN);
+    let error = worth.map_or(f64::NAN, |worth| of(&worth.standard_errors));
+    let corrected = worth.and_then(|worth| worth.corrected_errors.as_deref()).map(of);
+    let is_known = |error: f64| error.is_finite() && error > 0.0;
+    let shown = |error: f64| match error {
+        error if is_known(error) => rounded(error, 2),
+        f64::INFINITY => "not determined".to_owned(),
+        _ => "none".to_owned(),
+    };
+    let mut remarks = Vec::new();
+    if is_fixed {
+        remarks.push("fixed".to_owned());
+    } else if let Some(side) = side {
+        remarks.push(format!("at its {} bound {}", side.name(), Number(bound(fit, i, side))));
+    }
+    if fit.without_effect.contains(&i) {
+        remarks.push("without effect".to_owned());
+    }
+    let widest = corrected.filter(|corrected| is_known(*corrected)).unwrap_or(error);
+    let end = |sign: f64| with_error(value + sign * HALF_WIDTH * widest, widest);
+    ParameterRow {
+        name: fit.names[i].clone(),
+        start: rounded(fit.start[i], DIGITS),
+        value: with_error(value, error),
+        error: worth.map_or_else(String::new, |_| shown(error)),
+        corrected_error: corrected.map_or_else(String::new, shown),
+        interval: is_known(widest).then(|| [end(-1.0), end(1.0)]),
+        unit: fit.units[i].clone().unwrap_or_default(),
+        bounds: [lower, upper].map(|bound| Number(bound).to_string()),
+        remark: remarks.join(", "),
+    }
+}
+
+fn outputs(fit: &Fit) -> Vec<OutputRow> {
+    let row = |output: &crate::output_fit::OutputFit| OutputRow {
+        experiment: output.experiment.clone(),
+        variable: output.variable.clone(),
+        column: output.column.clone(),
+        n: output.n,
+        rms: rounded(output.rms, FEW_DIGITS),
+        start_rms: output.start_rms.map_or_else(|| "failed".to_owned(), |rms| rounded(rms, FEW_DIGITS)),
+        fit_percent: match output.fit_percent.is_nan() {
+            true => "constant data".to_owned(),
+            false => format!("{} %", rounded(output.fit_percent, 3)),
+        },
+        unit: output.unit.clone().unwrap_or_default(),
+    };
+    fit.outputs.iter().map(row).collect()
+}
+
+fn facts(fit: &Fit) -> Vec<Fact> {
+    let report = &fit.report;
+    let before = match fit.start_cost {
+        Some(cost) => format!(" ({} at the start)", rounded(cost, DIGITS)),
+        None => String::new(),
+    };
+    let mut facts = vec![("ended", format!("{}: {}", report.method, report.message))];
+    facts.extend(report.method_reason.iter().map(|reason| ("chosen", reason.clone())));
+    facts.push(("cost", format!("{}{before}, RMS {}", rounded(fit.cost, DIGITS), rounded(fit.rms, DIGITS))));
+    if !report.loss.is_linear() {
+        facts.push(("loss", report.loss.to_string()));
+    }
+    facts.push(("errors", errors(fit)));
+    let counts = [(report.n_failed, "failed"), (report.n_speculative, "speculative")];
+    let counts: String =
+        counts.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!(", {n} {what}")).collect();
+    facts.push((
+        "search",
+        format!(
+            "{} evaluations in {} iterations and {} batches{counts}; {} s, workers {}, batch plan {}",
+            report.n_evaluations,
+            report.n_iterations,
+            report.n_batches,
+            rounded(report.seconds, 3),
+            report.workers,
+            report.batch
+        ),
+    ));
+    facts.extend(report.failures.iter().map(|(reason, count)| ("failures", format!("{count} x {reason}"))));
+    facts.push((
+        "simulated",
+        format!(
+            "{} right-hand sides, solver {}; {} s in simulations, {} s of them inside the model",
+            fit.stats.right_hand_sides,
+            fit.solver.method.name(),
+            rounded(fit.stats.seconds.get(), 3),
+            rounded(fit.stats.seconds_in_model.get(), 3)
+        ),
+    ));
+    facts.into_iter().map(|(name, value)| Fact { name, value }).collect()
+}
+
+/// How the standard errors were estimated.
+fn errors(fit: &Fit) -> String {
+    let Some(worth) = &fit.worth else { return "none were estimated".to_owned() };
+    let estimator = match worth.estimator {
+        Estimator::Sandwich => "sandwich estimator, one residual variance per output",
+        Estimator::Pooled => "pooled estimator, one variance for all residuals",
+    };
+    let corrected =
+        worth.corrected_errors.as_ref().map_or("", |_| "; corrected for autocorrelated residuals beside");
+    format!("{estimator}{corrected}; {} simulations", worth.n_simulations)
+}
