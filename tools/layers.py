@@ -17,16 +17,20 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = {
     "calibration": """
         error layout race
-        data no_cost parameter residual
+        data no_cost residual
+        parameter
         experiment
         warning
         problem
+        column_units
         evaluate identity
         solver
         calibration
         effect spot_checks output_fit worth
         fit
-        stages report
+        stages
+        validation
+        report
     """,
     "dfo": """
         number option_texts choices rng answer encoding

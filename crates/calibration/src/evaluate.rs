@@ -1,5 +1,6 @@
 //! A problem with its model loaded: residuals and cost at any point.
 
+use crate::column_units::convert_columns;
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, SimulationSettings};
 use crate::layout::ResidualLayout;
@@ -43,8 +44,9 @@ pub(crate) struct Simulation {
 
 impl Evaluator {
     /// Looks everything up and checks it; loads the model, but simulates nothing yet.
-    pub(crate) fn new(fmu: Fmu, problem: Problem) -> Result<Self, CalibrationError> {
+    pub(crate) fn new(fmu: Fmu, mut problem: Problem) -> Result<Self, CalibrationError> {
         let mut warnings = problem.check(fmu.description())?;
+        warnings.extend(convert_columns(&mut problem, fmu.description())?);
         let elements = problem.elements()?;
         let simulations = (problem.experiments.iter().zip(problem.experiment_names()).enumerate())
             .map(|(k, (experiment, name))| {

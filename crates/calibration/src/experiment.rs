@@ -76,6 +76,12 @@ impl Experiment {
         self.outputs.iter().map(|o| (o.variable.as_str(), o.column.as_str()))
     }
 
+    /// Variables with the columns that measure or drive them.
+    pub(crate) fn columns_in_use(&self) -> Vec<(String, String)> {
+        let outputs = self.outputs.iter().map(|o| (o.variable.clone(), o.column.clone()));
+        outputs.chain(self.inputs.iter().cloned()).collect()
+    }
+
     /// Whether a start value is that of a local parameter.
     pub(crate) fn is_start_of_local(name: &str, parameters: &[Parameter]) -> bool {
         parameters.iter().any(|p| p.is_local() && p.variable() == name)

@@ -5,12 +5,13 @@
 //! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
 //! [`Calibration::residuals`] and [`Calibration::fit`].
 //!
-//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `residual` (measured against simulated), `evaluate`
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model); `residual` (measured against simulated), `evaluate`
 //! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
-//! (checks after a fit), `fit`, `stages`; `report` (what it found, for people).
+//! (checks after a fit), `fit`, `stages`, `validation`; `report` (what it found, for people).
 #![forbid(unsafe_code)]
 
 mod calibration;
+mod column_units;
 mod data;
 mod effect;
 mod error;
@@ -29,11 +30,12 @@ mod residual;
 mod solver;
 mod spot_checks;
 mod stages;
+mod validation;
 mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
-pub use data::{Data, TimeColumn};
+pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, find_column};
 pub use dfo;
 pub use dfo::Kind;
 pub use effect::BoundSide;
@@ -49,5 +51,6 @@ pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use residual::quad_err;
 pub use solver::Solver;
 pub use stages::Stage;
+pub use validation::{ValidatedOutput, Validation, ValidationSet};
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use worth::{Estimator, ResidualCheck, Worth};

@@ -1,6 +1,6 @@
 //! What a setup leaves in doubt: it can be evaluated, but perhaps it is not what was meant.
 
-use crate::data::{parts, sampling_interval};
+use crate::data::{UnitError, parts, sampling_interval};
 use crate::experiment::Experiment;
 use crate::parameter::{Parameter, Scale};
 use fmi::ModelDescription;
@@ -35,6 +35,17 @@ pub enum SetupWarning {
         /// Start and end of the simulation, in s.
         simulated: (f64, f64),
     },
+    /// A column states a unit that was not converted to that of its variable.
+    NotConverted {
+        /// The recording.
+        data: String,
+        /// The column.
+        column: String,
+        /// The variable.
+        variable: String,
+        /// Why not.
+        reason: UnitError,
+    },
     /// A setting that is ignored; the sentence says which, and why.
     NoEffect(String),
     /// What is in doubt about one of several experiments.
@@ -54,6 +65,12 @@ impl fmt::Display for SetupWarning {
                 "{data}: column '{column}' is not used, but the model has an input '{input}' that nothing drives; name it \
                  among the inputs, if it is its recording"
             ),
+            Self::NotConverted { data, column, variable, reason } => {
+                write!(
+                    f,
+                    "{data}: column '{column}' is taken in the unit of '{variable}', without conversion: {reason}"
+                )
+            }
             Self::NoEffect(sentence) => f.write_str(sentence),
             Self::Experiment { name, warning } => write!(f, "{name}: {warning}"),
             Self::InputHeld { data, input, recorded, simulated } => {

@@ -1,7 +1,9 @@
 //! CSV files as tables, as spreadsheets and data loggers write them.
 
+use super::dates;
 use super::table::{Column, Data, mixed_decimal_signs};
-use super::time_column::TimeColumn;
+use super::time_column::{TimeColumn, time_unit};
+use super::units::Unit;
 use crate::error::CalibrationError;
 use std::borrow::Cow;
 use std::io::Read;
@@ -11,12 +13,14 @@ use std::path::Path;
 const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
 
 impl Data {
-    /// Reads a CSV file with one header line. The delimiter is the one of comma, semicolon and tab that stands most
+    /// Reads a CSV file with a header line, which a line of units may follow. The delimiter is the one of comma, semicolon and tab that stands most
     /// often in the header (a first line `sep=;`, as spreadsheets write it, names it); one more at the end of each
     /// row is no column. Where it is no comma, numbers may have decimal commas, all of them: where some have commas
     /// and others points, one of the two separates thousands. The times are those of the column `time` (in any case),
-    /// in s or in the unit that follows in brackets or parentheses: s, ms, us, ns, min, h, d (`time [ms]`). Empty
-    /// cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an error.
+    /// in s or in the unit that follows in brackets or parentheses: s, ms, us, ns, min, h, d (`time [ms]`); dates (of ISO 8601, or as
+    /// `31.05.2024 13:45:10`) and times of day become s since the first row. Empty
+    /// cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an error. Lines that begin with
+    /// `#` are comments.
     ///
     /// # Errors
     /// The file cannot be read, has no column of times (the message lists those there are), no rows, rows of different
@@ -81,12 +85,19 @@ impl Data {
         if !names.is_empty() && names.iter().all(|n| number(n, delimiter).is_some()) {
             return Err(bad(format!("there is no header: line {} holds numbers only", numbers[0])));
         }
+        if names.is_empty() {
+            return Err(bad("there are no rows".to_owned()));
+        }
+        let mut time_column =
+            TimeColumn::find(names.iter().map(String::as_str), time).map_err(|message| {
+                let hint = "; there is one column only: columns are separated by commas, semicolons or tabs";
+                bad(if names.len() == 1 { message + hint } else { message })
+            })?;
         let mut columns: Vec<Column> = names.iter().map(|n| Column::new(n.clone(), Vec::new())).collect();
-        let mut lines = Vec::new();
+        let (mut lines, mut dates, mut has_units) = (Vec::new(), Vec::new(), false);
         for record in reader.records() {
             let record = record.map_err(|e| bad(e.to_string()))?;
             let line = line_of(record.position());
-            lines.push(line);
             // A delimiter at the end of a row or of the header makes an empty cell that belongs to no column.
             let (len, expected) = (record.len(), names.len());
             let is_whole = record.iter().skip(expected).chain(names.iter().skip(len).map(String::as_str));
@@ -99,30 +110,45 @@ impl Data {
                 };
                 return Err(bad(format!("line {line} has {len} cells, the header has {expected}{hint}")));
             }
+            if lines.is_empty()
+                && !has_units
+                && let Some(units) = line_of_units(&record, time_column.index)
+            {
+                has_units = true;
+                for (column, unit) in columns.iter_mut().zip(units) {
+                    column.unit = unit;
+                }
+                let (name, unit) = (&names[time_column.index], &columns[time_column.index].unit);
+                if let Some(unit) = unit {
+                    time_column.unit = time_unit(name, unit).map_err(bad)?;
+                }
+                continue;
+            }
+            lines.push(line);
             for (column, cell) in columns.iter_mut().zip(record.iter().chain(std::iter::repeat(""))) {
                 column.push(cell, line, delimiter);
             }
+            let cell = record.get(time_column.index).unwrap_or_default();
+            if !cell.is_empty() && number(cell, delimiter).is_none() {
+                dates.push(cell.to_owned());
+            }
         }
-        if columns.is_empty() || lines.is_empty() {
+        if lines.is_empty() {
             return Err(bad("there are no rows".to_owned()));
         }
-        let time_column = TimeColumn::find(names.iter().map(String::as_str), time).map_err(|message| {
-            let hint = "; there is one column only: columns are separated by commas, semicolons or tabs";
-            bad(if names.len() == 1 { message + hint } else { message })
-        })?;
         if let Some(message) = mixed_decimal_signs(&columns, &columns[time_column.index]) {
             return Err(bad(message));
         }
         let mut time = columns.remove(time_column.index);
         if let Some((line, text)) = &time.text {
-            let hint = if text.contains(':') {
-                "; clock times and dates must be turned into seconds from the start of the recording"
-            } else if Some(line) == lines.first() {
-                "; units stand in the names of the columns, as in 'time [ms]', not in a line or cell of their own"
-            } else {
-                ""
-            };
-            return Err(bad(format!("time '{text}' in line {line} is not a number{hint}")));
+            if dates.len() != lines.len() {
+                return Err(bad(format!(
+                    "time '{text}' in line {line} is not a number, as those of other lines are, or there is none in them"
+                )));
+            }
+            let seconds = dates::seconds(&dates);
+            time.values = seconds.map_err(|(row, why)| bad(format!("time in line {}: {why}", lines[row])))?;
+            time_column.unit = (1.0, 1.0);
         }
         time.values.iter_mut().for_each(|t| *t = time_column.seconds(*t));
         Self::new(source.to_owned(), time.name, time.values, columns, |row| format!("line {}", lines[row]))
@@ -150,6 +176,24 @@ fn delimiter(header: &str) -> u8 {
     }
     // Of equals the first.
     counts.into_iter().rev().max_by_key(|c| c.1).map_or(b',', |c| c.0)
+}
+
+/// The units of the columns, where the first line below the header has no values: the cell of the times is a unit of time or empty, and
+/// no other is a number, but for the unit 1.
+fn line_of_units(record: &csv::StringRecord, time: usize) -> Option<Vec<Option<String>>> {
+    let bare = |cell: &str| {
+        let inner = |(open, close)| cell.strip_prefix(open)?.strip_suffix(close).map(str::trim);
+        [('[', ']'), ('(', ')')].into_iter().find_map(inner).unwrap_or(cell).to_owned()
+    };
+    let is_unit = |cell: &str| Unit::parse(cell).is_ok();
+    let cells: Vec<String> = record.iter().map(bare).collect();
+    let is_of_time = match cells.get(time)?.as_str() {
+        "" | "-" => cells.iter().any(|cell| !matches!(&cell[..], "1" | "-") && is_unit(cell)),
+        cell => Unit::parse(cell).is_ok_and(|unit| unit.time_factor().is_some()),
+    };
+    let is_number = |cell: &String| cell != "1" && number(cell, b';').is_some_and(|value| !value.is_nan());
+    let stated = |cell: String| (!cell.is_empty()).then_some(cell);
+    (is_of_time && !cells.iter().any(is_number)).then(|| cells.into_iter().map(stated).collect())
 }
 
 /// The number in a cell, NaN for a missing one, `None` for a text.
@@ -256,19 +300,56 @@ mod tests {
     }
 
     #[test]
+    fn a_second_line_may_hold_units() {
+        for text in [
+            "time;phi;T;s;z\nms;deg;[degC];1;\n0;1,5;20;0;1\n500;2,5;21;0;1\n",
+            "time,phi [deg],T,s,z\n[ms],,(degC),-,\n0,1.5,20,0,1\n500,2.5,21,0,1\n",
+        ] {
+            let d = csv(text).unwrap();
+            assert_eq!(d.time(), [0.0, 0.5]);
+            assert_eq!(d.column("phi").unwrap(), [1.5, 2.5]);
+            assert_eq!((d.unit("phi"), d.unit("T"), d.unit("z")), (Some("deg"), Some("degC"), None));
+        }
+        let d = csv("time,y\n,mm\n2024-05-31T10:00:00,1\n2024-05-31T10:00:01,2\n").unwrap();
+        assert_eq!(
+            (d.time(), d.unit("y"), d.column("y").unwrap()),
+            (&[0.0, 1.0][..], Some("mm"), &[1.0, 2.0][..])
+        );
+        // A row without a number is no line of units for that.
+        let d = csv("time,y\n0,\n1,2\n").unwrap();
+        assert_eq!((d.time().len(), d.unit("y")), (2, None));
+    }
+
+    #[test]
+    fn dates_count_from_the_first() {
+        for text in [
+            "time,y\n2024-05-31T23:59:59.5,1\n2024-06-01T00:00:00.5,2\n",
+            "time;y\n31.05.2024 23:59:59,5;1\n01.06.2024 00:00:00,5;2\n",
+            "y;TIME\n1;10:00:00\n2;10:00:01\n",
+        ] {
+            let d = csv(text).unwrap();
+            assert_eq!((d.time(), d.column("y").unwrap()), (&[0.0, 1.0][..], &[1.0, 2.0][..]), "{text}");
+        }
+    }
+
+    #[test]
     fn bad_tables_say_where() {
         for (text, expected) in [
             ("", "no rows"),
             ("time,y\n", "no rows"),
             ("time,y\n0,1\n2,1\n1,1\n", "time 1 at line 4 comes after 2"),
             ("time,y\n0,1\n0,1\n0,1\n", "third time"),
-            ("time,y\nzero,1\n", "'zero' in line 2"),
+            ("time,y\nzero,1\n", "line 2: 'zero' is neither a number nor a date"),
+            ("time,y\n0,1\nlater,1\n", "time 'later' in line 3 is not a number, as those of other lines are"),
+            ("time,y\n05/31/2024 10:00,1\n", "which of them is the month cannot be told"),
+            ("time,y\n10:00,1\n09:00,1\n", "times must ascend"),
+            ("time,y\nkg,m\n0,1\n", "time 'kg' in line 2 is not a number"),
             ("time,y\n,1\n", "not finite"),
             ("time,y\ninf,1\n", "not finite"),
             ("time,y\n0,1\n1\n", "line 3 has 1 cells, the header has 2"),
             ("0,1\n1,2\n", "no header: line 1"),
             ("# time,y\n0,1\n1,2\n", "no header: line 2"),
-            ("time,y\n# c\n\nzero,1\n", "'zero' in line 4"),
+            ("time,y\n# c\n\nzero,1\n", "in line 4: 'zero'"),
         ] {
             let e = csv(text).unwrap_err().to_string();
             assert!(e.contains(expected) && e.contains("test.csv"), "{text:?}: {e}");

@@ -1,10 +1,14 @@
 //! Recordings: tables from CSV files and from memory, their column of times and its unit.
 
 mod csv;
+mod dates;
+mod symbols;
 mod table;
 mod time_column;
+mod units;
 
 pub use table::Data;
 pub(crate) use table::sampling_interval;
-pub use time_column::TimeColumn;
 pub(crate) use time_column::parts;
+pub use time_column::{TimeColumn, find_column};
+pub use units::{Unit, UnitConversion, UnitError};

@@ -1,6 +1,7 @@
 //! A table of recorded series over one column of times: irregular times, missing values.
 
-use super::time_column::{TimeColumn, listed};
+use super::time_column::{TimeColumn, find_column, parts};
+use super::units::UnitConversion;
 use crate::error::CalibrationError;
 use ode::Number;
 use serde::{Deserialize, Serialize};
@@ -23,6 +24,8 @@ pub struct Data {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Column {
     pub(super) name: String,
+    /// The unit of the values, where it is not the one in the name: from a line of units, or converted to.
+    pub(super) unit: Option<String>,
     pub(super) values: Vec<f64>,
     /// The first cell that is no number.
     pub(super) text: Option<Cell>,
@@ -131,10 +134,12 @@ impl Data {
     /// A hash of the names and values: of the content, wherever it came from.
     pub(crate) fn hash(&self) -> String {
         let mut hasher = Sha256::new();
-        let columns = self.columns.iter().map(|c| (&c.name, &c.values));
-        for (name, values) in std::iter::once((&self.time_name, &self.time)).chain(columns) {
-            hasher.update((name.len() as u64).to_le_bytes());
-            hasher.update(name);
+        let columns = self.columns.iter().map(|c| (&c.name, c.unit.as_deref(), &c.values));
+        for (name, unit, values) in std::iter::once((&self.time_name, None, &self.time)).chain(columns) {
+            for text in std::iter::once(name.as_str()).chain(unit) {
+                hasher.update((text.len() as u64).to_le_bytes());
+                hasher.update(text);
+            }
             hasher.update((values.len() as u64).to_le_bytes());
             values.iter().for_each(|v| hasher.update(v.to_bits().to_le_bytes()));
         }
@@ -151,22 +156,15 @@ impl Data {
         self.columns.iter().map(|c| c.name.as_str())
     }
 
-    /// A column by name, with NaN for missing values.
+    /// A column by name, with NaN for missing values. Its unit may be left out: `phi` finds `phi [deg]`.
     ///
     /// # Errors
     /// No such column (the message lists those there are), a cell that is no number, an infinite value.
     pub fn column(&self, name: &str) -> Result<&[f64], CalibrationError> {
-        if name == self.time_name {
-            return Ok(&self.time);
-        }
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
-        let mut named = self.columns.iter().filter(|c| c.name == name);
-        let column = named.next().ok_or_else(|| {
-            bad(format!("there is no column '{name}'; there are: {}", listed(self.all_names())))
-        })?;
-        if named.next().is_some() {
-            return Err(bad(format!("two columns are named '{name}'")));
-        }
+        let Some(index) = self.position(name)? else { return Ok(&self.time) };
+        let column = &self.columns[index];
+        let name = &column.name;
         if let Some((line, text)) = &column.text {
             return Err(bad(format!(
                 "'{text}' in column '{name}', line {line}, is not a number; missing values are empty cells, NaN, NA, N/A \
@@ -180,6 +178,41 @@ impl Data {
             return Err(bad(format!("column '{name}' is infinite at time {}", self.time[row])));
         }
         Ok(&column.values)
+    }
+
+    /// Position of a column; `None`: it is that of the times.
+    fn position(&self, name: &str) -> Result<Option<usize>, CalibrationError> {
+        if name == self.time_name {
+            return Ok(None);
+        }
+        let found = find_column(self.names(), name).or_else(|_| find_column(self.all_names(), name));
+        let message = match found {
+            Ok(index) if index < self.columns.len() => return Ok(Some(index)),
+            Ok(_) => format!("column '{name}' was left out"),
+            Err(message) => message,
+        };
+        Err(CalibrationError::Data { source_name: self.source.clone(), message })
+    }
+
+    /// The unit of a column, where it is stated: behind its name in brackets or parentheses, or in a line of units; after
+    /// [`Calibration::from_problem`](crate::Calibration::from_problem) that of the variable which it was converted to.
+    pub fn unit(&self, column: &str) -> Option<&str> {
+        let column = &self.columns[self.position(column).ok()??];
+        column.unit.as_deref().or_else(|| parts(&column.name).1)
+    }
+
+    /// The name of a column in full, with its unit if it has one there.
+    pub(crate) fn full_name(&self, column: &str) -> Option<&str> {
+        Some(&self.columns[self.position(column).ok()??].name)
+    }
+
+    /// Converts a column; the unit of its values is `unit` from then on.
+    pub(crate) fn convert(&mut self, column: &str, conversion: UnitConversion, unit: &str) {
+        if let Ok(Some(index)) = self.position(column) {
+            let column = &mut self.columns[index];
+            column.values.iter_mut().for_each(|value| *value = conversion.apply(*value));
+            column.unit = Some(unit.to_owned());
+        }
     }
 
     /// The rows of a column that was measured: at least one value, and no time with two of them.
@@ -225,7 +258,7 @@ pub(crate) fn sampling_interval(times: &[f64]) -> Option<f64> {
 
 impl Column {
     pub(super) fn new(name: String, values: Vec<f64>) -> Self {
-        Self { name, values, text: None, comma: None, point: None }
+        Self { name, unit: None, values, text: None, comma: None, point: None }
     }
 }
 

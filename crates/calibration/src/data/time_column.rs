@@ -1,19 +1,6 @@
 //! Which column of a table holds the times, and in which unit.
 
-type Unit = (&'static [&'static str], &'static [&'static str], (f64, f64));
-
-/// Units of time: symbols, which are compared exactly (S is siemens, M is mega), words, which are compared without regard to
-/// case, and the length in s as a fraction of two whole numbers: dividing by a thousand has no rounding error beyond its own.
-const UNITS: [Unit; 7] = [
-    (&["s"], &["sec", "second", "seconds"], (1.0, 1.0)),
-    (&["ms"], &["msec", "millisecond", "milliseconds"], (1.0, 1e3)),
-    // both letters that look like a Greek mu
-    (&["us", "\u{b5}s", "\u{3bc}s"], &["microsecond", "microseconds"], (1.0, 1e6)),
-    (&["ns"], &["nanosecond", "nanoseconds"], (1.0, 1e9)),
-    (&["min"], &["minute", "minutes"], (60.0, 1.0)),
-    (&["h"], &["hr", "hour", "hours"], (3600.0, 1.0)),
-    (&["d"], &["day", "days"], (86400.0, 1.0)),
-];
+use super::units::Unit;
 
 /// Names beyond these are counted only.
 const MOST_LISTED: usize = 20;
@@ -76,23 +63,70 @@ impl TimeColumn {
     }
 }
 
-/// Name and unit of a column: what stands in brackets or parentheses at its end.
+/// Name and unit of a column: what stands in brackets or parentheses at its end. Numbers in brackets without a space before them
+/// are indices (`x[1]`), and `der(x)` is a derivative.
 pub(crate) fn parts(name: &str) -> (&str, Option<&str>) {
     let name = name.trim();
-    let pair = [('[', ']'), ('(', ')')].into_iter().find(|(_, close)| name.ends_with(*close));
-    let Some((stem, rest)) = pair.and_then(|(open, _)| name.rsplit_once(open)) else { return (name, None) };
-    let unit = &rest[..rest.len() - 1];
-    (stem.trim_end(), Some(unit.trim()))
+    let Some(open) = opening(name) else { return (name, None) };
+    let (stem, unit) = (&name[..open], name[open + 1..name.len() - 1].trim());
+    let is_index = name.ends_with(']')
+        && !stem.ends_with(char::is_whitespace)
+        && unit.chars().all(|c| c.is_ascii_digit() || matches!(c, ',' | ' ' | ':'));
+    if is_index || stem.is_empty() || stem == "der" {
+        return (name, None);
+    }
+    (stem.trim_end(), Some(unit))
 }
 
-fn unit(name: &str) -> Result<(f64, f64), String> {
-    let Some(given) = parts(name).1 else { return Ok((1.0, 1.0)) };
-    let is_it = |(symbols, words, _): &&Unit| {
-        symbols.contains(&given) || words.contains(&given.to_lowercase().as_str())
+/// Where the bracket or parenthesis opens that closes at the end of a name.
+fn opening(name: &str) -> Option<usize> {
+    let (open, close) = [('[', ']'), ('(', ')')].into_iter().find(|(_, close)| name.ends_with(*close))?;
+    let mut depth = 0;
+    name.char_indices().rev().find_map(|(at, c)| {
+        depth += i32::from(c == close) - i32::from(c == open);
+        (depth == 0).then_some(at)
+    })
+}
+
+/// Position of the column that is called so: in full, or without the unit that follows in brackets or parentheses.
+///
+/// # Errors
+/// There is none, or several; the message lists the columns.
+pub fn find_column<'a>(names: impl Iterator<Item = &'a str> + Clone, wanted: &str) -> Result<usize, String> {
+    let found = |is: &dyn Fn(&str) -> bool| {
+        names.clone().enumerate().filter(|(_, name)| is(name)).collect::<Vec<_>>()
     };
-    UNITS.iter().find(is_it).map(|(_, _, length)| *length).ok_or_else(|| {
+    let whole = found(&|name| name == wanted);
+    let stems = if whole.is_empty() { found(&|name| parts(name).0 == wanted) } else { Vec::new() };
+    match (&whole[..], &stems[..]) {
+        ([(index, _)], _) | ([], [(index, _)]) => Ok(*index),
+        ([], []) => {
+            let cases = found(&|name| parts(name).0.eq_ignore_ascii_case(parts(wanted).0));
+            let hint = match &cases[..] {
+                [(_, name)] => format!("; '{name}'?"),
+                _ => String::new(),
+            };
+            Err(format!("there is no column '{wanted}'; there are: {}{hint}", listed(names)))
+        }
+        ([], several) => {
+            let several = listed(several.iter().map(|(_, name)| *name));
+            Err(format!("several columns are called '{wanted}': {several}; give the name of one in full"))
+        }
+        _ => Err(format!("two columns are named '{wanted}'")),
+    }
+}
+
+/// The length in s of the unit of time that the name of a column states; 1 where it states none.
+fn unit(name: &str) -> Result<(f64, f64), String> {
+    parts(name).1.map_or(Ok((1.0, 1.0)), |given| time_unit(name, given))
+}
+
+/// The length in s of a unit of time.
+pub(super) fn time_unit(name: &str, given: &str) -> Result<(f64, f64), String> {
+    let length = |unit: &str| Unit::parse(unit).ok().and_then(|unit| unit.time_factor());
+    length(given).ok_or_else(|| {
         let case = given.to_lowercase();
-        let is_known = UNITS.iter().any(|(symbols, _, _)| symbols.contains(&case.as_str()));
+        let is_known = length(&case).is_some();
         let hint = if is_known { format!("; units are case-sensitive: '{case}'?") } else { String::new() };
         format!("column '{name}': the unit '{given}' is none of s, ms, us, ns, min, h, d{hint}")
     })
@@ -159,5 +193,30 @@ mod tests {
         ] {
             assert_eq!(find(&[name], None), Ok((0, expected)), "{name}");
         }
+    }
+
+    #[test]
+    fn what_stands_in_brackets_is_a_unit_or_an_index() {
+        for (name, expected) in [
+            ("phi [deg]", ("phi", Some("deg"))),
+            ("phi[deg]", ("phi", Some("deg"))),
+            ("T (degC)", ("T", Some("degC"))),
+            ("c (J/(kg.K))", ("c", Some("J/(kg.K)"))),
+            ("slip [1]", ("slip", Some("1"))),
+            ("x[1]", ("x[1]", None)),
+            ("x[1,2]", ("x[1,2]", None)),
+            ("x[1] [mm]", ("x[1]", Some("mm"))),
+            ("der(x)", ("der(x)", None)),
+            ("der(x) [m/s]", ("der(x)", Some("m/s"))),
+            ("[m]", ("[m]", None)),
+            ("x]", ("x]", None)),
+        ] {
+            assert_eq!(parts(name), expected, "{name}");
+        }
+        let names = ["time", "phi [deg]", "x", "x [mm]", "y [mm]", "y [m]"];
+        let find = |wanted| find_column(names.into_iter(), wanted);
+        assert_eq!((find("phi"), find("phi [deg]"), find("x")), (Ok(1), Ok(1), Ok(2)));
+        assert!(find("y").unwrap_err().contains("several columns are called 'y': 'y [mm]', 'y [m]'"));
+        assert!(find("Phi").unwrap_err().contains("; 'phi [deg]'?"));
     }
 }

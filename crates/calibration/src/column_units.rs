@@ -1,0 +1,81 @@
+//! Recorded columns in the units of the variables that they measure or drive.
+
+use crate::data::{UnitConversion, UnitError};
+use crate::error::CalibrationError;
+use crate::experiment::Experiment;
+use crate::problem::Problem;
+use crate::warning::SetupWarning;
+use fmi::ModelDescription;
+use fmi::description::Variable;
+
+/// Converts the columns that state a unit to the units of their variables, where both are known; they state the unit of the
+/// variable then, so that nothing is converted twice. What is not converted comes back.
+///
+/// # Errors
+/// A column and its variable have units of different quantities; two variables with different units have one column.
+pub(crate) fn convert_columns(
+    problem: &mut Problem,
+    description: &ModelDescription,
+) -> Result<Vec<SetupWarning>, CalibrationError> {
+    let mut warnings = Vec::new();
+    for k in 0..problem.experiments.len() {
+        let found = convert(&mut problem.experiments[k], description);
+        let found = found.map_err(|error| problem.error_in(k, error))?;
+        warnings.extend(found.into_iter().map(|warning| problem.warning_in(k, warning)));
+    }
+    Ok(warnings)
+}
+
+fn convert(
+    experiment: &mut Experiment,
+    description: &ModelDescription,
+) -> Result<Vec<SetupWarning>, CalibrationError> {
+    let mut warnings = Vec::new();
+    // Columns that have been looked at, with the variable that they were converted for.
+    let mut seen: Vec<(String, String)> = Vec::new();
+    for (variable_name, column) in experiment.columns_in_use() {
+        let data = &mut experiment.data;
+        let Some(variable) = declared(description, &variable_name) else { continue };
+        // The name of a variable may end with what looks like a unit.
+        let is_variable = |name: &str| description.variable(name).is_some();
+        let Some(full) = data.full_name(&column).map(str::to_owned) else { continue };
+        let Some(given) = data.unit(&column).filter(|_| !is_variable(&full)).map(str::to_owned) else {
+            continue;
+        };
+        let bad = |message: String| CalibrationError::Data { source_name: data.source().to_owned(), message };
+        let earlier = seen.iter().find(|(name, _)| *name == full).map(|(_, variable)| variable);
+        match UnitConversion::to_variable(&given, variable, description) {
+            Ok(conversion) if conversion.is_identity() => {}
+            Ok(conversion) => {
+                let unit = variable.unit.clone().unwrap_or_default();
+                if let Some(other) = earlier {
+                    return Err(bad(format!(
+                        "column '{full}' belongs to '{other}' (in {given}) and to '{variable_name}' (in {unit}): give each a column \
+                         of its own"
+                    )));
+                }
+                data.convert(&column, conversion, &unit);
+            }
+            Err(reason @ UnitError::Dimension { .. }) => {
+                return Err(bad(format!(
+                    "column '{full}' belongs to '{variable_name}', but {reason}: correct the unit of the column, or choose the variable \
+                     that it measures or drives"
+                )));
+            }
+            Err(reason) => warnings.push(SetupWarning::NotConverted {
+                data: data.source().to_owned(),
+                column: full.clone(),
+                variable: variable_name.clone(),
+                reason,
+            }),
+        }
+        seen.push((full, variable_name));
+    }
+    Ok(warnings)
+}
+
+/// The variable of a name, which may be that of an element of an array.
+pub(crate) fn declared<'d>(description: &'d ModelDescription, name: &str) -> Option<&'d Variable> {
+    let array = || name.strip_suffix(']').and_then(|rest| rest.rsplit_once('['));
+    description.variable(name).or_else(|| description.variable(array()?.0))
+}
