@@ -82,6 +82,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system stages
         calibration optimizer solve
+        validation
     """,
 }
 

@@ -81,7 +81,7 @@ fn sets_that_cannot_be_used_are_named() {
         (ValidationSet::Windows(vec![(1.0, 0.0)]), "window from 1 to 0"),
         (ValidationSet::Windows(vec![]), "0 windows"),
         (ValidationSet::Experiments(vec![]), "there is no experiment"),
-        (experiments(experiment(1.0, 1.0).output("y", "x")), "'y'"),
+        (experiments(experiment(1.0, 1.0).output("y", "x")), "\"y\""),
         (experiments(Experiment::new(decay(1.0, 1.0)).output("x", "z")), "z"),
     ] {
         let error = calibration.validate(&fit, &set).unwrap_err().to_string();

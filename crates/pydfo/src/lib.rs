@@ -26,6 +26,7 @@ mod solve;
 mod stages;
 mod threads;
 mod trajectory;
+mod validation;
 mod values;
 mod words;
 
@@ -59,6 +60,8 @@ mod core_module {
     use super::quad_err::quad_err;
     #[pymodule_export]
     use super::solve::solve;
+    #[pymodule_export]
+    use super::validation::validate;
     #[pymodule_export]
     use super::values::dtypes;
 

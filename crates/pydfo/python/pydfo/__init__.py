@@ -43,6 +43,7 @@ from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
 from ._stages import Stage
 from ._trajectory import SimulationResult
+from ._validation import ValidatedOutput, Validation
 
 __all__ = [
     "Above",
@@ -75,6 +76,8 @@ __all__ = [
     "Stage",
     "Trace",
     "UnknownVariableError",
+    "ValidatedOutput",
+    "Validation",
     "Variable",
     "__version__",
     "build_fmu",

@@ -39,6 +39,7 @@ __all__ = [
     "option_names",
     "quad_err",
     "solve",
+    "validate",
 ]
 
 __version__: str
@@ -132,6 +133,9 @@ class Fit:
     @property
     def start(self) -> list[float]: ...
 
+def validate(
+    calibration: Calibration, fit: Fit, windows: list[tuple[float, float]], experiments: list[Experiment] | None
+) -> dict[str, Any]: ...
 def build_fmu(folder: str | os.PathLike[str], out: str | os.PathLike[str]) -> None: ...
 def example_fmu(name: str, version: str, kind: str) -> Path: ...
 def dtypes() -> dict[str, str]: ...
