@@ -5,6 +5,7 @@ use crate::error::CalibrationError;
 use crate::fit::{Fit, FitOptions};
 use crate::output_fit::KeptResiduals;
 use crate::residual::CostRule;
+use crate::worth::WorthOptions;
 use dfo::{AnyMethod, Checkpoint, Limits, Progress, Report, Resume, Termination, Tolerances};
 use ode::Stats;
 use std::cell::RefCell;
@@ -102,7 +103,8 @@ impl Calibration {
     /// A checkpoint has one file per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
     ///
     /// The covariance of a method at the end of a stage ([`Report::covariance`]) is conditional: it takes the held parameters as
-    /// known. So the result has no Jacobian in its report, only the stages have.
+    /// known, and so does what a stage is [worth](Fit::worth). So the result has no Jacobian in its report, only the stages have; what
+    /// it is worth is found out with all parameters that any stage freed.
     ///
     /// # Errors
     /// As [`Calibration::fit`]; no stages, stages without parameters, names that are no parameters or those of fixed ones.
@@ -111,7 +113,8 @@ impl Calibration {
         stages: &[Stage],
         options: impl Into<FitOptions<'a>>,
     ) -> Result<Fit, CalibrationError> {
-        let FitOptions { run, start, held, cutoffs, loss, mut observer, poll, cancel } = options.into();
+        let FitOptions { run, start, held, cutoffs, loss, worth, mut observer, poll, cancel } =
+            options.into();
         let poll = RefCell::new(poll);
         let start = start.unwrap_or_else(|| self.start());
         let in_stage =
@@ -175,6 +178,7 @@ impl Calibration {
                 held: (0..x.len()).filter(|i| !freed[k].contains(i)).collect(),
                 cutoffs,
                 loss,
+                worth: worth.clone(),
                 observer: observer.as_mut().map(|observer| {
                     Box::new(move |progress: &Progress<'_>| {
                         let mut progress = *progress;
@@ -230,6 +234,17 @@ impl Calibration {
         if let Some(cost) = cost {
             (fit.cost, fit.report.fun, fit.rms) = (cost, cost, self.rms(cost));
         }
+        let is_late = || late.is_some_and(|late| Instant::now() >= late) || is_asked();
+        fit.worth = worth.and_then(|mut options| {
+            options.workers = options.workers.or(Some(fit.report.workers));
+            options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
+            options.held.extend(fit.at_bound.iter().map(|(index, _)| index));
+            if !is_own(fit.stages.len() - 1) {
+                fit.report.residuals = None;
+            }
+            let asked = WorthOptions { loss, ..options };
+            self.worth_of_fit(&mut fit.report, &run.tolerances, asked, (&is_late, &mut fit.stats))
+        });
         (fit.start_cost, fit.start_rms) = (start_cost, start_cost.map(|cost| self.rms(cost)));
         fit.n_measurements = self.n_measurements();
         if is_first_own && is_last_own {

@@ -29,6 +29,7 @@ mod trajectory;
 mod validation;
 mod values;
 mod words;
+mod worth;
 
 use pyo3::prelude::*;
 
@@ -64,6 +65,8 @@ mod core_module {
     use super::validation::validate;
     #[pymodule_export]
     use super::values::dtypes;
+    #[pymodule_export]
+    use super::worth::{PyWorth, worth_at, worth_of_fit};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

@@ -44,6 +44,7 @@ from ._scipy import scipy_method
 from ._stages import Stage
 from ._trajectory import SimulationResult
 from ._validation import ValidatedOutput, Validation
+from ._worth import ResidualCheck, Worth
 
 __all__ = [
     "Above",
@@ -71,6 +72,7 @@ __all__ = [
     "Progress",
     "PydfoError",
     "Raced",
+    "ResidualCheck",
     "SimulationError",
     "SimulationResult",
     "Stage",
@@ -79,6 +81,7 @@ __all__ = [
     "ValidatedOutput",
     "Validation",
     "Variable",
+    "Worth",
     "__version__",
     "build_fmu",
     "clear_caches",

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options, _stages
+from . import _core, _options, _stages, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import Names, Settings, collected, path_of
 from ._files import OpenOptions
@@ -23,6 +23,7 @@ from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
 from ._stages import Stage
+from ._worth import Worth
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -350,6 +351,7 @@ class Calibration:
         resume: Literal["auto", "never", "require"] = "auto",
         search: Literal["local", "global"] = "local",
         stages: Sequence[Stage | Sequence[str]] | None = None,
+        covariance: Literal["sandwich", "pooled"] | None = "sandwich",
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
@@ -406,6 +408,9 @@ class Calibration:
             ``[["C2", "G2"], ["C1", "G1"]]``: each stage frees these parameters, from where the last one left them, and holds the
             others. Limits hold for all stages together, ``nfev`` and the trace are those of all; the fit has that of each stage in
             ``stages``. A checkpoint has a file for each: ``fit.ckpt.stage1``, ``fit.ckpt.stage2`` and so on.
+        covariance : {"sandwich", "pooled"} or None
+            How the standard errors of the fit are estimated, see `worth`. Found out after the run, with simulations that do not
+            count in ``nfev``: at least two for each parameter and an accurate one, in parallel. None: not at all.
 
         Returns
         -------
@@ -476,7 +481,7 @@ class Calibration:
         if callback is not None:
             listeners.append(listen(callback))
         try:
-            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages)
+            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages, covariance=covariance)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):
@@ -489,6 +494,40 @@ class Calibration:
         if disp:
             printer.end(fit.message, fit.x, fit.cost, fit.nit, fit.nfev, fit.solve_time)
         return fit
+
+    @explained
+    def worth(
+        self,
+        x: npt.ArrayLike | Mapping[str, float] | None = None,
+        covariance: Literal["sandwich", "pooled"] = "sandwich",
+        parameters: Sequence[str] | None = None,
+        workers: SupportsIndex | None = None,
+    ) -> Worth:
+        """What a point is worth as the result of a fit: standard errors, correlation, what the data cannot tell.
+
+        From central differences of the residuals over steps of about one standard error along the principal axes of the
+        covariance, and one simulation with a hundredth of the relative tolerance; all in parallel.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+        covariance : {"sandwich", "pooled"}
+            With one residual variance per output of the model, over all of its recordings:
+            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``; or with one for all: ``s**2 * inv(J.T @ J)``.
+        parameters : sequence of str, optional
+            Only these are free, the others are taken as known: the standard errors are conditional then.
+        workers : int, optional
+            Simulations that may run at once; None: all cores. The result does not depend on it.
+
+        Raises
+        ------
+        SimulationError
+            The simulation fails there, or on both sides of it.
+        ValueError, TypeError
+            Arguments that cannot be used.
+        """
+        return _worth.at(self, self._values(x), _options.choice("covariance", covariance), parameters, workers)
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the parameters; equal where one is fixed."""
