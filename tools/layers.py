@@ -29,8 +29,9 @@ LAYERS = {
         effect simulations spot_checks output_fit
         worth
         fit
-        stages
+        stages prediction
         validation
+        cross_validation
         report
     """,
     "dfo": """

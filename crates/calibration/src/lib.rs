@@ -7,11 +7,12 @@
 //!
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model); `residual` (measured against simulated), `evaluate`
 //! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
-//! (checks after a fit), `fit`, `stages`, `validation`; `report` (what it found, for people).
+//! (checks after a fit), `fit`, `stages`, `prediction`, `validation`, `cross_validation`; `report` (what it found, for people).
 #![forbid(unsafe_code)]
 
 mod calibration;
 mod column_units;
+mod cross_validation;
 mod data;
 mod effect;
 mod error;
@@ -24,6 +25,7 @@ mod no_cost;
 mod output_fit;
 mod parallel;
 mod parameter;
+mod prediction;
 mod problem;
 mod race;
 mod report;
@@ -37,6 +39,7 @@ mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
+pub use cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, find_column};
 pub use dfo;
 pub use dfo::Kind;
@@ -48,6 +51,7 @@ pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use output_fit::OutputFit;
 pub use parameter::{Parameter, Scale};
+pub use prediction::{BandOptions, PredictionBand};
 pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use residual::quad_err;

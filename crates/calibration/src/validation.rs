@@ -7,8 +7,9 @@ use crate::fit::{Fit, FitOptions};
 use crate::no_cost::NoCost;
 use crate::output_fit::OutputFit;
 use crate::residual::CostRule;
+use crate::worth::digits;
 use dfo::RobustLoss;
-use ode::{Number, Stats};
+use ode::Stats;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -75,11 +76,6 @@ impl Validation {
     }
 }
 
-/// A number with four digits.
-pub(crate) fn short(value: f64) -> String {
-    format!("{value:.3e}").parse().map_or_else(|_| value.to_string(), |rounded| Number(rounded).to_string())
-}
-
 impl fmt::Display for Validation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let names = |output: &OutputFit| format!("{}: {}", output.experiment, output.variable);
@@ -90,14 +86,22 @@ impl fmt::Display for Validation {
             "output", "n", "RMS", "scaled RMS", "fit"
         )?;
         for output in self.outputs.iter().map(|o| &o.fit) {
-            let scaled = output.start_rms.map_or_else(|| "-".to_owned(), |start| short(output.rms / start));
-            let (name, rms) = (names(output), short(output.rms));
+            let scaled = output
+                .start_rms
+                .map_or_else(|| "-".to_owned(), |start| digits(output.rms / start).to_string());
+            let (name, rms) = (names(output), digits(output.rms).to_string());
             let percent = format!("{:.1} %", output.fit_percent);
             let unit = output.unit.as_deref().unwrap_or("");
             writeln!(f, "{name:<width$}  {:>6}  {rms:>10}  {scaled:>10}  {percent:>7}  {unit}", output.n)?;
         }
-        let scaled = self.scaled_rms().map_or_else(|| "-".to_owned(), short);
-        write!(f, "{:<width$}  {:>6}  {:>10}  {scaled:>10}", "all, weighted", self.n, short(self.rms))
+        let scaled = self.scaled_rms().map_or_else(|| "-".to_owned(), |scaled| digits(scaled).to_string());
+        write!(
+            f,
+            "{:<width$}  {:>6}  {:>10}  {scaled:>10}",
+            "all, weighted",
+            self.n,
+            digits(self.rms).to_string()
+        )
     }
 }
 
@@ -153,8 +157,13 @@ impl Calibration {
                 if local.iter().any(|&i| !other.parameters()[i].is_fixed()) {
                     let held = (0..x.len()).filter(|i| !local.contains(i)).collect();
                     let poll: Option<Box<dyn FnMut() -> bool>> = Some(Box::new(cancelled));
-                    let refit =
-                        other.fit(FitOptions { start: Some(x), held, poll, ..FitOptions::default() })?;
+                    let refit = other.fit(FitOptions {
+                        start: Some(x),
+                        held,
+                        poll,
+                        worth: None,
+                        ..FitOptions::default()
+                    })?;
                     if cancelled() {
                         return Err(CalibrationError::Cancelled);
                     }

@@ -62,7 +62,7 @@ mod core_module {
     #[pymodule_export]
     use super::solve::solve;
     #[pymodule_export]
-    use super::validation::validate;
+    use super::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]
     use super::values::dtypes;
     #[pymodule_export]

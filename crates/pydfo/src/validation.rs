@@ -1,14 +1,18 @@
-//! Validations and cross-validations of fits, as dicts of what their Python classes hold.
+//! Validations, cross-validations and prediction bands of fits, as dicts of what their Python classes hold.
 
 use crate::calibration::PyCalibration;
 use crate::error;
 use crate::experiment::ExperimentFields;
 use crate::fit::PyFit;
+use crate::settings::{self, LossFields, Options, Settings};
 use crate::trajectory::Counts;
-use calibration::{CalibrationError, Experiment, ValidatedOutput, Validation, ValidationSet};
+use calibration::{
+    BandOptions, CalibrationError, CrossValidationOptions, Experiment, FitOptions, Fold, PredictionBand,
+    ValidatedOutput, Validation, ValidationSet,
+};
 use numpy::PyArray1;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{IntoPyDict, PyDict};
 
 /// Recordings from the fields of their Python class; errors name the recording where there are several.
 fn experiments(
@@ -85,4 +89,76 @@ fn of_output<'py>(py: Python<'py>, output: &ValidatedOutput) -> PyResult<Bound<'
     let at_start = output.start_residuals.as_deref().map(|r| PyArray1::from_slice(py, r));
     fields.set_item("start_residuals", at_start)?;
     Ok(fields)
+}
+
+/// `Calibration.cross_validate`.
+#[pyfunction]
+pub(crate) fn cross_validate<'py>(
+    py: Python<'py>,
+    calibration: &PyCalibration,
+    folds: Option<usize>,
+    options: Options,
+    loss: Option<LossFields>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let loss = settings::loss(loss)?.unwrap_or_default();
+    let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
+    let options = CrossValidationOptions { folds, run, loss };
+    let found = calibration
+        .compute(py, move |calibration, cancelled| calibration.cross_validate_until(&options, cancelled))?;
+    let fields = PyDict::new(py);
+    let of_fold = |fold: &Fold| {
+        let fields = PyDict::new(py);
+        let values = fold.fit.names.iter().zip(&fold.fit.x);
+        fields.set_item("held_out", &fold.held_out)?;
+        fields.set_item("parameters", values.into_py_dict(py)?)?;
+        fields.set_item("fit_rms", fold.fit.rms)?;
+        fields.set_item("nfev", fold.fit.report.n_evaluations)?;
+        fields.set_item("success", fold.fit.report.is_success())?;
+        fields.set_item("message", &fold.fit.report.message)?;
+        fields.set_item("validation", to_python(py, &fold.validation)?)?;
+        Ok(fields)
+    };
+    fields.set_item("folds", found.folds.iter().map(of_fold).collect::<PyResult<Vec<_>>>()?)?;
+    fields.set_item("rms", found.rms)?;
+    let spread = found.parameters.iter().map(|(name, mean, spread)| (name, (*mean, *spread)));
+    fields.set_item("parameters", spread.into_py_dict(py)?)?;
+    fields.set_item("stats", Counts::new(&found.stats))?;
+    fields.set_item("text", found.to_string())?;
+    Ok(fields)
+}
+
+/// `Fit.prediction_band`: per experiment and output.
+#[pyfunction]
+pub(crate) fn prediction_bands<'py>(
+    py: Python<'py>,
+    calibration: &PyCalibration,
+    fit: &PyFit,
+    times: Option<Vec<f64>>,
+    level: f64,
+    outputs: Option<Vec<String>>,
+) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    let fit = fit.inner.clone();
+    let options = BandOptions { times, level, outputs, workers: None };
+    let bands = calibration
+        .compute(py, move |calibration, cancelled| calibration.prediction_bands(&fit, &options, cancelled))?;
+    let to_python = |band: PredictionBand| {
+        let fields = PyDict::new(py);
+        fields.set_item("experiment", band.experiment)?;
+        fields.set_item("variable", band.variable)?;
+        fields.set_item("unit", band.unit)?;
+        fields.set_item("noise", band.noise)?;
+        for (name, values) in [
+            ("time", band.times),
+            ("value", band.values),
+            ("standard_error", band.standard_errors),
+            ("lower", band.lower),
+            ("upper", band.upper),
+            ("measured_lower", band.measured_lower),
+            ("measured_upper", band.measured_upper),
+        ] {
+            fields.set_item(name, PyArray1::from_vec(py, values))?;
+        }
+        Ok(fields)
+    };
+    bands.into_iter().map(to_python).collect()
 }

@@ -43,7 +43,7 @@ from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
 from ._stages import Stage
 from ._trajectory import SimulationResult
-from ._validation import ValidatedOutput, Validation
+from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
 from ._worth import ResidualCheck, Worth
 
 __all__ = [
@@ -57,11 +57,13 @@ __all__ = [
     "CalibrationError",
     "CalibrationWarning",
     "CheckpointError",
+    "CrossValidation",
     "Description",
     "Experiment",
     "FMUModel",
     "Fit",
     "FmuError",
+    "Fold",
     "Interrupted",
     "LeastSquaresResult",
     "ModelTypeError",
@@ -69,6 +71,7 @@ __all__ = [
     "OptimizeResult",
     "Optimizer",
     "Parameter",
+    "PredictionBand",
     "Progress",
     "PydfoError",
     "Raced",

@@ -39,6 +39,8 @@ __all__ = [
     "option_names",
     "quad_err",
     "solve",
+    "cross_validate",
+    "prediction_bands",
     "validate",
     "Worth",
     "worth_at",
@@ -137,6 +139,12 @@ class Fit:
     @property
     def start(self) -> list[float]: ...
 
+def cross_validate(
+    calibration: Calibration, folds: int | None, options: Options, loss: tuple[str, float] | None
+) -> dict[str, Any]: ...
+def prediction_bands(
+    calibration: Calibration, fit: Fit, times: list[float] | None, level: float, outputs: list[str] | None
+) -> list[dict[str, Any]]: ...
 def validate(
     calibration: Calibration, fit: Fit, windows: list[tuple[float, float]], experiments: list[Experiment] | None
 ) -> dict[str, Any]: ...

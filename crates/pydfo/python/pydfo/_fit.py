@@ -199,6 +199,34 @@ class Fit(OptimizeResult):
         """
         return _validation.validate(self, experiment, windows)
 
+    def prediction_band(
+        self, times: npt.ArrayLike | None = None, level: float = 0.95, outputs: Sequence[str] | str | None = None
+    ) -> dict[str, Any]:
+        """What the model predicts at the fitted values, with the uncertainty that the covariance of the parameters leaves (delta
+        method) and, for a new measurement, with its noise.
+
+        Parameters
+        ----------
+        times : array_like, optional
+            Times of the predictions in s, ascending; default: the measured times.
+        level : float
+            The probability that each interval shall hold.
+        outputs : list of str, optional
+            Only these of the compared outputs.
+
+        Returns
+        -------
+        dict of str to PredictionBand
+            By output: ``lower``, ``upper`` of the model's output, ``measured_lower``, ``measured_upper`` of a new measurement. With
+            several experiments: a dict of such by their names.
+
+        Raises
+        ------
+        ValueError
+            The fit has no covariance, or parameters that the data do not determine; a level that does not lie between 0 and 1.
+        """
+        return _validation.prediction_band(self, times, level, outputs)
+
     def residuals(self) -> FloatArray:
         """The residuals at the fitted values, simulated minus measured times weight; see `Calibration.residuals`."""
         return self._calibration.residuals(self.x)

@@ -1,4 +1,4 @@
-"""How well a fit reproduces what it was not fitted to."""
+"""How well a fit reproduces what it was not fitted to, and how uncertain its predictions are."""
 
 from __future__ import annotations
 
@@ -149,6 +149,103 @@ class Validation:
             lower.set_xlabel("time [s]")
             lower.legend(loc="best", fontsize="small")
         return figure
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Recordings that were held out of a fit, and how well it reproduces them."""
+
+    held_out: list[str]
+    """Names of the recordings that were held out."""
+    parameters: dict[str, float]
+    """What was fitted to the others."""
+    fit_rms: float
+    """Root of the mean squared weighted residual of the others."""
+    nfev: int
+    """Evaluations of the fit."""
+    success: bool
+    """Whether it converged."""
+    message: str
+    """How it ended."""
+    validation: Validation
+    """How well it reproduces what was held out."""
+
+
+class CrossValidation:
+    """Fits without some of the recordings, each validated on those that it was not given; printed as a table.
+
+    Attributes
+    ----------
+    folds : list of Fold
+        Each fit, in the order of the recordings.
+    rms : float
+        Root of the mean squared weighted residual of all recordings, each when it was held out.
+    parameters : dict of str to (float, float)
+        The shared parameters: mean over the folds, and standard deviation between them.
+    stats : SimulationStats
+        What all simulations took.
+    """
+
+    def __init__(
+        self,
+        *,
+        folds: Sequence[dict[str, Any]],
+        rms: float,
+        parameters: dict[str, tuple[float, float]],
+        stats: dict[str, Any],
+        text: str,
+    ) -> None:
+        self.folds = [Fold(**{**fold, "validation": Validation(**fold["validation"])}) for fold in folds]
+        self.rms = rms
+        self.parameters = parameters
+        self.stats = SimulationStats(**stats)
+        self._text = text
+
+    def __repr__(self) -> str:
+        return self._text
+
+
+@dataclass(frozen=True, repr=False)
+class PredictionBand:
+    """The prediction of an output, with its uncertainty at each time (of each alone, not of the curve as a whole)."""
+
+    experiment: str
+    """Name of the experiment."""
+    variable: str
+    """Name of the output in the model."""
+    unit: str | None
+    """Its unit, where the model states it."""
+    time: FloatArray
+    """Times, in s."""
+    value: FloatArray
+    """The prediction."""
+    standard_error: FloatArray
+    """Its standard error: what the uncertainty of the parameters makes of it."""
+    noise: float
+    """Standard deviation of the noise of a measurement, from the residuals."""
+    lower: FloatArray
+    """The interval of the model's output: lower end."""
+    upper: FloatArray
+    """Upper end."""
+    measured_lower: FloatArray
+    """The interval of a new measurement, which has noise: lower end."""
+    measured_upper: FloatArray
+    """Upper end."""
+
+    def __repr__(self) -> str:
+        return f"<PredictionBand of {self.variable} in {self.experiment} at {len(self.time)} times>"
+
+
+def prediction_band(fit: Fit, times: npt.ArrayLike | None, level: float, outputs: Sequence[str] | str | None) -> dict[str, Any]:
+    """`Fit.prediction_band`."""
+    rows = None if times is None else _options.vector("times", times).tolist()
+    chosen = [outputs] if isinstance(outputs, str) else outputs
+    names = None if chosen is None else [_options.choice("outputs", name) for name in chosen]
+    calibration = fit._calibration
+    found = _core.prediction_bands(calibration._native, native(fit), rows, _options.number("level", level), names)
+    bands = [PredictionBand(**fields) for fields in found]
+    by_experiment = [{b.variable: b for b in bands if b.experiment == name} for name in calibration.experiments]
+    return by_experiment[0] if len(by_experiment) == 1 else dict(zip(calibration.experiments, by_experiment))
 
 
 def validate(fit: Fit, experiment: Experiment | Sequence[Experiment] | None, windows: Windows | None) -> Validation:
