@@ -6,6 +6,7 @@ use crate::fit::Fit;
 use crate::parallel;
 use crate::worth::{Worth, check_level};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use ode::Number;
 use serde::{Deserialize, Serialize};
 use std::thread::available_parallelism;
 
@@ -130,6 +131,12 @@ impl Calibration {
         let mut found = Vec::with_capacity(points.len() * n);
         for simulated in parallel::map((points.len() * n, workers), cancelled, &task) {
             found.push(simulated.unwrap_or(Err(CalibrationError::Cancelled))?);
+        }
+        if let Some(i) = (0..found.len()).find(|i| found[*i].time.len() != found[i % n].time.len()) {
+            let end = Number(found[i].time.last().copied().unwrap_or(f64::NAN));
+            return setup(format!(
+                "there is no prediction band: with parameters one standard error away the model ended the simulation at t = {end}"
+            ));
         }
         let noise_of = |variable: &str| {
             let own = || fit.outputs.iter().filter(|output| output.variable == variable);

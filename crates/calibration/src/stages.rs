@@ -238,12 +238,12 @@ impl Calibration {
         fit.worth = worth.and_then(|mut options| {
             options.workers = options.workers.or(Some(fit.report.workers));
             options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
-            options.held.extend(fit.at_bound.iter().map(|(index, _)| index));
             if !is_own(fit.stages.len() - 1) {
                 fit.report.residuals = None;
             }
             let asked = WorthOptions { loss, ..options };
-            self.worth_of_fit(&mut fit.report, &run.tolerances, asked, (&is_late, &mut fit.stats))
+            let found = (&fit.at_bound[..], &fit.without_effect[..]);
+            self.worth_of_fit((&mut fit.report, found), &run.tolerances, asked, (&is_late, &mut fit.stats))
         });
         (fit.start_cost, fit.start_rms) = (start_cost, start_cost.map(|cost| self.rms(cost)));
         fit.n_measurements = self.n_measurements();

@@ -79,7 +79,7 @@ fn sets_that_cannot_be_used_are_named() {
     for (set, expected) in [
         (ValidationSet::Windows(vec![(5.0, 6.0)]), "5"),
         (ValidationSet::Windows(vec![(1.0, 0.0)]), "window from 1 to 0"),
-        (ValidationSet::Windows(vec![]), "0 windows"),
+        (ValidationSet::Windows(vec![]), "windows: there are none"),
         (ValidationSet::Experiments(vec![]), "there is no experiment"),
         (experiments(experiment(1.0, 1.0).output("y", "x")), "\"y\""),
         (experiments(Experiment::new(decay(1.0, 1.0)).output("x", "z")), "z"),

@@ -125,7 +125,7 @@ fn a_stop_that_is_never_reached_is_named() {
     let calibration = Calibration::builder(open("bouncing_ball"))
         .experiment(Experiment::new(data(&time, &[("h", h)])).output("h", "h"))
         .parameter(Parameter::new("e", 0.7).bounds(0.1, 0.95))
-        .parameter(Parameter::new("g", 9.0).bounds(5.0, 15.0))
+        .parameter(Parameter::new("g", -9.0).bounds(-15.0, -5.0))
         .build()
         .unwrap();
     let fit = calibration.fit(FitOptions::default()).unwrap();

@@ -3,6 +3,7 @@
 #![deny(unsafe_code)]
 
 mod calibration;
+mod data;
 mod description;
 mod dict;
 mod error;
@@ -42,9 +43,11 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::PyCalibration;
     #[pymodule_export]
+    use super::data::{date_seconds, find_column, find_time, read_csv};
+    #[pymodule_export]
     use super::description::Fmu;
     #[pymodule_export]
-    use super::experiment::{check_parameter, find_time};
+    use super::experiment::check_parameter;
     #[pymodule_export]
     use super::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
     #[pymodule_export]

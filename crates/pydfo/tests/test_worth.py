@@ -71,7 +71,7 @@ def test_the_covariance_is_that_of_curve_fit():
 def test_what_cannot_be_told_is_said(furuta):
     time = np.linspace(0, 0.4, 40)
     noise = np.random.default_rng(1).normal(0, 1e-3, time.size)
-    parameters = [Parameter("e", 0.7, 0.1, 0.95), Parameter("g", 9.0, 5.0, 15.0)]
+    parameters = [Parameter("e", 0.7, 0.1, 0.95), Parameter("g", -9.0, -15.0, -5.0)]
     calibration = Calibration(
         example_fmu("bouncing_ball"), {"time": time, "h": 1 - 0.5 * 9.81 * time**2 + noise}, ["h"], parameters
     )

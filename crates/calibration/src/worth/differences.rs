@@ -162,6 +162,9 @@ impl Differences {
         let deviation = center.residuals.iter().map(|r| r * r).sum::<f64>().sqrt()
             / (m.saturating_sub(p).max(1) as f64).sqrt();
         let noise = center.simulation_error.max(ROUNDING * center.measured);
+        if p == 0 {
+            return Ok(Ok(Self { changes: DMatrix::zeros(m, 0), steps: DMatrix::zeros(0, 0), noise }));
+        }
         let mut guess = match jacobian {
             Some(jacobian) if jacobian.iter().all(|j| j.is_finite()) => jacobian,
             _ => {
@@ -284,6 +287,9 @@ impl Differences {
 
     /// By the coordinates of the search, m x p.
     pub(crate) fn jacobian(&self) -> DMatrix<f64> {
+        if self.steps.is_empty() {
+            return self.changes.clone();
+        }
         match self.steps.clone().try_inverse() {
             Some(inverse) => &self.changes * inverse,
             None => DMatrix::zeros(self.changes.nrows(), self.steps.ncols()),

@@ -136,6 +136,8 @@ pub(crate) struct KnownPoint<'a> {
     pub(crate) jacobian: Option<&'a [f64]>,
     /// Parameters that lie at a bound, or are held.
     pub(crate) held: Vec<usize>,
+    /// Parameters that were seen to have no effect: not held, even at a bound, where they say nothing.
+    pub(crate) inert: &'a [usize],
     /// What differences of the cost count as none, relative to it.
     pub(crate) f_tol: f64,
 }
@@ -269,7 +271,12 @@ impl Calibration {
     ) -> Result<Worth, CalibrationError> {
         let parameters = self.parameters();
         let (n, before) = (x.len(), simulations.n);
-        let is_held = |i: usize| known.held.contains(&i) || self.is_held(&parameters[i], x[i]);
+        let is_held = |i: usize| {
+            let p = &parameters[i];
+            let is_at_bound = self.is_at_bound(p, x[i]) && !known.inert.contains(&i);
+            let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
+            known.held.contains(&i) || is_fixed || is_at_bound
+        };
         let (held, free): (Vec<usize>, Vec<usize>) = (0..n).partition(|i| is_held(*i));
         let loss = simulations.loss;
         let mut points = vec![Point { x: x.to_vec(), is_accurate: true }];
@@ -379,13 +386,10 @@ impl Calibration {
         Ok(worth)
     }
 
-    /// Whether a parameter is fixed, at a bound, or no continuous number.
-    fn is_held(&self, p: &Parameter, x: f64) -> bool {
+    /// Whether a parameter lies at one of its bounds.
+    fn is_at_bound(&self, p: &Parameter, x: f64) -> bool {
         let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
-        p.is_fixed()
-            || p.lower() == p.upper()
-            || p.value_kind() != Kind::Continuous
-            || (at - lower).min(upper - at) <= AT * self.size_of(p, x)
+        (at - lower).min(upper - at) <= AT * self.size_of(p, x)
     }
 }
 

@@ -63,13 +63,19 @@ class Calibration:
     ----------
     model : path or FMUModel
         The FMU. Values that were set in an FMUModel do not count (a warning says so); give them as `start_values`.
-    data : path, dict of arrays, DataFrame or structured array
+    data : path, dict of arrays, DataFrame, Series, xarray or structured array
         The recording (or a list of `Experiment`): a column of times (ascending, intervals as they come) and what was measured. NaN, None and
-        empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate, and
-        where no commas do, numbers may have decimal commas (all of them: a file with commas and points is refused).
-        The times are those of the column (or the named index of a DataFrame) ``time``, in any case; a unit in
+        empty cells are missing values. A CSV file has one line of names, which a line of units may follow; commas, semicolons or tabs
+        separate, and where no commas do, numbers may have decimal commas (all of them: a file with commas and points is refused).
+        Other files are read by the library that Python people use for them: ``.mat`` (SciPy; h5py for version 7.3), ``.xlsx``
+        (openpyxl; the first sheet, as a CSV file) and ``.parquet`` (pyarrow). Of a ``.mat`` file all variables that are as long as the
+        times are columns: fields of structs are called ``rig.x``, the columns of a matrix ``y[1]``, ``y[2]``.
+        The times are those of the column (or the named index of a DataFrame) ``time``, in any case, or of an index of dates; a unit in
         brackets or parentheses is read, ``time [ms]``: s, ms, us, ns, min, h, d (exactly so). Durations
-        (``timedelta64``, ``datetime.timedelta``) are times, too.
+        (``timedelta64``, ``datetime.timedelta``) are times, too, and so are dates and times of day (``datetime64``, ``datetime``, texts as
+        2024-05-31T13:45:10.5 or 31.05.2024 13:45:10): s since the first.
+        A column may state its unit (``phi [deg]``, ``T (degC)``), and be named without (``phi``). Where the model states that of the
+        variable, too, it is converted; units of another quantity are an error. Costs, results and plots are in the units of the model.
     outputs : dict of str to str, or list of str
         Which output of the model was measured by which column; a list if they have the same names. A simulation in which
         one of them is NaN or infinite where something was measured counts as failed.

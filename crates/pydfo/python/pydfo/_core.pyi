@@ -29,15 +29,18 @@ __all__ = [
     "check_parameter",
     "clear_caches",
     "close_unused",
+    "date_seconds",
     "dtypes",
     "example_fmu",
     "example_names",
+    "find_column",
     "find_time",
     "minimize",
     "auto_method",
     "method_names",
     "option_names",
     "quad_err",
+    "read_csv",
     "solve",
     "cross_validate",
     "prediction_bands",
@@ -96,6 +99,11 @@ def option_names() -> list[str]: ...
 def solve(problem: _Problem) -> OdeResult: ...
 def check_parameter(parameter: Parameter) -> None: ...
 def find_time(names: list[str], time: str | None = None) -> tuple[int, tuple[float, float]]: ...
+def find_column(names: list[str], wanted: str) -> int: ...
+def date_seconds(texts: list[str]) -> list[float]: ...
+def read_csv(
+    text: bytes, source: str, time: str | None, needed: list[str]
+) -> tuple[list[tuple[str, list[float]]], list[str]]: ...
 @final
 class Calibration:
     def __new__(
