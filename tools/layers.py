@@ -34,7 +34,7 @@ LAYERS = {
         stages prediction
         validation
         cross_validation
-        report
+        report export
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -86,7 +86,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system stages
         calibration optimizer solve
-        validation worth
+        share validation worth
     """,
 }
 

@@ -15,6 +15,7 @@ use dfo::{
     RunOptions, Search, Stop, Tolerances, Want,
 };
 use ode::{Number, Stats};
+use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -99,7 +100,7 @@ impl fmt::Debug for FitOptions<'_> {
 }
 
 /// The result of a fit. `Display` prints a summary.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Fit {
     /// Fitted values, one per parameter, user's order and units; fixed ones included.

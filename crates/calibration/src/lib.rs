@@ -9,7 +9,8 @@
 //! (recordings in the units of the model), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
 //! `simulation` (of an experiment), `evaluate` (residuals and cost at a point); `race` and `solver` (which method integrates);
 //! `calibration`; `effect` and `spot_checks` (checks after a fit), `fit`, `stages`, `prediction`,
-//! `validation`, `cross_validation`; `report` (what it found, for people).
+//! `validation`, `cross_validation`; `report` (what it found, for people);
+//! `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
 mod assignment;
@@ -21,6 +22,7 @@ mod effect;
 mod error;
 mod evaluate;
 mod experiment;
+mod export;
 mod fit;
 mod identity;
 mod input;
@@ -54,6 +56,7 @@ pub use dfo::Kind;
 pub use effect::BoundSide;
 pub use error::CalibrationError;
 pub use experiment::{Experiment, InitialState, SimulationSettings, Weight};
+pub use export::SavedFit;
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};

@@ -75,7 +75,7 @@ fn a_method_and_a_window_of_its_own() {
         Stage::new(["qt.a3", "qt.a4"]),
     ];
     let fit = calibration.fit_stages(&stages, FitOptions::default()).unwrap();
-    let methods: Vec<_> = fit.stages.iter().map(|stage| stage.report.method).collect();
+    let methods: Vec<_> = fit.stages.iter().map(|stage| stage.report.method.clone()).collect();
     assert_eq!(methods, ["nelder-mead", "least-squares"]);
     let half = tanks(&[("qt.a3", 3e-6), ("qt.a4", 3e-6)], Some((0.0, 30.0)));
     assert_eq!(fit.stages[0].cost, half.cost(&fit.stages[0].x).unwrap());

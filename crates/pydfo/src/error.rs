@@ -59,6 +59,7 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
     match error {
         E::DataFile { path, source } => file("cannot read", path, source),
         E::Data { .. }
+        | E::SavedFit { .. }
         | E::OtherModel { .. }
         | E::Parameter { .. }
         | E::Setup(_)

@@ -23,6 +23,7 @@ mod py_system;
 mod quad_err;
 mod report;
 mod settings;
+mod share;
 mod solve;
 mod stages;
 mod threads;
@@ -62,6 +63,8 @@ mod core_module {
     use super::optimizer::PyOptimizer;
     #[pymodule_export]
     use super::quad_err::quad_err;
+    #[pymodule_export]
+    use super::share::{fit_to_bytes, load_fit, parameters_of, save_fit};
     #[pymodule_export]
     use super::solve::solve;
     #[pymodule_export]

@@ -41,6 +41,7 @@ from ._parameter import Parameter
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
+from ._share import load_fit
 from ._stages import Stage
 from ._trajectory import SimulationResult
 from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
@@ -92,6 +93,7 @@ __all__ = [
     "example_fmu",
     "fmin",
     "least_squares",
+    "load_fit",
     "load_fmu",
     "minimize",
     "ode",

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _validation, _worth
+from . import _core, _share, _validation, _worth
 from ._experiment import Experiment
 from ._keywords import also_called
 from ._result import OptimizeResult
+from ._share import PathLike
 from ._stages import Windows
 from ._trajectory import SimulationStats
 from ._validation import Validation
@@ -247,6 +249,27 @@ class Fit(OptimizeResult):
         from . import _plot
 
         return _plot.fit(self, self._calibration)
+
+    def save(self, path: PathLike) -> None:
+        """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
+
+        The file is written in one step. It is a zip archive of ``fit.json`` and arrays in NumPy's format; it holds the recordings
+        by value, and the FMU by its path, a hash of its content and its model description.
+
+        Parameters
+        ----------
+        path : path
+            The file to write; one that exists is replaced.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        _core.save_fit(_share.native_of(self), os.fspath(path))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _share.pickled(self)
 
     def __getitem__(self, key: Any) -> Any:
         if key in ("parameters", "cost", "rms", "stderr", "covariance", "correlation", "start_rms", "scaled_rms"):
