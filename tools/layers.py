@@ -85,7 +85,7 @@ LAYERS = {
         description inputs trajectory
         settings
         experiment fit minimize model py_system stages
-        calibration optimizer solve
+        calibration fit_report optimizer solve
         share validation worth
     """,
 }

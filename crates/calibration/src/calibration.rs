@@ -153,6 +153,11 @@ impl Calibration {
         &self.evaluator
     }
 
+    /// What a fit is made from, by name and in words or as a hash.
+    pub(crate) fn identity(&self) -> &[(String, String)] {
+        &self.identity
+    }
+
     /// What it is made from, as plain data.
     pub fn problem(&self) -> &Problem {
         &self.evaluator.problem

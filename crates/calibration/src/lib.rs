@@ -66,6 +66,7 @@ pub use prediction::{BandOptions, PredictionBand};
 pub use prior::Prior;
 pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
+pub use report::{ExperimentCurves, OutputCurves, Signal};
 pub use residual::quad_err;
 pub use solver::Solver;
 pub use stages::Stage;

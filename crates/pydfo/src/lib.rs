@@ -10,6 +10,7 @@ mod error;
 mod experiment;
 mod files;
 mod fit;
+mod fit_report;
 mod fmu_error;
 mod inputs;
 mod interrupt;
@@ -53,6 +54,10 @@ mod core_module {
     use super::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
     #[pymodule_export]
     use super::fit::PyFit;
+    #[pymodule_export]
+    use super::fit_report::{
+        fit_correlation, fit_curves, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text,
+    };
     #[pymodule_export]
     use super::methods::{auto_method, method_names, option_names};
     #[pymodule_export]

@@ -31,7 +31,7 @@ from ._errors import (
 )
 from ._experiment import Experiment
 from ._files import build_fmu, clear_caches, example_fmu
-from ._fit import Fit
+from ._fit import Fit, OutputFit
 from ._fmin import fmin
 from ._least_squares import least_squares
 from ._minimize import minimize
@@ -71,6 +71,7 @@ __all__ = [
     "NoResult",
     "OptimizeResult",
     "Optimizer",
+    "OutputFit",
     "Parameter",
     "PredictionBand",
     "Progress",

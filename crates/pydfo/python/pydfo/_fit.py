@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, SupportsFloat
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _core, _share, _validation, _worth
+from ._errors import CalibrationError
 from ._experiment import Experiment
 from ._keywords import also_called
 from ._result import OptimizeResult
@@ -26,8 +27,31 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 
 
+class OutputFit(NamedTuple):
+    """How well a fit reproduces one output of one experiment."""
+
+    experiment: str
+    """The experiment."""
+    variable: str
+    """The variable of the model."""
+    column: str
+    """The column that measured it."""
+    unit: str | None
+    """The unit of the variable, where the model states it."""
+    n: int
+    """How many measurements count."""
+    rms: float
+    """Root of the mean squared difference between simulation and measurement, without weights, in the unit of the variable."""
+    start_rms: float | None
+    """The same at the start; None if the simulation failed there."""
+    fit_percent: float
+    """Fit percentage: ``100 (1 - norm(simulated - measured) / norm(measured - mean))``; NaN where the measurements do not vary."""
+
+
 class Fit(OptimizeResult):
     """The result of a fit: all that an `OptimizeResult` has, with names and in terms of the measurements.
+
+    ``print(fit)`` shows it as a table, a notebook as a better one, and `report` writes a page.
 
     Attributes
     ----------
@@ -60,6 +84,8 @@ class Fit(OptimizeResult):
     n_beginnings : int
         How often the fit was begun: more than once where its simulations were found to depend on earlier ones, by a state that
         the model keeps and no variable shows; ``model.description.quirks`` says so, too. ``nfev`` counts from the last beginning.
+    outputs : list of OutputFit
+        How well each output is reproduced: RMS at the end and at the start, fit percentage. (Empty: interrupted twice.)
     scaled_rms : float or None
         The RMS over that at the start, on the same measurements.
     stages : list of Fit
@@ -88,6 +114,7 @@ class Fit(OptimizeResult):
             self.without_effect: list[str] = []
             self.n_checks = 0
             self.n_beginnings = 1
+        self._native: _core.Fit | None = vars(self).get("_native")
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
         self.worth = _worth.of_fit(vars(self).get("_native"))
@@ -96,6 +123,7 @@ class Fit(OptimizeResult):
         self.start = start
         self.solver = solver
         self.race = calibration.race
+        self.outputs = [] if self._native is None else [OutputFit(*output) for output in _core.fit_outputs(self._native)]
 
     @property
     def stderr(self) -> FloatArray | None:
@@ -234,12 +262,13 @@ class Fit(OptimizeResult):
         return self._calibration.residuals(self.x)
 
     def plot(self) -> Figure:
-        """Draws measurements, the response at the start and the fitted one, and below the residuals.
+        """Draws measurements, the response at the start and the fitted one, below them the residuals of the fitted one, at the
+        bottom the inputs.
 
         Returns
         -------
         matplotlib.figure.Figure
-            One column per output of each experiment. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
+            Two panels per output of each experiment. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
 
         Raises
         ------
@@ -248,7 +277,33 @@ class Fit(OptimizeResult):
         """
         from . import _plot
 
-        return _plot.fit(self, self._calibration)
+        return _plot.fit(self, self._of_run("plot"))
+
+    def plot_convergence(self) -> Figure:
+        """Draws the cost of each evaluation and the best so far, and below them how the best point moved; as `plot`."""
+        from . import _plot
+
+        return _plot.convergence(self, self._calibration.names)
+
+    def plot_waterfall(self) -> Figure:
+        """Draws the costs at which local searches from several starts ended, sorted: what lies on one level is one minimum; as
+        `plot`. ValueError: the method was another one than "multistart"."""
+        from . import _plot
+
+        return _plot.waterfall(self)
+
+    def plot_correlation(self) -> Figure:
+        """Draws the correlation of the parameters as a coloured table; as `plot`. ValueError: the fit has no standard errors."""
+        from . import _plot
+
+        return _plot.correlation(self._of_run("plot_correlation"), self._calibration.names)
+
+    def plot_sensitivity(self) -> Figure:
+        """Draws what a relative change of each parameter makes of each output, over time, or for more than six parameters its root
+        mean square; as `plot`. ValueError: the fit has no standard errors, and no derivatives."""
+        from . import _plot
+
+        return _plot.sensitivity(self._of_run("plot_sensitivity"), self._calibration.names)
 
     def save(self, path: PathLike) -> None:
         """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
@@ -276,21 +331,36 @@ class Fit(OptimizeResult):
             return getattr(self, key)
         return super().__getitem__(key)
 
-    def __repr__(self) -> str:
-        width = max(10, *(len(name) for name in self._calibration.names))
-        lines = [f"{name:>{width}}: {value:.8g}" for name, value in self.parameters.items()]
-        lines.append(f"{'cost':>{width}}: {self.cost:.8g}" + self._was(self.start_cost))
-        lines.append(f"{'rms':>{width}}: {self.rms:.8g}" + self._was(self.start_rms))
-        for line in super().__repr__().splitlines():
-            name, _, text = line.partition(": ")
-            if name.strip() not in ("fun", "x"):
-                lines.append(f"{name.strip():>{width}}: {text}")
-        if self.stats is not None:
-            seconds, in_model = self.stats.seconds, self.stats.seconds_in_model
-            work = f"{self.stats.right_hand_sides} right-hand sides, {seconds:.3g} s, {in_model:.3g} s of them inside the model"
-            lines.append(f"{'simulated':>{width}}: {work}")
-        return "\n".join(lines)
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Writes a report: one HTML page that needs no network, with parameters and their intervals, outputs, figures, settings,
+        versions, and hashes of model and data.
 
-    @staticmethod
-    def _was(value: float | None) -> str:
-        return "" if value is None else f" ({value:.8g} at the start)"
+        Each experiment is simulated at the start and at the fitted values. An existing file is replaced once the new one is
+        whole.
+
+        Parameters
+        ----------
+        path : path
+            The file, ``"fit.html"``.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+        SimulationError
+            A simulation fails that did not in the fit.
+        """
+        _core.fit_report(self._of_run("report"), path)
+
+    def _of_run(self, what: str) -> _core.Fit:
+        """The native fit."""
+        if self._native is None:
+            raise CalibrationError(f"{what}: the fit was interrupted twice, and has nothing but its last iteration")
+        return self._native
+
+    def __repr__(self) -> str:
+        return super().__repr__() if self._native is None else _core.fit_text(self._native)
+
+    def _repr_html_(self) -> str | None:
+        """The same for notebooks."""
+        return None if self._native is None else _core.fit_html(self._native)
