@@ -31,7 +31,9 @@ LAYERS = {
         check effect simulations spot_checks output_fit
         worth
         fit
-        stages
+        stages prediction
+        validation
+        cross_validation
         report export
     """,
     "dfo": """
@@ -85,7 +87,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system stages
         calibration fit_report optimizer solve
-        share worth
+        share validation worth
     """,
 }
 

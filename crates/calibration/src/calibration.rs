@@ -2,7 +2,7 @@
 
 use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
-use crate::experiment::{Experiment, SimulationSettings};
+use crate::experiment::{Experiment, InitialState, SimulationSettings};
 use crate::identity::{hash, identity};
 use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
@@ -127,10 +127,25 @@ impl Calibration {
         Ok(derived)
     }
 
-    /// The same with other windows in all experiments.
+    /// The same with other windows in all experiments. Simulations start as they do in this one, at the same time in the same
+    /// state, whatever that follows from.
     pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
+        if windows.is_empty() {
+            return Err(CalibrationError::Setup("windows: there are none".to_owned()));
+        }
         let mut problem = self.problem().clone();
-        problem.experiments.iter_mut().for_each(|experiment| experiment.windows = windows.to_vec());
+        for (k, experiment) in problem.experiments.iter_mut().enumerate() {
+            experiment.windows = windows.to_vec();
+            experiment.start_time = self.evaluator.simulations[k].options.start_time;
+            experiment.warm_up = None;
+            let outputs = &self.residual_layout().outputs;
+            for (state, initial) in &mut experiment.initial_states {
+                let own = outputs.iter().find(|output| output.experiment == k && output.variable == *state);
+                if let (InitialState::Measured, Some(own)) = (&*initial, own) {
+                    *initial = InitialState::Value(own.measured[0]);
+                }
+            }
+        }
         self.derived(problem)
     }
 

@@ -29,6 +29,7 @@ mod solve;
 mod stages;
 mod threads;
 mod trajectory;
+mod validation;
 mod values;
 mod words;
 mod worth;
@@ -71,6 +72,8 @@ mod core_module {
     use super::share::{fit_to_bytes, load_fit, parameters_of, save_fit};
     #[pymodule_export]
     use super::solve::solve;
+    #[pymodule_export]
+    use super::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]
     use super::values::dtypes;
     #[pymodule_export]

@@ -44,6 +44,7 @@ from ._scipy import scipy_method
 from ._share import load_fit
 from ._stages import Stage
 from ._trajectory import SimulationResult
+from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
 from ._worth import ResidualCheck, Worth
 
 __all__ = [
@@ -57,11 +58,13 @@ __all__ = [
     "CalibrationError",
     "CalibrationWarning",
     "CheckpointError",
+    "CrossValidation",
     "Description",
     "Experiment",
     "FMUModel",
     "Fit",
     "FmuError",
+    "Fold",
     "Interrupted",
     "LeastSquaresResult",
     "ModelTypeError",
@@ -70,6 +73,7 @@ __all__ = [
     "Optimizer",
     "OutputFit",
     "Parameter",
+    "PredictionBand",
     "Progress",
     "PydfoError",
     "Raced",
@@ -79,6 +83,8 @@ __all__ = [
     "Stage",
     "Trace",
     "UnknownVariableError",
+    "ValidatedOutput",
+    "Validation",
     "Variable",
     "Worth",
     "__version__",

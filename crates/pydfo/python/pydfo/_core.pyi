@@ -46,6 +46,9 @@ __all__ = [
     "quad_err",
     "read_csv",
     "solve",
+    "cross_validate",
+    "prediction_bands",
+    "validate",
     "Worth",
     "worth_at",
     "worth_of_fit",
@@ -148,6 +151,15 @@ class Fit:
     @property
     def start(self) -> list[float]: ...
 
+def cross_validate(
+    calibration: Calibration, folds: int | None, options: Options, loss: tuple[str, float] | None
+) -> dict[str, Any]: ...
+def prediction_bands(
+    calibration: Calibration, fit: Fit, times: list[float] | None, level: float, outputs: list[str] | None
+) -> list[dict[str, Any]]: ...
+def validate(
+    calibration: Calibration, fit: Fit, windows: list[tuple[float, float]], experiments: list[Experiment] | None
+) -> dict[str, Any]: ...
 @final
 class Worth:
     def fields(self) -> dict[str, Any]: ...
