@@ -23,7 +23,8 @@ LAYERS = {
         measurements names
         residual warning
         problem
-        assignment column_units identity
+        column_units identity
+        assignment
         simulation
         evaluate
         solver

@@ -332,8 +332,8 @@ impl Calibration {
         let outputs = self.output_fits((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let description = self.fmu().description();
-        let of_model = |p: &Parameter| description.variable(p.variable()?).and_then(|v| v.unit.clone());
-        let unit = |p: &Parameter| p.given_unit().map(str::to_owned).or_else(|| of_model(p));
+        let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
+        let start_rms = start_cost.map(|cost| self.rms(&start, cost, loss));
         Ok(Fit {
             units: self.parameters().iter().map(unit).collect(),
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
@@ -344,10 +344,10 @@ impl Calibration {
             outputs,
             worth,
             cost: report.fun,
-            rms: self.rms(report.fun - self.prior_cost(&report.x, loss)),
+            rms: self.rms(&report.x, report.fun, loss),
             tied: self.tied_values(&report.x),
             start_cost,
-            start_rms: start_cost.map(|cost| self.rms(cost - self.prior_cost(&start, loss))),
+            start_rms,
             start,
             stages: Vec::new(),
             at_bound: found.at_bound,

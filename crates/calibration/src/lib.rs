@@ -5,8 +5,8 @@
 //! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
 //! [`Calibration::residuals`] and [`Calibration::fit`].
 //!
-//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `measurements` (which of them count), `column_units`
-//! (recordings in the units of the model), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model);
+//! `measurements` (which of them count), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
 //! `simulation` (of an experiment), `evaluate` (residuals and cost at a point); `race` and `solver` (which method integrates);
 //! `calibration`; `check` (what does not fit, before a fit); `effect` and `spot_checks` (checks after a fit), `fit`, `stages`,
 //! `prediction`, `validation`, `cross_validation`; `report` (what it found, for people);

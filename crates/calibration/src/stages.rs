@@ -232,7 +232,7 @@ impl Calibration {
         fit.stats += stats;
         fit.n_checks += n_checks;
         if let Some(cost) = cost {
-            (fit.cost, fit.report.fun, fit.rms) = (cost, cost, self.rms(cost));
+            (fit.cost, fit.report.fun, fit.rms) = (cost, cost, self.rms(&x, cost, loss));
         }
         let is_late = || late.is_some_and(|late| Instant::now() >= late) || is_asked();
         fit.worth = worth.and_then(|mut options| {
@@ -245,7 +245,7 @@ impl Calibration {
             let found = (&fit.at_bound[..], &fit.without_effect[..]);
             self.worth_of_fit((&mut fit.report, found), &run.tolerances, asked, (&is_late, &mut fit.stats))
         });
-        (fit.start_cost, fit.start_rms) = (start_cost, start_cost.map(|cost| self.rms(cost)));
+        (fit.start_cost, fit.start_rms) = (start_cost, start_cost.map(|cost| self.rms(&start, cost, loss)));
         fit.n_measurements = self.n_measurements();
         if is_first_own && is_last_own {
             let at_start = fit.stages[0].outputs.iter().map(|output| output.start_rms);
