@@ -16,14 +16,16 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error layout parallel race
-        data no_cost residual
-        parameter
+        error parallel prior race
+        data layout no_cost parameter
+        input
         experiment
-        warning
+        measurements names
+        residual warning
         problem
-        column_units
-        evaluate identity
+        assignment column_units identity
+        simulation
+        evaluate
         solver
         calibration
         effect simulations spot_checks output_fit
