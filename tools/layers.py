@@ -80,7 +80,7 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
-        description inputs trajectory
+        data description inputs trajectory
         settings
         experiment fit minimize model py_system stages
         calibration optimizer solve
