@@ -16,17 +16,20 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error layout race
-        data no_cost residual
-        parameter
+        error parallel prior race
+        data layout no_cost parameter
+        input
         experiment
-        warning
+        measurements names
+        residual warning
         problem
-        column_units
-        evaluate identity
+        assignment column_units identity
+        simulation
+        evaluate
         solver
         calibration
-        effect spot_checks output_fit worth
+        effect simulations spot_checks output_fit
+        worth
         fit
         stages
         report export
@@ -81,7 +84,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system stages
         calibration optimizer solve
-        share
+        share worth
     """,
 }
 

@@ -129,14 +129,8 @@ impl Calibration {
 
     /// The same with other windows in all experiments.
     pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
-        let [window] = *windows else {
-            return Err(CalibrationError::Setup(format!(
-                "{} windows are given, one is needed",
-                windows.len()
-            )));
-        };
         let mut problem = self.problem().clone();
-        problem.experiments.iter_mut().for_each(|experiment| experiment.window = Some(window));
+        problem.experiments.iter_mut().for_each(|experiment| experiment.windows = windows.to_vec());
         self.derived(problem)
     }
 
@@ -181,9 +175,39 @@ impl Calibration {
         self.evaluator.layout.n_measurements()
     }
 
-    /// The root of the mean squared weighted residual that a cost stands for.
+    /// The root of the mean squared weighted residual of the measurements, from the part of a cost that is theirs: all but the
+    /// [part of the priors](Self::prior_cost).
     pub fn rms(&self, cost: f64) -> f64 {
         (cost / self.n_measurements() as f64).sqrt()
+    }
+
+    /// The part of the cost at `x` that is that of the priors, with the loss of a fit; NaN where one is not defined.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn prior_cost(&self, x: &[f64], loss: RobustLoss) -> f64 {
+        let mut residuals = vec![0.0; self.residual_layout().priors.len()];
+        let rule = CostRule::whole(loss, &|| false);
+        self.evaluator.prior_residuals(x, rule, &mut residuals).unwrap_or(f64::NAN)
+    }
+
+    /// The parameters that are [tied](Parameter::tied), with their values at `x`: of such that follow a local one, one per
+    /// experiment.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn tied_values(&self, x: &[f64]) -> Vec<(String, f64)> {
+        self.evaluator.tied.iter().map(|(name, of)| (name.clone(), of.value(x))).collect()
+    }
+
+    /// What is set in the model at `x` in the simulation of an experiment, counted from 0: variables and their values, in the units
+    /// of the model; values that are tied are there, delays and offsets are not.
+    ///
+    /// # Panics
+    /// There is no such experiment, or `x` has another length than there are parameters.
+    pub fn model_values(&self, experiment: usize, x: &[f64]) -> Vec<(String, f64)> {
+        let simulation = &self.evaluator.simulations[experiment];
+        simulation.named_values(x).map(|(name, value)| (name.to_owned(), value)).collect()
     }
 
     /// Start values of all parameters.
@@ -303,18 +327,10 @@ impl Calibration {
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Trajectory, CalibrationError> {
         self.check_length(x)?;
-        let simulation = &self.evaluator.simulations[experiment];
-        let mut options = simulation.options.clone();
-        options.method = self.solver_until(cancelled)?.method;
-        let names = std::mem::take(&mut options.parameters);
-        let values = simulation.values(x);
-        options.start_values.extend(names.into_iter().zip(values.iter().map(|v| (*v).into())));
-        if let Some(times) = times {
-            options.times = Some(times.to_vec());
-            options.final_time = times.last().copied();
-        }
+        let method = self.solver_until(cancelled)?.method;
         let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-        let trajectory = self.fmu().simulate_with(&options, &mut poll)?;
+        let simulation = &self.evaluator.simulations[experiment];
+        let trajectory = simulation.trajectory(self.fmu(), (x, method), times, &mut poll)?;
         match trajectory.termination {
             Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
             _ => Ok(trajectory),
@@ -368,19 +384,24 @@ impl Calibration {
         let mut residuals = vec![0.0; self.n_residuals()];
         let rule = CostRule::whole(RobustLoss::default(), cancelled);
         let cost = self.evaluate_into(x, rule, &mut residuals, &mut Stats::default());
-        cost.map(|cost| (cost, residuals)).map_err(|no_cost| {
-            let pairs = self.parameters().iter().zip(x);
-            let at =
-                pairs.map(|(p, v)| format!("{} = {}", p.name(), Number(*v))).collect::<Vec<_>>().join(", ");
-            match no_cost {
-                NoCost::Failed { message, source, .. } => {
-                    CalibrationError::Simulation { at, message, source }
-                }
-                NoCost::Over(error) => CalibrationError::Model(*error),
-                // Nothing is above an infinite cutoff.
-                NoCost::Cancelled | NoCost::Above => CalibrationError::Cancelled,
-            }
+        cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost {
+            NoCost::Failed { message, source, .. } => self.failed_at(x, message, source),
+            NoCost::Over(error) => CalibrationError::Model(*error),
+            // Nothing is above an infinite cutoff.
+            NoCost::Cancelled | NoCost::Above => CalibrationError::Cancelled,
         })
+    }
+
+    /// The error of a simulation with these values of the parameters.
+    pub(crate) fn failed_at(
+        &self,
+        x: &[f64],
+        message: String,
+        source: Option<Box<FmiError>>,
+    ) -> CalibrationError {
+        let pairs = self.parameters().iter().zip(x);
+        let at = pairs.map(|(p, v)| format!("{} = {}", p.name(), Number(*v))).collect::<Vec<_>>().join(", ");
+        CalibrationError::Simulation { at, message, source }
     }
 
     /// The answer to a query, what it took added to `stats`. Its work is counted in right-hand sides.
@@ -416,9 +437,9 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         loop {
-            let cost = self.evaluator.evaluate(x, rule, out, stats, |k, x, observer| {
+            let cost = self.evaluator.evaluate(x, rule, out, stats, |k, run| {
                 let pool = self.pool(k, rule.cancelled)?;
-                Ok(pool.lend_until(rule.cancelled).and_then(|mut simulator| simulator.run(x, observer)))
+                Ok(pool.lend_until(rule.cancelled).and_then(|mut simulator| run(&mut simulator)))
             });
             if !cost.as_ref().is_err_and(NoCost::is_by_history) {
                 return cost;

@@ -1,14 +1,15 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
-use crate::effect::BoundSide;
+use crate::effect::{BoundSide, is_over};
 use crate::error::CalibrationError;
 use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
+use crate::simulations::Simulations;
 use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
-use crate::worth::Worth;
+use crate::worth::{KnownPoint, Worth, WorthOptions};
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
     RunOptions, Search, Stop, Tolerances, Want,
@@ -45,6 +46,10 @@ pub struct FitOptions<'a> {
     /// What a residual counts; default: its square. With another loss [`Fit::cost`] is the sum of what they count, also where
     /// the method sees costs alone.
     pub loss: RobustLoss,
+    /// What the fit is worth is found out after the run: standard errors, correlation, what the data cannot tell. Takes at least two
+    /// simulations for each parameter and one that is more accurate, in parallel; they are none of the run's evaluations, are not
+    /// made after an interrupt or when the time is up, and are part of `stats`. `None`: it is not. Its loss is that of the fit.
+    pub worth: Option<WorthOptions>,
     /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
@@ -71,6 +76,7 @@ impl Default for FitOptions<'_> {
             held: Vec::new(),
             cutoffs: true,
             loss: RobustLoss::default(),
+            worth: Some(WorthOptions::default()),
             observer: None,
             poll: None,
             cancel: None,
@@ -101,6 +107,8 @@ pub struct Fit {
     pub x: Vec<f64>,
     /// Names of the parameters, in the same order.
     pub names: Vec<String>,
+    /// Values of the parameters that are tied to others, by name.
+    pub tied: Vec<(String, f64)>,
     /// Where the fit started.
     pub start: Vec<f64>,
     /// Units of the parameters, where they are known, in the same order.
@@ -113,7 +121,7 @@ pub struct Fit {
     pub n_measurements: usize,
     /// Cost there: the sum of the squared weighted residuals; with a loss, of what they count.
     pub cost: f64,
-    /// Root of the mean squared weighted residual there; with a loss, of what they count.
+    /// Root of the mean squared weighted residual of the measurements there; with a loss, of what they count.
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
@@ -213,7 +221,7 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        let FitOptions { run: mut described, start, held, cutoffs, loss, mut observer, poll, cancel } =
+        let FitOptions { run: mut described, start, held, cutoffs, loss, worth, mut observer, poll, cancel } =
             options.into();
         let poll = RefCell::new(poll);
         described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
@@ -309,6 +317,13 @@ impl Calibration {
             described.known.iter_mut().for_each(|known| known.problem = None);
         };
         report.message += &self.remarks(&found);
+        let worth = worth.and_then(|mut options| {
+            options.workers = options.workers.or(described.workers);
+            options.held.extend(&held);
+            let asked = WorthOptions { loss, ..options };
+            let found = (&found.at_bound[..], &found.without_effect[..]);
+            self.worth_of_fit((&mut report, found), &tolerances, asked, (&cancelled, &mut stats))
+        });
         if n_beginnings > 1 {
             report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
         }
@@ -317,7 +332,8 @@ impl Calibration {
         let outputs = self.output_fits((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let description = self.fmu().description();
-        let unit = |p: &Parameter| description.variable(p.variable()).and_then(|v| v.unit.clone());
+        let of_model = |p: &Parameter| description.variable(p.variable()?).and_then(|v| v.unit.clone());
+        let unit = |p: &Parameter| p.given_unit().map(str::to_owned).or_else(|| of_model(p));
         Ok(Fit {
             units: self.parameters().iter().map(unit).collect(),
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
@@ -325,13 +341,14 @@ impl Calibration {
             n_measurements: self.n_measurements(),
             x: report.x.clone(),
             names,
-            start,
             outputs,
-            worth: None,
+            worth,
             cost: report.fun,
-            rms: self.rms(report.fun),
+            rms: self.rms(report.fun - self.prior_cost(&report.x, loss)),
+            tied: self.tied_values(&report.x),
             start_cost,
-            start_rms: start_cost.map(|cost| self.rms(cost)),
+            start_rms: start_cost.map(|cost| self.rms(cost - self.prior_cost(&start, loss))),
+            start,
             stages: Vec::new(),
             at_bound: found.at_bound,
             without_effect: found.without_effect,
@@ -341,6 +358,46 @@ impl Calibration {
             solver: solver.clone(),
             report,
         })
+    }
+
+    /// What the result of a run is worth, with what is to be said of it added to its message; `None` where it cannot be found out, or
+    /// shall not.
+    pub(crate) fn worth_of_fit(
+        &self,
+        (report, (at_bound, inert)): (&mut Report, (&[(usize, BoundSide)], &[usize])),
+        tolerances: &Tolerances,
+        mut options: WorthOptions,
+        (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
+    ) -> Option<Worth> {
+        if !is_over(&report.termination) || cancelled() {
+            return None;
+        }
+        let workers = options.workers.unwrap_or(1);
+        let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
+        options.held.extend(at_bound.iter().map(|(index, _)| index).filter(|index| !inert.contains(index)));
+        let known = KnownPoint {
+            // Those of a stage with a window of its own are others.
+            residuals: report.residuals.as_deref().filter(|r| r.len() == self.n_residuals()),
+            jacobian: report.jacobian.as_deref(),
+            held: options.held,
+            inert,
+            f_tol: match tolerances.measure {
+                Measure::Relative => tolerances.f_tol,
+                Measure::Absolute => tolerances.f_tol / report.fun,
+            },
+        };
+        let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
+        *stats += simulations.stats;
+        match worth {
+            Ok(worth) => {
+                report.message += &worth.remarks(known.f_tol);
+                Some(worth)
+            }
+            Err(error) => {
+                log::info!("what the fit is worth could not be found out: {error}");
+                None
+            }
+        }
     }
 
     /// The optimiser knows parameters by number, the user by name.
@@ -382,7 +439,9 @@ impl Calibration {
         match parameter.scale_kind() {
             Scale::Log => Some(usable((upper / lower).ln()).unwrap_or(1.0)),
             Scale::Linear => {
-                let nominal = self.fmu().description().variable(parameter.variable()).and_then(|v| v.nominal);
+                let variable = parameter.variable().and_then(|name| self.fmu().description().variable(name));
+                // That of the model is in the unit of the model.
+                let nominal = variable.filter(|_| parameter.given_unit().is_none()).and_then(|v| v.nominal);
                 parameter
                     .nominal_size()
                     .or(nominal)

@@ -5,12 +5,14 @@
 //! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
 //! [`Calibration::residuals`] and [`Calibration::fit`].
 //!
-//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model); `residual` (measured against simulated), `evaluate`
-//! (residuals and cost at a point); `race` and `solver` (which method integrates); `calibration`; `effect` and `spot_checks`
-//! (checks after a fit), `fit`, `stages`; `report` (what it found, for people); `export` (files, tables, other
-//! programs).
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `measurements` (which of them count), `column_units`
+//! (recordings in the units of the model), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
+//! `simulation` (of an experiment), `evaluate` (residuals and cost at a point); `race` and `solver` (which method integrates);
+//! `calibration`; `effect` and `spot_checks` (checks after a fit), `fit`, `stages`; `report` (what it found, for people);
+//! `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
+mod assignment;
 mod calibration;
 mod column_units;
 mod data;
@@ -21,14 +23,21 @@ mod experiment;
 mod export;
 mod fit;
 mod identity;
+mod input;
 mod layout;
+mod measurements;
+mod names;
 mod no_cost;
 mod output_fit;
+mod parallel;
 mod parameter;
+mod prior;
 mod problem;
 mod race;
 mod report;
 mod residual;
+mod simulation;
+mod simulations;
 mod solver;
 mod spot_checks;
 mod stages;
@@ -36,22 +45,23 @@ mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
-pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, find_column};
+pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, date_seconds, find_column};
 pub use dfo;
 pub use dfo::Kind;
 pub use effect::BoundSide;
 pub use error::CalibrationError;
-pub use experiment::{Experiment, SimulationSettings};
+pub use experiment::{Experiment, InitialState, SimulationSettings, Weight};
 pub use export::SavedFit;
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use output_fit::OutputFit;
-pub use parameter::{Parameter, Scale};
+pub use parameter::{Parameter, Scale, Target, Tie};
+pub use prior::Prior;
 pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use residual::quad_err;
 pub use solver::Solver;
 pub use stages::Stage;
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};
-pub use worth::{Estimator, ResidualCheck, Worth};
+pub use worth::{Estimator, ResidualCheck, Worth, WorthOptions};

@@ -10,6 +10,9 @@ use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+/// The byte order mark of two-byte encodings; that of UTF-8 is three characters here.
+const MARK: char = '\u{feff}';
+
 /// The elements of FMI 1.0 and 2.0 that have the start value of a variable.
 const TYPES: [&str; 5] = ["Real", "Integer", "Boolean", "String", "Enumeration"];
 
@@ -99,6 +102,8 @@ fn edit(tag: &str, at: usize, text: &str) -> Option<(Range<usize>, String)> {
 /// A document as text of which every byte is kept: of two-byte encodings the characters, else one character for each byte.
 struct Text {
     encoding: &'static Encoding,
+    /// Whether a byte order mark comes before the text.
+    is_marked: bool,
     text: String,
 }
 
@@ -110,7 +115,10 @@ impl Text {
             true => encoding.decode_without_bom_handling(bytes).0.into_owned(),
             false => bytes.iter().map(|byte| char::from(*byte)).collect(),
         };
-        Self { encoding, text }
+        // The reader does not count the mark.
+        let text: String = text;
+        let is_marked = text.starts_with(MARK);
+        Self { encoding, is_marked, text: text.trim_start_matches(MARK).to_owned() }
     }
 
     fn is_wide(&self) -> bool {
@@ -136,6 +144,9 @@ impl Text {
         let mut text = self.text.clone();
         for (place, new) in edits.into_iter().rev() {
             text.replace_range(place, &new);
+        }
+        if self.is_marked {
+            text.insert(0, MARK);
         }
         match self.encoding {
             encoding if encoding == UTF_16LE => text.encode_utf16().flat_map(u16::to_le_bytes).collect(),
