@@ -29,11 +29,13 @@ LAYERS = {
         evaluate
         solver
         calibration
-        effect simulations spot_checks output_fit
+        check effect simulations spot_checks output_fit
         worth
         fit
-        stages
-        report
+        stages prediction
+        validation
+        cross_validation
+        report export
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -62,7 +64,7 @@ LAYERS = {
         fmu
         fmu_cache instance
         simulation
-        reuse
+        reuse start_values
         session
     """,
     "ode": """
@@ -81,11 +83,12 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
+        data
         description inputs trajectory
         settings
         experiment fit minimize model py_system stages
-        calibration optimizer solve
-        worth
+        calibration fit_report optimizer solve
+        share validation worth
     """,
 }
 

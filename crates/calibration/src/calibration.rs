@@ -127,8 +127,12 @@ impl Calibration {
         Ok(derived)
     }
 
-    /// The same with other windows in all experiments; simulations start when and where they do.
+    /// The same with other windows in all experiments. Simulations start as they do in this one, at the same time in the same
+    /// state, whatever that follows from.
     pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
+        if windows.is_empty() {
+            return Err(CalibrationError::Setup("windows: there are none".to_owned()));
+        }
         let mut problem = self.problem().clone();
         for (experiment, simulation) in problem.experiments.iter_mut().zip(&self.evaluator.simulations) {
             experiment.windows = windows.to_vec();
@@ -139,6 +143,11 @@ impl Calibration {
 
     pub(crate) fn evaluator(&self) -> &Evaluator {
         &self.evaluator
+    }
+
+    /// What a fit is made from, by name and in words or as a hash.
+    pub(crate) fn identity(&self) -> &[(String, String)] {
+        &self.identity
     }
 
     /// What it is made from, as plain data.

@@ -6,9 +6,11 @@ use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
 use dfo::{Kind, Measure, Outcome, Report, Termination, Tolerances};
 use ode::{Number, Stats};
+use serde::{Deserialize, Serialize};
 
 /// One of the two bounds of a parameter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum BoundSide {
     /// The smallest value.
     Lower,
@@ -34,7 +36,7 @@ impl BoundSide {
 }
 
 /// What the parameters of a fit turned out to be.
-#[derive(Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Findings {
     /// Parameters that ended at a bound, by number.
     pub(crate) at_bound: Vec<(usize, BoundSide)>,

@@ -33,6 +33,10 @@ pub(crate) struct PyCalibration {
 }
 
 impl PyCalibration {
+    pub(crate) fn of(inner: Arc<calibration::Calibration>) -> Self {
+        Self { inner, last: Arc::default(), callbacks: Callbacks::default() }
+    }
+
     /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C ends it at
     /// the next step.
     pub(crate) fn compute<T: Send + 'static>(
@@ -89,7 +93,7 @@ impl PyCalibration {
     }
 
     /// A fit as `pydfo.OptimizeResult`, with what only a fit has.
-    fn result<'py>(&self, py: Python<'py>, fit: calibration::Fit) -> PyResult<Bound<'py, PyAny>> {
+    pub(crate) fn result<'py>(&self, py: Python<'py>, fit: calibration::Fit) -> PyResult<Bound<'py, PyAny>> {
         let result = report::to_python(py, &fit.report, ResultKind::Cost)?;
         result.setattr("stats", Counts::new(&fit.stats))?;
         let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
