@@ -228,7 +228,7 @@ def test_simulations_that_fail(dahlquist):
         ({"weights": {"y": 1.0}}, ValueError, "no output 'y'"),
         ({"weights": [1.0, 2.0]}, ValueError, "2 weights for 1 outputs"),
         ({"weights": [-1.0]}, ValueError, "weight -1"),
-        ({"weights": ["heavy"]}, TypeError, "weights must be a number"),
+        ({"weights": ["heavy"]}, ValueError, "no column 'heavy'"),
         ({"start_values": {"z": 1.0}}, KeyError, '"z"'),
         ({"start_values": {"x": "a"}}, TypeError, "x is of type"),
         ({"start_values": {"x": None}}, TypeError, "x is of type Real, None"),
