@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error layout race
+        error layout parallel race
         data no_cost residual
         parameter
         experiment
@@ -26,7 +26,8 @@ LAYERS = {
         evaluate identity
         solver
         calibration
-        effect spot_checks output_fit worth
+        effect simulations spot_checks output_fit
+        worth
         fit
         stages
         report
@@ -81,6 +82,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system stages
         calibration fit_report optimizer solve
+        worth
     """,
 }
 

@@ -1,6 +1,6 @@
 //! Recorded columns in the units of the variables that they measure or drive.
 
-use crate::data::{UnitConversion, UnitError};
+use crate::data::{Unit, UnitConversion, UnitError};
 use crate::error::CalibrationError;
 use crate::experiment::Experiment;
 use crate::problem::Problem;
@@ -62,6 +62,8 @@ fn convert(
                      that it measures or drives"
                 )));
             }
+            // Models without units are mostly in those of the SI.
+            Err(UnitError::NotStated { .. }) if Unit::parse(&given).is_ok_and(|unit| unit.is_coherent()) => {}
             Err(reason) => warnings.push(SetupWarning::NotConverted {
                 data: data.source().to_owned(),
                 column: full.clone(),

@@ -3,9 +3,8 @@
 use crate::settings::time_limit;
 use crate::words::word;
 use crate::{error, fmu_error, values};
-use calibration::{CalibrationError, Data, Experiment, Parameter, SimulationSettings, TimeColumn};
+use calibration::{CalibrationError, Data, Experiment, Parameter, SimulationSettings};
 use fmi::FmiError;
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
@@ -133,12 +132,4 @@ impl ExperimentFields {
         }
         Ok(experiment)
     }
-}
-
-/// Position of the column of times among columns of these names, and the length of its unit in s as a fraction.
-#[pyfunction]
-#[pyo3(signature = (names, time=None))]
-pub(crate) fn find_time(names: Vec<String>, time: Option<&str>) -> PyResult<(usize, (f64, f64))> {
-    let found = TimeColumn::find(names.iter().map(String::as_str), time);
-    found.map(|column| (column.index, column.unit)).map_err(PyValueError::new_err)
 }

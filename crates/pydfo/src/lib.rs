@@ -3,6 +3,7 @@
 #![deny(unsafe_code)]
 
 mod calibration;
+mod data;
 mod description;
 mod dict;
 mod error;
@@ -29,6 +30,7 @@ mod threads;
 mod trajectory;
 mod values;
 mod words;
+mod worth;
 
 use pyo3::prelude::*;
 
@@ -41,17 +43,17 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::PyCalibration;
     #[pymodule_export]
+    use super::data::{date_seconds, find_column, find_time, read_csv};
+    #[pymodule_export]
     use super::description::Fmu;
     #[pymodule_export]
-    use super::experiment::{check_parameter, find_time};
+    use super::experiment::check_parameter;
     #[pymodule_export]
     use super::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
     #[pymodule_export]
     use super::fit::PyFit;
     #[pymodule_export]
-    use super::fit_report::{
-        fit_correlation, fit_curves, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text,
-    };
+    use super::fit_report::{fit_curves, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text};
     #[pymodule_export]
     use super::methods::{auto_method, method_names, option_names};
     #[pymodule_export]
@@ -66,6 +68,8 @@ mod core_module {
     use super::solve::solve;
     #[pymodule_export]
     use super::values::dtypes;
+    #[pymodule_export]
+    use super::worth::{PyWorth, worth_at, worth_of_fit};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

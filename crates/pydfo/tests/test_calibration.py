@@ -213,7 +213,7 @@ def test_simulations_that_fail(dahlquist):
         ({"data": {"time": TIME, "x": [np.nan] * 5}}, ValueError, "all 5 values of column 'x' from time 0 to 1.5 are missing"),
         ({"data": {"time": TIME, "x": [np.inf] * 5}}, ValueError, "column 'x' is infinite at time 0"),
         ({"data": {"time": TIME, "x": TRUE[:, None]}}, ValueError, "column 'x' must be one-dimensional"),
-        ({"data": {"time": TIME.astype("datetime64[s]"), "x": TRUE}}, ValueError, "column 'time' holds dates.* subtract the first"),
+        ({"data": {"time": np.flip(TIME).astype("datetime64[s]"), "x": TRUE}}, ValueError, "times must ascend"),
         ({"data": {"time [ms]": (TIME * 1e3).astype("timedelta64[ms]"), "x": TRUE}}, ValueError, "holds durations"),
         ({"data": {"time": TIME, "x": TRUE.astype("timedelta64[s]")}}, ValueError, "column 'x' holds dates"),
         ({"data": {"time": [], "x": []}}, ValueError, "no rows"),

@@ -384,7 +384,7 @@ def test_what_contradicts_itself_is_refused(call, said):
     [
         ("time x\n0 1\n1 2\n", "one column only: columns are separated by commas, semicolons or tabs"),
         ("time,x\n0,0,1,5\n0,5,1,2\n", "line 2 has 4 cells, the header has 2; numbers with decimal commas need semicolons"),
-        ("time,x\ns,m\n0,1\n1,2\n", "time 's' in line 2 is not a number; units stand in the names of the columns"),
+        ("time,x\nkg,m\n0,1\n1,2\n", "time 'kg' in line 2 is not a number, as those of other lines are"),
         ("time,x\n0,1\n1,?\n", r"'\?' in column 'x', line 3, is not a number; missing values are empty cells, NaN"),
     ],
 )
@@ -447,10 +447,12 @@ def test_an_output_counts_once():
         Calibration(example_fmu("dahlquist"), {"time": TIME, "x": DECAY}, ["x", "x"], [K])
 
 
-def test_clock_times_say_what_to_do(tmp_path):
+def test_clock_times_count_from_the_first(tmp_path):
     path = tmp_path / "data.csv"
-    path.write_text("time,x\n00:00:00,1\n00:00:01,0.1\n")
-    with pytest.raises(ValueError, match="must be turned into seconds from the start of the recording"):
+    path.write_text("time,x\n10:00:00,1\n10:00:01,0.1\n")
+    assert decay(path).cost([1.0]) == decay({"time": [0.0, 1.0], "x": [1.0, 0.1]}).cost([1.0])
+    path.write_text("time,x\n10:00:00 PM,1\n10:00:01 PM,0.1\n")
+    with pytest.raises(ValueError, match="line 2: '10:00:00 PM' is neither a number nor a date .write hours from 0 to 23"):
         decay(path)
 
 

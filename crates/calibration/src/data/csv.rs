@@ -1,6 +1,6 @@
 //! CSV files as tables, as spreadsheets and data loggers write them.
 
-use super::dates;
+use super::dates::date_seconds;
 use super::table::{Column, Data, mixed_decimal_signs};
 use super::time_column::{TimeColumn, time_unit};
 use super::units::Unit;
@@ -146,7 +146,7 @@ impl Data {
                     "time '{text}' in line {line} is not a number, as those of other lines are, or there is none in them"
                 )));
             }
-            let seconds = dates::seconds(&dates);
+            let seconds = date_seconds(&dates);
             time.values = seconds.map_err(|(row, why)| bad(format!("time in line {}: {why}", lines[row])))?;
             time_column.unit = (1.0, 1.0);
         }

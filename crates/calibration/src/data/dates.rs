@@ -23,7 +23,7 @@ enum Form {
 ///
 /// # Errors
 /// The index of a cell that is none, and what is wrong with it.
-pub(super) fn seconds(cells: &[String]) -> Result<Vec<f64>, (usize, String)> {
+pub fn date_seconds(cells: &[String]) -> Result<Vec<f64>, (usize, String)> {
     let mut first = None;
     cells
         .iter()
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     fn of(cells: &[&str]) -> Result<Vec<f64>, (usize, String)> {
-        seconds(&cells.iter().map(|c| (*c).to_owned()).collect::<Vec<_>>())
+        date_seconds(&cells.iter().map(|c| (*c).to_owned()).collect::<Vec<_>>())
     }
 
     #[test]

@@ -7,6 +7,7 @@ mod table;
 mod time_column;
 mod units;
 
+pub use dates::date_seconds;
 pub use table::Data;
 pub(crate) use table::sampling_interval;
 pub(crate) use time_column::parts;

@@ -163,6 +163,11 @@ impl Unit {
         (self.exponents == TIME && self.offset == 0.0).then_some((self.numerator, self.denominator))
     }
 
+    /// Whether it is a product of base units, without a factor.
+    pub(crate) fn is_coherent(&self) -> bool {
+        self.numerator == self.denominator && self.offset == 0.0
+    }
+
     fn is_usable(&self) -> bool {
         let factor = self.numerator / self.denominator;
         factor.is_finite() && factor > 0.0

@@ -43,6 +43,7 @@ from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
 from ._stages import Stage
 from ._trajectory import SimulationResult
+from ._worth import ResidualCheck, Worth
 
 __all__ = [
     "Above",
@@ -71,12 +72,14 @@ __all__ = [
     "Progress",
     "PydfoError",
     "Raced",
+    "ResidualCheck",
     "SimulationError",
     "SimulationResult",
     "Stage",
     "Trace",
     "UnknownVariableError",
     "Variable",
+    "Worth",
     "__version__",
     "build_fmu",
     "clear_caches",

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options, _stages
+from . import _core, _options, _stages, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import Names, Settings, collected, path_of
 from ._files import OpenOptions
@@ -23,6 +23,7 @@ from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
 from ._stages import Stage
+from ._worth import Worth
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -61,13 +62,19 @@ class Calibration:
     ----------
     model : path or FMUModel
         The FMU. Values that were set in an FMUModel do not count (a warning says so); give them as `start_values`.
-    data : path, dict of arrays, DataFrame or structured array
+    data : path, dict of arrays, DataFrame, Series, xarray or structured array
         The recording (or a list of `Experiment`): a column of times (ascending, intervals as they come) and what was measured. NaN, None and
-        empty cells are missing values. A CSV file has one line of names; commas, semicolons or tabs separate, and
-        where no commas do, numbers may have decimal commas (all of them: a file with commas and points is refused).
-        The times are those of the column (or the named index of a DataFrame) ``time``, in any case; a unit in
+        empty cells are missing values. A CSV file has one line of names, which a line of units may follow; commas, semicolons or tabs
+        separate, and where no commas do, numbers may have decimal commas (all of them: a file with commas and points is refused).
+        Other files are read by the library that Python people use for them: ``.mat`` (SciPy; h5py for version 7.3), ``.xlsx``
+        (openpyxl; the first sheet, as a CSV file) and ``.parquet`` (pyarrow). Of a ``.mat`` file all variables that are as long as the
+        times are columns: fields of structs are called ``rig.x``, the columns of a matrix ``y[1]``, ``y[2]``.
+        The times are those of the column (or the named index of a DataFrame) ``time``, in any case, or of an index of dates; a unit in
         brackets or parentheses is read, ``time [ms]``: s, ms, us, ns, min, h, d (exactly so). Durations
-        (``timedelta64``, ``datetime.timedelta``) are times, too.
+        (``timedelta64``, ``datetime.timedelta``) are times, too, and so are dates and times of day (``datetime64``, ``datetime``, texts as
+        2024-05-31T13:45:10.5 or 31.05.2024 13:45:10): s since the first.
+        A column may state its unit (``phi [deg]``, ``T (degC)``), and be named without (``phi``). Where the model states that of the
+        variable, too, it is converted; units of another quantity are an error. Costs, results and plots are in the units of the model.
     outputs : dict of str to str, or list of str
         Which output of the model was measured by which column; a list if they have the same names. A simulation in which
         one of them is NaN or infinite where something was measured counts as failed.
@@ -350,6 +357,7 @@ class Calibration:
         resume: Literal["auto", "never", "require"] = "auto",
         search: Literal["local", "global"] = "local",
         stages: Sequence[Stage | Sequence[str]] | None = None,
+        covariance: Literal["sandwich", "pooled"] | None = "sandwich",
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
@@ -406,6 +414,9 @@ class Calibration:
             ``[["C2", "G2"], ["C1", "G1"]]``: each stage frees these parameters, from where the last one left them, and holds the
             others. Limits hold for all stages together, ``nfev`` and the trace are those of all; the fit has that of each stage in
             ``stages``. A checkpoint has a file for each: ``fit.ckpt.stage1``, ``fit.ckpt.stage2`` and so on.
+        covariance : {"sandwich", "pooled"} or None
+            How the standard errors of the fit are estimated, see `worth`. Found out after the run, with simulations that do not
+            count in ``nfev``: at least two for each parameter and an accurate one, in parallel. None: not at all.
 
         Returns
         -------
@@ -476,7 +487,7 @@ class Calibration:
         if callback is not None:
             listeners.append(listen(callback))
         try:
-            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages)
+            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages, covariance=covariance)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):
@@ -489,6 +500,40 @@ class Calibration:
         if disp:
             printer.end(fit.message, fit.x, fit.cost, fit.nit, fit.nfev, fit.solve_time)
         return fit
+
+    @explained
+    def worth(
+        self,
+        x: npt.ArrayLike | Mapping[str, float] | None = None,
+        covariance: Literal["sandwich", "pooled"] = "sandwich",
+        parameters: Sequence[str] | None = None,
+        workers: SupportsIndex | None = None,
+    ) -> Worth:
+        """What a point is worth as the result of a fit: standard errors, correlation, what the data cannot tell.
+
+        From central differences of the residuals over steps of about one standard error along the principal axes of the
+        covariance, and one simulation with a hundredth of the relative tolerance; all in parallel.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+        covariance : {"sandwich", "pooled"}
+            With one residual variance per output of the model, over all of its recordings:
+            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``; or with one for all: ``s**2 * inv(J.T @ J)``.
+        parameters : sequence of str, optional
+            Only these are free, the others are taken as known: the standard errors are conditional then.
+        workers : int, optional
+            Simulations that may run at once; None: all cores. The result does not depend on it.
+
+        Raises
+        ------
+        SimulationError
+            The simulation fails there, or on both sides of it.
+        ValueError, TypeError
+            Arguments that cannot be used.
+        """
+        return _worth.at(self, self._values(x), _options.choice("covariance", covariance), parameters, workers)
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the parameters; equal where one is fixed."""

@@ -1,4 +1,4 @@
-"""Measurements in the shapes people have them: CSV files, dictionaries, data frames, structured arrays."""
+"""Measurements in the shapes people have them: files, dictionaries, data frames, series, structured arrays."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options
+from . import _core, _data_files, _options
 from ._errors import BadCalibrationError
 
 FloatArray = npt.NDArray[np.float64]
@@ -30,63 +30,152 @@ class Table:
     columns: Columns
     #: Names of the other columns.
     left_out: list[str]
+    #: Name of the column of times; None: "time" in any case.
+    time: str | None
 
 
 def read(data: Any, needed: list[str], time: str | None) -> Table:
-    """The path of a CSV file, or the columns of a table in memory; `time` names the column of times.
+    """The path of a CSV file, or the columns of another file or of a table in memory; `time` names the column of times.
 
     Raises
     ------
     TypeError
         `data` is nothing that holds columns.
+    ImportError
+        The library that reads files of this format is not installed; the message says how to install it.
     BadCalibrationError
         There is no column of times, or one of those needed is missing or holds text.
     """
-    if isinstance(data, (str, os.PathLike)):
-        return Table(os.fspath(data), [], [])
-    table = _columns(data)
-    names = list(table)
+    if not isinstance(data, (str, os.PathLike)):
+        return _selected(_columns(data), needed, time)
+    path = os.fspath(data)
+    match _data_files.suffix(path):
+        case ".parquet" | ".pq":
+            return _selected(_data_files.parquet(path), needed, time)
+        case ".mat":
+            variables = _data_files.mat(path)
+            found, others = _data_files.of_one_length(variables, list(variables)[_find_time(list(variables), time)[0]])
+            return _selected(found, needed, time, others)
+        case ".xlsx" | ".xlsm":
+            return Table(None, *_core.read_csv(_data_files.workbook(path), path, time, needed), "time")
+        case ".xls" | ".ods" | ".feather" | ".h5" | ".hdf5" | ".pkl" | ".json" | ".npy" | ".npz" as other:
+            raise BadCalibrationError(
+                f"data: {path}: {other} files are not read; CSV, .mat, .parquet and .xlsx files are. Read it with a library, and "
+                "give a dict of arrays or a DataFrame"
+            )
+    return Table(path, [], [], time)
+
+
+def _find_time(names: list[str], time: str | None) -> tuple[int, tuple[float, float]]:
     try:
-        index, (numerator, denominator) = _core.find_time(names, time)
+        return _core.find_time(names, time)
     except ValueError as e:
         raise BadCalibrationError(f"data: {e}") from None
+
+
+def _selected(table: Mapping[str, Any], needed: list[str], time: str | None, others: list[str] | None = None) -> Table:
+    """The times and the columns that are needed; `others` are of another length than the times."""
+    names = list(table)
+    index, (numerator, denominator) = _find_time(names, time)
     at = names[index]
     durations = seconds(table[at])
     if durations is not None and numerator != denominator:
-        raise BadCalibrationError(f"data: column '{at}' holds durations, which have a unit of their own; take the unit out of its name")
+        raise BadCalibrationError(
+            f"data: column '{at}' holds durations or dates, which have a unit of their own; take the unit out of its name"
+        )
     columns = [(at, _numbers(at, table[at] if durations is None else durations))]
+    taken = [at]
     for name in dict.fromkeys(needed):
-        if name == at:
-            continue
-        if name not in table:
-            raise BadCalibrationError(f"data: there is no column '{name}'; there are: {_options.listed(names)}")
-        columns.append((name, _numbers(name, table[name])))
-    return Table(None, columns, [name for name in names if name != at and name not in needed])
+        try:
+            found = names[_core.find_column(names, name)]
+        except ValueError as e:
+            hint = f". Of another length than the times: {', '.join(others)}" if others else ""
+            raise BadCalibrationError(f"data: {e}{hint}") from None
+        if found not in taken:
+            columns.append((found, _numbers(found, table[found])))
+            taken.append(found)
+    return Table(None, columns, [name for name in names if name not in taken], at)
 
 
 def _columns(data: Any) -> dict[str, Any]:
-    if isinstance(data, Mapping):
+    if isinstance(data, Mapping) and not hasattr(data, "data_vars"):
         return {str(name): values for name, values in data.items()}
     names = getattr(getattr(data, "dtype", None), "names", None)
     if names:
         return {name: data[name] for name in names}
+    if hasattr(data, "coords") and hasattr(data, "dims"):
+        return _labelled(data)
     if hasattr(data, "columns") and hasattr(data, "__getitem__"):
-        table = {str(name): data[name] for name in data.columns}
-        index = getattr(data, "index", None)
-        name = getattr(index, "name", None)
-        if isinstance(name, str):
-            table.setdefault(name, index)
-        return table
+        return _framed(data)
+    if hasattr(data, "index") and hasattr(data, "to_frame") and hasattr(data, "dtype"):
+        return _framed(data.to_frame(data.name if isinstance(data.name, str) else "value"))
+    hint = ""
+    if isinstance(data, (np.ndarray, list, tuple)):
+        hint = ": its columns have no names; give a dict, {'time': t, 'y': y}"
     raise TypeError(
-        f"data must be the path of a CSV file, a dict of arrays, a DataFrame or a structured array, not {type(data).__name__}"
+        "data must be the path of a file (CSV, .mat, .parquet, .xlsx), a dict of arrays, a DataFrame or a structured array, not "
+        f"{type(data).__name__}{hint}"
     )
 
 
+def _framed(frame: Any) -> dict[str, Any]:
+    """Columns of a pandas or polars data frame. The index holds the times if it is called so, or if it holds dates or durations
+    and no column is called so; of two lines of names the second has the units."""
+    table = {}
+    for label in frame.columns:
+        name = _name(label)
+        if name in table:
+            raise BadCalibrationError(f"data: two columns are named '{name}'")
+        table[name] = frame[label]
+    index: Any = getattr(frame, "index", None)
+    if hasattr(index, "to_timestamp"):
+        index = index.to_timestamp()
+    named = getattr(index, "name", None)
+    if isinstance(named, str):
+        table.setdefault(named, index)
+    elif index is not None and seconds(index) is not None or (len(table) == 1 and type(index).__name__ == "Index"):
+        table.setdefault("time", index)
+    return table
+
+
+def _name(label: Any) -> str:
+    if isinstance(label, tuple) and len(label) == 2:
+        name, unit = (str(part).strip() for part in label)
+        return name if not unit or unit.startswith("Unnamed:") else f"{name} [{unit.strip('[]()')}]"
+    return str(label)
+
+
+def _labelled(data: Any) -> dict[str, Any]:
+    """Vectors of an xarray Dataset or DataArray, with the units of their attributes."""
+    variables = dict(data.variables) if hasattr(data, "data_vars") else {data.name or "value": data.variable}
+    variables |= {name: coordinate.variable for name, coordinate in data.coords.items()}
+    table = {}
+    for name, variable in variables.items():
+        unit = variable.attrs.get("units")
+        has_unit = isinstance(unit, str) and unit.strip() and not str(name).endswith(("]", ")"))
+        if variable.ndim == 1:
+            table[f"{name} [{unit}]" if has_unit else str(name)] = variable.values
+    return table
+
+
 def seconds(values: Any) -> FloatArray | None:
-    """Durations (``timedelta64`` of NumPy and pandas, ``datetime.timedelta``) in s; None if `values` are something else."""
+    """Durations (``timedelta64`` of NumPy and pandas, ``datetime.timedelta``) in s, and dates (``datetime64``, ``datetime``, texts) in
+    s since the first; None if `values` are something else."""
     array = np.asarray(values)
-    if array.dtype.kind == "O" and array.size and all(isinstance(value, datetime.timedelta) for value in array.flat):
-        array = array.astype("timedelta64[us]")
+    if array.ndim != 1 or not array.size:
+        return None
+    if array.dtype.kind == "U" or (array.dtype.kind in "OT" and all(isinstance(value, str) for value in array)):
+        try:
+            return np.array(_core.date_seconds([str(value) for value in array]))
+        except ValueError as e:
+            raise BadCalibrationError(f"data: {e}") from None
+    if array.dtype.kind == "O":
+        for kind in (datetime.datetime, datetime.date, datetime.timedelta):
+            if all(isinstance(value, kind) for value in array):
+                first = array[0] if kind is not datetime.timedelta else datetime.timedelta()
+                return np.array([(value - first).total_seconds() for value in array])
+    if array.dtype.kind == "M":
+        array = array - array[0]
     if array.dtype.kind != "m":
         return None
     # A timedelta64 without a unit is a number of who knows what.
@@ -108,8 +197,7 @@ def _numbers(name: str, values: Any) -> list[float]:
     array = np.asarray(values)
     if array.dtype.kind in "mM":
         raise BadCalibrationError(
-            f"data: column '{name}' holds dates; times are numbers, in s or in the unit in the name of their column, or durations: "
-            "subtract the first date (t - t[0])"
+            f"data: column '{name}' holds dates or durations, not measurements; if it holds the times, name it so: time='{name}'"
         )
     if array.ndim != 1:
         raise BadCalibrationError(f"data: column '{name}' must be one-dimensional, not of shape {array.shape}")

@@ -23,7 +23,7 @@ class Experiment:
 
     Parameters
     ----------
-    data : path, dict of arrays, DataFrame or structured array
+    data : path, dict of arrays, DataFrame, Series, xarray or structured array
         The recording, as `Calibration` takes it.
     outputs : dict of str to str, or list of str
         Which output of the model was measured by which column.
@@ -102,7 +102,7 @@ class Experiment:
             put(self, "path", table.path)
             put(self, "columns", table.columns)
             put(self, "left_out", table.left_out)
-            put(self, "time", named)
+            put(self, "time", table.time)
             put(self, "outputs", weighted(pairs, weights))
             put(self, "inputs", driven)
             put(self, "start_values", _options.pairs("start_values", start_values))

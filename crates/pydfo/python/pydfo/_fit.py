@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core
+from . import _core, _worth
 from ._errors import CalibrationError
 from ._result import OptimizeResult
 from ._trajectory import SimulationStats
@@ -83,8 +83,13 @@ class Fit(OptimizeResult):
     scaled_rms : float or None
         The RMS over that at the start, on the same measurements.
     stages : list of Fit
-        The fit of each stage; empty if there were none. Standard errors of a stage (its ``cov``) are conditional: they take
+        The fit of each stage; empty if there were none. Standard errors of a stage are conditional: they take
         what the stage holds as known. ``success`` of the whole fit is that of all its stages.
+    worth : Worth or None
+        Standard errors, correlation, and what the data cannot tell, in words (``print(fit.worth)``). None: not asked for, the fit
+        was ended by an interrupt, an error or its time, or simulations around the result fail.
+    cov, cov_message
+        The covariance of `worth` and what is to be said of it.
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
@@ -106,10 +111,41 @@ class Fit(OptimizeResult):
         self._native: _core.Fit | None = vars(self).get("_native")
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
+        self.worth = _worth.of_fit(vars(self).get("_native"))
+        self.cov = None if self.worth is None else self.worth.covariance
+        self.cov_message = "" if self.worth is None else self.worth.message
         self.start = start
         self.solver = solver
         self.race = calibration.race
         self.outputs = [] if self._native is None else [OutputFit(*output) for output in _core.fit_outputs(self._native)]
+
+    @property
+    def stderr(self) -> FloatArray | None:
+        """Standard errors of the parameters, shape (n,): zero for those that are fixed or at a bound, infinite for those that the
+        data do not determine; None where there is no `worth`."""
+        return None if self.worth is None else self.worth.stderr
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Covariance of the parameters, shape (n, n); the same as ``cov``."""
+        return self.cov
+
+    @property
+    def correlation(self) -> FloatArray | None:
+        """Correlation of the parameters, shape (n, n); NaN where a standard error is zero or infinite."""
+        return None if self.worth is None else self.worth.correlation
+
+    def confidence_intervals(self, level: SupportsFloat = 0.95) -> FloatArray:
+        """Lower and upper ends of the confidence intervals, shape (n, 2); see `Worth.confidence_intervals`.
+
+        Raises
+        ------
+        ValueError
+            A level that does not lie between 0 and 1; the fit has no `worth`.
+        """
+        if self.worth is None:
+            raise ValueError("what the fit is worth was not found out: it was interrupted, or covariance=None was given")
+        return self.worth.confidence_intervals(level)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -194,7 +230,7 @@ class Fit(OptimizeResult):
         """Draws the correlation of the parameters as a coloured table; as `plot`. ValueError: the fit has no standard errors."""
         from . import _plot
 
-        return _plot.correlation(self._of_run("plot_correlation"), self._calibration.names)
+        return _plot.correlation(self.correlation, self._calibration.names)
 
     def plot_sensitivity(self) -> Figure:
         """Draws what a relative change of each parameter makes of each output, over time, or for more than six parameters its root
@@ -204,7 +240,7 @@ class Fit(OptimizeResult):
         return _plot.sensitivity(self._of_run("plot_sensitivity"), self._calibration.names)
 
     def __getitem__(self, key: Any) -> Any:
-        if key in ("parameters", "cost", "rms", "start_rms", "scaled_rms"):
+        if key in ("parameters", "cost", "rms", "stderr", "covariance", "correlation", "start_rms", "scaled_rms"):
             return getattr(self, key)
         return super().__getitem__(key)
 

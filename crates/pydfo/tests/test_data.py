@@ -1,0 +1,228 @@
+"""Recordings in all the shapes that people have them in: one calibration, the same cost."""
+
+from __future__ import annotations
+
+import datetime
+import warnings
+
+import numpy as np
+import pytest
+import recordings
+
+from pydfo import BadCalibrationError, Calibration, CalibrationWarning, Experiment, Parameter, example_fmu
+
+TIME = np.arange(0.0, 2.05, 0.05)
+X = np.exp(-2.0 * TIME)
+#: The cost of k = 1 with these measurements.
+COST = Calibration(example_fmu("dahlquist"), {"time": TIME, "x": X}, ["x"], [Parameter("k", 1.0, 0.1, 10.0)]).cost([1.0])
+
+
+def cost(data, column="x", **own):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        calibration = Calibration(example_fmu("dahlquist"), data, {"x": column}, [Parameter("k", 1.0, 0.1, 10.0)], **own)
+    return calibration.cost([1.0])
+
+
+def dates():
+    return np.datetime64("2024-05-31T23:59:59") + (TIME * 1e3).round().astype("timedelta64[ms]")
+
+
+def in_memory():
+    pd = pytest.importorskip("pandas")
+    structured = np.empty(TIME.size, [("time", float), ("x", np.float32)])
+    structured["time"], structured["x"] = TIME, X
+    yield "dict of lists", {"time": TIME.tolist(), "x": X.tolist()}, {}
+    yield "structured", structured, {}
+    yield "masked", {"time": TIME, "x": np.ma.masked_array(X, mask=False)}, {}
+    yield "unit in the name", {"Time [ms]": TIME * 1e3, "x (1)": X}, {}
+    yield "datetime64", {"time": dates(), "x": X}, {}
+    yield "datetime", {"when": dates().astype("datetime64[us]").tolist(), "x": X}, {"time": "when"}
+    yield "texts", {"time": [str(t) for t in dates()], "x": X}, {}
+    yield "timedelta", {"time": [datetime.timedelta(seconds=float(t)) for t in TIME], "x": X}, {}
+    yield "DataFrame", pd.DataFrame({"time": TIME, "x": X}), {}
+    yield "DatetimeIndex", pd.DataFrame({"x": X}, index=pd.DatetimeIndex(dates())), {}
+    yield "time zone", pd.DataFrame({"x": X}, index=pd.DatetimeIndex(dates()).tz_localize("Europe/Stockholm")), {}
+    yield "time zone in a column", pd.DataFrame({"time": pd.Series(dates()).dt.tz_localize("UTC"), "x": X}), {}
+    yield "Series", pd.Series(X, index=TIME, name="x"), {}
+    yield "two lines of names", pd.DataFrame({("time", "ms"): TIME * 1e3, ("x", "Unnamed: 1"): X}), {}
+    yield "objects", pd.DataFrame({"time": TIME, "x": X}, dtype=object), {}
+
+
+@pytest.mark.parametrize(("shape", "data", "own"), [pytest.param(*one, id=one[0]) for one in in_memory()])
+def test_tables_in_memory(shape, data, own):
+    # 32-bit floats and rounded durations differ a little
+    assert cost(data, **own) == pytest.approx(COST, rel=1e-6)
+
+
+def test_polars_and_xarray():
+    pl = pytest.importorskip("polars")
+    assert cost(pl.DataFrame({"time": TIME, "x": X})) == COST
+    assert cost(pl.DataFrame({"time": dates(), "x": X})) == pytest.approx(COST, rel=1e-12)
+    xr = pytest.importorskip("xarray")
+    array = xr.DataArray(X, coords={"time": ("time", TIME * 1e3, {"units": "ms"})}, dims="time", name="x")
+    assert cost(array) == pytest.approx(COST, rel=1e-12)
+    assert cost(array.to_dataset()) == pytest.approx(COST, rel=1e-12)
+
+
+def test_missing_values_are_left_out():
+    holes = X.copy()
+    holes[3] = np.nan
+    expected = cost({"time": TIME, "x": holes})
+    assert expected < COST
+    assert cost({"time": TIME, "x": np.ma.masked_array(X, mask=np.isnan(holes))}) == expected
+    assert cost({"time": TIME, "x": [None if np.isnan(x) else x for x in holes]}) == expected
+
+
+def write_mat(folder):
+    io = pytest.importorskip("scipy.io")
+    path = folder / "run.MAT"
+    values = {"time": TIME, "x": X[:, None], "Y": np.stack((X, 2 * X), axis=1), "note": "run 3", "gain": 3.0, "rig": {"x": X, "id": 7}}
+    io.savemat(path, values)
+    return path
+
+
+def write_mat73(folder):
+    h5py = pytest.importorskip("h5py")
+    path = folder / "run73.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["time"], file["x"], file["Y"] = TIME[None, :], X[None, :], np.stack((X, 2 * X))
+        file["rig/x"] = X[None, :]
+        file["note"] = np.array([114, 117, 110], dtype=np.uint16)
+        file["note"].attrs["MATLAB_class"] = np.bytes_("char")
+        file["#refs#/a"] = X
+    with open(path, "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file")
+    return path
+
+
+@pytest.mark.parametrize("write", [write_mat, write_mat73])
+def test_matlab_files(tmp_path, write):
+    path = write(tmp_path)
+    for column in ("x", "Y[1]", "rig.x"):
+        assert cost(path, column) == COST
+    with pytest.raises(BadCalibrationError, match=r"no column 'y'; there are: .*'rig.x'.*") as error:
+        cost(path, "y")
+    assert "'Y[2]'" in str(error.value) and "note" not in str(error.value)
+    with pytest.raises(BadCalibrationError, match="no column 't'"):
+        cost(path, time="t")
+
+
+def test_other_lengths_are_named(tmp_path):
+    with pytest.raises(BadCalibrationError, match=r"no column 'gain'.*Of another length than the times: gain \(1 x 1\), rig.id \(1 x 1\)"):
+        cost(write_mat(tmp_path), "gain")
+
+
+def write_excel(folder):
+    book = pytest.importorskip("openpyxl").Workbook()
+    sheet = book.active
+    sheet.append(["Time", "x", "note"])
+    sheet.append(["ms", "1", None])
+    for t, x in zip(TIME, X):
+        sheet.append([1e3 * float(t), float(x), "ok"])
+    sheet.append([None, None, None])
+    book.save(folder / "run.xlsx")
+    return folder / "run.xlsx"
+
+
+def write_excel_with_dates(folder):
+    book = pytest.importorskip("openpyxl").Workbook()
+    book.active.append(["when", "x [1]"])
+    for t, x in zip(dates().astype("datetime64[us]").tolist(), X):
+        book.active.append([t, float(x)])
+    book.save(folder / "dates.xlsx")
+    return folder / "dates.xlsx"
+
+
+def write_parquet(folder):
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    pd.DataFrame({"time": dates(), "x": X}).to_parquet(folder / "run.parquet")
+    return folder / "run.parquet"
+
+
+@pytest.mark.parametrize(("write", "time"), [(write_excel, None), (write_excel_with_dates, "when"), (write_parquet, None)])
+def test_excel_and_parquet(tmp_path, write, time):
+    assert cost(write(tmp_path), time=time) == pytest.approx(COST, rel=1e-9)
+
+
+@pytest.mark.parametrize("file", [".mat", ".parquet", ".xlsx"])
+def test_files_that_are_something_else(tmp_path, file):
+    pytest.importorskip({".mat": "scipy", ".parquet": "pyarrow", ".xlsx": "openpyxl"}[file])
+    path = tmp_path / f"run{file}"
+    with pytest.raises(FileNotFoundError):
+        cost(path)
+    path.write_bytes(b"time,x\n0,1\n")
+    with pytest.raises(BadCalibrationError, match=r"run\..*this is not an? .*file|this is not an Excel workbook"):
+        cost(path)
+
+
+@pytest.mark.parametrize(("file", "module", "package"), [(".mat", "scipy.io", "scipy"), (".xlsx", "openpyxl", "openpyxl")])
+def test_a_library_that_is_missing_is_asked_for_by_name(tmp_path, monkeypatch, file, module, package):
+    path = tmp_path / f"run{file}"
+    path.write_bytes(b"?" * 200)
+    monkeypatch.setitem(__import__("sys").modules, module, None)
+    with pytest.raises(ImportError, match=f"needs {package}: pip install {package}"):
+        cost(path)
+
+
+@pytest.mark.parametrize(
+    ("data", "own", "message"),
+    [
+        ({"t": TIME, "x": X}, {}, r"no column 'time'; there are: 't', 'x'\. Name the one that holds the times"),
+        ({"time": TIME, "X": X}, {}, r"no column 'x'; there are: 'time', 'X'; 'X'\?"),
+        ({"time": TIME, "x": X[:5]}, {}, "column 'x' has 5 values, 'time' has 41"),
+        ({"time": TIME[::-1], "x": X}, {}, "times must ascend"),
+        ({"time": np.zeros(41), "x": X}, {}, "third time"),
+        ({"time": TIME, "x": np.full(41, np.nan)}, {}, "all 41 values of column 'x'"),
+        ({"time": TIME, "x": np.where(TIME < 1, X, np.inf)}, {}, "column 'x' is infinite at time 1"),
+        ({"time": TIME, "x": ["1,5"] * 41}, {}, "'1,5' in column 'x', row 0, is not a number"),
+        ({"time": ["soon"] * 41, "x": X}, {}, "row 0: 'soon' is neither a number nor a date"),
+        ({"time": TIME, "x": dates()}, {}, "column 'x' holds dates or durations, not measurements"),
+        ({"time [kg]": TIME, "x": X}, {}, "the unit 'kg' is none of s, ms"),
+        ({"time [ms]": dates(), "x": X}, {}, "take the unit out of its name"),
+        ({"time": TIME, "x [1]": X, "x [%]": X}, {}, r"several columns are called 'x': 'x \[1\]', 'x \[%\]'"),
+        ({"time": TIME, "x": np.stack((X, X))}, {}, r"column 'x' must be one-dimensional, not of shape \(2, 41\)"),
+        ({"time": TIME, "x": X}, {"window": (5, 6)}, "no time of data lies in the window from 5 to 6; the times run from 0 to 2"),
+        ("run.h5", {}, r"run\.h5: \.h5 files are not read; CSV, \.mat, \.parquet and \.xlsx files are"),
+    ],
+)
+def test_what_is_wrong_says_where(data, own, message):
+    with pytest.raises(BadCalibrationError, match=message):
+        cost(data, **own)
+
+
+def test_plain_arrays_have_no_names():
+    with pytest.raises(TypeError, match=r"columns have no names; give a dict, \{'time': t, 'y': y\}"):
+        cost(np.stack((TIME, X)))
+
+
+def test_units_that_are_not_converted_are_said():
+    with pytest.warns(CalibrationWarning, match=r"'x \[mm\]' is taken in the unit of 'x', without conversion: the model states no unit"):
+        Calibration(example_fmu("dahlquist"), {"time": TIME, "x [mm]": X}, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
+
+
+def test_columns_are_converted_to_the_units_of_the_model():
+    frictions = [Parameter("armFriction", 0.012, 0, 0.022)]
+    outputs = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
+    radians = recordings.furuta("own")
+    furuta = Calibration(example_fmu("furuta"), radians, outputs, frictions)
+    degrees = {"Time (ms)": radians["time"] * 1e3, "phi [deg]": np.degrees(radians["phi"]), "theta": radians["theta"]}
+    converted = Calibration(example_fmu("furuta"), degrees, outputs, frictions)
+    assert converted.cost([0.011]) == pytest.approx(furuta.cost([0.011]), rel=1e-9)
+    with pytest.raises(BadCalibrationError, match=r"'phi \[mm\]' belongs to 'armJoint.phi', but 'mm' \(m\) cannot be converted to 'rad'"):
+        Calibration(example_fmu("furuta"), {"time": radians["time"], "phi [mm]": radians["phi"]}, {"armJoint.phi": "phi"}, frictions)
+
+
+def test_the_published_recordings_are_read_as_they_are():
+    if not (recordings.PUBLISHED / "FurutaData.mat").is_file():
+        pytest.skip("the published recordings are not at hand")
+    pytest.importorskip("scipy")
+    outputs = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
+    frictions = [Parameter("armFriction", 0.012, 0, 0.022), Parameter("pendulumFriction", 0.002, 0, 0.012)]
+    furuta = Calibration(example_fmu("furuta"), recordings.PUBLISHED / "FurutaData.mat", outputs, frictions)
+    assert furuta.cost([0.012, 0.002]) == pytest.approx(207.0783, abs=0.01)
+    tank = Experiment(
+        recordings.PUBLISHED / "qt_par_est_data.mat", {"qt.x1": "y1_f"}, {"u1": "u1_d", "u2": "u2_d"}, time="t", window=(60, 120)
+    )
+    assert tank.columns[0][0] == "t" and len(tank.columns[0][1]) == 12001
