@@ -16,21 +16,25 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error layout parallel race
-        data no_cost residual
-        parameter
+        error parallel prior race
+        data layout no_cost parameter
+        input
         experiment
-        warning
+        measurements names
+        residual warning
         problem
-        column_units
-        evaluate identity
+        assignment column_units identity
+        simulation
+        evaluate
         solver
         calibration
-        effect simulations spot_checks output_fit
+        check effect simulations spot_checks output_fit
         worth
         fit
-        stages
-        report
+        stages prediction
+        validation
+        cross_validation
+        report export
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -78,11 +82,12 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
+        data
         description inputs trajectory
         settings
         experiment fit minimize model py_system stages
         calibration fit_report optimizer solve
-        worth
+        share validation worth
     """,
 }
 

@@ -50,6 +50,14 @@ pub enum CalibrationError {
         /// What is wrong.
         source: Box<CalibrationError>,
     },
+    /// A file that should hold a fit, and does not, or not one of this version.
+    #[error("{name}: {message}")]
+    SavedFit {
+        /// The file.
+        name: String,
+        /// What is wrong with it.
+        message: String,
+    },
     /// What is wrong with one of the stages of a fit.
     #[error("stage {number}: {source}")]
     Stage {

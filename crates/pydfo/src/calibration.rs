@@ -30,6 +30,10 @@ pub(crate) struct PyCalibration {
 }
 
 impl PyCalibration {
+    pub(crate) fn of(inner: Arc<calibration::Calibration>) -> Self {
+        Self { inner, last: Arc::default() }
+    }
+
     /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C ends it at
     /// the next step.
     pub(crate) fn compute<T: Send + 'static>(
@@ -72,7 +76,7 @@ impl PyCalibration {
     }
 
     /// A fit as `pydfo.OptimizeResult`, with what only a fit has.
-    fn result<'py>(&self, py: Python<'py>, fit: calibration::Fit) -> PyResult<Bound<'py, PyAny>> {
+    pub(crate) fn result<'py>(&self, py: Python<'py>, fit: calibration::Fit) -> PyResult<Bound<'py, PyAny>> {
         let result = report::to_python(py, &fit.report, ResultKind::Cost)?;
         result.setattr("stats", Counts::new(&fit.stats))?;
         let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
@@ -143,7 +147,7 @@ impl PyCalibration {
         });
         logs::pass_on(py)?;
         let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self { inner: Arc::new(inner), last: Arc::default() })
+        Ok(Self::of(Arc::new(inner)))
     }
 
     /// The problem and the solver, if it is known: what a pickle holds.
@@ -173,7 +177,7 @@ impl PyCalibration {
         });
         logs::pass_on(py)?;
         let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self { inner: Arc::new(inner), last: Arc::default() })
+        Ok(Self::of(Arc::new(inner)))
     }
 
     /// Names of the entries of `x`.

@@ -75,7 +75,7 @@ pub(crate) fn fit_curves<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<Vec<Boun
     let experiment = |curves: ExperimentCurves| {
         let fields = PyDict::new(py);
         fields.set_item("name", curves.name)?;
-        fields.set_item("window", curves.window)?;
+        fields.set_item("windows", curves.windows)?;
         fields.set_item("outputs", curves.outputs.into_iter().map(output).collect::<PyResult<Vec<_>>>()?)?;
         let inputs = curves.inputs.into_iter().map(|input| signal(py, input));
         fields.set_item("inputs", inputs.collect::<PyResult<Vec<_>>>()?)?;

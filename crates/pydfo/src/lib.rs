@@ -24,10 +24,12 @@ mod py_system;
 mod quad_err;
 mod report;
 mod settings;
+mod share;
 mod solve;
 mod stages;
 mod threads;
 mod trajectory;
+mod validation;
 mod values;
 mod words;
 mod worth;
@@ -65,7 +67,11 @@ mod core_module {
     #[pymodule_export]
     use super::quad_err::quad_err;
     #[pymodule_export]
+    use super::share::{fit_to_bytes, load_fit, parameters_of, save_fit};
+    #[pymodule_export]
     use super::solve::solve;
+    #[pymodule_export]
+    use super::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]
     use super::values::dtypes;
     #[pymodule_export]

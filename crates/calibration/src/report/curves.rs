@@ -3,8 +3,10 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
+use crate::input::InputSource;
 use crate::layout::OutputResiduals;
 use crate::parallel;
+use dfo::RobustLoss;
 use fmi::Trajectory;
 use std::thread::available_parallelism;
 
@@ -17,8 +19,8 @@ const CURVE_POINTS: usize = 2001;
 pub struct ExperimentCurves {
     /// The experiment.
     pub name: String,
-    /// Where measurements count, in s; `None`: everywhere.
-    pub window: Option<(f64, f64)>,
+    /// Where measurements count, in s; none: everywhere.
+    pub windows: Vec<(f64, f64)>,
     /// Its outputs, in the order of the residual vector.
     pub outputs: Vec<OutputCurves>,
     /// Its recorded inputs.
@@ -67,7 +69,13 @@ impl Calibration {
         self.check_length(&fit.x)?;
         let layout = self.residual_layout();
         let residuals = match &fit.worth {
-            Some(worth) if worth.residuals.len() == layout.n_residuals() => worth.residuals.clone(),
+            // With a robust loss those are not the plain ones.
+            Some(worth)
+                if worth.residuals.len() == layout.n_residuals()
+                    && fit.report.loss == RobustLoss::default() =>
+            {
+                worth.residuals.clone()
+            }
             _ => self.residuals_until(&fit.x, cancelled)?,
         };
         let names = self.problem().experiment_names();
@@ -97,14 +105,15 @@ impl Calibration {
             };
             let experiment = &self.problem().experiments[k];
             let own = layout.outputs.iter().filter(|series| series.experiment == k);
-            let input = |(variable, column): &(String, String)| {
+            let input = |(variable, source): &(String, InputSource)| {
+                let InputSource::Column(column) = source else { return None };
                 let values = experiment.data.column(column).ok()?;
                 Some(self.signal(variable, experiment.data.time(), values))
             };
             let inputs = experiment.inputs.iter().filter_map(input).collect();
             Ok(ExperimentCurves {
                 name,
-                window: experiment.window,
+                windows: experiment.windows.clone(),
                 outputs: own.map(output).collect(),
                 inputs,
             })

@@ -195,7 +195,7 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     let report = &fit.report;
     let settings = &calibration.problem().settings;
     let plan = calibration.evaluator().simulations.first().map(|simulation| simulation.pool.plan());
-    let mut facts = vec![("method", report.method.to_owned())];
+    let mut facts = vec![("method", report.method.clone().into_owned())];
     facts.extend(report.method_reason.iter().map(|reason| ("reason for the method", reason.clone())));
     facts.push(("end", report.message.clone()));
     facts.push(("loss", report.loss.to_string()));

@@ -41,8 +41,10 @@ from ._parameter import Parameter
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
+from ._share import load_fit
 from ._stages import Stage
 from ._trajectory import SimulationResult
+from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
 from ._worth import ResidualCheck, Worth
 
 __all__ = [
@@ -56,11 +58,13 @@ __all__ = [
     "CalibrationError",
     "CalibrationWarning",
     "CheckpointError",
+    "CrossValidation",
     "Description",
     "Experiment",
     "FMUModel",
     "Fit",
     "FmuError",
+    "Fold",
     "Interrupted",
     "LeastSquaresResult",
     "ModelTypeError",
@@ -69,6 +73,7 @@ __all__ = [
     "Optimizer",
     "OutputFit",
     "Parameter",
+    "PredictionBand",
     "Progress",
     "PydfoError",
     "Raced",
@@ -78,6 +83,8 @@ __all__ = [
     "Stage",
     "Trace",
     "UnknownVariableError",
+    "ValidatedOutput",
+    "Validation",
     "Variable",
     "Worth",
     "__version__",
@@ -87,6 +94,7 @@ __all__ = [
     "example_fmu",
     "fmin",
     "least_squares",
+    "load_fit",
     "load_fmu",
     "minimize",
     "ode",

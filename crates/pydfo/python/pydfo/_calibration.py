@@ -23,6 +23,7 @@ from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
 from ._stages import Stage
+from ._validation import CrossValidation
 from ._worth import Worth
 
 FloatArray = npt.NDArray[np.float64]
@@ -534,6 +535,68 @@ class Calibration:
             Arguments that cannot be used.
         """
         return _worth.at(self, self._values(x), _options.choice("covariance", covariance), parameters, workers)
+
+    @explained
+    def cross_validate(
+        self,
+        folds: SupportsFloat | None = None,
+        method: str = "auto",
+        workers: SupportsIndex | None = None,
+        x_tol: float | None = None,
+        f_tol: float | None = None,
+        max_evaluations: SupportsFloat | None = None,
+        max_iterations: SupportsFloat | None = None,
+        max_time: SupportsFloat | None = None,
+        *,
+        loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear",
+        f_scale: SupportsFloat = 1.0,
+        rng: int | np.random.Generator | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> CrossValidation:
+        """Fits without some of the recordings, and validates on those that were left out.
+
+        A fit that describes the machine predicts a recording as well as it reproduces those that it was fitted to, with much the same
+        parameters whichever is left out. Local parameters of a recording that is held out are fitted to it, all others held.
+
+        Parameters
+        ----------
+        folds : int, optional
+            Into how many groups the recordings are divided (each k-th recording in one), of which one is held out at a time; default:
+            each recording alone.
+        method, x_tol, f_tol, max_evaluations, max_iterations, loss, f_scale, rng, options : optional
+            Of each fit, as in `fit`.
+        workers : int, optional
+            Simulations that may run at once; the fits run side by side. None and -1: all cores.
+        max_time : float, optional
+            Limit of wall-clock time of all fits together, in s.
+
+        Returns
+        -------
+        CrossValidation
+            RMS of each recording when it was held out, and the parameters of each fit.
+
+        Raises
+        ------
+        ValueError
+            There is only one recording, or there are more folds than recordings.
+        """
+        own = given_once(_options.dictionary(options), Calibration.cross_validate, x_tol=x_tol, f_tol=f_tol)
+        built = _options.build(
+            Calibration.fit,
+            method,
+            own,
+            len(self.names),
+            _options.Limits.check(("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, None),
+            workers=_options.worker_count("workers", workers, None),
+            rng=rng,
+            checkpoint=None,
+            resume="auto",
+            bounds=self._bounds(),
+            residuals=True,
+            parameter_kinds=[p.kind for p in self._parameters if not p.fixed],
+        )
+        counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
+        return CrossValidation(**_core.cross_validate(self._native, _options.limit("folds", folds, 0), built, counted))
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the parameters; equal where one is fixed."""

@@ -144,7 +144,7 @@ class Settings:
 def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:
     """The experiments and the parameters of a calibration, from its arguments: one recording with what belongs to it, or
     experiments, which the parameters follow."""
-    experiments = _listed(data)
+    experiments = listed(data)
     if experiments is not None:
         if parameters is None:
             outputs, parameters = None, outputs
@@ -160,7 +160,7 @@ def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any)
     return experiments, parameters
 
 
-def _listed(data: Any) -> list[Experiment] | None:
+def listed(data: Any) -> list[Experiment] | None:
     """The experiments, where `data` is one or several; None: it is a recording."""
     if isinstance(data, Experiment):
         return [data]

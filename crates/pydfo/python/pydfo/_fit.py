@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _worth
+from . import _core, _share, _validation, _worth
 from ._errors import CalibrationError
+from ._experiment import Experiment
+from ._keywords import also_called
 from ._result import OptimizeResult
+from ._share import PathLike
+from ._stages import Windows
 from ._trajectory import SimulationStats
+from ._validation import Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -191,6 +197,66 @@ class Fit(OptimizeResult):
         """
         return self._calibration.simulate(self.x if x is None else x, times)
 
+    @also_called(window="windows")
+    def validate(
+        self, experiment: Experiment | Sequence[Experiment] | None = None, windows: Windows | None = None
+    ) -> Validation:
+        """Compares with measurements that the fit has not seen: of other recordings, or of other parts of the same ones.
+
+        Hold part of a recording back by fitting to a window of it: ``fit = Calibration(..., window=(0, 600)).fit()``, then
+        ``fit.validate(windows=(601, 1800))``.
+
+        Parameters
+        ----------
+        experiment : Experiment or list of Experiment, optional
+            Other recordings. Local parameters, which the fit does not know for them, are fitted to these recordings first, from
+            their start values there, with all others held.
+        windows : (float, float) or list of such, optional
+            Other windows of the recordings of the calibration, in s. Simulations start where they always do, so that the model
+            comes to a window with its history.
+
+        Returns
+        -------
+        Validation
+            RMS, scaled RMS and fit percentage of each output, what was measured and simulated; ``print`` and ``plot``.
+
+        Raises
+        ------
+        SimulationError
+            The simulation failed.
+        ValueError, KeyError, TypeError
+            Recordings or windows that cannot be used.
+        """
+        return _validation.validate(self, experiment, windows)
+
+    def prediction_band(
+        self, times: npt.ArrayLike | None = None, level: float = 0.95, outputs: Sequence[str] | str | None = None
+    ) -> dict[str, Any]:
+        """What the model predicts at the fitted values, with the uncertainty that the covariance of the parameters leaves (delta
+        method) and, for a new measurement, with its noise.
+
+        Parameters
+        ----------
+        times : array_like, optional
+            Times of the predictions in s, ascending; default: the measured times.
+        level : float
+            The probability that each interval shall hold.
+        outputs : list of str, optional
+            Only these of the compared outputs.
+
+        Returns
+        -------
+        dict of str to PredictionBand
+            By output: ``lower``, ``upper`` of the model's output, ``measured_lower``, ``measured_upper`` of a new measurement. With
+            several experiments: a dict of such by their names.
+
+        Raises
+        ------
+        ValueError
+            The fit has no covariance, or parameters that the data do not determine; a level that does not lie between 0 and 1.
+        """
+        return _validation.prediction_band(self, times, level, outputs)
+
     def residuals(self) -> FloatArray:
         """The residuals at the fitted values, simulated minus measured times weight; see `Calibration.residuals`."""
         return self._calibration.residuals(self.x)
@@ -238,6 +304,27 @@ class Fit(OptimizeResult):
         from . import _plot
 
         return _plot.sensitivity(self._of_run("plot_sensitivity"), self._calibration.names)
+
+    def save(self, path: PathLike) -> None:
+        """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
+
+        The file is written in one step. It is a zip archive of ``fit.json`` and arrays in NumPy's format; it holds the recordings
+        by value, and the FMU by its path, a hash of its content and its model description.
+
+        Parameters
+        ----------
+        path : path
+            The file to write; one that exists is replaced.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        _core.save_fit(_share.native_of(self), os.fspath(path))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _share.pickled(self)
 
     def __getitem__(self, key: Any) -> Any:
         if key in ("parameters", "cost", "rms", "stderr", "covariance", "correlation", "start_rms", "scaled_rms"):

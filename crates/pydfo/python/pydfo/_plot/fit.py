@@ -48,8 +48,8 @@ def fit(fit: Fit, native: _core.Fit) -> Figure:
             axes: Axes = figure.add_subplot(grid[row, column], sharex=first.get(name))
             first.setdefault(name, axes)
             panels.setdefault(name, []).append(axes)
-            if experiment["window"] is not None:
-                axes.axvspan(*experiment["window"], color="#F0E442", alpha=0.15, linewidth=0.0, label="window")
+            for window in experiment["windows"]:
+                axes.axvspan(*window, color="#F0E442", alpha=0.15, linewidth=0.0, label="window")
             return axes
 
         for row, (experiment, output) in enumerate(outputs[column]):
