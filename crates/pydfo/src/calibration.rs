@@ -353,31 +353,35 @@ impl PyCalibration {
         let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
+        let tick = observer.as_ref().and_then(|observer| observer.getattr(py, "tick").ok());
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
         let last_progress = Arc::new(LastProgress::default());
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
         let callbacks = self.callbacks.clone();
-        let outcome = watch.run(move |caller| {
-            let options = FitOptions {
-                run,
-                start,
-                loss,
-                worth,
-                observer: Some(Box::new(|progress: &Progress<'_>| {
-                    seen.pass_on(progress, caller, notified.as_ref())
-                })),
-                cancel: Some(asked.flag()),
-                poll: (asked.has_parent() || !callbacks.is_empty()).then(|| {
-                    Box::new(|| asked.is_asked() || callbacks.has_raised()) as Box<dyn FnMut() -> bool>
-                }),
-                ..FitOptions::default()
-            };
-            match stages {
-                Some(stages) => inner.fit_stages(&stages, options),
-                None => inner.fit(options),
-            }
-        })?;
+        let outcome = watch.run_with_ticks(
+            move |caller| {
+                let options = FitOptions {
+                    run,
+                    start,
+                    loss,
+                    worth,
+                    observer: Some(Box::new(|progress: &Progress<'_>| {
+                        seen.pass_on(progress, caller, notified.as_ref())
+                    })),
+                    cancel: Some(asked.flag()),
+                    poll: (asked.has_parent() || !callbacks.is_empty()).then(|| {
+                        Box::new(|| asked.is_asked() || callbacks.has_raised()) as Box<dyn FnMut() -> bool>
+                    }),
+                    ..FitOptions::default()
+                };
+                match stages {
+                    Some(stages) => inner.fit_stages(&stages, options),
+                    None => inner.fit(options),
+                }
+            },
+            tick.as_ref(),
+        )?;
         logs::pass_on(py)?;
         let Some(outcome) = outcome else {
             return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None));

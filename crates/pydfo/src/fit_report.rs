@@ -5,7 +5,7 @@ use crate::fit::PyFit;
 use crate::interrupt::Watch;
 use crate::logs;
 use calibration::{Calibration, CalibrationError, ExperimentCurves, Fit, OutputCurves, Signal};
-use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
@@ -102,17 +102,6 @@ pub(crate) fn fit_sensitivities<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<V
         Ok(fields)
     };
     layout.iter().zip(all).map(output).collect()
-}
-
-/// The correlation of the parameters, row by row; None: not known.
-#[pyfunction]
-pub(crate) fn fit_correlation<'py>(
-    py: Python<'py>,
-    fit: &PyFit,
-) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
-    let n = fit.inner.x.len();
-    let worth = fit.inner.worth.as_ref();
-    worth.map(|worth| PyArray1::from_slice(py, &worth.correlation).reshape([n, n])).transpose()
 }
 
 /// How well an output is reproduced: experiment, variable, column, unit, n, RMS, RMS at the start, fit percentage.

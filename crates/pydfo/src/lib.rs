@@ -55,9 +55,7 @@ mod core_module {
     #[pymodule_export]
     use super::fit::PyFit;
     #[pymodule_export]
-    use super::fit_report::{
-        fit_correlation, fit_curves, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text,
-    };
+    use super::fit_report::{fit_curves, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text};
     #[pymodule_export]
     use super::methods::{auto_method, method_names, option_names};
     #[pymodule_export]

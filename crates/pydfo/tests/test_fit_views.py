@@ -34,7 +34,7 @@ def test_text_has_start_value_unit_rms_and_how_it_ended(fit):
     text = str(fit)
     assert text == repr(fit)
     assert text.startswith("Fit of Dahlquist\nThe fit converged: RMS 0.001 (at the start 0.1629) over 31 measurements.")
-    for part in (f"k  1  -> {fit.x[0]:.7g}", "1/s", "RMS 0.001", "fit 99.6 %", "n 31", "right-hand sides", fit.message):
+    for part in (f"k  1  -> {fit.x[0]:.4f}", "+- ", "1/s", "RMS 0.001", "fit 99.6 %", "n 31", "right-hand sides", fit.message):
         assert part in text, part
     (output,) = fit.outputs
     assert output.variable == output.column == "x" and output.n == 31

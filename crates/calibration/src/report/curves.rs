@@ -5,8 +5,10 @@ use crate::error::CalibrationError;
 use crate::fit::Fit;
 use crate::input::InputSource;
 use crate::layout::OutputResiduals;
+use crate::parallel;
 use dfo::RobustLoss;
 use fmi::Trajectory;
+use std::thread::available_parallelism;
 
 /// Points of a response.
 const CURVE_POINTS: usize = 2001;
@@ -76,10 +78,17 @@ impl Calibration {
             }
             _ => self.residuals_until(&fit.x, cancelled)?,
         };
-        let names = self.problem().experiment_names().into_iter().enumerate();
+        let names = self.problem().experiment_names();
+        // Chosen before several threads ask for it.
+        self.solver_until(cancelled)?;
+        let workers = available_parallelism().map_or(1, usize::from);
+        let simulate = |k: usize, cancelled: &dyn Fn() -> bool| {
+            self.response(k / 2, if k % 2 == 0 { &fit.start } else { &fit.x }, cancelled)
+        };
+        let mut responses = parallel::map((2 * names.len(), workers), cancelled, &simulate).into_iter();
+        let mut response = || responses.next().flatten().unwrap_or(Err(CalibrationError::Cancelled));
         let curves = |(k, name): (usize, String)| {
-            let (at_start, at_end) =
-                (self.response(k, &fit.start, cancelled)?, self.response(k, &fit.x, cancelled)?);
+            let (at_start, at_end) = (response()?, response()?);
             let output = |series: &OutputResiduals| {
                 let signal = |times: &[f64], values: &[f64]| self.signal(&series.variable, times, values);
                 let curve = |trajectory: &Option<Trajectory>| {
@@ -109,7 +118,7 @@ impl Calibration {
                 inputs,
             })
         };
-        names.map(curves).collect()
+        names.into_iter().enumerate().map(curves).collect()
     }
 
     fn signal(&self, variable: &str, times: &[f64], values: &[f64]) -> Signal {

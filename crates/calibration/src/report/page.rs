@@ -20,7 +20,7 @@ struct Page {
     outputs: Vec<Figure>,
     search: Vec<Figure>,
     correlation: Option<Correlation>,
-    residual_checks: Vec<[String; 6]>,
+    residual_checks: Vec<[String; 8]>,
     warnings: Vec<String>,
     settings: Vec<Fact>,
     experiments: Vec<Setup>,
@@ -178,12 +178,14 @@ fn correlation(fit: &Fit) -> Option<Correlation> {
     })
 }
 
-fn residual_checks(fit: &Fit) -> Vec<[String; 6]> {
+fn residual_checks(fit: &Fit) -> Vec<[String; 8]> {
     let checks = fit.worth.iter().flat_map(|worth| &worth.residual_checks);
     let number = |value: f64| if value.is_nan() { "\u{2013}".to_owned() } else { rounded(value, 3) };
     let row = |check: &crate::worth::ResidualCheck| {
-        let [mean, deviation, lag] = [check.mean, check.deviation, check.autocorrelation].map(number);
-        [check.experiment.clone(), check.variable.clone(), check.n.to_string(), mean, deviation, lag]
+        let numbers = [check.mean, check.deviation, check.autocorrelation, check.runs];
+        let [mean, deviation, lag, runs] = numbers.map(number);
+        let [n, outliers] = [check.n, check.n_outliers].map(|n| n.to_string());
+        [check.experiment.clone(), check.variable.clone(), n, mean, deviation, lag, runs, outliers]
     };
     checks.map(row).collect()
 }

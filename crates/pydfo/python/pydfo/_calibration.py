@@ -6,6 +6,7 @@ import errno
 import logging
 import os
 import warnings
+from contextlib import closing, nullcontext
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
@@ -19,6 +20,7 @@ from ._files import OpenOptions
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
 from ._keywords import also_called, argument_names, explained, given_once
+from ._live import DELAY, LiveLine, is_watched
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
@@ -405,7 +407,7 @@ class Calibration:
         target: SupportsFloat | None = None,
         stop: Literal["any", "all"] | None = None,
         batch: str | SupportsIndex = "auto",
-        disp: bool = False,
+        disp: bool | None = None,
         callback: Callback | None = None,
         *,
         loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear",
@@ -449,8 +451,10 @@ class Calibration:
         batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}, "workers" or int
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares: a
             number of points, or "workers"; see `least_squares`.
-        disp : bool
-            Print a line per iteration.
+        disp : bool, optional
+            True: show a line that follows the fit where standard error is a terminal or a notebook (by rich or tqdm, where one is
+            installed), else print a line per iteration, as `fmin` does; and how the fit ended. False: show nothing. None: show the
+            line in a terminal or a notebook where the fit lasts more than 2 s.
         callback : callable, optional
             Called after each iteration with a `Progress`, on the calling thread; StopIteration or True end the fit.
         loss, f_scale : optional
@@ -548,11 +552,23 @@ class Calibration:
         counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
         begin = self._values(start)
         printer = Printer(self.names)
-        listeners: list[Callback] = [printer] if _options.flag("disp", disp) else []
+        shown = disp if disp is None else _options.flag("disp", disp)
+        live: LiveLine | None = None
+        listeners: list[Callback] = []
+        if shown is not False and is_watched():
+            live = LiveLine(self.names, DELAY if shown is None else 0.0, max_evaluations, max_iterations, max_time)
+            listeners.append(live)
+        elif shown:
+            listeners.append(printer)
         if callback is not None:
             listeners.append(listen(callback))
+        observer = combine(listeners)
+        if live:
+            # Called between iterations, too.
+            setattr(observer, "tick", live.tick)
         try:
-            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages, covariance=covariance)
+            with closing(live) if live else nullcontext():
+                result = self._native.fit(built, start=begin, observer=observer, loss=counted, stages=of_stages, covariance=covariance)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):

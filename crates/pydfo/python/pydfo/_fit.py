@@ -297,7 +297,7 @@ class Fit(OptimizeResult):
         """Draws the correlation of the parameters as a coloured table; as `plot`. ValueError: the fit has no standard errors."""
         from . import _plot
 
-        return _plot.correlation(self._of_run("plot_correlation"), self._calibration.names)
+        return _plot.correlation(self.correlation, self._calibration.names)
 
     def plot_sensitivity(self) -> Figure:
         """Draws what a relative change of each parameter makes of each output, over time, or for more than six parameters its root

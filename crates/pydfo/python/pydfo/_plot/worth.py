@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from .. import _core
 from .style import COLOURS, names_for, pyplot, short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+FloatArray = npt.NDArray[np.float64]
 
 #: Larger tables have no numbers.
 MOST_NUMBERS = 12
@@ -21,9 +24,8 @@ MOST_LINES = 6
 _NO_WORTH = "the fit has no standard errors (see its report), so there is nothing to draw"
 
 
-def correlation(native: _core.Fit, names: list[str]) -> Figure:
+def correlation(matrix: FloatArray | None, names: list[str]) -> Figure:
     """The correlation of the parameters, as a coloured table."""
-    matrix = _core.fit_correlation(native)
     if matrix is None:
         raise ValueError(_NO_WORTH)
     plt = pyplot()
