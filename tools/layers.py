@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error layout race
+        error layout parallel race
         data no_cost residual
         parameter
         experiment
@@ -26,7 +26,8 @@ LAYERS = {
         evaluate identity
         solver
         calibration
-        effect check spot_checks output_fit worth
+        effect check simulations spot_checks output_fit
+        worth
         fit
         stages
         report
@@ -82,6 +83,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system stages
         calibration optimizer solve
+        recordings worth
     """,
 }
 

@@ -368,19 +368,24 @@ impl Calibration {
         let mut residuals = vec![0.0; self.n_residuals()];
         let rule = CostRule::whole(RobustLoss::default(), cancelled);
         let cost = self.evaluate_into(x, rule, &mut residuals, &mut Stats::default());
-        cost.map(|cost| (cost, residuals)).map_err(|no_cost| {
-            let pairs = self.parameters().iter().zip(x);
-            let at =
-                pairs.map(|(p, v)| format!("{} = {}", p.name(), Number(*v))).collect::<Vec<_>>().join(", ");
-            match no_cost {
-                NoCost::Failed { message, source, .. } => {
-                    CalibrationError::Simulation { at, message, source }
-                }
-                NoCost::Over(error) => CalibrationError::Model(*error),
-                // Nothing is above an infinite cutoff.
-                NoCost::Cancelled | NoCost::Above => CalibrationError::Cancelled,
-            }
+        cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost {
+            NoCost::Failed { message, source, .. } => self.failed_at(x, message, source),
+            NoCost::Over(error) => CalibrationError::Model(*error),
+            // Nothing is above an infinite cutoff.
+            NoCost::Cancelled | NoCost::Above => CalibrationError::Cancelled,
         })
+    }
+
+    /// The error of a simulation with these values of the parameters.
+    pub(crate) fn failed_at(
+        &self,
+        x: &[f64],
+        message: String,
+        source: Option<Box<FmiError>>,
+    ) -> CalibrationError {
+        let pairs = self.parameters().iter().zip(x);
+        let at = pairs.map(|(p, v)| format!("{} = {}", p.name(), Number(*v))).collect::<Vec<_>>().join(", ");
+        CalibrationError::Simulation { at, message, source }
     }
 
     /// The answer to a query, what it took added to `stats`. Its work is counted in right-hand sides.

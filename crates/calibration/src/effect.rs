@@ -45,7 +45,7 @@ pub(crate) struct Findings {
 }
 
 /// Nearer to its bound than this share of its size a parameter is at it: the optimiser's scaling rounds.
-const AT: f64 = 1e-9;
+pub(crate) const AT: f64 = 1e-9;
 
 /// Farther than this share of its size it is not, however wide the search still is.
 const NEAR: f64 = 1e-3;
@@ -88,19 +88,7 @@ impl Calibration {
             without_effect: suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect(),
             n_checks: 0,
         };
-        let is_over = matches!(
-            report.termination,
-            Termination::Converged
-                | Termination::Noise
-                | Termination::ConstantCost
-                | Termination::Target
-                | Termination::Collapsed
-                | Termination::Stalled
-                | Termination::MaxEvaluations
-                | Termination::MaxIterations
-                | Termination::StoppedByObserver
-        );
-        if !is_over {
+        if !is_over(&report.termination) {
             return found;
         }
         let mut checked = Findings::default();
@@ -221,15 +209,36 @@ impl Calibration {
             by = by.round().max(1.0);
         }
         let to = if upper - from >= from - lower { (from + by).min(upper) } else { (from - by).max(lower) };
-        match parameter.scale_kind() {
-            Scale::Linear => to,
-            Scale::Log => to.exp().clamp(parameter.lower(), parameter.upper()),
-        }
+        outer(parameter, to)
+    }
+}
+
+/// Whether there may be simulations after a run that ended so: neither time nor an interrupt ended it, and the model still works.
+pub(crate) fn is_over(termination: &Termination) -> bool {
+    matches!(
+        termination,
+        Termination::Converged
+            | Termination::Noise
+            | Termination::ConstantCost
+            | Termination::Target
+            | Termination::Collapsed
+            | Termination::Stalled
+            | Termination::MaxEvaluations
+            | Termination::MaxIterations
+            | Termination::StoppedByObserver
+    )
+}
+
+/// The value that the optimiser sees as this one.
+pub(crate) fn outer(parameter: &Parameter, value: f64) -> f64 {
+    match parameter.scale_kind() {
+        Scale::Linear => value,
+        Scale::Log => value.exp().clamp(parameter.lower(), parameter.upper()),
     }
 }
 
 /// A value as the optimiser sees it.
-fn inner(parameter: &Parameter, value: f64) -> f64 {
+pub(crate) fn inner(parameter: &Parameter, value: f64) -> f64 {
     match parameter.scale_kind() {
         Scale::Linear => value,
         Scale::Log => value.max(0.0).ln(),

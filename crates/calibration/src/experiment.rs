@@ -76,6 +76,16 @@ impl Experiment {
         self.outputs.iter().map(|o| (o.variable.as_str(), o.column.as_str()))
     }
 
+    /// The inputs that are driven, each with its column.
+    pub fn inputs(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.inputs.iter().map(|(variable, column)| (variable.as_str(), column.as_str()))
+    }
+
+    /// Where measurements count, if that is not everywhere.
+    pub fn window_of_measurements(&self) -> Option<(f64, f64)> {
+        self.window
+    }
+
     /// Variables with the columns that measure or drive them.
     pub(crate) fn columns_in_use(&self) -> Vec<(String, String)> {
         let outputs = self.outputs.iter().map(|o| (o.variable.clone(), o.column.clone()));

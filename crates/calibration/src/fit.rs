@@ -1,14 +1,15 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
-use crate::effect::BoundSide;
+use crate::effect::{BoundSide, is_over};
 use crate::error::CalibrationError;
 use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
+use crate::simulations::Simulations;
 use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
-use crate::worth::Worth;
+use crate::worth::{KnownPoint, Worth, WorthOptions};
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
     RunOptions, Search, Stop, Tolerances, Want,
@@ -44,6 +45,10 @@ pub struct FitOptions<'a> {
     /// What a residual counts; default: its square. With another loss [`Fit::cost`] is the sum of what they count, also where
     /// the method sees costs alone.
     pub loss: RobustLoss,
+    /// What the fit is worth is found out after the run: standard errors, correlation, what the data cannot tell. Takes at least two
+    /// simulations for each parameter and one that is more accurate, in parallel; they are none of the run's evaluations, are not
+    /// made after an interrupt or when the time is up, and are part of `stats`. `None`: it is not. Its loss is that of the fit.
+    pub worth: Option<WorthOptions>,
     /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
@@ -70,6 +75,7 @@ impl Default for FitOptions<'_> {
             held: Vec::new(),
             cutoffs: true,
             loss: RobustLoss::default(),
+            worth: Some(WorthOptions::default()),
             observer: None,
             poll: None,
             cancel: None,
@@ -212,7 +218,7 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        let FitOptions { run: mut described, start, held, cutoffs, loss, mut observer, poll, cancel } =
+        let FitOptions { run: mut described, start, held, cutoffs, loss, worth, mut observer, poll, cancel } =
             options.into();
         let poll = RefCell::new(poll);
         described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
@@ -308,6 +314,13 @@ impl Calibration {
             described.known.iter_mut().for_each(|known| known.problem = None);
         };
         report.message += &self.remarks(&found);
+        let worth = worth.and_then(|mut options| {
+            options.workers = options.workers.or(described.workers);
+            options.held.extend(&held);
+            let asked = WorthOptions { loss, ..options };
+            let found = (&found.at_bound[..], &found.without_effect[..]);
+            self.worth_of_fit((&mut report, found), &tolerances, asked, (&cancelled, &mut stats))
+        });
         if n_beginnings > 1 {
             report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
         }
@@ -326,7 +339,7 @@ impl Calibration {
             names,
             start,
             outputs,
-            worth: None,
+            worth,
             cost: report.fun,
             rms: self.rms(report.fun),
             start_cost,
@@ -340,6 +353,46 @@ impl Calibration {
             solver: solver.clone(),
             report,
         })
+    }
+
+    /// What the result of a run is worth, with what is to be said of it added to its message; `None` where it cannot be found out, or
+    /// shall not.
+    pub(crate) fn worth_of_fit(
+        &self,
+        (report, (at_bound, inert)): (&mut Report, (&[(usize, BoundSide)], &[usize])),
+        tolerances: &Tolerances,
+        mut options: WorthOptions,
+        (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
+    ) -> Option<Worth> {
+        if !is_over(&report.termination) || cancelled() {
+            return None;
+        }
+        let workers = options.workers.unwrap_or(1);
+        let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
+        options.held.extend(at_bound.iter().map(|(index, _)| index).filter(|index| !inert.contains(index)));
+        let known = KnownPoint {
+            // Those of a stage with a window of its own are others.
+            residuals: report.residuals.as_deref().filter(|r| r.len() == self.n_residuals()),
+            jacobian: report.jacobian.as_deref(),
+            held: options.held,
+            inert,
+            f_tol: match tolerances.measure {
+                Measure::Relative => tolerances.f_tol,
+                Measure::Absolute => tolerances.f_tol / report.fun,
+            },
+        };
+        let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
+        *stats += simulations.stats;
+        match worth {
+            Ok(worth) => {
+                report.message += &worth.remarks(known.f_tol);
+                Some(worth)
+            }
+            Err(error) => {
+                log::info!("what the fit is worth could not be found out: {error}");
+                None
+            }
+        }
     }
 
     /// The optimiser knows parameters by number, the user by name.

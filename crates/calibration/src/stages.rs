@@ -4,6 +4,7 @@ use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::{Fit, FitOptions};
 use crate::residual::CostRule;
+use crate::worth::WorthOptions;
 use dfo::{AnyMethod, Checkpoint, Limits, Progress, Report, Resume, Termination, Tolerances};
 use ode::Stats;
 use std::cell::RefCell;
@@ -101,7 +102,8 @@ impl Calibration {
     /// A checkpoint has one file per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
     ///
     /// The covariance of a method at the end of a stage ([`Report::covariance`]) is conditional: it takes the held parameters as
-    /// known. So the result has no Jacobian in its report, only the stages have.
+    /// known, and so does what a stage is [worth](Fit::worth). So the result has no Jacobian in its report, only the stages have; what
+    /// it is worth is found out with all parameters that any stage freed.
     ///
     /// # Errors
     /// As [`Calibration::fit`]; no stages, stages without parameters, names that are no parameters or those of fixed ones.
@@ -110,7 +112,8 @@ impl Calibration {
         stages: &[Stage],
         options: impl Into<FitOptions<'a>>,
     ) -> Result<Fit, CalibrationError> {
-        let FitOptions { run, start, held, cutoffs, loss, mut observer, poll, cancel } = options.into();
+        let FitOptions { run, start, held, cutoffs, loss, worth, mut observer, poll, cancel } =
+            options.into();
         let poll = RefCell::new(poll);
         let start = start.unwrap_or_else(|| self.start());
         let in_stage =
@@ -174,6 +177,7 @@ impl Calibration {
                 held: (0..x.len()).filter(|i| !freed[k].contains(i)).collect(),
                 cutoffs,
                 loss,
+                worth: worth.clone(),
                 observer: observer.as_mut().map(|observer| {
                     Box::new(move |progress: &Progress<'_>| {
                         let mut progress = *progress;
@@ -228,6 +232,17 @@ impl Calibration {
         if let Some(cost) = cost {
             (fit.cost, fit.report.fun, fit.rms) = (cost, cost, self.rms(cost));
         }
+        let is_late = || late.is_some_and(|late| Instant::now() >= late) || is_asked();
+        fit.worth = worth.and_then(|mut options| {
+            options.workers = options.workers.or(Some(fit.report.workers));
+            options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
+            if !is_own(fit.stages.len() - 1) {
+                fit.report.residuals = None;
+            }
+            let asked = WorthOptions { loss, ..options };
+            let found = (&fit.at_bound[..], &fit.without_effect[..]);
+            self.worth_of_fit((&mut fit.report, found), &run.tolerances, asked, (&is_late, &mut fit.stats))
+        });
         (fit.start_cost, fit.start_rms) = (start_cost, start_cost.map(|cost| self.rms(cost)));
         Ok(fit)
     }

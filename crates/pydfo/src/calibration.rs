@@ -80,9 +80,6 @@ impl PyCalibration {
         let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
         result.setattr("without_effect", inert)?;
         result.setattr("start_cost", fit.start_cost)?;
-        if let Some(covariance) = fit.report.covariance() {
-            result.setattr("cov_message", covariance.message(|index| fit.names[index].clone()))?;
-        }
         let stages = fit.stages.iter().map(|stage| self.result(py, stage.clone()));
         result.setattr("stages", stages.collect::<PyResult<Vec<_>>>()?)?;
         result.setattr("_rms", (fit.rms, fit.start_rms))?;
@@ -285,7 +282,7 @@ impl PyCalibration {
         self.inner.problem().experiments.iter().map(recording).collect()
     }
 
-    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None))]
+    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None, covariance=None))]
     fn fit<'py>(
         &self,
         py: Python<'py>,
@@ -294,10 +291,12 @@ impl PyCalibration {
         observer: Option<Py<PyAny>>,
         loss: Option<LossFields>,
         stages: Option<Vec<StageFields>>,
+        covariance: Option<&str>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let check = |stages: Vec<StageFields>| stages.into_iter().map(|stage| stage.check(py)).collect();
         let stages: Option<Vec<calibration::Stage>> = stages.map(check).transpose()?;
         let loss = settings::loss(loss)?.unwrap_or_default();
+        let worth = settings::worth(covariance)?;
         let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
@@ -310,6 +309,7 @@ impl PyCalibration {
                 run,
                 start,
                 loss,
+                worth,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
                     seen.pass_on(progress, caller, notified.as_ref())
                 })),

@@ -21,6 +21,7 @@ mod objective;
 mod optimizer;
 mod py_system;
 mod quad_err;
+mod recordings;
 mod report;
 mod settings;
 mod solve;
@@ -29,6 +30,7 @@ mod threads;
 mod trajectory;
 mod values;
 mod words;
+mod worth;
 
 use pyo3::prelude::*;
 
@@ -61,9 +63,13 @@ mod core_module {
     #[pymodule_export]
     use super::quad_err::quad_err;
     #[pymodule_export]
+    use super::recordings::{check, recorded};
+    #[pymodule_export]
     use super::solve::solve;
     #[pymodule_export]
     use super::values::dtypes;
+    #[pymodule_export]
+    use super::worth::{PyWorth, worth_at, worth_of_fit};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

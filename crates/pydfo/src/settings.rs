@@ -2,6 +2,7 @@
 
 use crate::methods;
 use crate::words::{word, words};
+use calibration::{Estimator, WorthOptions};
 use dfo::{
     AnyMethod, Checkpoint, Kind, Known, Limits, Minimize, RobustLoss, RunOptions, Tolerances, Transform,
 };
@@ -48,6 +49,12 @@ pub(crate) struct Settings {
     transforms: Vec<Transform>,
     sizes: Vec<Option<f64>>,
     kinds: Vec<Kind>,
+}
+
+/// How it is found out what a fit is worth, by the name of the estimator; none: it is not.
+pub(crate) fn worth(covariance: Option<&str>) -> PyResult<Option<WorthOptions>> {
+    let options = |estimator| WorthOptions { estimator, ..WorthOptions::default() };
+    covariance.map(|name| word::<Estimator>("covariance", name).map(options)).transpose()
 }
 
 /// Points and costs as points of a problem.

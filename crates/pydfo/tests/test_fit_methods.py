@@ -67,7 +67,7 @@ def test_least_squares_takes_the_residuals_of_the_simulations(dahlquist, scale):
     assert timeless(fits[0]) == timeless(fits[1]) and fits[0].success and fits[0].nfev < 20
     fit, simplex = fits[0], calibration.fit("nelder-mead")
     assert fit.cost == pytest.approx(simplex.cost, rel=1e-4) and fit.nfev < simplex.nfev
-    assert simplex.jac is None and simplex.cov is None
+    assert simplex.jac is None and simplex.cov == pytest.approx(fit.cov, rel=1e-3)
     # x = exp(-k t): by k itself, also where its logarithm is searched.
     by_k = -TIME * np.exp(-fit.x[0] * TIME)
     np.testing.assert_allclose(fit.jac[:, 0], by_k, atol=2e-3)

@@ -1,7 +1,7 @@
 //! What the description of the model says about parameters, inputs and units.
 
-use super::Subject;
 use super::finding::{Finding, Severity};
+use super::subject::Subject;
 use crate::column_units::declared;
 use crate::parameter::Parameter;
 use crate::warning::SetupWarning;

@@ -1,7 +1,7 @@
 //! What an evaluation at the start values shows: measurements in another unit, swapped, or far from the simulation from the start.
 
-use super::Subject;
 use super::finding::{Finding, Severity};
+use super::subject::Subject;
 use crate::calibration::Calibration;
 use crate::column_units::declared;
 use crate::data::{parts, sampling_interval};

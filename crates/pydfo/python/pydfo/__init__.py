@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from . import dfo, ode
 from ._calibration import Calibration, Raced
+from ._check import Check, Finding
 from ._core import __version__
 from ._description import Description, Variable, read_description
 from ._errors import (
@@ -43,6 +44,7 @@ from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
 from ._stages import Stage
 from ._trajectory import SimulationResult
+from ._worth import ResidualCheck, Worth
 
 __all__ = [
     "Above",
@@ -54,10 +56,12 @@ __all__ = [
     "Calibration",
     "CalibrationError",
     "CalibrationWarning",
+    "Check",
     "CheckpointError",
     "Description",
     "Experiment",
     "FMUModel",
+    "Finding",
     "Fit",
     "FmuError",
     "Interrupted",
@@ -70,12 +74,14 @@ __all__ = [
     "Progress",
     "PydfoError",
     "Raced",
+    "ResidualCheck",
     "SimulationError",
     "SimulationResult",
     "Stage",
     "Trace",
     "UnknownVariableError",
     "Variable",
+    "Worth",
     "__version__",
     "build_fmu",
     "clear_caches",

@@ -7,12 +7,12 @@ import logging
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options, _stages
+from . import _check, _core, _options, _stages, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import Names, Settings, collected, path_of
 from ._files import OpenOptions
@@ -23,6 +23,10 @@ from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
 from ._stages import Stage
+from ._worth import Worth
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -118,6 +122,11 @@ class Calibration:
         thread-safe then; where it is not, results are wrong or the process ends.
     time : str, optional
         Name of the column of times, where it is not ``time``; its unit may be left out.
+    mask : array of bool or str, optional
+        Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
+    resample : float, optional
+        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves); at least that of the
+        recording.
 
     Warns
     -----
@@ -161,8 +170,10 @@ class Calibration:
         input_derivatives: bool = True,
         sharing: Literal["copies", "serial", "together"] = "copies",
         time: str | None = None,
+        mask: Any = None,
+        resample: SupportsFloat | None = None,
     ) -> None:
-        own = {"window": window, "weights": weights, "start_values": start_values, "start_time": start_time, "time": time}
+        own = {"mask": mask, "resample": resample, "window": window, "weights": weights, "start_values": start_values, "start_time": start_time, "time": time}
         experiments, parameters = collected(data, outputs, parameters, inputs, **own)
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
@@ -356,6 +367,7 @@ class Calibration:
         resume: Literal["auto", "never", "require"] = "auto",
         search: Literal["local", "global"] = "local",
         stages: Sequence[Stage | Sequence[str]] | None = None,
+        covariance: Literal["sandwich", "pooled"] | None = "sandwich",
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
@@ -412,6 +424,9 @@ class Calibration:
             ``[["C2", "G2"], ["C1", "G1"]]``: each stage frees these parameters, from where the last one left them, and holds the
             others. Limits hold for all stages together, ``nfev`` and the trace are those of all; the fit has that of each stage in
             ``stages``. A checkpoint has a file for each: ``fit.ckpt.stage1``, ``fit.ckpt.stage2`` and so on.
+        covariance : {"sandwich", "pooled"} or None
+            How the standard errors of the fit are estimated, see `worth`. Found out after the run, with simulations that do not
+            count in ``nfev``: at least two for each parameter and an accurate one, in parallel. None: not at all.
 
         Returns
         -------
@@ -482,7 +497,7 @@ class Calibration:
         if callback is not None:
             listeners.append(listen(callback))
         try:
-            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages)
+            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages, covariance=covariance)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):
@@ -495,6 +510,88 @@ class Calibration:
         if disp:
             printer.end(fit.message, fit.x, fit.cost, fit.nit, fit.nfev, fit.solve_time)
         return fit
+
+    @explained
+    def check(self, simulate: bool = True) -> _check.Check:
+        """Looks for what does not fit between model, recordings and parameters, and says what to do about it.
+
+        Looked at are the times (gaps, unit, start), the recorded values (constant, clipped, missing, in other units than the model, far
+        from the simulation at the start, columns that are swapped), inputs that nothing drives or that end early, and the ranges that the
+        model states for its parameters.
+
+        Parameters
+        ----------
+        simulate : bool
+            Whether to simulate all experiments once at the start values (and once with times a thousandth as long, where they could be
+            in ms).
+
+        Returns
+        -------
+        Check
+            A sequence of findings, the gravest first, which prints as a table; true in a condition if there are errors or warnings.
+
+        Examples
+        --------
+        >>> from pydfo import Calibration, Parameter, example_fmu
+        >>> data = {"time": [0.0, 1.0, 2.0], "x": [1000.0, 150.0, 20.0]}
+        >>> calibration = Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
+        >>> print(calibration.check(simulate=False))
+        nothing found
+        >>> calibration.check()[0].severity
+        'warning'
+        """
+        return _check.of(self._native, _options.flag("simulate", simulate))
+
+    def plot_data(self) -> Figure:
+        """Draws the recordings before anything is simulated: measurements and inputs in the units of the model, the rows outside of the
+        window in grey; a column per experiment. Needs matplotlib.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Nothing is shown or saved: ``calibration.plot_data().savefig("data.png")``.
+
+        Raises
+        ------
+        ImportError
+            matplotlib is not installed.
+        """
+        from . import _plot_data
+
+        return _plot_data.recordings(self._native)
+
+    def worth(
+        self,
+        x: npt.ArrayLike | Mapping[str, float] | None = None,
+        covariance: Literal["sandwich", "pooled"] = "sandwich",
+        parameters: Sequence[str] | None = None,
+        workers: SupportsIndex | None = None,
+    ) -> Worth:
+        """What a point is worth as the result of a fit: standard errors, correlation, what the data cannot tell.
+
+        From central differences of the residuals over steps of about one standard error along the principal axes of the
+        covariance, and one simulation with a hundredth of the relative tolerance; all in parallel.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+        covariance : {"sandwich", "pooled"}
+            With one residual variance per output of the model, over all of its recordings:
+            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``; or with one for all: ``s**2 * inv(J.T @ J)``.
+        parameters : sequence of str, optional
+            Only these are free, the others are taken as known: the standard errors are conditional then.
+        workers : int, optional
+            Simulations that may run at once; None: all cores. The result does not depend on it.
+
+        Raises
+        ------
+        SimulationError
+            The simulation fails there, or on both sides of it.
+        ValueError, TypeError
+            Arguments that cannot be used.
+        """
+        return _worth.at(self, self._values(x), _options.choice("covariance", covariance), parameters, workers)
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the parameters; equal where one is fixed."""

@@ -26,6 +26,7 @@ __all__ = [
     "Optimizer",
     "__version__",
     "build_fmu",
+    "check",
     "check_parameter",
     "clear_caches",
     "close_unused",
@@ -41,7 +42,11 @@ __all__ = [
     "option_names",
     "quad_err",
     "read_csv",
+    "recorded",
     "solve",
+    "Worth",
+    "worth_at",
+    "worth_of_fit",
 ]
 
 __version__: str
@@ -94,6 +99,18 @@ def solve(problem: _Problem) -> OdeResult: ...
 def check_parameter(parameter: Parameter) -> None: ...
 def find_time(names: list[str], time: str | None = None) -> tuple[int, tuple[float, float]]: ...
 def find_column(names: list[str], wanted: str) -> int: ...
+def check(
+    calibration: Calibration, simulate: bool
+) -> tuple[list[tuple[str, str, str, str]], str, int, bool]: ...
+def recorded(
+    calibration: Calibration,
+) -> list[
+    tuple[
+        npt.NDArray[np.float64],
+        list[tuple[str, str, str | None, npt.NDArray[np.float64], bool]],
+        tuple[float, float] | None,
+    ]
+]: ...
 def date_seconds(texts: list[str]) -> list[float]: ...
 def read_csv(
     text: bytes, source: str, time: str | None, needed: list[str]
@@ -134,12 +151,24 @@ class Calibration:
         observer: Callable[[Progress], Any] | None = None,
         loss: tuple[str, float] | None = None,
         stages: list[BuiltStage] | None = None,
+        covariance: str | None = None,
     ) -> OptimizeResult: ...
 @final
 class Fit:
     @property
     def start(self) -> list[float]: ...
 
+@final
+class Worth:
+    def fields(self) -> dict[str, Any]: ...
+    def intervals(self, level: float, corrected: bool) -> npt.NDArray[np.float64]: ...
+    def message(self) -> str: ...
+    def text(self) -> str: ...
+
+def worth_of_fit(fit: Fit) -> Worth | None: ...
+def worth_at(
+    calibration: Calibration, x: Sequence[float], covariance: str, held: Sequence[int], workers: int | None
+) -> Worth: ...
 def build_fmu(folder: str | os.PathLike[str], out: str | os.PathLike[str]) -> None: ...
 def example_fmu(name: str, version: str, kind: str) -> Path: ...
 def dtypes() -> dict[str, str]: ...

@@ -40,6 +40,10 @@ class Experiment:
         Where the simulation starts, in s.
     time : str, optional
         Name of the column of times, where it is not ``time``.
+    mask : array of bool or str, optional
+        Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
+    resample : float, optional
+        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves).
     name : str, optional
         Its name, in those of local parameters as well (``T0[cold]``); default: "run1", "run2" and so on. Not empty, without
         brackets and line breaks.
@@ -72,6 +76,9 @@ class Experiment:
     start_values: list[tuple[str, Any]]
     window: tuple[float, float] | None
     start_time: float | None
+    mask: list[bool] | None
+    mask_column: str | None
+    resample: float | None
 
     @explained
     def __init__(
@@ -86,6 +93,8 @@ class Experiment:
         start_time: SupportsFloat | None = None,
         time: str | None = None,
         name: str | None = None,
+        mask: Any = None,
+        resample: SupportsFloat | None = None,
     ) -> None:
         put = object.__setattr__
         put(self, "name", None if name is None else _options.choice("name", name))
@@ -93,7 +102,11 @@ class Experiment:
             pairs = pairs_of_columns("outputs", outputs)
             driven = pairs_of_columns("inputs", inputs)
             named = None if time is None else _options.choice("time", time)
-            table = _data.read(data, [column for _, column in pairs + driven], named)
+            rows, by = _data.mask(mask)
+            table = _data.read(data, [column for _, column in pairs + driven] + ([] if by is None else [by]), named)
+            put(self, "mask", rows)
+            put(self, "mask_column", by)
+            put(self, "resample", _options.optional_number("resample", resample))
             span = None
             if window is not None:
                 if np.shape(window) != (2,):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
 
+from . import _worth
 from ._result import OptimizeResult
 from ._trajectory import SimulationStats
 
@@ -55,8 +56,13 @@ class Fit(OptimizeResult):
     scaled_rms : float or None
         The RMS over that at the start, on the same measurements.
     stages : list of Fit
-        The fit of each stage; empty if there were none. Standard errors of a stage (its ``cov``) are conditional: they take
+        The fit of each stage; empty if there were none. Standard errors of a stage are conditional: they take
         what the stage holds as known. ``success`` of the whole fit is that of all its stages.
+    worth : Worth or None
+        Standard errors, correlation, and what the data cannot tell, in words (``print(fit.worth)``). None: not asked for, the fit
+        was ended by an interrupt, an error or its time, or simulations around the result fail.
+    cov, cov_message
+        The covariance of `worth` and what is to be said of it.
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
@@ -77,9 +83,40 @@ class Fit(OptimizeResult):
             self.n_beginnings = 1
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
+        self.worth = _worth.of_fit(vars(self).get("_native"))
+        self.cov = None if self.worth is None else self.worth.covariance
+        self.cov_message = "" if self.worth is None else self.worth.message
         self.start = start
         self.solver = solver
         self.race = calibration.race
+
+    @property
+    def stderr(self) -> FloatArray | None:
+        """Standard errors of the parameters, shape (n,): zero for those that are fixed or at a bound, infinite for those that the
+        data do not determine; None where there is no `worth`."""
+        return None if self.worth is None else self.worth.stderr
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Covariance of the parameters, shape (n, n); the same as ``cov``."""
+        return self.cov
+
+    @property
+    def correlation(self) -> FloatArray | None:
+        """Correlation of the parameters, shape (n, n); NaN where a standard error is zero or infinite."""
+        return None if self.worth is None else self.worth.correlation
+
+    def confidence_intervals(self, level: SupportsFloat = 0.95) -> FloatArray:
+        """Lower and upper ends of the confidence intervals, shape (n, 2); see `Worth.confidence_intervals`.
+
+        Raises
+        ------
+        ValueError
+            A level that does not lie between 0 and 1; the fit has no `worth`.
+        """
+        if self.worth is None:
+            raise ValueError("what the fit is worth was not found out: it was interrupted, or covariance=None was given")
+        return self.worth.confidence_intervals(level)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -147,7 +184,7 @@ class Fit(OptimizeResult):
         return _plot.fit(self, self._calibration)
 
     def __getitem__(self, key: Any) -> Any:
-        if key in ("parameters", "cost", "rms", "start_rms", "scaled_rms"):
+        if key in ("parameters", "cost", "rms", "stderr", "covariance", "correlation", "start_rms", "scaled_rms"):
             return getattr(self, key)
         return super().__getitem__(key)
 

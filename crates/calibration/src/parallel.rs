@@ -1,0 +1,105 @@
+//! The same task for many items, on threads of its own.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::thread::Builder;
+use std::time::Duration;
+
+/// Stack of a thread: compiled models put large arrays there.
+const STACK_SIZE: usize = 16 << 20;
+
+/// How often the calling thread asks whether all is to end.
+const POLL: Duration = Duration::from_millis(20);
+
+/// What `task` makes of the numbers below `n`, in their order, on up to `workers` threads; on the calling thread where one is enough
+/// or none can be started. The calling thread asks `cancelled`; a task is told by the function that it is given, and is not begun
+/// after that. `None`: not begun, or it panicked.
+pub(crate) fn map<T: Send>(
+    (n, workers): (usize, usize),
+    cancelled: &dyn Fn() -> bool,
+    task: &(dyn Fn(usize, &dyn Fn() -> bool) -> T + Sync),
+) -> Vec<Option<T>> {
+    let mut results: Vec<Option<T>> = (0..n).map(|_| None).collect();
+    let (next, is_over) = (AtomicUsize::new(0), AtomicBool::new(false));
+    if n.min(workers) > 1 {
+        let (sender, receiver) = channel();
+        std::thread::scope(|scope| {
+            let spawn = |k: usize| {
+                let (sender, next, is_over) = (sender.clone(), &next, &is_over);
+                let work = move || {
+                    let is_over = || is_over.load(Ordering::Relaxed);
+                    loop {
+                        let item = next.fetch_add(1, Ordering::Relaxed);
+                        if item >= n || is_over() || sender.send((item, task(item, &is_over))).is_err() {
+                            break;
+                        }
+                    }
+                };
+                let thread = Builder::new().name(format!("calibration-worker-{k}")).stack_size(STACK_SIZE);
+                thread.spawn_scoped(scope, work).ok()
+            };
+            let threads: Vec<_> = (0..n.min(workers)).map_while(spawn).collect();
+            drop(sender);
+            loop {
+                match receiver.recv_timeout(POLL) {
+                    Ok((item, result)) => results[item] = Some(result),
+                    Err(RecvTimeoutError::Timeout) if cancelled() => is_over.store(true, Ordering::Relaxed),
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => break,
+                }
+            }
+            for thread in threads {
+                // Its results were received; that of a task that panicked is missing.
+                let _ = thread.join();
+            }
+        });
+    }
+    for item in next.into_inner()..n {
+        if is_over.load(Ordering::Relaxed) || cancelled() {
+            break;
+        }
+        results[item] = Some(task(item, cancelled));
+    }
+    results
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_are_in_the_order_of_the_items() {
+        for workers in [1, 3, 100] {
+            let squares = map((20, workers), &|| false, &|k, _| k * k);
+            assert_eq!(squares, (0..20).map(|k| Some(k * k)).collect::<Vec<_>>());
+        }
+        assert!(map((0, 3), &|| false, &|k, _| k).is_empty());
+    }
+
+    #[test]
+    fn nothing_begins_after_the_end_and_tasks_are_told_of_it() {
+        for workers in [1, 2] {
+            let asked = std::cell::Cell::new(0);
+            let cancelled = || {
+                asked.set(asked.get() + 1);
+                asked.get() > 2
+            };
+            let waited = map((100, workers), &cancelled, &|_, is_over| {
+                while !is_over() {
+                    std::thread::yield_now();
+                }
+            });
+            let n = waited.iter().flatten().count();
+            assert!((1..=workers).contains(&n), "{n}");
+        }
+    }
+
+    #[test]
+    fn a_panic_costs_one_result() {
+        let results = map((4, 2), &|| false, &|k, _| {
+            assert_ne!(k, 2);
+            k
+        });
+        assert_eq!(results, [Some(0), Some(1), None, Some(3)]);
+    }
+}

@@ -1,0 +1,120 @@
+//! Simulations around a point, in parallel: what a fit is worth is found from them, and they are counted apart from its evaluations.
+
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::no_cost::NoCost;
+use crate::parallel;
+use crate::residual::CostRule;
+use dfo::RobustLoss;
+use fmi::{SimulateOptions, SimulationPlan, Simulator};
+use ode::Stats;
+use std::sync::Arc;
+
+/// By what the relative tolerance is divided in accurate simulations.
+pub(crate) const ACCURATE: f64 = 100.0;
+
+/// Integration is not more accurate than this.
+const SMALLEST_TOLERANCE: f64 = 1e-13;
+
+/// A point to be simulated.
+#[derive(Debug, Clone)]
+pub(crate) struct Point {
+    /// In the user's units.
+    pub(crate) x: Vec<f64>,
+    /// With a hundredth of the relative tolerance.
+    pub(crate) is_accurate: bool,
+}
+
+impl Point {
+    /// As the evaluations of a fit are made.
+    pub(crate) fn new(x: Vec<f64>) -> Self {
+        Self { x, is_accurate: false }
+    }
+}
+
+/// The residuals as they count in the cost, or why there are none.
+pub(crate) type Found = Result<Vec<f64>, String>;
+
+/// Makes simulations, and adds up what they take.
+pub(crate) struct Simulations<'a> {
+    pub(crate) calibration: &'a Calibration,
+    pub(crate) loss: RobustLoss,
+    /// How many run at once.
+    pub(crate) workers: usize,
+    /// Asked on the calling thread.
+    pub(crate) cancelled: &'a dyn Fn() -> bool,
+    /// Points that were simulated.
+    pub(crate) n: usize,
+    pub(crate) stats: Stats,
+}
+
+impl<'a> Simulations<'a> {
+    /// Chooses the solver and has the model tested, where that is not done yet.
+    pub(crate) fn new(
+        calibration: &'a Calibration,
+        (loss, workers): (RobustLoss, usize),
+        cancelled: &'a dyn Fn() -> bool,
+    ) -> Result<Self, CalibrationError> {
+        calibration.solver_until(cancelled)?;
+        calibration.prepare(cancelled)?;
+        Ok(Self { calibration, loss, workers, cancelled, n: 0, stats: Stats::default() })
+    }
+
+    /// The residuals at these points, in their order.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`]; no simulation can be made any more.
+    pub(crate) fn residuals(&mut self, points: &[Point]) -> Result<Vec<Found>, CalibrationError> {
+        if (self.cancelled)() {
+            return Err(CalibrationError::Cancelled);
+        }
+        let (calibration, loss) = (self.calibration, self.loss);
+        let task = |k: usize, cancelled: &dyn Fn() -> bool| {
+            let mut residuals = vec![0.0; calibration.n_residuals()];
+            let (mut stats, rule) = (Stats::default(), CostRule::whole(loss, cancelled));
+            let Point { x, is_accurate } = &points[k];
+            let cost = match is_accurate {
+                true => calibration.evaluate_accurately(x, rule, &mut residuals, &mut stats),
+                false => calibration.evaluate_into(x, rule, &mut residuals, &mut stats),
+            };
+            (cost.map(|_| residuals), stats)
+        };
+        let answers = parallel::map((points.len(), self.workers), self.cancelled, &task);
+        let mut found = Vec::with_capacity(points.len());
+        for answer in answers {
+            let Some((residuals, stats)) = answer else { return Err(CalibrationError::Cancelled) };
+            self.n += 1;
+            self.stats += stats;
+            found.push(match residuals {
+                Ok(residuals) => Ok(residuals),
+                Err(NoCost::Failed { message, .. }) => Err(message),
+                Err(NoCost::Over(error)) => return Err(CalibrationError::Model(*error)),
+                Err(NoCost::Cancelled | NoCost::Above) => return Err(CalibrationError::Cancelled),
+            });
+        }
+        Ok(found)
+    }
+}
+
+impl Calibration {
+    /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance.
+    fn evaluate_accurately(
+        &self,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, NoCost> {
+        self.evaluator().evaluate(x, rule, out, stats, |k, x, observer| {
+            let tolerance = self.pool(k, rule.cancelled)?.plan().relative_tolerance();
+            let asked = &self.evaluator().simulations[k].options;
+            let options = SimulateOptions {
+                method: self.known_solver().map_or(asked.method, |solver| solver.method),
+                relative_tolerance: Some((tolerance / ACCURATE).max(SMALLEST_TOLERANCE).min(tolerance)),
+                ..asked.clone()
+            };
+            Ok(SimulationPlan::new(self.fmu(), &options)
+                .and_then(|plan| Simulator::new(Arc::new(plan))?.run(x, observer)))
+        })
+    }
+}

@@ -1,0 +1,162 @@
+//! What the residuals of each output look like: mean, autocorrelation, outliers, runs.
+
+use crate::layout::ResidualLayout;
+use serde::{Deserialize, Serialize};
+
+/// Residuals farther than this many robust standard deviations from their median are outliers.
+const OUTLIER: f64 = 4.0;
+
+/// That many of them, in percent, are no chance: of normally distributed ones 0.006 % lie there.
+const MANY_OUTLIERS: f64 = 0.2;
+
+/// The median absolute deviation of normally distributed numbers is this part of their standard deviation.
+const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
+
+/// Autocorrelation above this makes standard errors too small that suppose independent residuals.
+pub(crate) const CORRELATED: f64 = 0.3;
+
+/// A mean, or a number of runs, that is farther off than this many standard deviations is no chance.
+const BY_CHANCE: f64 = 4.0;
+
+/// The residuals of one output of one experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct ResidualCheck {
+    /// The experiment.
+    pub experiment: String,
+    /// The variable of the model.
+    pub variable: String,
+    /// How many residuals it has.
+    pub n: usize,
+    /// Their mean.
+    pub mean: f64,
+    /// Their standard deviation around it.
+    pub deviation: f64,
+    /// Their autocorrelation at lag one; NaN for fewer than three, and where all are the same.
+    pub autocorrelation: f64,
+    /// How many lie beyond four robust standard deviations (by the median absolute deviation) from the median.
+    pub n_outliers: usize,
+    /// How many standard deviations the number of runs of one sign is above (below: negative) that of independent residuals (Wald
+    /// and Wolfowitz, Ann. Math. Statist. 11, 1940); NaN where all have one sign.
+    pub runs: f64,
+}
+
+impl ResidualCheck {
+    pub(crate) fn all(layout: &ResidualLayout, names: &[String], residuals: &[f64]) -> Vec<Self> {
+        let check = |output: &crate::layout::OutputResiduals| {
+            let r = &residuals[output.range.clone()];
+            let (mean, deviation) = mean_and_deviation(r);
+            Self {
+                experiment: names[output.experiment].clone(),
+                variable: output.variable.clone(),
+                n: r.len(),
+                mean,
+                deviation,
+                autocorrelation: autocorrelation(r),
+                n_outliers: n_outliers(r),
+                runs: runs(r),
+            }
+        };
+        layout.outputs.iter().map(check).collect()
+    }
+
+    /// What is to be said of them; `name`: of the output.
+    pub(crate) fn sentences(&self, name: &str) -> Vec<String> {
+        let mut said = Vec::new();
+        let n = self.n as f64;
+        if self.is_autocorrelated() {
+            said.push(format!(
+                "the residuals of {name} are autocorrelated ({:.2} at lag one): the model leaves out something that lasts, and \
+                 standard errors that suppose independent residuals are too small",
+                self.autocorrelation
+            ));
+        } else if self.runs < -BY_CHANCE {
+            said.push(format!("the residuals of {name} keep their sign longer than independent ones would"));
+        }
+        let of_mean = self.deviation / n.sqrt();
+        if self.mean.abs() > BY_CHANCE * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2 {
+            let mean = super::digits(self.mean);
+            said.push(format!(
+                "the residuals of {name} have the mean {mean}: simulated minus measured, an offset"
+            ));
+        }
+        let share = 100.0 * self.n_outliers as f64 / n;
+        if share > MANY_OUTLIERS {
+            said.push(format!(
+                "{} of {} residuals of {name} ({share:.1} %) lie beyond 4 robust standard deviations: outliers; a robust \
+                 loss counts them less",
+                self.n_outliers, self.n
+            ));
+        }
+        said
+    }
+
+    pub(crate) fn is_autocorrelated(&self) -> bool {
+        // Of n independent residuals it has the standard deviation 1 / sqrt(n).
+        self.autocorrelation > CORRELATED.max(2.0 / (self.n as f64).sqrt())
+    }
+}
+
+fn mean_and_deviation(r: &[f64]) -> (f64, f64) {
+    let n = r.len() as f64;
+    let mean = r.iter().sum::<f64>() / n;
+    let sum: f64 = r.iter().map(|r| (r - mean) * (r - mean)).sum();
+    (mean, (sum / (n - 1.0).max(1.0)).sqrt())
+}
+
+/// At lag one: `sum (r_i - mean) (r_(i+1) - mean) / sum (r_i - mean)^2`.
+pub(crate) fn autocorrelation(r: &[f64]) -> f64 {
+    if r.len() < 3 {
+        return f64::NAN;
+    }
+    let (mean, _) = mean_and_deviation(r);
+    let products: f64 = r.windows(2).map(|pair| (pair[0] - mean) * (pair[1] - mean)).sum();
+    products / r.iter().map(|r| (r - mean) * (r - mean)).sum::<f64>()
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    match values.len() {
+        0 => f64::NAN,
+        n if n % 2 == 1 => values[n / 2],
+        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
+    }
+}
+
+fn n_outliers(r: &[f64]) -> usize {
+    let center = median(&mut r.to_vec());
+    let mut distances: Vec<f64> = r.iter().map(|r| (r - center).abs()).collect();
+    let limit = OUTLIER * median(&mut distances) / MEDIAN_DEVIATION;
+    if limit > 0.0 { distances.iter().filter(|d| **d > limit).count() } else { 0 }
+}
+
+fn runs(r: &[f64]) -> f64 {
+    let signs: Vec<bool> = r.iter().filter(|r| **r != 0.0).map(|r| *r > 0.0).collect();
+    let positive = signs.iter().filter(|s| **s).count() as f64;
+    let (n, negative) = (signs.len() as f64, signs.len() as f64 - positive);
+    let product = 2.0 * positive * negative;
+    let expected = product / n + 1.0;
+    let variance = product * (product - n) / (n * n * (n - 1.0));
+    let found = 1.0 + signs.windows(2).filter(|pair| pair[0] != pair[1]).count() as f64;
+    if variance > 0.0 { (found - expected) / variance.sqrt() } else { f64::NAN }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn textbook_numbers() {
+        assert_eq!(autocorrelation(&[1.0, 2.0]).is_nan(), true);
+        assert!((autocorrelation(&[1.0, -1.0, 1.0, -1.0]) + 0.75).abs() < 1e-15);
+        assert!((autocorrelation(&[-2.0, -1.0, 0.0, 1.0, 2.0]) - 0.4).abs() < 1e-15);
+        let mut r: Vec<f64> = (0..99).map(|k| f64::from(k % 7) - 3.0).collect();
+        assert_eq!(n_outliers(&r), 0);
+        r[5] = 100.0;
+        assert_eq!((n_outliers(&r), n_outliers(&[1.0; 5])), (1, 0));
+        // 6 positive and 4 negative in 2 runs: expected 5.8, variance 48 (48 - 10) / 900.
+        let two = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0];
+        assert!((runs(&two) - (2.0 - 5.8) / (48.0f64 * 38.0 / 900.0).sqrt()).abs() < 1e-14);
+        assert!(runs(&[1.0, 1.0, 1.0]).is_nan());
+    }
+}

@@ -1,0 +1,280 @@
+//! What a fit is worth, against closed forms and the published numbers.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::{
+    Calibration, Data, Estimator, Experiment, Fit, FitOptions, Parameter, Scale, Worth, WorthOptions,
+};
+use dfo::{Limits, NelderMead, RunOptions};
+use example_models::example_fmu;
+use std::path::Path;
+
+fn open(name: &str) -> fmi::Fmu {
+    fmi::Fmu::open(example_fmu(name).unwrap()).unwrap()
+}
+
+fn data(time: &[f64], columns: &[(&str, Vec<f64>)]) -> Data {
+    let columns = columns.iter().map(|(name, values)| ((*name).to_owned(), values.clone()));
+    Data::from_columns(time.to_vec(), columns).unwrap()
+}
+
+fn worth(calibration: &Calibration, x: &[f64], estimator: Estimator) -> Worth {
+    let options = WorthOptions { estimator, ..WorthOptions::default() };
+    calibration.worth(x, &options, &|| false).unwrap()
+}
+
+fn near(got: f64, expected: f64, relative: f64) {
+    assert!((got - expected).abs() <= relative * expected.abs(), "{got} instead of {expected}");
+}
+
+/// Numbers between -1 and 1 that look like chance.
+fn noise(n: usize) -> impl Iterator<Item = f64> {
+    (0..n).map(|k| ((k as f64 * 12.9898).sin() * 43758.5453).fract())
+}
+
+/// x = x0 exp(-k t), with noise.
+fn decay(parameters: impl IntoIterator<Item = Parameter>) -> Calibration {
+    let time: Vec<f64> = (0..60).map(|k| 0.05 * f64::from(k)).collect();
+    let x = time.iter().zip(noise(60)).map(|(t, e)| (-1.5 * t).exp() + 0.02 * e).collect();
+    let builder = Calibration::builder(open("dahlquist"))
+        .experiment(Experiment::new(data(&time, &[("x", x)])).output("x", "x"));
+    parameters.into_iter().fold(builder, |builder, p| builder.parameter(p)).build().unwrap()
+}
+
+#[test]
+fn a_decay_has_the_errors_of_its_closed_form() {
+    for scale in [Scale::Linear, Scale::Log] {
+        let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0).scale(scale)]);
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        let k = fit.x[0];
+        let by_k = |t: f64| -t * (-k * t).exp();
+        let sum: f64 = (0..60).map(|i| by_k(0.05 * f64::from(i)).powi(2)).sum();
+        let worth = fit.worth.unwrap();
+        let error = (fit.cost / 59.0 / sum).sqrt();
+        near(worth.standard_errors[0], error, 1e-3);
+        assert_eq!((worth.degrees_of_freedom, &worth.correlation[..]), (59, &[1.0][..]));
+        // The quantile of Student's t for 59 degrees of freedom.
+        let (low, high) = worth.confidence_intervals(0.95).unwrap()[0];
+        match scale {
+            Scale::Linear => near(high - low, 2.0 * 2.000_995_4 * error, 2e-3),
+            _ => near((high / low).ln(), 2.0 * 2.000_995_4 * error / k, 2e-3),
+        }
+        assert!(worth.confidence_intervals(1.0).is_err() && worth.confidence_intervals(f64::NAN).is_err());
+        near(worth.accurate_cost.unwrap(), fit.cost, 1e-5);
+        assert_eq!(fit.report.n_evaluations, fit.report.trace.len());
+        // The Jacobian is by the parameter, whatever the scale.
+        worth.jacobian.iter().enumerate().for_each(|(i, j)| {
+            assert!((j - by_k(0.05 * i as f64)).abs() < 1e-3, "{i}");
+        });
+    }
+}
+
+#[test]
+fn parameters_that_are_held_are_named_and_taken_as_known() {
+    // The data want k = 1.5.
+    let at_bound = decay([Parameter::new("k", 1.0).bounds(0.1, 1.2), Parameter::new("x", 1.0)]);
+    let fit = at_bound.fit(FitOptions::default()).unwrap();
+    let worth = fit.worth.unwrap();
+    assert_eq!(worth.held, [0]);
+    assert!(worth.standard_errors[0] == 0.0 && worth.standard_errors[1] > 0.0);
+    assert!(worth.correlation[1].is_nan() && worth.correlation[0].is_nan());
+    let fixed = decay([Parameter::new("k", 1.5).fixed(true), Parameter::new("x", 1.0)]);
+    assert_eq!(fixed.fit(FitOptions::default()).unwrap().worth.unwrap().held, [0]);
+    // Conditional errors are smaller.
+    let free = decay([Parameter::new("k", 1.5), Parameter::new("x", 1.0)]);
+    let both = worth_of(&free, &[]);
+    let one = worth_of(&free, &[0]);
+    assert!(one.standard_errors[1] < 0.9 * both.standard_errors[1] && one.standard_errors[0] == 0.0);
+    let wrong = WorthOptions { held: vec![2], ..WorthOptions::default() };
+    assert!(free.worth(&[1.5, 1.0], &wrong, &|| false).unwrap_err().to_string().contains("there are only 2"));
+}
+
+fn worth_of(calibration: &Calibration, held: &[usize]) -> Worth {
+    let options = WorthOptions { held: held.to_vec(), ..WorthOptions::default() };
+    calibration.worth(&[1.5, 1.0], &options, &|| false).unwrap()
+}
+
+#[test]
+fn the_result_depends_on_no_number_of_workers_and_costs_no_evaluation() {
+    let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0), Parameter::new("x", 1.2)]);
+    let fit = |workers, worth| -> Fit {
+        let limits = Limits { max_evaluations: Some(60), ..Limits::default() };
+        let run = RunOptions {
+            method: NelderMead::default().into(),
+            workers: Some(workers),
+            limits,
+            ..FitOptions::default_run()
+        };
+        calibration.fit(FitOptions { worth, ..run.into() }).unwrap()
+    };
+    let fits: Vec<Fit> = [1, 3].map(|workers| fit(workers, Some(WorthOptions::default()))).into();
+    assert_eq!(fits[0].worth, fits[1].worth);
+    let without = fit(1, None);
+    assert_eq!(without.report.n_evaluations, fits[0].report.n_evaluations);
+    assert!(without.worth.is_none() && fits[0].worth.as_ref().unwrap().n_simulations > 4);
+    let cancelled = calibration.worth(&[1.0, 1.0], &WorthOptions::default(), &|| true).unwrap_err();
+    assert!(matches!(cancelled, calibration::CalibrationError::Cancelled));
+    assert!(calibration.worth(&[1.0], &WorthOptions::default(), &|| false).is_err());
+}
+
+#[test]
+fn a_stop_that_is_never_reached_is_named() {
+    // The ball falls for 0.45 s before it bounces for the first time.
+    let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
+    let h = time.iter().zip(noise(40)).map(|(t, e)| 1.0 - 0.5 * 9.81 * t * t + 1e-3 * e).collect();
+    let calibration = Calibration::builder(open("bouncing_ball"))
+        .experiment(Experiment::new(data(&time, &[("h", h)])).output("h", "h"))
+        .parameter(Parameter::new("e", 0.7).bounds(0.1, 0.95))
+        .parameter(Parameter::new("g", -9.0).bounds(-15.0, -5.0))
+        .build()
+        .unwrap();
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    let worth = fit.worth.unwrap();
+    assert_eq!(
+        (&worth.undetermined[..], &worth.without_effect[..], &worth.identifiable[..]),
+        (&[0][..], &[0][..], &[1][..])
+    );
+    assert!(worth.standard_errors[0].is_infinite() && worth.standard_errors[1] < 0.01);
+    let said = "the data do not determine e: it moves no output that was measured";
+    assert!(fit.report.message.contains(said) && worth.verdict[0] == said, "{}", fit.report.message);
+}
+
+#[test]
+fn parameters_that_only_count_together_are_named() {
+    // Outflows go with a sqrt(2 g).
+    let time: Vec<f64> = (0..60).map(f64::from).collect();
+    let builder = || {
+        let outputs = ["qt.x1", "qt.x2", "qt.x3", "qt.x4"];
+        let inputs = [("u1", vec![5.0; 60]), ("u2", vec![6.0; 60])];
+        let mut columns = inputs.to_vec();
+        columns.extend(outputs.map(|name| (name, noise(60).map(|e| 0.03 + 1e-4 * e).collect())));
+        let experiment = Experiment::new(data(&time, &columns)).input("u1", "u1").input("u2", "u2");
+        let experiment = outputs.iter().fold(experiment, |e, name| e.output(*name, *name));
+        Calibration::builder(open("quad_tank")).experiment(experiment)
+    };
+    let tanks = |scale| {
+        let areas = ["qt.a1", "qt.a2", "qt.a3", "qt.a4"].map(|n| Parameter::new(n, 3e-6).scale(scale));
+        let builder = areas.into_iter().fold(builder(), |builder, area| builder.parameter(area));
+        builder.parameter(Parameter::new("qt.g", 9.81).scale(scale)).build().unwrap()
+    };
+    for scale in [Scale::Linear, Scale::Log] {
+        let calibration = tanks(scale);
+        for x in [[3e-6, 3e-6, 3e-6, 3e-6, 9.81], [2.1e-6, 3.3e-6, 2.9e-6, 3.7e-6, 12.0]] {
+            let found = worth(&calibration, &x, Estimator::Sandwich);
+            assert_eq!(found.undetermined, [0, 1, 2, 3, 4], "{scale:?} {found:?}");
+            assert!(found.without_effect.is_empty() && found.verdict[0].contains("together"));
+            // All but one of them can be told.
+            assert_eq!(found.identifiable.len(), 4, "{found:?}");
+        }
+    }
+}
+
+#[test]
+fn outputs_have_variances_of_their_own_unless_they_are_pooled() {
+    // A line: h = h0 + v0 t without gravity, measured with errors of two sizes, twice.
+    let time: Vec<f64> = (0..50).map(|k| 0.01 * f64::from(k)).collect();
+    let recording = |phase: usize| {
+        let e: Vec<f64> = noise(150).skip(phase).collect();
+        let h = time.iter().zip(&e).map(|(t, e)| 10.0 + 2.0 * t + 0.3 * e).collect();
+        let v = e.iter().skip(50).take(50).map(|e| 2.0 + 0.01 * e).collect();
+        Experiment::new(data(&time, &[("h", h), ("v", v)]))
+            .output("h", "h")
+            .output("v", "v")
+            .start_value("g", 0.0)
+    };
+    let calibration = Calibration::builder(open("bouncing_ball"))
+        .experiment(recording(0))
+        .experiment(recording(17))
+        .parameter(Parameter::new("h", 10.0))
+        .parameter(Parameter::new("v", 2.0))
+        .build()
+        .unwrap();
+    let x = calibration.fit(FitOptions::default()).unwrap().x;
+    // Rows (1, t) of h and (0, 1) of v, for each recording.
+    let (mut normal, mut middle) = ([[0.0; 2]; 2], [[0.0; 2]; 2]);
+    let residuals = calibration.residuals(&x).unwrap();
+    let sum = |from: usize| residuals[from..from + 50].iter().map(|r| r * r).sum::<f64>();
+    let factor = 200.0 / 198.0 / 100.0;
+    let variances = [(sum(0) + sum(100)) * factor, (sum(50) + sum(150)) * factor];
+    for t in time.iter().chain(&time) {
+        for (row, variance) in [([1.0, *t], variances[0]), ([0.0, 1.0], variances[1])] {
+            for (i, j) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                normal[i][j] += row[i] * row[j];
+                middle[i][j] += variance * row[i] * row[j];
+            }
+        }
+    }
+    let determinant = normal[0][0] * normal[1][1] - normal[0][1] * normal[1][0];
+    let inverse = [
+        [normal[1][1] / determinant, -normal[0][1] / determinant],
+        [-normal[1][0] / determinant, normal[0][0] / determinant],
+    ];
+    let product = |a: [[f64; 2]; 2], b: [[f64; 2]; 2]| {
+        [0, 1].map(|i| [0, 1].map(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j]))
+    };
+    let sandwich = product(product(inverse, middle), inverse).concat();
+    let pooled = sum(0) + sum(50) + sum(100) + sum(150);
+    for (estimator, expected) in [
+        (Estimator::Sandwich, sandwich),
+        (Estimator::Pooled, inverse.concat().iter().map(|i| i * pooled / 198.0).collect()),
+    ] {
+        let found = worth(&calibration, &x, estimator);
+        found.covariance.iter().zip(&expected).for_each(|(got, expected)| near(*got, *expected, 1e-4));
+    }
+}
+
+#[test]
+fn autocorrelated_residuals_are_said_and_corrected() {
+    let time: Vec<f64> = (0..80).map(|k| 0.05 * f64::from(k)).collect();
+    let x = time.iter().map(|t| (-1.5 * t).exp() + 0.02 * (4.0 * t).sin()).collect();
+    let calibration = Calibration::builder(open("dahlquist"))
+        .experiment(Experiment::new(data(&time, &[("x", x)])).output("x", "x"))
+        .parameter(Parameter::new("k", 1.0))
+        .build()
+        .unwrap();
+    let worth = calibration.fit(FitOptions::default()).unwrap().worth.unwrap();
+    assert!(worth.residual_checks[0].autocorrelation > 0.9);
+    assert!(worth.corrected_errors.unwrap()[0] > 2.0 * worth.standard_errors[0]);
+    assert!(worth.verdict.iter().any(|said| said.contains("autocorrelated (0.9")), "{:?}", worth.verdict);
+}
+
+fn exhaust() -> Option<Calibration> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/exhaust_measurements.csv");
+    let Ok(data) = Data::from_csv(&path) else {
+        eprintln!("{} is not there: the numbers of the exhaust pipe are not compared", path.display());
+        return None;
+    };
+    let inputs = ["T_in", "p_in", "w_turb1", "w_turb2", "p_out"];
+    let experiment = inputs.iter().fold(Experiment::new(data), |e, name| e.input(*name, *name));
+    let builder = Calibration::builder(open("exhaust"))
+        .experiment(experiment.output("T_out", "T_out").window(0.0, 600.0));
+    [("C1", 1.0, 50000.0), ("G1", 0.01, 500.0), ("C2", 1.0, 50000.0), ("G2", 0.01, 500.0)]
+        .into_iter()
+        .fold(builder, |builder, (name, lower, upper)| {
+            builder.parameter(Parameter::new(name, 100.0).bounds(lower, upper))
+        })
+        .build()
+        .ok()
+}
+
+#[test]
+fn four_parameters_of_the_exhaust_pipe_are_confounded() {
+    let Some(calibration) = exhaust() else { return };
+    for (x, pairs, are_all) in [
+        ([13893.0, 211.9, 16089.0, 47.4], &[(0, 3, -0.95), (1, 3, -0.92), (1, 2, 0.85)][..], true),
+        ([19460.0, 158.5, 4080.0, 80.8], &[(1, 2, -0.96), (0, 2, -0.94), (0, 1, 0.93)], true),
+        ([337.0, 16.4, 21576.0, 248.2], &[(0, 3, -0.92)], false),
+    ] {
+        let found = worth(&calibration, &x, Estimator::Pooled);
+        for (i, j, expected) in pairs {
+            let correlation = found.correlation[i * 4 + j];
+            assert!((correlation - expected).abs() < 0.03, "{x:?} {i} {j}: {correlation}");
+            let is_named = found.confounded.iter().any(|(a, b, _)| (a, b) == (i, j));
+            assert_eq!(is_named, expected.abs() > 0.9, "{:?}", found.confounded);
+        }
+        assert_eq!(found.weakest.len(), if are_all { 4 } else { 0 });
+        assert!((0.5..0.7).contains(&found.residual_checks[0].autocorrelation));
+    }
+    let at_bound = worth(&calibration, &[50000.0, 7.6, 21091.0, 255.4], Estimator::Pooled);
+    assert_eq!(at_bound.held, [0]);
+}

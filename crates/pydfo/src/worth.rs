@@ -1,0 +1,113 @@
+//! `Worth`: what a fit is worth; `pydfo.Worth` is its Python class.
+
+use crate::calibration::PyCalibration;
+use crate::error;
+use crate::fit::PyFit;
+use crate::settings;
+use calibration::{Worth, WorthOptions};
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::Arc;
+
+/// What a point is worth as the result of a fit.
+#[pyclass(frozen, module = "pydfo._core", name = "Worth")]
+pub(crate) struct PyWorth {
+    inner: Arc<Worth>,
+}
+
+/// What a fit is worth, if that was found out.
+#[pyfunction]
+pub(crate) fn worth_of_fit(fit: &PyFit) -> Option<PyWorth> {
+    fit.inner.worth.clone().map(|worth| PyWorth { inner: Arc::new(worth) })
+}
+
+/// What a point is worth; all parameters but those of the numbers `held` are free.
+#[pyfunction]
+pub(crate) fn worth_at(
+    py: Python<'_>,
+    calibration: &PyCalibration,
+    x: Vec<f64>,
+    covariance: &str,
+    held: Vec<usize>,
+    workers: Option<usize>,
+) -> PyResult<PyWorth> {
+    let options = WorthOptions { workers, held, ..settings::worth(Some(covariance))?.unwrap_or_default() };
+    let worth = calibration.compute(py, move |c, cancelled| c.worth(&x, &options, cancelled))?;
+    Ok(PyWorth { inner: Arc::new(worth) })
+}
+
+fn matrix<'py>(py: Python<'py>, rows: &[f64], n: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    PyArray1::from_slice(py, rows).reshape([rows.len() / n.max(1), n])
+}
+
+#[pymethods]
+impl PyWorth {
+    /// The fields of `pydfo.Worth`.
+    fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (worth, fields) = (&*self.inner, PyDict::new(py));
+        let n = worth.x.len();
+        let names = |indices: &[usize]| indices.iter().map(|i| worth.names[*i].clone()).collect::<Vec<_>>();
+        fields.set_item("estimator", worth.estimator.name())?;
+        fields.set_item("names", &worth.names)?;
+        fields.set_item("x", PyArray1::from_slice(py, &worth.x))?;
+        fields.set_item("covariance", matrix(py, &worth.covariance, n)?)?;
+        fields.set_item("correlation", matrix(py, &worth.correlation, n)?)?;
+        fields.set_item("jacobian", matrix(py, &worth.jacobian, n)?)?;
+        fields.set_item("stderr", PyArray1::from_slice(py, &worth.standard_errors))?;
+        let corrected = worth.corrected_errors.as_ref().map(|errors| PyArray1::from_slice(py, errors));
+        fields.set_item("corrected_stderr", corrected)?;
+        let checks = worth.residual_checks.iter().map(|check| {
+            let fields = PyDict::new(py);
+            fields.set_item("experiment", &check.experiment)?;
+            fields.set_item("variable", &check.variable)?;
+            fields.set_item("n", check.n)?;
+            fields.set_item("mean", check.mean)?;
+            fields.set_item("deviation", check.deviation)?;
+            fields.set_item("autocorrelation", check.autocorrelation)?;
+            fields.set_item("n_outliers", check.n_outliers)?;
+            fields.set_item("runs", check.runs)?;
+            Ok(fields)
+        });
+        fields.set_item("residual_checks", checks.collect::<PyResult<Vec<_>>>()?)?;
+        fields.set_item("degrees_of_freedom", worth.degrees_of_freedom)?;
+        for (name, indices) in [
+            ("held", &worth.held),
+            ("undetermined", &worth.undetermined),
+            ("without_effect", &worth.without_effect),
+            ("weakest", &worth.weakest),
+            ("identifiable", &worth.identifiable),
+        ] {
+            fields.set_item(name, names(indices))?;
+        }
+        let pairs = worth.confounded.iter().map(|(i, j, c)| (&worth.names[*i], &worth.names[*j], *c));
+        fields.set_item("confounded", pairs.collect::<Vec<_>>())?;
+        fields.set_item("verdict", &worth.verdict)?;
+        fields.set_item("cost", worth.cost)?;
+        fields.set_item("accurate_cost", worth.accurate_cost)?;
+        fields.set_item("n_simulations", worth.n_simulations)?;
+        Ok(fields)
+    }
+
+    /// Lower and upper ends, n x 2; `corrected`: with the corrected standard errors, where there are such.
+    fn intervals<'py>(
+        &self,
+        py: Python<'py>,
+        level: f64,
+        corrected: bool,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let worth = &self.inner;
+        let errors = worth.corrected_errors.as_ref().filter(|_| corrected).unwrap_or(&worth.standard_errors);
+        let ends = worth.intervals(level, errors).map_err(|e| error::calibration(py, &e))?;
+        matrix(py, &ends.iter().flat_map(|(low, high)| [*low, *high]).collect::<Vec<_>>(), 2)
+    }
+
+    /// What is to be said of the covariance; empty if nothing is.
+    fn message(&self) -> String {
+        self.inner.message()
+    }
+
+    fn text(&self) -> String {
+        self.inner.to_string()
+    }
+}

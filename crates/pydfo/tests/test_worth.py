@@ -1,0 +1,94 @@
+"""What a fit is worth: standard errors, correlation, verdict, against the published numbers and SciPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import recordings
+
+import pydfo
+from pydfo import Calibration, Parameter, example_fmu
+
+FRICTION = [Parameter("armFriction", 0.012, 0, 0.022), Parameter("pendulumFriction", 0.002, 0, 0.012)]
+ANGLES = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
+PUBLISHED = "published" in recordings.at_hand("FurutaData.mat")
+
+
+@pytest.fixture(scope="module")
+def furuta():
+    return Calibration(example_fmu("furuta"), recordings.furuta("published" if PUBLISHED else "own"), ANGLES, FRICTION)
+
+
+@pytest.mark.parametrize(
+    ("estimator", "stderr", "correlation"),
+    [("sandwich", [1.375e-5, 1.094e-6], -0.621), ("pooled", [1.600e-5, 1.352e-6], -0.659)],
+)
+def test_the_published_errors_of_the_pendulum(furuta, estimator, stderr, correlation):
+    fit = furuta.fit(covariance=estimator)
+    assert fit.worth.estimator == estimator and fit.nfev == len(fit.trace)
+    if PUBLISHED:
+        np.testing.assert_allclose(fit.stderr, stderr, rtol=0.05)
+        assert fit.correlation[0, 1] == pytest.approx(correlation, abs=0.02)
+    assert fit.worth.verdict == [] and fit.worth.identifiable == furuta.names
+    np.testing.assert_array_equal(fit.cov, fit.covariance)
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), fit.stderr)
+    intervals = fit.confidence_intervals(0.95)
+    np.testing.assert_allclose(intervals.mean(axis=1), fit.x, rtol=1e-12)
+    np.testing.assert_allclose(np.diff(intervals)[:, 0], 2 * 1.9614 * fit.stderr, rtol=1e-3)
+    assert estimator in repr(fit.worth) and "+-" in repr(fit.worth)
+
+
+@pytest.mark.skipif(not PUBLISHED, reason="the published recordings are not here")
+@pytest.mark.parametrize(
+    ("n", "sandwich", "pooled"),
+    [(2, [0.0022, 0.0015], [0.0019, 0.0020]), (4, [0.0022, 0.0023, 0.0034, 0.0071], [0.0024, 0.0025, 0.0053, 0.0052])],
+)
+def test_the_published_errors_of_the_tanks(n, sandwich, pooled):
+    parameters = [Parameter(f"qt.a{k + 1}", 3e-6, 2e-6, 4e-6) for k in range(n)]
+    calibration = Calibration(
+        example_fmu("quad_tank"), recordings.quad_tank("published"), recordings.LEVELS[:n], parameters, inputs=["u1", "u2"]
+    )
+    for estimator, expected in (("sandwich", sandwich), ("pooled", pooled)):
+        fit = calibration.fit(covariance=estimator)
+        np.testing.assert_allclose(fit.stderr * 1e6, expected, atol=1e-4)
+        assert (fit.worth.corrected_stderr > 2 * fit.stderr).all()
+        assert all(0.79 < check.autocorrelation < 0.93 for check in fit.worth.residual_checks)
+    assert any("autocorrelated" in said for said in fit.worth.verdict)
+
+
+def test_the_covariance_is_that_of_curve_fit():
+    curve_fit = pytest.importorskip("scipy.optimize").curve_fit
+    time = np.linspace(0, 3, 60)
+    x = 1.2 * np.exp(-1.5 * time) + np.random.default_rng(3).normal(0, 0.02, time.size)
+    best, expected = curve_fit(lambda t, k, x0: x0 * np.exp(-k * t), time, x, [1.0, 1.0])
+    for scale in ("linear", "log"):
+        parameters = [Parameter("k", 1.0, 0.1, 5.0, scale=scale), Parameter("x", 1.0, 0.1, 5.0, scale=scale)]
+        fit = Calibration(example_fmu("dahlquist"), {"time": time, "x": x}, ["x"], parameters).fit(covariance="pooled")
+        np.testing.assert_allclose(fit.x, best, rtol=1e-3)
+        np.testing.assert_allclose(fit.covariance, expected, rtol=5e-3)
+
+
+def test_what_cannot_be_told_is_said(furuta):
+    time = np.linspace(0, 0.4, 40)
+    noise = np.random.default_rng(1).normal(0, 1e-3, time.size)
+    parameters = [Parameter("e", 0.7, 0.1, 0.95), Parameter("g", -9.0, -15.0, -5.0)]
+    calibration = Calibration(
+        example_fmu("bouncing_ball"), {"time": time, "h": 1 - 0.5 * 9.81 * time**2 + noise}, ["h"], parameters
+    )
+    fit = calibration.fit()
+    assert fit.worth.undetermined == ["e"] and np.isinf(fit.stderr[0]) and fit.worth.identifiable == ["g"]
+    assert "the data do not determine e" in fit.message and "do not determine e" in fit.cov_message
+    conditional = calibration.worth(fit.x, parameters=["g"])
+    assert conditional.held == ["e"] and conditional.undetermined == []
+    without = calibration.fit(covariance=None)
+    assert without.worth is None and without.stderr is None and without.cov is None and without.cov_message == ""
+    with pytest.raises(ValueError, match="covariance=None"):
+        without.confidence_intervals()
+    with pytest.raises(ValueError, match="'full' is none of 'sandwich', 'pooled'"):
+        calibration.fit(covariance="full")
+    with pytest.raises(ValueError, match="there is no parameter 'h0'"):
+        calibration.worth(parameters=["h0"])
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        fit.confidence_intervals(95)
+    with pytest.raises(pydfo.SimulationError):
+        furuta.worth([0.01, np.inf])
