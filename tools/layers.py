@@ -16,21 +16,26 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error layout parallel race
-        data no_cost residual
-        parameter
+        error parallel prior race
+        data layout no_cost parameter
+        input
         experiment
-        warning
+        measurements names
+        residual warning
         problem
-        column_units
-        evaluate identity
+        column_units identity
+        assignment
+        simulation
+        evaluate
         solver
         calibration
-        effect check simulations spot_checks output_fit
+        check effect simulations spot_checks output_fit
         worth
         fit
-        stages
-        report
+        stages prediction
+        validation
+        cross_validation
+        report export
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -82,8 +87,8 @@ LAYERS = {
         description inputs trajectory
         settings
         experiment fit minimize model py_system stages
-        calibration optimizer solve
-        recordings worth
+        calibration fit_report optimizer solve
+        recordings share validation worth
     """,
 }
 

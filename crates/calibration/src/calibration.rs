@@ -127,21 +127,27 @@ impl Calibration {
         Ok(derived)
     }
 
-    /// The same with other windows in all experiments.
+    /// The same with other windows in all experiments. Simulations start as they do in this one, at the same time in the same
+    /// state, whatever that follows from.
     pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
-        let [window] = *windows else {
-            return Err(CalibrationError::Setup(format!(
-                "{} windows are given, one is needed",
-                windows.len()
-            )));
-        };
+        if windows.is_empty() {
+            return Err(CalibrationError::Setup("windows: there are none".to_owned()));
+        }
         let mut problem = self.problem().clone();
-        problem.experiments.iter_mut().for_each(|experiment| experiment.window = Some(window));
+        for (experiment, simulation) in problem.experiments.iter_mut().zip(&self.evaluator.simulations) {
+            experiment.windows = windows.to_vec();
+            simulation.keep_start(experiment);
+        }
         self.derived(problem)
     }
 
     pub(crate) fn evaluator(&self) -> &Evaluator {
         &self.evaluator
+    }
+
+    /// What a fit is made from, by name and in words or as a hash.
+    pub(crate) fn identity(&self) -> &[(String, String)] {
+        &self.identity
     }
 
     /// What it is made from, as plain data.
@@ -181,9 +187,45 @@ impl Calibration {
         self.evaluator.layout.n_measurements()
     }
 
-    /// The root of the mean squared weighted residual that a cost stands for.
-    pub fn rms(&self, cost: f64) -> f64 {
-        (cost / self.n_measurements() as f64).sqrt()
+    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with the loss of a fit, of what they
+    /// count): the priors have their part of the cost, and are no measurements.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn rms(&self, x: &[f64], cost: f64, loss: RobustLoss) -> f64 {
+        let priors = if self.residual_layout().priors.is_empty() { 0.0 } else { self.prior_cost(x, loss) };
+        let squares = cost - priors;
+        // The rounding of a difference.
+        (if squares < 0.0 { 0.0 } else { squares } / self.n_measurements() as f64).sqrt()
+    }
+
+    /// The part of the cost at `x` that is that of the priors, with the loss of a fit; NaN where one is not defined.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn prior_cost(&self, x: &[f64], loss: RobustLoss) -> f64 {
+        let mut residuals = vec![0.0; self.residual_layout().priors.len()];
+        let rule = CostRule::whole(loss, &|| false);
+        self.evaluator.prior_residuals(x, rule, &mut residuals).unwrap_or(f64::NAN)
+    }
+
+    /// The parameters that are [tied](Parameter::tied), with their values at `x`: of such that follow a local one, one per
+    /// experiment.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn tied_values(&self, x: &[f64]) -> Vec<(String, f64)> {
+        self.evaluator.tied.iter().map(|(name, of)| (name.clone(), of.value(x))).collect()
+    }
+
+    /// What is set in the model at `x` in the simulation of an experiment, counted from 0: variables and their values, in the units
+    /// of the model; values that are tied are there, delays and offsets are not.
+    ///
+    /// # Panics
+    /// There is no such experiment, or `x` has another length than there are parameters.
+    pub fn model_values(&self, experiment: usize, x: &[f64]) -> Vec<(String, f64)> {
+        let simulation = &self.evaluator.simulations[experiment];
+        simulation.named_values(x).map(|(name, value)| (name.to_owned(), value)).collect()
     }
 
     /// Start values of all parameters.
@@ -303,18 +345,10 @@ impl Calibration {
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Trajectory, CalibrationError> {
         self.check_length(x)?;
-        let simulation = &self.evaluator.simulations[experiment];
-        let mut options = simulation.options.clone();
-        options.method = self.solver_until(cancelled)?.method;
-        let names = std::mem::take(&mut options.parameters);
-        let values = simulation.values(x);
-        options.start_values.extend(names.into_iter().zip(values.iter().map(|v| (*v).into())));
-        if let Some(times) = times {
-            options.times = Some(times.to_vec());
-            options.final_time = times.last().copied();
-        }
+        let method = self.solver_until(cancelled)?.method;
         let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-        let trajectory = self.fmu().simulate_with(&options, &mut poll)?;
+        let simulation = &self.evaluator.simulations[experiment];
+        let trajectory = simulation.trajectory(self.fmu(), (x, method), times, &mut poll)?;
         match trajectory.termination {
             Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
             _ => Ok(trajectory),
@@ -421,9 +455,9 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         loop {
-            let cost = self.evaluator.evaluate(x, rule, out, stats, |k, x, observer| {
+            let cost = self.evaluator.evaluate(x, rule, out, stats, |k, run| {
                 let pool = self.pool(k, rule.cancelled)?;
-                Ok(pool.lend_until(rule.cancelled).and_then(|mut simulator| simulator.run(x, observer)))
+                Ok(pool.lend_until(rule.cancelled).and_then(|mut simulator| run(&mut simulator)))
             });
             if !cost.as_ref().is_err_and(NoCost::is_by_history) {
                 return cost;

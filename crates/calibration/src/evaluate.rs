@@ -1,19 +1,21 @@
 //! A problem with its model loaded: residuals and cost at any point.
 
+use crate::assignment::{Affine, Assignments, tied_values};
 use crate::column_units::convert_columns;
 use crate::error::CalibrationError;
-use crate::experiment::{Experiment, SimulationSettings};
-use crate::layout::ResidualLayout;
+use crate::layout::{PriorResidual, ResidualLayout};
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{Element, Problem};
-use crate::residual::{Accumulator, Comparison, CostRule, Stop, sum_of_squares};
-use crate::warning::{SetupWarning, held_inputs};
+use crate::residual::{Accumulator, CostRule, Stop, sum_of_squares};
+use crate::simulation::Simulation;
+use crate::warning::SetupWarning;
 use dfo::FailureKind;
-use fmi::{FmiError, Fmu, Pool, SimulateOptions, SimulationPlan};
-use ode::{Number, Observer, Report, Stats};
-use std::borrow::Cow;
-use std::sync::Arc;
+use fmi::{FmiError, Fmu, Simulator};
+use ode::{Number, Report, Stats};
+
+/// Makes a simulation with a simulator that is lent to it.
+pub(crate) type RunOn<'a> = dyn FnMut(&mut Simulator) -> Result<Report, FmiError> + 'a;
 
 /// A checked problem and its model.
 #[derive(Debug)]
@@ -26,20 +28,8 @@ pub(crate) struct Evaluator {
     pub(crate) n_residuals: usize,
     pub(crate) layout: ResidualLayout,
     pub(crate) warnings: Vec<SetupWarning>,
-}
-
-/// How an experiment is simulated and compared.
-#[derive(Debug)]
-pub(crate) struct Simulation {
-    /// The name of the experiment.
-    pub(crate) name: String,
-    /// Simulators with the method that the settings name.
-    pub(crate) pool: Pool,
-    /// The same, by which others are made with another method.
-    pub(crate) options: SimulateOptions,
-    comparison: Comparison,
-    /// Which entries of `x` it takes; `None`: all of them.
-    elements: Option<Vec<usize>>,
+    /// The values that are tied, by name.
+    pub(crate) tied: Vec<(String, Affine)>,
 }
 
 impl Evaluator {
@@ -50,8 +40,11 @@ impl Evaluator {
         let elements = problem.elements()?;
         let simulations = (problem.experiments.iter().zip(problem.experiment_names()).enumerate())
             .map(|(k, (experiment, name))| {
-                let setup = (&problem.settings, &problem.parameters[..], &elements[..]);
-                let (simulation, in_doubt) = Simulation::new(&fmu, (k, name, experiment), setup)
+                let assigned = Assignments::new(&problem, k, &elements, fmu.description());
+                let (simulation, in_doubt) = assigned
+                    .and_then(|assigned| {
+                        Simulation::new(&fmu, (name, experiment), (&problem, &elements), assigned)
+                    })
                     .map_err(|error| problem.error_in(k, error))?;
                 for warning in in_doubt.into_iter().map(|warning| problem.warning_in(k, warning)) {
                     // A setting that is ignored is the same in all experiments.
@@ -62,10 +55,11 @@ impl Evaluator {
                 Ok(simulation)
             })
             .collect::<Result<Vec<_>, CalibrationError>>()?;
-        let layout = layout(&problem, &simulations);
+        let layout = layout(&problem, &simulations, &elements);
         let n_residuals = layout.n_residuals();
+        let tied = tied_values(&problem, &elements)?;
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
-        Ok(Self { fmu, problem, parameters, simulations, n_residuals, layout, warnings })
+        Ok(Self { fmu, problem, parameters, simulations, n_residuals, layout, warnings, tied })
     }
 
     /// Start values of all entries of `x`.
@@ -79,8 +73,8 @@ impl Evaluator {
     }
 
     /// The cost at `x`: the sum of the squares of the residuals, which go to `out`, from its first to its last. What the
-    /// simulations take is added to `stats` (of those that could not be started nothing). `run` makes the simulation of an
-    /// experiment with its values of the parameters. Ends where the cost is above the cutoff, and when it is cancelled.
+    /// simulations take is added to `stats` (of those that could not be started nothing). `lend` hands a simulator of an
+    /// experiment to what runs it. Ends where the cost is above the cutoff, and when it is cancelled.
     ///
     /// # Panics
     /// `x` or `out` have another length than there are parameters and residuals.
@@ -90,19 +84,24 @@ impl Evaluator {
         rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
-        mut run: impl FnMut(usize, &[f64], &mut dyn Observer) -> Result<Result<Report, FmiError>, NoCost>,
+        mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, NoCost>,
     ) -> Result<f64, NoCost> {
         // The running sum is in the order of time, the cost in that of the residuals. The sums of n numbers above 0 in two orders
         // differ by less than 2 n units of rounding (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 4.2).
         let running =
             CostRule { cutoff: rule.cutoff * (1.0 + 2.0 * self.n_residuals as f64 * f64::EPSILON), ..rule };
-        let mut sum = 0.0;
-        let mut rest = &mut *out;
+        let (mut rest, priors) = out.split_at_mut(self.layout.n_measurements());
+        let mut sum = self.prior_residuals(x, rule, priors)?;
+        if sum > running.cutoff {
+            return Err(NoCost::Above);
+        }
         for (k, simulation) in self.simulations.iter().enumerate() {
             let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
             rest = others;
-            let mut accumulator = Accumulator::new(&simulation.comparison, running, sum, part);
-            let ran = run(k, &simulation.values(x), &mut accumulator)?;
+            let (schedule, offsets) = (simulation.schedule(x), simulation.output_offsets(x));
+            let compared = (&simulation.comparison, &*schedule);
+            let mut accumulator = Accumulator::new(compared, &offsets, running, (sum, part));
+            let ran = lend(k, &mut |simulator| simulation.run(simulator, x, &schedule, &mut accumulator))?;
             match &ran {
                 Ok(report) => *stats += report.stats,
                 Err(FmiError::Simulation(error)) => *stats += error.stats,
@@ -115,6 +114,24 @@ impl Evaluator {
         }
         let cost = sum_of_squares(out);
         if cost > rule.cutoff { Err(NoCost::Above) } else { Ok(cost) }
+    }
+
+    /// The residuals of the priors, and the sum of their squares.
+    pub(crate) fn prior_residuals(
+        &self,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+    ) -> Result<f64, NoCost> {
+        for (PriorResidual { parameter, prior, .. }, out) in self.layout.priors.iter().zip(&mut *out) {
+            *out = rule.loss.transform(prior.residual(x[*parameter]));
+            if !out.is_finite() {
+                let (name, value) = (self.parameters[*parameter].name(), Number(x[*parameter]));
+                let reason = format!("the prior of '{name}' is not defined at {value}");
+                return Err(NoCost::failed(FailureKind::NotFinite, reason));
+            }
+        }
+        Ok(sum_of_squares(out))
     }
 
     /// The running sum after the simulation of an experiment.
@@ -143,67 +160,11 @@ impl Evaluator {
     }
 }
 
-impl Simulation {
-    /// The simulation of an experiment, and what is in doubt about it.
-    fn new(
-        fmu: &Fmu,
-        (k, name, experiment): (usize, String, &Experiment),
-        (settings, parameters, elements): (&SimulationSettings, &[Parameter], &[Element]),
-    ) -> Result<(Self, Vec<SetupWarning>), CalibrationError> {
-        let own = |e: &&Element| e.experiment.is_none_or(|only| only == k);
-        let varied: Vec<&Parameter> = elements.iter().filter(own).map(|e| &e.parameter).collect();
-        let names: Vec<String> = varied.iter().map(|p| p.variable().to_owned()).collect();
-        let start: Vec<f64> = varied.iter().map(|p| p.start()).collect();
-        let (times, columns) = experiment.measurements()?;
-        let weights: Vec<f64> = experiment.outputs.iter().map(|o| o.weight).collect();
-        let (times, comparison) = Comparison::new(&times, &columns, &weights);
-        let start_time = start_time(fmu, experiment, &times)?;
-        let mut warnings = held_inputs(experiment, (start_time, times[times.len() - 1]));
-        let is_constant = |(name, _): &&(String, _)| !Experiment::is_start_of_local(name, parameters);
-        let options = SimulateOptions {
-            start_time: Some(start_time),
-            final_time: times.last().copied(),
-            times: Some(times),
-            start_values: experiment.start_values.iter().filter(is_constant).cloned().collect(),
-            parameters: names.clone(),
-            outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
-            inputs: experiment.input_table()?,
-            relative_tolerance: settings.relative_tolerance,
-            kind: settings.kind,
-            method: settings.method,
-            step_size: settings.step_size,
-            max_step: settings.max_step,
-            timeout: settings.timeout,
-            chattering: settings.chattering,
-            input_derivatives: settings.input_derivatives,
-            sharing: settings.sharing,
-            ..SimulateOptions::default()
-        };
-        let plan = SimulationPlan::new(fmu, &options)?;
-        plan.require_single_numbers()?;
-        experiment.check_outputs(fmu.description(), &names)?;
-        warnings.extend(options.without_effect(plan.kind()).into_iter().map(SetupWarning::NoEffect));
-        let pool = Pool::with_reference(Arc::new(plan), &start)?;
-        let numbers = elements.iter().enumerate().filter(|(_, e)| own(e)).map(|(i, _)| i);
-        let elements = (names.len() < elements.len()).then(|| numbers.collect());
-        Ok((Self { name, pool, options, comparison, elements }, warnings))
-    }
-
-    /// The values of its parameters at `x`.
-    pub(crate) fn values<'x>(&self, x: &'x [f64]) -> Cow<'x, [f64]> {
-        match &self.elements {
-            None => Cow::Borrowed(x),
-            Some(elements) => elements.iter().map(|&i| x[i]).collect(),
-        }
-    }
-}
-
 /// What the residual vector is made of.
-fn layout(problem: &Problem, simulations: &[Simulation]) -> ResidualLayout {
+fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -> ResidualLayout {
     let mut layout = ResidualLayout::default();
     for (k, (experiment, simulation)) in problem.experiments.iter().zip(simulations).enumerate() {
-        let times = simulation.options.times.as_deref().unwrap_or_default();
-        let of_experiment = simulation.comparison.layout((layout.n_measurements(), times));
+        let of_experiment = simulation.comparison.layout(layout.n_measurements());
         for (mut residuals, measured) in of_experiment.into_iter().zip(&experiment.outputs) {
             residuals.experiment = k;
             residuals.variable = measured.variable.clone();
@@ -211,21 +172,13 @@ fn layout(problem: &Problem, simulations: &[Simulation]) -> ResidualLayout {
             layout.outputs.push(residuals);
         }
     }
+    // That of a parameter that is fixed says nothing.
+    let free = elements.iter().map(|e| &e.parameter).enumerate().filter(|(_, p)| p.lower() < p.upper());
+    let priors = free.filter_map(|(i, p)| p.known_prior().map(|prior| (i, *prior)));
+    let n = layout.n_measurements();
+    layout.priors = priors
+        .zip(n..)
+        .map(|((parameter, prior), index)| PriorResidual { parameter, prior, index })
+        .collect();
     layout
-}
-
-/// Where the simulation of an experiment starts; refuses one after the first measurement.
-fn start_time(fmu: &Fmu, experiment: &Experiment, times: &[f64]) -> Result<f64, CalibrationError> {
-    let start = experiment.start_time.or(fmu.description().default_experiment.start_time).unwrap_or(0.0);
-    let rounding = 100.0 * f64::EPSILON / 2.0 * start.abs().max(times[times.len() - 1].abs());
-    if times[0] < start - rounding {
-        let [first, start] = [times[0], start].map(Number);
-        let source = experiment.data.source();
-        return Err(CalibrationError::Setup(format!(
-            "{source}: the first measurement is at {first} s, before the simulation starts at {start} s; give \
-             start_time = {first}, or a window that begins later"
-        )));
-    }
-    experiment.check_begin(start)?;
-    Ok(start)
 }

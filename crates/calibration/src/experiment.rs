@@ -2,15 +2,13 @@
 
 use crate::data::Data;
 use crate::error::CalibrationError;
+use crate::input::{InputSource, SignalFunction};
 use crate::parameter::Parameter;
 use fmi::description::{Causality, Variability};
-use fmi::{Inputs, ModelDescription, Value};
-use ode::Number;
+use fmi::{ModelDescription, Value};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use std::time::Duration;
-
-/// Where no start time is given, a recording may begin so many of its sampling intervals after the model's.
-const MOST_BEFORE: f64 = 10.0;
 
 /// A recording of the machine and how the model is to reproduce it.
 ///
@@ -25,10 +23,55 @@ pub struct Experiment {
     pub(crate) name: Option<String>,
     pub(crate) data: Data,
     pub(crate) outputs: Vec<Measured>,
-    pub(crate) inputs: Vec<(String, String)>,
+    pub(crate) inputs: Vec<(String, InputSource)>,
     pub(crate) start_values: Vec<(String, Value)>,
-    pub(crate) window: Option<(f64, f64)>,
+    pub(crate) initial_states: Vec<(String, InitialState)>,
+    pub(crate) windows: Vec<(f64, f64)>,
+    pub(crate) warm_up: Option<f64>,
     pub(crate) start_time: Option<f64>,
+    pub(crate) hold_inputs: bool,
+    /// Of outputs that are compared and inputs, in s.
+    pub(crate) delays: Vec<(String, f64)>,
+}
+
+/// What a state is at the start of an experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum InitialState {
+    /// This value, in the unit of the model.
+    Value(f64),
+    /// The first measurement that counts, of the column that is compared with the state.
+    Measured,
+    /// Fitted in this experiment, from the start and within the bounds of this parameter, whose name plays no part.
+    Fitted(Box<Parameter>),
+}
+
+impl From<f64> for InitialState {
+    fn from(value: f64) -> Self {
+        Self::Value(value)
+    }
+}
+
+impl From<Parameter> for InitialState {
+    fn from(parameter: Parameter) -> Self {
+        Self::Fitted(Box::new(parameter))
+    }
+}
+
+/// What the residuals of an output are multiplied with; 0: the measurement does not count.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Weight {
+    /// All with this number.
+    Constant(f64),
+    /// Each with what stands in its row of this column.
+    Column(String),
+    /// Each with the number of its row of the recording.
+    Rows(Vec<f64>),
+}
+
+impl From<f64> for Weight {
+    fn from(weight: f64) -> Self {
+        Self::Constant(weight)
+    }
 }
 
 /// An output of the model and the column that measured it.
@@ -36,7 +79,7 @@ pub struct Experiment {
 pub(crate) struct Measured {
     pub(crate) variable: String,
     pub(crate) column: String,
-    pub(crate) weight: f64,
+    pub(crate) weight: Weight,
 }
 
 impl Experiment {
@@ -48,8 +91,12 @@ impl Experiment {
             outputs: Vec::new(),
             inputs: Vec::new(),
             start_values: Vec::new(),
-            window: None,
+            initial_states: Vec::new(),
+            windows: Vec::new(),
+            warm_up: None,
             start_time: None,
+            hold_inputs: false,
+            delays: Vec::new(),
         }
     }
 
@@ -76,25 +123,30 @@ impl Experiment {
         self.outputs.iter().map(|o| (o.variable.as_str(), o.column.as_str()))
     }
 
-    /// The inputs that are driven, each with its column.
-    pub fn inputs(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.inputs.iter().map(|(variable, column)| (variable.as_str(), column.as_str()))
+    /// Intervals in which measurements count; none: they count everywhere.
+    pub fn windows_of_measurements(&self) -> &[(f64, f64)] {
+        &self.windows
     }
 
-    /// Where measurements count, if that is not everywhere.
-    pub fn window_of_measurements(&self) -> Option<(f64, f64)> {
-        self.window
+    /// Inputs with the columns that drive them.
+    pub fn driving_columns(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.inputs.iter().filter_map(|(input, source)| match source {
+            InputSource::Column(column) => Some((input.as_str(), column.as_str())),
+            InputSource::Constant(_) | InputSource::Function(_) => None,
+        })
     }
 
     /// Variables with the columns that measure or drive them.
     pub(crate) fn columns_in_use(&self) -> Vec<(String, String)> {
         let outputs = self.outputs.iter().map(|o| (o.variable.clone(), o.column.clone()));
-        outputs.chain(self.inputs.iter().cloned()).collect()
+        outputs
+            .chain(self.driving_columns().map(|(input, column)| (input.to_owned(), column.to_owned())))
+            .collect()
     }
 
     /// Whether a start value is that of a local parameter.
     pub(crate) fn is_start_of_local(name: &str, parameters: &[Parameter]) -> bool {
-        parameters.iter().any(|p| p.is_local() && p.variable() == name)
+        parameters.iter().any(|p| p.is_local() && p.is_called(name))
     }
 
     /// `column` of the data measured the model's `variable`. Residuals follow the order of these calls.
@@ -103,15 +155,20 @@ impl Experiment {
         self.weighted_output(variable, column, 1.0)
     }
 
-    /// As [`output`](Self::output); `weight` multiplies the residual (so its square multiplies the squared error).
+    /// As [`output`](Self::output); `weight` multiplies the residual (so its square multiplies the squared error): a number, or for
+    /// each measurement one of its own, see [`Weight`].
     #[must_use]
     pub fn weighted_output(
         mut self,
         variable: impl Into<String>,
         column: impl Into<String>,
-        weight: f64,
+        weight: impl Into<Weight>,
     ) -> Self {
-        self.outputs.push(Measured { variable: variable.into(), column: column.into(), weight });
+        self.outputs.push(Measured {
+            variable: variable.into(),
+            column: column.into(),
+            weight: weight.into(),
+        });
         self
     }
 
@@ -119,7 +176,42 @@ impl Experiment {
     /// for a discrete one; a time that stands twice is a jump. Rows where the value is missing are left out.
     #[must_use]
     pub fn input(mut self, variable: impl Into<String>, column: impl Into<String>) -> Self {
-        self.inputs.push((variable.into(), column.into()));
+        self.inputs.push((variable.into(), InputSource::Column(column.into())));
+        self
+    }
+
+    /// The model's input `variable` has this value at all times.
+    #[must_use]
+    pub fn constant_input(mut self, variable: impl Into<String>, value: f64) -> Self {
+        self.inputs.push((variable.into(), InputSource::Constant(value)));
+        self
+    }
+
+    /// The model's continuous input `variable` is this function of time, which is smooth, always gives the same, and may be called
+    /// from any thread. It is not stored with a [`Problem`](crate::Problem).
+    #[must_use]
+    pub fn function_input(
+        mut self,
+        variable: impl Into<String>,
+        function: impl Fn(f64) -> f64 + Send + Sync + 'static,
+    ) -> Self {
+        let function = SignalFunction { function: Some(Arc::new(function)) };
+        let variable = variable.into();
+        let source = InputSource::Function(function);
+        // That of a stored problem has lost its function.
+        let lost = InputSource::Function(SignalFunction::default());
+        match self.inputs.iter_mut().find(|(known, source)| *known == variable && *source == lost) {
+            Some((_, known)) => *known = source,
+            None => self.inputs.push((variable, source)),
+        }
+        self
+    }
+
+    /// Whether the recording of an input is held where the simulation goes on beyond it, by its first and last values. Else more than
+    /// one sampling interval without it is an error.
+    #[must_use]
+    pub fn hold_inputs(mut self, hold: bool) -> Self {
+        self.hold_inputs = hold;
         self
     }
 
@@ -131,10 +223,42 @@ impl Experiment {
         self
     }
 
-    /// Only measurements in `[from, to]` count; the simulation still starts at its start time.
+    /// What a state of the model is at the start: a value, the first measurement, or a parameter of this experiment alone.
+    #[must_use]
+    pub fn initial_state(mut self, state: impl Into<String>, initial: impl Into<InitialState>) -> Self {
+        self.initial_states.push((state.into(), initial.into()));
+        self
+    }
+
+    /// Only measurements in `[from, to]` count, or in another window of this experiment; the simulation still starts at its start
+    /// time.
     #[must_use]
     pub fn window(mut self, from: f64, to: f64) -> Self {
-        self.window = Some((from, to));
+        self.windows.push((from, to));
+        self
+    }
+
+    /// Only measurements in one of these windows count, which take the place of those that were given before.
+    #[must_use]
+    pub fn windows(mut self, windows: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.windows = windows.into_iter().collect();
+        self
+    }
+
+    /// For so many seconds from its start the simulation is not compared: it forgets its initial states. With windows and without a
+    /// [start time](Self::start_time) it starts so much before the first measurement in them; else where it does without warm-up, and
+    /// measurements before the end of the warm-up do not count.
+    #[must_use]
+    pub fn warm_up(mut self, seconds: f64) -> Self {
+        self.warm_up = Some(seconds);
+        self
+    }
+
+    /// An output that is compared, or an input, is late by so many seconds: `y(t - delay)` is compared with what was measured at t,
+    /// and the model is driven by `u(t - delay)`. A delay that is fitted is a [parameter](Parameter::delay_of).
+    #[must_use]
+    pub fn delay(mut self, variable: impl Into<String>, seconds: f64) -> Self {
+        self.delays.push((variable.into(), seconds));
         self
     }
 
@@ -143,36 +267,6 @@ impl Experiment {
     pub fn start_time(mut self, start_time: f64) -> Self {
         self.start_time = Some(start_time);
         self
-    }
-
-    /// Times and, per output, measurements that count.
-    pub(crate) fn measurements(&self) -> Result<(Vec<f64>, Vec<Vec<f64>>), CalibrationError> {
-        let setup = |message: String| Err(CalibrationError::Setup(message));
-        if self.outputs.is_empty() {
-            return setup(format!("{}: no output is compared with a column", self.data.source()));
-        }
-        let (from, to) = self.window.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
-        if from.is_nan() || to.is_nan() || from > to {
-            return setup(format!("window from {from} to {to}: the end must not lie before the start"));
-        }
-        let time = self.data.time();
-        let rows = time.partition_point(|t| *t < from)..time.partition_point(|t| *t <= to);
-        if rows.is_empty() {
-            return setup(format!(
-                "no time of {} lies in the window from {from} to {to}; the times run from {} to {}",
-                self.data.source(),
-                time[0],
-                time[time.len() - 1]
-            ));
-        }
-        let mut columns = Vec::with_capacity(self.outputs.len());
-        for Measured { variable, column, weight } in &self.outputs {
-            if !(weight.is_finite() && *weight > 0.0) {
-                return setup(format!("weight {weight} of output '{variable}' must be positive and finite"));
-            }
-            columns.push(self.data.measured(column, rows.clone())?.to_vec());
-        }
-        Ok((time[rows].to_vec(), columns))
     }
 
     /// Refuses a value for something that is fitted or driven.
@@ -187,8 +281,8 @@ impl Experiment {
                 continue;
             }
             let is_it = |p: &&Parameter| {
-                p.variable() == given
-                    || reference(given).is_some_and(|of| reference(p.variable()) == Some(of))
+                let of = reference(given);
+                (p.variable_names().iter()).any(|v| v == given || (of.is_some() && reference(v) == of))
             };
             if let Some(parameter) = parameters.iter().find(is_it) {
                 let name = parameter.name().to_owned();
@@ -198,13 +292,12 @@ impl Experiment {
                 );
                 return Err(CalibrationError::Parameter { name, message });
             }
-            let is_driven = |(input, _): &&(String, String)| {
+            let is_driven = |(input, _): &&(String, InputSource)| {
                 input == given || reference(given).is_some_and(|of| reference(input) == Some(of))
             };
-            if let Some((input, column)) = self.inputs.iter().find(is_driven) {
+            if let Some((input, source)) = self.inputs.iter().find(is_driven) {
                 return Err(CalibrationError::Setup(format!(
-                    "input '{input}' is driven by column '{column}', and start_values gives it the value {value}: one of \
-                     both counts"
+                    "input '{input}' is driven by {source}, and start_values gives it the value {value}: one of both counts"
                 )));
             }
         }
@@ -249,42 +342,6 @@ impl Experiment {
             return Err(no_result(variable, column, what));
         }
         Ok(())
-    }
-
-    /// Refuses to simulate a long time before the recording where the start time is only the model's default.
-    pub(crate) fn check_begin(&self, start_time: f64) -> Result<(), CalibrationError> {
-        let begin = self.data.time()[0];
-        match self.data.sampling_interval() {
-            Some(interval) if self.start_time.is_none() && begin - start_time > MOST_BEFORE * interval => {
-                let [begin, start, before] = [begin, start_time, begin - start_time].map(Number);
-                Err(CalibrationError::Setup(format!(
-                    "{}: the recording begins at {begin} s, the simulation at {start} s. Give start_time = {begin} to start \
-                     with the recording, or start_time = {start} to simulate the {before} s before it as well",
-                    self.data.source()
-                )))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// The inputs: each keeps the rows where it has a value.
-    pub(crate) fn input_table(&self) -> Result<Option<Inputs>, CalibrationError> {
-        if self.inputs.is_empty() {
-            return Ok(None);
-        }
-        let mut inputs = Inputs::new();
-        for (variable, column) in &self.inputs {
-            let values = self.data.column(column)?;
-            let rows = || self.data.time().iter().zip(values).filter(|(_, v)| !v.is_nan());
-            if rows().next().is_none() {
-                return Err(CalibrationError::Setup(format!(
-                    "all values of input column '{column}' are missing"
-                )));
-            }
-            let (times, values): (Vec<f64>, Vec<f64>) = rows().unzip();
-            inputs = inputs.series(variable, times, values);
-        }
-        Ok(Some(inputs))
     }
 }
 

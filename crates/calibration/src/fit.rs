@@ -15,6 +15,7 @@ use dfo::{
     RunOptions, Search, Stop, Tolerances, Want,
 };
 use ode::{Number, Stats};
+use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -99,13 +100,15 @@ impl fmt::Debug for FitOptions<'_> {
 }
 
 /// The result of a fit. `Display` prints a summary.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Fit {
     /// Fitted values, one per parameter, user's order and units; fixed ones included.
     pub x: Vec<f64>,
     /// Names of the parameters, in the same order.
     pub names: Vec<String>,
+    /// Values of the parameters that are tied to others, by name.
+    pub tied: Vec<(String, f64)>,
     /// Where the fit started.
     pub start: Vec<f64>,
     /// Units of the parameters, where they are known, in the same order.
@@ -118,7 +121,7 @@ pub struct Fit {
     pub n_measurements: usize,
     /// Cost there: the sum of the squared weighted residuals; with a loss, of what they count.
     pub cost: f64,
-    /// Root of the mean squared weighted residual there; with a loss, of what they count.
+    /// Root of the mean squared weighted residual of the measurements there; with a loss, of what they count.
     pub rms: f64,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
@@ -329,7 +332,8 @@ impl Calibration {
         let outputs = self.output_fits((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let description = self.fmu().description();
-        let unit = |p: &Parameter| description.variable(p.variable()).and_then(|v| v.unit.clone());
+        let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
+        let start_rms = start_cost.map(|cost| self.rms(&start, cost, loss));
         Ok(Fit {
             units: self.parameters().iter().map(unit).collect(),
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
@@ -337,13 +341,14 @@ impl Calibration {
             n_measurements: self.n_measurements(),
             x: report.x.clone(),
             names,
-            start,
             outputs,
             worth,
             cost: report.fun,
-            rms: self.rms(report.fun),
+            rms: self.rms(&report.x, report.fun, loss),
+            tied: self.tied_values(&report.x),
             start_cost,
-            start_rms: start_cost.map(|cost| self.rms(cost)),
+            start_rms,
+            start,
             stages: Vec::new(),
             at_bound: found.at_bound,
             without_effect: found.without_effect,
@@ -434,7 +439,9 @@ impl Calibration {
         match parameter.scale_kind() {
             Scale::Log => Some(usable((upper / lower).ln()).unwrap_or(1.0)),
             Scale::Linear => {
-                let nominal = self.fmu().description().variable(parameter.variable()).and_then(|v| v.nominal);
+                let variable = parameter.variable().and_then(|name| self.fmu().description().variable(name));
+                // That of the model is in the unit of the model.
+                let nominal = variable.filter(|_| parameter.given_unit().is_none()).and_then(|v| v.nominal);
                 parameter
                     .nominal_size()
                     .or(nominal)

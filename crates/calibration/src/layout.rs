@@ -1,5 +1,6 @@
 //! What each entry of the residual vector stands for.
 
+use crate::prior::Prior;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -38,6 +39,8 @@ pub struct OutputResiduals {
 pub struct PriorResidual {
     /// The parameter: an entry of `x`, counted from 0.
     pub parameter: usize,
+    /// What is known of it.
+    pub prior: Prior,
     /// Where it stands in the residual vector.
     pub index: usize,
 }

@@ -1,22 +1,51 @@
-//! What is fitted: a parameter of the model with start, bounds and scale.
+//! What is fitted: a value with start, bounds and scale, and what it sets in the model.
 
 use crate::error::CalibrationError;
+use crate::prior::Prior;
 use dfo::Kind;
 pub use dfo::Transform as Scale;
+use fmi::ModelDescription;
 use ode::Number;
 use serde::{Deserialize, Serialize};
+
+/// What a parameter sets.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Target {
+    /// These variables of the model, all to the same value: parameters, or start values of variables, of states by their names.
+    Variables(Vec<String>),
+    /// The delay of an output that is compared, or of an input, in s: `y(t - delay)`.
+    Delay(String),
+    /// What is added to an output that is compared, or to an input.
+    Offset(String),
+}
+
+/// The value of a parameter that follows another one: `factor * value + offset`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Tie {
+    /// The name of the parameter that it follows.
+    pub to: String,
+    /// Factor.
+    pub factor: f64,
+    /// Offset, in the unit of the parameter that is tied.
+    pub offset: f64,
+}
 
 /// A parameter to be fitted.
 ///
 /// ```
-/// use calibration::Parameter;
+/// use calibration::{Parameter, Prior};
 /// let friction = Parameter::new("armFriction", 0.012).bounds(0.0, 0.022);
 /// assert_eq!(friction.upper(), 0.022);
+/// // One value for two variables, of which something is known; a delay; a value that follows another.
+/// let outlet = Parameter::new("outlet", 3e-6).variables(["qt.a1", "qt.a2"]).prior(Prior::LogNormal { median: 3e-6, sigma: 0.1 });
+/// let delay = Parameter::new("tau", 0.05).bounds(0.0, 1.0).delay_of("armJoint.phi");
+/// let other = Parameter::tied("qt.a3", "outlet", 0.5, 0.0);
+/// assert_eq!((outlet.name(), delay.name(), other.is_tied()), ("outlet", "tau", true));
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
     name: String,
-    variable: String,
+    target: Target,
     start: f64,
     lower: f64,
     upper: f64,
@@ -25,6 +54,10 @@ pub struct Parameter {
     kind: Kind,
     fixed: bool,
     local: bool,
+    unit: Option<String>,
+    display_name: Option<String>,
+    prior: Option<Prior>,
+    tie: Option<Tie>,
 }
 
 impl Parameter {
@@ -32,7 +65,7 @@ impl Parameter {
     pub fn new(name: impl Into<String>, start: f64) -> Self {
         let name = name.into();
         Self {
-            variable: name.clone(),
+            target: Target::Variables(vec![name.clone()]),
             name,
             start,
             lower: f64::NEG_INFINITY,
@@ -42,7 +75,63 @@ impl Parameter {
             kind: Kind::Continuous,
             fixed: false,
             local: false,
+            unit: None,
+            display_name: None,
+            prior: None,
+            tie: None,
         }
+    }
+
+    /// A parameter whose value is `factor * p + offset` with the value p of the parameter `to`, which is none itself that is tied.
+    /// It is no entry of the vectors of values; the results list its value. Of a [local](Self::local) one it follows the value in
+    /// each experiment. Bounds, scale, prior and the like are those of the other one.
+    pub fn tied(name: impl Into<String>, to: impl Into<String>, factor: f64, offset: f64) -> Self {
+        Self { tie: Some(Tie { to: to.into(), factor, offset }), ..Self::new(name, 0.0) }
+    }
+
+    /// The variables of the model that it sets, all to the same value; its name is free then.
+    #[must_use]
+    pub fn variables<N: Into<String>>(mut self, names: impl IntoIterator<Item = N>) -> Self {
+        self.target = Target::Variables(names.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// It is the delay in s of an output that is compared, `y(t - tau)` with what was measured at t, or of an input, `u(t - tau)`;
+    /// its name is free then. Before its start an output has the value of the start, an input that of its first row. The lower bound
+    /// must be finite; negative delays are ones of the recording.
+    #[must_use]
+    pub fn delay_of(mut self, variable: impl Into<String>) -> Self {
+        self.target = Target::Delay(variable.into());
+        self
+    }
+
+    /// It is added to an output that is compared, or to an input; its name is free then.
+    #[must_use]
+    pub fn offset_of(mut self, variable: impl Into<String>) -> Self {
+        self.target = Target::Offset(variable.into());
+        self
+    }
+
+    /// The unit of its values, bounds and results, where it is not that of the variable in the model: values are converted
+    /// for the model.
+    #[must_use]
+    pub fn in_unit(mut self, unit: impl Into<String>) -> Self {
+        self.unit = Some(unit.into());
+        self
+    }
+
+    /// What reports and figures call it.
+    #[must_use]
+    pub fn display_name(mut self, name: impl Into<String>) -> Self {
+        self.display_name = Some(name.into());
+        self
+    }
+
+    /// What is known of it before the fit.
+    #[must_use]
+    pub fn prior(mut self, prior: Prior) -> Self {
+        self.prior = Some(prior);
+        self
     }
 
     /// Smallest and largest value; infinities leave a side open.
@@ -94,18 +183,83 @@ impl Parameter {
 
     /// The value that a local parameter has in one experiment, as a parameter.
     pub(crate) fn in_experiment(&self, experiment: &str, start: Option<f64>) -> Self {
-        let name = format!("{}[{experiment}]", self.variable);
-        Self { name, start: start.unwrap_or(self.start), local: false, ..self.clone() }
+        let name = format!("{}[{experiment}]", self.name);
+        let display_name = self.display_name.as_ref().map(|shown| format!("{shown} [{experiment}]"));
+        let start = start.unwrap_or(self.start);
+        Self { name, display_name, start, local: false, ..self.clone() }
     }
 
-    /// Its name: that of the [variable](Self::variable), of a local one followed by the name of the experiment.
+    /// The same for a state of the model.
+    pub(crate) fn for_state(&self, state: &str) -> Self {
+        let target = Target::Variables(vec![state.to_owned()]);
+        Self { name: state.to_owned(), target, ..self.clone() }
+    }
+
+    /// Its name; of the value that a local one has in an experiment followed by the name of the experiment.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The variable of the model that it sets.
-    pub fn variable(&self) -> &str {
-        &self.variable
+    /// What it sets.
+    pub fn target(&self) -> &Target {
+        &self.target
+    }
+
+    /// The variables of the model that it sets; none for a delay and an offset.
+    pub fn variable_names(&self) -> &[String] {
+        match &self.target {
+            Target::Variables(names) => names,
+            Target::Delay(_) | Target::Offset(_) => &[],
+        }
+    }
+
+    /// The variable whose unit and nominal value are its own: the first that it sets, or the one that it is the offset of; `None` for
+    /// a delay, which is in s.
+    pub fn variable(&self) -> Option<&str> {
+        match &self.target {
+            Target::Variables(names) => names.first().map(String::as_str),
+            Target::Offset(variable) => Some(variable),
+            Target::Delay(_) => None,
+        }
+    }
+
+    /// Whether a start value of this name is one of it.
+    pub(crate) fn is_called(&self, name: &str) -> bool {
+        self.name == name || self.variable_names().iter().any(|variable| variable == name)
+    }
+
+    /// The unit that was given for its values.
+    pub fn given_unit(&self) -> Option<&str> {
+        self.unit.as_deref()
+    }
+
+    /// The unit of its values: the one that was given, or else that of its variable, s for a delay; `None`: the model states none.
+    pub fn unit<'a>(&'a self, description: &'a ModelDescription) -> Option<&'a str> {
+        let of_model = || match self.variable() {
+            Some(name) => description.variable(name).and_then(|v| v.unit.as_deref()),
+            None => Some("s"),
+        };
+        self.unit.as_deref().or_else(of_model)
+    }
+
+    /// What reports and figures call it: the display name, or else its name.
+    pub fn shown_name(&self) -> &str {
+        self.display_name.as_deref().unwrap_or(&self.name)
+    }
+
+    /// What is known of it before the fit.
+    pub fn known_prior(&self) -> Option<&Prior> {
+        self.prior.as_ref()
+    }
+
+    /// The parameter that it follows, if it is tied to one.
+    pub fn tie(&self) -> Option<&Tie> {
+        self.tie.as_ref()
+    }
+
+    /// Whether it is tied to another one, and no entry of the vectors of values.
+    pub fn is_tied(&self) -> bool {
+        self.tie.is_some()
     }
 
     /// Whether each experiment has a value of its own.
@@ -156,6 +310,17 @@ impl Parameter {
         let Self { name, start, lower, upper, .. } = self;
         let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
         let [first, low, high] = [*start, *lower, *upper].map(Number);
+        if name.is_empty() {
+            return bad("a parameter needs a name".to_owned());
+        }
+        if matches!(&self.target, Target::Variables(names) if names.is_empty()) {
+            return bad(
+                "variables is empty: name what it sets in the model, or leave variables out".to_owned()
+            );
+        }
+        if let Some(tie) = &self.tie {
+            return self.check_tie(tie);
+        }
         if !start.is_finite() {
             return bad(format!("start {first} is not finite"));
         }
@@ -188,6 +353,49 @@ impl Parameter {
         {
             return bad(format!("nominal {} must be positive and finite", Number(nominal)));
         }
+        if let Some(problem) = self.prior.and_then(|prior| prior.problem()) {
+            return bad(problem);
+        }
+        if matches!(self.prior, Some(Prior::LogNormal { .. }))
+            && !self.fixed
+            && self.scale != Scale::Log
+            && *lower <= 0.0
+        {
+            return bad(format!(
+                "its log-normal prior needs values above 0, and its lower bound is {low}: give a lower bound above 0, or \
+                 scale = log"
+            ));
+        }
+        if matches!(self.target, Target::Delay(_)) && !self.lower().is_finite() {
+            return bad(format!(
+                "a delay needs a finite lower bound, and it is {low}: give lower = 0, for example"
+            ));
+        }
+        Ok(())
+    }
+
+    fn check_tie(&self, Tie { to, factor, offset }: &Tie) -> Result<(), CalibrationError> {
+        let Self { name, target, unit, display_name, .. } = self;
+        let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
+        if !factor.is_finite() || *factor == 0.0 || !offset.is_finite() {
+            let [factor, offset] = [*factor, *offset].map(Number);
+            return bad(format!(
+                "it is tied to '{to}' with factor {factor} and offset {offset}: both must be finite, the factor not 0"
+            ));
+        }
+        // All else comes from the other one.
+        let bare = Self {
+            target: target.clone(),
+            unit: unit.clone(),
+            display_name: display_name.clone(),
+            ..Self::tied(name, to, *factor, *offset)
+        };
+        if *self != bare {
+            return bad(format!(
+                "it is tied to '{to}', so start, bounds, scale, nominal, kind, fixed, local and prior are those of '{to}': \
+                 leave them out here"
+            ));
+        }
         Ok(())
     }
 }
@@ -214,6 +422,25 @@ mod tests {
             let e = parameter.check().unwrap_err().to_string();
             assert!(e.contains("'k'") && e.contains(expected), "{e}");
         }
+        let normal = |mean, sd| p(0.5, 0.0, 1.0).prior(Prior::Normal { mean, sd });
+        let relative = |lower, sigma| p(0.5, lower, 1.0).prior(Prior::LogNormal { median: 1.0, sigma });
+        for (parameter, expected) in [
+            (normal(f64::NAN, 1.0), "mean NaN and sd 1"),
+            (normal(0.5, 0.0), "mean 0.5 and sd 0"),
+            (relative(0.1, -1.0), "median 1 and sigma -1"),
+            (relative(0.0, 0.1), "give a lower bound above 0"),
+            (p(0.5, f64::NEG_INFINITY, 1.0).delay_of("y"), "a delay needs a finite lower bound"),
+            (p(0.5, 0.0, 1.0).variables([""; 0]), "variables is empty"),
+            (Parameter::tied("k", "c", 0.0, 1.0), "factor 0 and offset 1"),
+            (Parameter::tied("k", "c", 1.0, f64::INFINITY), "offset inf"),
+            (Parameter::tied("k", "c", 1.0, 0.0).bounds(0.0, 1.0), "are those of 'c'"),
+            (Parameter::tied("k", "c", 1.0, 0.0).local(true), "leave them out here"),
+        ] {
+            let e = parameter.check().unwrap_err().to_string();
+            assert!(e.contains("'k'") && e.contains(expected), "{e}");
+        }
+        assert!(relative(0.0, 0.1).scale(Scale::Log).bounds(0.1, 1.0).check().is_ok());
+        assert!(Parameter::tied("k", "c", 2.0, 0.0).in_unit("mm").display_name("outlet").check().is_ok());
         assert!(p(0.5, 0.0, f64::INFINITY).check().is_ok());
         let held = p(0.5, 0.0, 1.0).fixed(true);
         assert_eq!((held.lower(), held.upper()), (0.5, 0.5));

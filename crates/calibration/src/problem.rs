@@ -1,8 +1,9 @@
 //! What is fitted to what, as plain data: it can be stored, and sent to other processes.
 
 use crate::error::CalibrationError;
-use crate::experiment::{Experiment, SimulationSettings};
-use crate::parameter::Parameter;
+use crate::experiment::{Experiment, InitialState, SimulationSettings};
+use crate::names::{check_names, check_targets};
+use crate::parameter::{Parameter, Tie};
 use crate::warning::{SetupWarning, ignored_nominals, unused_columns};
 use fmi::{FmiError, Fmu, ModelDescription};
 use serde::{Deserialize, Serialize};
@@ -35,6 +36,8 @@ pub struct Problem {
 #[derive(Debug, Clone)]
 pub(crate) struct Element {
     pub(crate) parameter: Parameter,
+    /// The parameter of the problem that it is, by number; `None`: an initial state that is fitted.
+    pub(crate) source: Option<usize>,
     /// The only experiment that it belongs to; `None`: all.
     pub(crate) experiment: Option<usize>,
 }
@@ -92,17 +95,23 @@ impl Problem {
         }
     }
 
-    /// The entries of `x`: the parameters in their order, a local one once per experiment in its place.
+    /// The entries of `x`: the parameters in their order, without those that are tied, a local one once per experiment in its place;
+    /// then the initial states that are fitted, experiment by experiment.
     pub(crate) fn elements(&self) -> Result<Vec<Element>, CalibrationError> {
         let names = self.experiment_names();
         let mut elements: Vec<Element> = Vec::with_capacity(self.parameters.len());
-        for parameter in &self.parameters {
+        for (i, parameter) in self.parameters.iter().enumerate() {
+            parameter.check()?;
+            let source = Some(i);
+            if parameter.is_tied() {
+                continue;
+            }
             if !parameter.is_local() {
-                elements.push(Element { parameter: parameter.clone(), experiment: None });
+                elements.push(Element { parameter: parameter.clone(), source, experiment: None });
                 continue;
             }
             for (k, (name, experiment)) in names.iter().zip(&self.experiments).enumerate() {
-                let given = experiment.start_values.iter().find(|(given, _)| given == parameter.variable());
+                let given = experiment.start_values.iter().find(|(given, _)| parameter.is_called(given));
                 let start = given.map(|(_, value)| {
                     value.as_number().ok_or_else(|| CalibrationError::Parameter {
                         name: parameter.name().to_owned(),
@@ -110,11 +119,40 @@ impl Problem {
                     })
                 });
                 let parameter = parameter.in_experiment(name, start.transpose()?);
-                elements.push(Element { parameter, experiment: Some(k) });
+                elements.push(Element { parameter, source, experiment: Some(k) });
+            }
+        }
+        for (k, (name, experiment)) in names.iter().zip(&self.experiments).enumerate() {
+            for (state, initial) in &experiment.initial_states {
+                let InitialState::Fitted(parameter) = initial else { continue };
+                let parameter = parameter.for_state(state).in_experiment(name, None);
+                elements.push(Element { parameter, source: None, experiment: Some(k) });
             }
         }
         elements.iter().try_for_each(|element| element.parameter.check())?;
         Ok(elements)
+    }
+
+    /// The number of the parameter that one is tied to.
+    pub(crate) fn tied_to(&self, parameter: &Parameter, tie: &Tie) -> Result<usize, CalibrationError> {
+        let bad =
+            |message: String| Err(CalibrationError::Parameter { name: parameter.name().to_owned(), message });
+        let Tie { to, .. } = tie;
+        match self.parameters.iter().position(|p| p.name() == to) {
+            _ if to == parameter.name() => bad("it is tied to itself".to_owned()),
+            Some(number) => match self.parameters[number].tie() {
+                Some(next) => bad(format!(
+                    "it is tied to '{to}', which is tied to '{}': tie both to one that is not tied",
+                    next.to
+                )),
+                None => Ok(number),
+            },
+            None => {
+                let free = self.parameters.iter().filter(|p| !p.is_tied()).map(Parameter::name);
+                let free = free.collect::<Vec<_>>().join(", ");
+                bad(format!("it is tied to '{to}', and there is no such parameter; there are: {free}"))
+            }
+        }
     }
 
     /// Checks what can be checked with the description of the model; what is in doubt comes back.
@@ -127,6 +165,9 @@ impl Problem {
         }
         if self.experiments.is_empty() {
             return Err(CalibrationError::Setup("there is no experiment to fit to".to_owned()));
+        }
+        if self.parameters.iter().all(Parameter::is_tied) {
+            return Err(CalibrationError::Setup("all parameters are tied: there is none to fit".to_owned()));
         }
         for (i, parameter) in self.parameters.iter().enumerate() {
             if self.parameters[..i].iter().any(|p| p.name() == parameter.name()) {
@@ -146,9 +187,11 @@ impl Problem {
         if let Some(twice) = (1..names.len()).find(|&k| names[..k].contains(&names[k])) {
             return Err(CalibrationError::Setup(format!("two experiments are named '{}'", names[twice])));
         }
+        check_targets(&self.parameters, &self.experiments, &names, description)?;
         let mut warnings = Vec::new();
         for (k, experiment) in self.experiments.iter().enumerate() {
-            let checked = experiment.check_start_values(description, &self.parameters);
+            let checked = check_names(experiment, &self.parameters, description)
+                .and_then(|()| experiment.check_start_values(description, &self.parameters));
             checked.map_err(|error| self.error_in(k, error))?;
             let unused = unused_columns(description, experiment).into_iter();
             warnings.extend(unused.map(|warning| self.warning_in(k, warning)));

@@ -1,80 +1,105 @@
 //! Simulated against measured, sample by sample while the simulation runs; no trajectory is stored.
 
 use crate::layout::OutputResiduals;
+use crate::measurements::Measurement;
 use dfo::RobustLoss;
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
 
-/// Which sample of which output is compared with which measurement, and the position of its residual in the vector.
-///
-/// The residual vector is ordered output by output, each in the order of time; missing measurements have no position
-/// in it, so that it has the same length for every simulation.
+/// What the simulation of an experiment is compared with, in the order of its residuals: output by output, each in the order of
+/// time.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Comparison {
+    points: Vec<Point>,
     n_outputs: usize,
-    /// Per requested time, per output: the measurement (NaN: none).
-    measured: Vec<f64>,
-    weights: Vec<f64>,
-    /// Per requested time, per output: position in the residual vector.
-    positions: Vec<u32>,
-    n_residuals: usize,
 }
 
-const NO_POSITION: u32 = u32::MAX;
+/// A measurement that counts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Point {
+    output: usize,
+    time: f64,
+    measured: f64,
+    weight: f64,
+}
+
+/// At which times the simulation is sampled, and which measurements each sample is compared with.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Schedule {
+    /// Ascending, each once.
+    pub(crate) times: Vec<f64>,
+    /// Where the measurements of each time end.
+    ends: Vec<usize>,
+    /// Measurements by number, those of one time together.
+    points: Vec<usize>,
+}
 
 impl Comparison {
-    /// From one column of measurements per output, all over the same times; returns the times at which anything was
-    /// measured together with the comparison. Times twice in a row (an input jumps there) become one.
-    pub(crate) fn new(times: &[f64], columns: &[Vec<f64>], weights: &[f64]) -> (Vec<f64>, Self) {
-        let n_outputs = columns.len();
-        let mut kept: Vec<f64> = Vec::with_capacity(times.len());
-        let mut measured = Vec::with_capacity(times.len() * n_outputs);
-        for (i, &t) in times.iter().enumerate() {
-            if columns.iter().all(|c| c[i].is_nan()) {
-                continue;
-            }
-            if kept.last() != Some(&t) {
-                kept.push(t);
-                measured.resize(measured.len() + n_outputs, f64::NAN);
-            }
-            let row = measured.len() - n_outputs;
-            for (m, c) in measured[row..].iter_mut().zip(columns) {
-                if !c[i].is_nan() {
-                    *m = c[i];
-                }
-            }
-        }
-        let mut positions = vec![NO_POSITION; measured.len()];
-        let mut n_residuals = 0;
-        for output in 0..n_outputs {
-            for row in 0..kept.len() {
-                let at = row * n_outputs + output;
-                if !measured[at].is_nan() {
-                    positions[at] = n_residuals as u32;
-                    n_residuals += 1;
-                }
-            }
-        }
-        (kept, Self { n_outputs, measured, weights: weights.to_vec(), positions, n_residuals })
+    pub(crate) fn new(outputs: &[Vec<Measurement>]) -> Self {
+        let point = |output: usize| {
+            move |m: &Measurement| Point { output, time: m.time, measured: m.value, weight: m.weight }
+        };
+        let points =
+            outputs.iter().enumerate().flat_map(|(output, measured)| measured.iter().map(point(output)));
+        Self { points: points.collect(), n_outputs: outputs.len() }
     }
 
-    /// Length of the residual vector.
+    /// How many residuals there are.
     pub(crate) fn n_residuals(&self) -> usize {
-        self.n_residuals
+        self.points.len()
     }
 
-    /// The rows in which an output was measured: their numbers, in the order of time.
-    fn rows(&self, output: usize) -> impl Iterator<Item = usize> {
-        let n = self.n_outputs;
-        (0..self.measured.len() / n.max(1)).filter(move |row| !self.measured[row * n + output].is_nan())
+    /// The samples of outputs that are late by these delays, of which none is before the start of the simulation; times within
+    /// rounding are one.
+    pub(crate) fn schedule(&self, delays: impl Fn(usize) -> f64, start: f64) -> Schedule {
+        let delays: Vec<f64> = (0..self.n_outputs).map(delays).collect();
+        let mut sampled: Vec<(f64, usize)> = self
+            .points
+            .iter()
+            .enumerate()
+            .map(|(i, p)| ((p.time - delays[p.output]).max(start), i))
+            .collect();
+        // Stable: at one time the outputs stay in their order.
+        sampled.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let last = sampled.last().map_or(start, |(time, _)| *time);
+        let rounding = 100.0 * f64::EPSILON / 2.0 * start.abs().max(last.abs()).max(last - start);
+        let mut schedule = Schedule::default();
+        for (time, point) in sampled {
+            schedule.points.push(point);
+            if schedule.times.last().is_some_and(|known| time - known <= rounding) {
+                schedule.ends.pop();
+            } else {
+                schedule.times.push(time);
+            }
+            schedule.ends.push(schedule.points.len());
+        }
+        schedule
     }
 
-    /// What stands in the residual vector, output by output; `offset` is the position of the first residual, `times` are those
-    /// that [`new`](Self::new) returned.
-    pub(crate) fn layout(&self, (mut offset, times): (usize, &[f64])) -> Vec<OutputResiduals> {
+    /// Outputs that are only sampled, all at these times.
+    pub(crate) fn at_times(times: &[f64], n_outputs: usize) -> Self {
+        let at = |time: &f64| Measurement { time: *time, value: f64::NAN, weight: 1.0 };
+        Self::new(&vec![times.iter().map(at).collect(); n_outputs])
+    }
+
+    /// Per output, its values where it is compared, from columns of samples.
+    pub(crate) fn gather(&self, schedule: &Schedule, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let mut sample_of = vec![0; self.points.len()];
+        for sample in 0..schedule.times.len() {
+            schedule.at(sample).iter().for_each(|&number| sample_of[number] = sample);
+        }
+        let mut gathered = vec![Vec::new(); self.n_outputs];
+        for (point, sample) in self.points.iter().zip(sample_of) {
+            gathered[point.output].push(columns[point.output][sample]);
+        }
+        gathered
+    }
+
+    /// What stands in the residual vector, output by output, from position `offset` on.
+    pub(crate) fn layout(&self, mut offset: usize) -> Vec<OutputResiduals> {
         let of_output = |output: usize| {
-            let measured: Vec<f64> =
-                self.rows(output).map(|row| self.measured[row * self.n_outputs + output]).collect();
+            let points = || self.points.iter().filter(move |p| p.output == output);
+            let measured: Vec<f64> = points().map(|p| p.measured).collect();
             let range = offset..offset + measured.len();
             offset = range.end;
             OutputResiduals {
@@ -83,12 +108,20 @@ impl Comparison {
                 variable: String::new(),
                 column: String::new(),
                 range,
-                times: self.rows(output).map(|row| times[row]).collect(),
-                weights: vec![self.weights[output]; measured.len()],
+                times: points().map(|p| p.time).collect(),
                 measured,
+                weights: points().map(|p| p.weight).collect(),
             }
         };
         (0..self.n_outputs).map(of_output).collect()
+    }
+}
+
+impl Schedule {
+    /// The measurements that are compared with a sample, by number.
+    fn at(&self, sample: usize) -> &[usize] {
+        let begin = sample.checked_sub(1).map_or(0, |before| self.ends[before]);
+        &self.points[begin..self.ends[sample]]
     }
 }
 
@@ -120,6 +153,9 @@ pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
 /// within a time), which says when the cost is sure to be above a cutoff.
 pub(crate) struct Accumulator<'a> {
     comparison: &'a Comparison,
+    schedule: &'a Schedule,
+    /// What is added to each output.
+    offsets: &'a [f64],
     rule: CostRule<'a>,
     /// The sum so far; starts with what earlier experiments have left.
     pub(crate) sum: f64,
@@ -142,13 +178,18 @@ pub(crate) enum Stop {
 }
 
 impl<'a> Accumulator<'a> {
-    pub(crate) fn new(comparison: &'a Comparison, rule: CostRule<'a>, sum: f64, out: &'a mut [f64]) -> Self {
-        Self { comparison, rule, sum, seen: 0, out, stop: None }
+    pub(crate) fn new(
+        (comparison, schedule): (&'a Comparison, &'a Schedule),
+        offsets: &'a [f64],
+        rule: CostRule<'a>,
+        (sum, out): (f64, &'a mut [f64]),
+    ) -> Self {
+        Self { comparison, schedule, offsets, rule, sum, seen: 0, out, stop: None }
     }
 
     /// Whether every requested time has been delivered.
     pub(crate) fn is_complete(&self) -> bool {
-        self.seen * self.comparison.n_outputs == self.comparison.measured.len()
+        self.seen == self.schedule.times.len()
     }
 
     fn end(&mut self, why: Stop) -> ControlFlow<()> {
@@ -160,15 +201,11 @@ impl<'a> Accumulator<'a> {
 impl Observer for Accumulator<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         let Some(index) = sample.index else { return ControlFlow::Continue(()) };
-        let c = self.comparison;
-        let row = index * c.n_outputs..(index + 1) * c.n_outputs;
-        for (output, at) in row.enumerate() {
-            let measured = c.measured[at];
-            if measured.is_nan() {
-                continue;
-            }
-            let residual = self.rule.loss.transform(c.weights[output] * (sample.outputs[output] - measured));
-            self.out[c.positions[at] as usize] = residual;
+        for &number in self.schedule.at(index) {
+            let Point { output, measured, weight, .. } = self.comparison.points[number];
+            let simulated = sample.outputs[output] + self.offsets[output];
+            let residual = self.rule.loss.transform(weight * (simulated - measured));
+            self.out[number] = residual;
             self.sum += residual * residual;
             if !self.sum.is_finite() {
                 return self.end(Stop::NotFinite(output));
@@ -254,23 +291,28 @@ mod tests {
     use super::*;
     use ode::Side;
 
-    const NAN: f64 = f64::NAN;
+    fn measured(rows: &[(f64, f64)]) -> Vec<Measurement> {
+        rows.iter().map(|&(time, value)| Measurement { time, value, weight: 1.0 }).collect()
+    }
+
+    fn sample<'a>(index: usize, outputs: &'a [f64]) -> Sample<'a> {
+        Sample { time: 0.0, index: Some(index), side: Side::Right, states: &[], outputs }
+    }
 
     #[test]
-    fn the_vector_is_ordered_output_by_output_and_skips_what_is_missing() {
-        let (times, c) = Comparison::new(
-            &[0.0, 1.0, 1.0, 2.0, 3.0],
-            &[vec![1.0, NAN, 2.0, NAN, 3.0], vec![10.0, 20.0, NAN, NAN, NAN]],
-            &[1.0, 2.0],
-        );
-        assert_eq!(times, [0.0, 1.0, 3.0]);
+    fn the_vector_is_ordered_output_by_output() {
+        let mut second = measured(&[(0.0, 10.0), (1.0, 20.0)]);
+        second.iter_mut().for_each(|m| m.weight = 2.0);
+        let c = Comparison::new(&[measured(&[(0.0, 1.0), (1.0, 2.0), (3.0, 3.0)]), second]);
+        let schedule = c.schedule(|_| 0.0, 0.0);
+        assert_eq!(schedule.times, [0.0, 1.0, 3.0]);
         assert_eq!(c.n_residuals(), 5);
-        let mut out = [NAN; 5];
-        let mut a = Accumulator::new(&c, CostRule::whole(RobustLoss::default(), &|| false), 100.0, &mut out);
-        for (i, t) in times.iter().enumerate() {
-            let outputs = [0.0, 0.0];
-            let s = Sample { time: *t, index: Some(i), side: Side::Right, states: &[], outputs: &outputs };
-            assert!(a.sample(&s).is_continue());
+        let mut out = [f64::NAN; 5];
+        let rule = CostRule::whole(RobustLoss::default(), &|| false);
+        let mut a = Accumulator::new((&c, &schedule), &[0.0, 0.5], rule, (100.0, &mut out));
+        for i in 0..schedule.times.len() {
+            assert!(!a.is_complete());
+            assert!(a.sample(&sample(i, &[0.0, -0.5])).is_continue());
         }
         assert!(a.is_complete());
         assert_eq!(a.sum, 100.0 + 1.0 + 400.0 + 4.0 + 1600.0 + 9.0);
@@ -278,20 +320,30 @@ mod tests {
     }
 
     #[test]
+    fn late_outputs_are_sampled_earlier_but_not_before_the_start() {
+        let c = Comparison::new(&[
+            measured(&[(0.0, 1.0), (1.0, 2.0), (3.0, 3.0)]),
+            measured(&[(0.7, 4.0), (1.0, 5.0)]),
+        ]);
+        let schedule = c.schedule(|output| [0.4, 0.1][output], 0.0);
+        // 1 - 0.4 and 0.7 - 0.1 are one up to rounding.
+        assert_eq!(schedule.times.len(), 4);
+        let at: Vec<&[usize]> = (0..4).map(|k| schedule.at(k)).collect();
+        assert_eq!(at, [&[0][..], &[1, 3], &[4], &[2]], "{:?}", schedule.times);
+    }
+
+    #[test]
     fn stops_strictly_above_the_cutoff_and_at_nan() {
-        let (_, c) = Comparison::new(&[0.0, 1.0], &[vec![0.0, 0.0]], &[1.0]);
+        let c = Comparison::new(&[measured(&[(0.0, 0.0), (1.0, 0.0)])]);
+        let schedule = c.schedule(|_| 0.0, 0.0);
         let [mut first, mut second] = [[0.0; 2]; 2];
-        let sample = |i: usize, y: &[f64], a: &mut Accumulator<'_>| {
-            a.sample(&Sample { time: 0.0, index: Some(i), side: Side::Right, states: &[], outputs: y })
-                .is_break()
-        };
         let rule = CostRule { cutoff: 4.0, ..CostRule::whole(RobustLoss::default(), &|| false) };
-        let mut a = Accumulator::new(&c, rule, 0.0, &mut first);
-        assert!(!sample(0, &[2.0], &mut a));
-        assert!(sample(1, &[1e-3], &mut a));
+        let mut a = Accumulator::new((&c, &schedule), &[0.0], rule, (0.0, &mut first));
+        assert!(a.sample(&sample(0, &[2.0])).is_continue());
+        assert!(a.sample(&sample(1, &[1e-3])).is_break());
         assert_eq!(a.stop, Some(Stop::AboveCutoff));
-        let mut a = Accumulator::new(&c, rule, 0.0, &mut second);
-        assert!(sample(0, &[NAN], &mut a));
+        let mut a = Accumulator::new((&c, &schedule), &[0.0], rule, (0.0, &mut second));
+        assert!(a.sample(&sample(0, &[f64::NAN])).is_break());
         assert_eq!(a.stop, Some(Stop::NotFinite(0)));
         assert!(!a.is_complete());
     }

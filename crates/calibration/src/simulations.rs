@@ -105,7 +105,7 @@ impl Calibration {
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
-        self.evaluator().evaluate(x, rule, out, stats, |k, x, observer| {
+        self.evaluator().evaluate(x, rule, out, stats, |k, run| {
             let tolerance = self.pool(k, rule.cancelled)?.plan().relative_tolerance();
             let asked = &self.evaluator().simulations[k].options;
             let options = SimulateOptions {
@@ -114,7 +114,7 @@ impl Calibration {
                 ..asked.clone()
             };
             Ok(SimulationPlan::new(self.fmu(), &options)
-                .and_then(|plan| Simulator::new(Arc::new(plan))?.run(x, observer)))
+                .and_then(|plan| run(&mut Simulator::new(Arc::new(plan))?)))
         })
     }
 }

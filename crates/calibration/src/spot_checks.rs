@@ -96,9 +96,8 @@ impl Calibration {
 
     fn cost_in(&self, simulators: &mut [Simulator], x: &[f64], rule: CostRule<'_>) -> Result<f64, NoCost> {
         let mut residuals = vec![0.0; self.n_residuals()];
-        self.evaluator().evaluate(x, rule, &mut residuals, &mut Stats::default(), |k, x, observer| {
-            Ok(simulators[k].run(x, observer))
-        })
+        self.evaluator()
+            .evaluate(x, rule, &mut residuals, &mut Stats::default(), |k, run| Ok(run(&mut simulators[k])))
     }
 
     /// One for each experiment.

@@ -1,11 +1,11 @@
 //! What a setup leaves in doubt: it can be evaluated, but perhaps it is not what was meant.
 
-use crate::data::{UnitError, parts, sampling_interval};
-use crate::experiment::Experiment;
+use crate::data::{UnitError, parts};
+use crate::experiment::{Experiment, Weight};
+use crate::input::InputSource;
 use crate::parameter::{Parameter, Scale};
 use fmi::ModelDescription;
 use fmi::description::Causality;
-use ode::Number;
 use std::fmt;
 
 /// Target of the log lines for each [`SetupWarning`].
@@ -23,17 +23,6 @@ pub enum SetupWarning {
         column: String,
         /// The input.
         input: String,
-    },
-    /// The recording of an input does not cover the simulation: its first or last value is held there.
-    InputHeld {
-        /// The recording.
-        data: String,
-        /// The input.
-        input: String,
-        /// First and last time of its recording, in s.
-        recorded: (f64, f64),
-        /// Start and end of the simulation, in s.
-        simulated: (f64, f64),
     },
     /// A column states a unit that was not converted to that of its variable.
     NotConverted {
@@ -73,14 +62,6 @@ impl fmt::Display for SetupWarning {
             }
             Self::NoEffect(sentence) => f.write_str(sentence),
             Self::Experiment { name, warning } => write!(f, "{name}: {warning}"),
-            Self::InputHeld { data, input, recorded, simulated } => {
-                let [r0, r1, s0, s1] = [recorded.0, recorded.1, simulated.0, simulated.1].map(Number);
-                write!(
-                    f,
-                    "{data}: input '{input}' is recorded from {r0} s to {r1} s, the simulation runs from {s0} s to {s1} s: \
-                     outside of its recording its first and last values are held"
-                )
-            }
         }
     }
 }
@@ -89,7 +70,10 @@ impl fmt::Display for SetupWarning {
 pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experiment) -> Vec<SetupWarning> {
     let Experiment { data, outputs, inputs, start_values, .. } = experiment;
     let is_used = |column: &str| {
-        outputs.iter().any(|o| o.column == column) || inputs.iter().any(|(_, used)| used == column)
+        let weighs = |weight: &Weight| matches!(weight, Weight::Column(used) if used == column);
+        let drives = |source: &InputSource| matches!(source, InputSource::Column(used) if used == column);
+        outputs.iter().any(|o| o.column == column || weighs(&o.weight))
+            || inputs.iter().any(|(_, source)| drives(source))
     };
     let is_given = |input: &str| {
         inputs.iter().any(|(name, _)| name == input) || start_values.iter().any(|(name, _)| name == input)
@@ -116,24 +100,4 @@ pub(crate) fn ignored_nominals(parameters: &[Parameter]) -> impl Iterator<Item =
     let is_ignored = |p: &&Parameter| p.scale_kind() == Scale::Log && p.nominal_size().is_some();
     let warning = |p: &Parameter| format!("nominal of parameter '{}' has no effect on a log scale", p.name());
     parameters.iter().filter(is_ignored).map(move |p| SetupWarning::NoEffect(warning(p)))
-}
-
-/// Inputs whose recordings leave more than one sampling interval of the simulation uncovered.
-pub(crate) fn held_inputs(experiment: &Experiment, simulated: (f64, f64)) -> Vec<SetupWarning> {
-    let held = |(input, column): &(String, String)| {
-        let values = experiment.data.column(column).ok()?;
-        let rows = experiment.data.time().iter().zip(values).filter(|(_, value)| !value.is_nan());
-        let times: Vec<f64> = rows.map(|(time, _)| *time).collect();
-        let recorded = (*times.first()?, *times.last()?);
-        let gap = (recorded.0 - simulated.0).max(simulated.1 - recorded.1);
-        // As far as times are equal: 100 units in the last place.
-        let rounding = 50.0 * f64::EPSILON * simulated.0.abs().max(simulated.1.abs());
-        (gap > sampling_interval(&times).unwrap_or(0.0) + rounding).then(|| SetupWarning::InputHeld {
-            data: experiment.data.source().to_owned(),
-            input: input.clone(),
-            recorded,
-            simulated,
-        })
-    };
-    experiment.inputs.iter().filter_map(held).collect()
 }

@@ -26,11 +26,16 @@ fn decay(from: f64, parameter: Parameter) -> CalibrationBuilder {
 
 /// Two outlets of the tank, the second of which has no effect on the level that is compared.
 fn tank(u1_until: f64, inputs: &[&str]) -> Calibration {
+    tank_builder(u1_until, inputs, false).build().unwrap()
+}
+
+fn tank_builder(u1_until: f64, inputs: &[&str], hold: bool) -> CalibrationBuilder {
     let time: Vec<f64> = (0..31).map(f64::from).collect();
     let u1 = time.iter().map(|t| if *t <= u1_until { 5.0 + t % 2.0 } else { f64::NAN }).collect();
     let level = time.iter().map(|t| 0.06 - 1e-4 * t).collect();
     let columns = [("u1", u1), ("u2", vec![5.0; 31]), ("x", level)].map(|(name, v)| (name.to_owned(), v));
-    let mut experiment = Experiment::new(Data::from_columns(time, columns).unwrap()).output("qt.x1", "x");
+    let data = Data::from_columns(time, columns).unwrap();
+    let mut experiment = Experiment::new(data).output("qt.x1", "x").hold_inputs(hold);
     for input in inputs {
         experiment = experiment.input(*input, *input);
     }
@@ -38,8 +43,6 @@ fn tank(u1_until: f64, inputs: &[&str]) -> Calibration {
         .experiment(experiment)
         .parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6))
         .parameter(Parameter::new("qt.a2", 3e-6).bounds(2e-6, 4e-6))
-        .build()
-        .unwrap()
 }
 
 #[test]
@@ -52,18 +55,22 @@ fn a_recording_that_begins_late_needs_a_start_time() {
 }
 
 #[test]
-fn inputs_that_are_not_used_or_held_are_warnings() {
+fn columns_of_inputs_that_are_not_used_are_warnings() {
     assert!(tank(30.0, &["u1", "u2"]).warnings().is_empty());
     match tank(30.0, &["u1"]).warnings() {
         [SetupWarning::UnusedColumn { column, input, .. }] => assert_eq!((&**column, &**input), ("u2", "u2")),
         other => panic!("{other:?}"),
     }
-    match tank(20.0, &["u1", "u2"]).warnings() {
-        [SetupWarning::InputHeld { input, recorded, simulated, .. }] => {
-            assert_eq!((&**input, *recorded, *simulated), ("u1", (0.0, 20.0), (0.0, 30.0)));
-        }
-        other => panic!("{other:?}"),
-    }
+}
+
+#[test]
+fn inputs_are_held_beyond_their_recording_only_when_asked() {
+    let message = tank_builder(20.0, &["u1", "u2"], false).build().unwrap_err().to_string();
+    let expected = "input 'u1' is recorded from 0 s to 20 s, and the simulation needs it from 0 s to 30 s: give hold_inputs";
+    assert!(message.contains(expected), "{message}");
+    assert!(tank_builder(20.0, &["u1", "u2"], true).build().unwrap().warnings().is_empty());
+    // One sampling interval is no gap.
+    assert!(tank_builder(29.0, &["u1", "u2"], false).build().is_ok());
 }
 
 #[test]

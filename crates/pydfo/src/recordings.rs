@@ -24,8 +24,8 @@ pub(crate) fn check(
 /// Variable, column, unit, values, whether it is an input.
 type Series<'py> = (String, String, Option<String>, Bound<'py, PyArray1<f64>>, bool);
 
-/// Times, columns in use, window.
-type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<Series<'py>>, Option<(f64, f64)>);
+/// Times, columns in use, windows.
+type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<Series<'py>>, Vec<(f64, f64)>);
 
 /// The recordings of a calibration, in the units of the model.
 #[pyfunction]
@@ -39,8 +39,8 @@ pub(crate) fn recorded<'py>(py: Python<'py>, calibration: &PyCalibration) -> Vec
             (variable.to_owned(), column.to_owned(), unit, PyArray1::from_slice(py, values), is_input)
         };
         let outputs = experiment.outputs().map(|pair| series(pair, false));
-        let all = outputs.chain(experiment.inputs().map(|pair| series(pair, true))).collect();
-        (PyArray1::from_slice(py, data.time()), all, experiment.window_of_measurements())
+        let all = outputs.chain(experiment.driving_columns().map(|pair| series(pair, true))).collect();
+        (PyArray1::from_slice(py, data.time()), all, experiment.windows_of_measurements().to_vec())
     };
     calibration.inner.problem().experiments.iter().map(recording).collect()
 }

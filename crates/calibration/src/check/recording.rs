@@ -48,7 +48,7 @@ pub(super) fn times(subject: &Subject<'_>) -> Vec<Finding> {
             );
         }
     }
-    if first - start_time > 1.5 * interval && experiment.window.is_none() {
+    if first - start_time > 1.5 * interval && experiment.windows.is_empty() {
         let [first, start] = [first, *start_time].map(Number);
         find(
             Severity::Warning,

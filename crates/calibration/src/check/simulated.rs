@@ -324,8 +324,11 @@ fn a_thousandth_as_long(calibration: &Calibration) -> Option<Calibration> {
     let mut problem = calibration.problem().clone();
     for experiment in &mut problem.experiments {
         experiment.data.scale_times(1e-3);
-        experiment.window = experiment.window.map(|(from, to)| (1e-3 * from, 1e-3 * to));
+        let windows = experiment.windows.iter_mut();
+        windows.for_each(|(from, to)| (*from, *to) = (1e-3 * *from, 1e-3 * *to));
+        experiment.warm_up = experiment.warm_up.map(|seconds| 1e-3 * seconds);
         experiment.start_time = experiment.start_time.map(|start| 1e-3 * start);
+        experiment.delays.iter_mut().for_each(|(_, delay)| *delay *= 1e-3);
     }
     calibration.derived(problem).ok()
 }

@@ -311,6 +311,12 @@ impl Runner {
         }
     }
 
+    /// Goes on with a plan that fits.
+    pub(super) fn set_plan(&mut self, plan: &Arc<SimulationPlan>) {
+        self.plan = Arc::clone(plan);
+        self.engine.running().set_plan(Arc::clone(plan));
+    }
+
     pub(super) fn run(
         &mut self,
         parameters: &[f64],

@@ -62,6 +62,21 @@ impl Simulator {
         &self.plan
     }
 
+    /// Goes on with another plan. One that [`SimulationPlan::with_rows`] made of the present one takes over the instance and what
+    /// is known of resetting it.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn set_plan(&mut self, plan: Arc<SimulationPlan>) -> Result<(), FmiError> {
+        if self.plan.fits(&plan) {
+            self.runner().set_plan(&plan);
+        } else {
+            self.shared = SharedRunner::new(Arc::clone(&plan))?;
+        }
+        self.plan = plan;
+        Ok(())
+    }
+
     /// Simulates once, with these values for the plan's parameters, and hands the samples to `observer`.
     ///
     /// Where all copies of the library that there can be are in simulations, waits for one of them to end; `observer` is

@@ -151,6 +151,12 @@ impl Running {
         }
     }
 
+    /// Goes on with a plan that fits.
+    pub(crate) fn set_plan(&mut self, plan: Arc<SimulationPlan>) {
+        self.inputs = InputState::new(&plan.inputs);
+        self.plan = plan;
+    }
+
     /// Takes an instance that will have to be reset.
     pub(crate) fn adopt(&mut self, raw: RawInstance) {
         self.current = Current { phase: Phase::Spare(raw), ..Current::default() };

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def recordings(calibration: _core.Calibration) -> Figure:
-    """A column per experiment: measurements, then inputs, with what is outside of its window in grey."""
+    """A column per experiment: measurements, then inputs, with what is outside of its windows in grey."""
     recorded = _core.recorded(calibration)
     names = calibration.experiments()
     n_rows = max(len(series) for _, series, _ in recorded)
@@ -26,7 +26,7 @@ def recordings(calibration: _core.Calibration) -> Figure:
         layout="constrained",
         figsize=(max(6.4, 4.5 * len(recorded)), max(3.0, 1.9 * n_rows)),
     )
-    for column, (name, (time, series, window)) in enumerate(zip(names, recorded)):
+    for column, (name, (time, series, windows)) in enumerate(zip(names, recorded)):
         for row, axis in enumerate(axes[:, column]):
             if row >= len(series):
                 axis.remove()
@@ -37,10 +37,13 @@ def recordings(calibration: _core.Calibration) -> Figure:
             axis.plot(time[known], values[known], color="tab:green" if is_input else "black", **style)
             axis.set_ylabel(variable + (f" [{unit}]" if unit else ""))
             axis.set_title(f"{'input' if is_input else 'measured'}: {label}", loc="left", fontsize="small")
-            if window is not None and not is_input:
-                for low, high in ((time[0], window[0]), (window[1], time[-1])):
+            if windows and not is_input:
+                # What lies before, between and after the windows.
+                edges = [time[0], *(edge for window in sorted(windows) for edge in window), time[-1]]
+                for low, high in zip(edges[::2], edges[1::2]):
+                    low, high = max(low, time[0]), min(high, time[-1])
                     if low < high:
-                        axis.axvspan(low, min(high, time[-1]), color="0.85", zorder=0)
+                        axis.axvspan(low, high, color="0.85", zorder=0)
         axes[len(series) - 1, column].set_xlabel("time [s]")
         axes[len(series) - 1, column].tick_params(labelbottom=True)
         if len(recorded) > 1:

@@ -140,6 +140,31 @@ impl SimulationPlan {
         Ok(plan)
     }
 
+    /// The same simulation with other rows, and inputs of the same names with others. How it is integrated stays, communication
+    /// points too, and its runs count as those of this plan where runs are compared with each other.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn with_rows(&self, options: &SimulateOptions) -> Result<Self, FmiError> {
+        Ok(Self {
+            options: self.options.clone(),
+            communication: self.communication.clone(),
+            signature: self.signature,
+            warned_of_nominals: AtomicBool::new(self.warned_of_nominals.load(Ordering::Relaxed)),
+            ..Self::new(&self.fmu, options)?
+        })
+    }
+
+    /// Whether a simulator of another plan can go on with this one: the same variables are set, in the same way, and recorded.
+    pub(crate) fn fits(&self, other: &Self) -> bool {
+        self.fmu.path() == other.fmu.path()
+            && (self.kind, self.sharing, self.signature) == (other.kind, other.sharing, other.signature)
+            && self.settings == other.settings
+            && self.parameter_names() == other.parameter_names()
+            && self.output_names() == other.output_names()
+            && self.inputs.driven.len() == other.inputs.driven.len()
+    }
+
     fn take_outputs(
         &mut self,
         description: &ModelDescription,

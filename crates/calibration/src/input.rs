@@ -1,0 +1,158 @@
+//! What drives an input of the model: a column of the recording, a constant, a function of time.
+
+use crate::data::{Data, sampling_interval};
+use crate::error::CalibrationError;
+use fmi::{InputFunction, Inputs};
+use ode::Number;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::sync::Arc;
+
+/// What drives an input.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) enum InputSource {
+    /// A column of the recording.
+    Column(String),
+    /// The same value at all times.
+    Constant(f64),
+    /// A function of time.
+    Function(SignalFunction),
+}
+
+/// A function of time. It is not stored with a problem, and has to be given again.
+#[derive(Clone, Default, Serialize, Deserialize)]
+pub(crate) struct SignalFunction {
+    #[serde(skip)]
+    pub(crate) function: Option<InputFunction>,
+}
+
+impl fmt::Debug for SignalFunction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.function.is_some() { "function" } else { "function that was not stored" })
+    }
+}
+
+impl PartialEq for SignalFunction {
+    fn eq(&self, other: &Self) -> bool {
+        match (&self.function, &other.function) {
+            (Some(one), Some(other)) => Arc::ptr_eq(one, other),
+            (one, other) => one.is_none() && other.is_none(),
+        }
+    }
+}
+
+/// An input and its signal, ready to be shifted.
+#[derive(Debug, Clone)]
+pub(crate) struct Signal {
+    pub(crate) variable: String,
+    source: SignalSource,
+}
+
+#[derive(Debug, Clone)]
+enum SignalSource {
+    Rows(Arc<[f64]>, Arc<[f64]>),
+    Constant(f64),
+    Function(SignalFunction),
+}
+
+/// By how much a signal is later than it was recorded, and what is added to it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Shift {
+    /// In s.
+    pub(crate) delay: f64,
+    /// In the unit of the variable.
+    pub(crate) offset: f64,
+}
+
+impl Signal {
+    /// The signal of an input; a column keeps the rows where it has a value.
+    pub(crate) fn new(variable: &str, source: &InputSource, data: &Data) -> Result<Self, CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        let source = match source {
+            InputSource::Column(column) => {
+                let values = data.column(column)?;
+                let rows = || data.time().iter().zip(values).filter(|(_, v)| !v.is_nan());
+                if rows().next().is_none() {
+                    return setup(format!("all values of input column '{column}' are missing"));
+                }
+                let (times, values): (Vec<f64>, Vec<f64>) = rows().unzip();
+                SignalSource::Rows(times.into(), values.into())
+            }
+            InputSource::Constant(value) if !value.is_finite() => {
+                return setup(format!(
+                    "input '{variable}' is the constant {}: it must be finite",
+                    Number(*value)
+                ));
+            }
+            InputSource::Constant(value) => SignalSource::Constant(*value),
+            InputSource::Function(SignalFunction { function: None }) => {
+                return setup(format!(
+                    "input '{variable}' is a function of time, which is not stored with a problem: give it again"
+                ));
+            }
+            InputSource::Function(function) => SignalSource::Function(function.clone()),
+        };
+        Ok(Self { variable: variable.to_owned(), source })
+    }
+
+    /// Adds it to the inputs of a simulation.
+    pub(crate) fn add_to(&self, inputs: Inputs, Shift { delay, offset }: Shift) -> Inputs {
+        match &self.source {
+            SignalSource::Rows(times, values) => {
+                let moved = |all: &Arc<[f64]>, by: f64| match by {
+                    0.0 => Arc::clone(all),
+                    _ => all.iter().map(|one| one + by).collect(),
+                };
+                inputs.series(&self.variable, moved(times, delay), moved(values, offset))
+            }
+            // The only row of a table holds at all times.
+            SignalSource::Constant(value) => inputs.series(&self.variable, [0.0], [value + offset]),
+            SignalSource::Function(SignalFunction { function: Some(function) }) => {
+                let function = Arc::clone(function);
+                inputs.function(&self.variable, move |t| function(t - delay) + offset)
+            }
+            SignalSource::Function(SignalFunction { function: None }) => inputs,
+        }
+    }
+
+    /// Refuses a recording that leaves more than one of its sampling intervals of the simulation uncovered. `span`: the times at
+    /// which the simulation asks for it.
+    pub(crate) fn check_covers(&self, data: &Data, span: (f64, f64)) -> Result<(), CalibrationError> {
+        let SignalSource::Rows(times, _) = &self.source else { return Ok(()) };
+        let recorded = (times[0], times[times.len() - 1]);
+        let gap = (recorded.0 - span.0).max(span.1 - recorded.1);
+        // As far as times are equal: 100 units in the last place.
+        let rounding = 50.0 * f64::EPSILON * span.0.abs().max(span.1.abs());
+        if gap <= sampling_interval(times).unwrap_or(0.0) + rounding {
+            return Ok(());
+        }
+        let [r0, r1, s0, s1] = [recorded.0, recorded.1, span.0, span.1].map(Number);
+        Err(CalibrationError::Setup(format!(
+            "{}: input '{}' is recorded from {r0} s to {r1} s, and the simulation needs it from {s0} s to {s1} s: give \
+             hold_inputs = true to hold its first and last values there, or a window or a start_time within its recording",
+            data.source(),
+            self.variable
+        )))
+    }
+
+    /// Its values at some times, as they tell one function from another.
+    pub(crate) fn samples(&self, times: &[f64]) -> Vec<f64> {
+        match &self.source {
+            SignalSource::Rows(_, values) => values.to_vec(),
+            SignalSource::Constant(value) => vec![*value],
+            SignalSource::Function(SignalFunction { function }) => {
+                function.iter().flat_map(|function| times.iter().map(|t| function(*t))).collect()
+            }
+        }
+    }
+}
+
+impl fmt::Display for InputSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Column(column) => write!(f, "column '{column}'"),
+            Self::Constant(value) => write!(f, "the constant {}", Number(*value)),
+            Self::Function(_) => f.write_str("a function of time"),
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! What is known of a parameter before the fit: one more residual, beside those of the measurements.
+
+use ode::Number;
+use serde::{Deserialize, Serialize};
+
+/// What is known of a parameter before the fit.
+///
+/// It adds one residual, in units of its own standard deviation, so that the sum of squares is twice the negative logarithm of the
+/// posterior density (but for a constant) where the residuals of the measurements are in units of theirs: give the outputs
+/// weights of 1/sigma then. (Tarantola, Inverse Problem Theory, 2005, section 3.2.) A uniform prior are the bounds of the parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Prior {
+    /// Normally distributed: the residual is `(p - mean) / sd`.
+    Normal {
+        /// The mean, in the unit of the parameter.
+        mean: f64,
+        /// The standard deviation, in the unit of the parameter.
+        sd: f64,
+    },
+    /// Its logarithm is normally distributed: the residual is `(ln p - ln median) / sigma`.
+    LogNormal {
+        /// The median, in the unit of the parameter.
+        median: f64,
+        /// The standard deviation of the natural logarithm: 0.1 is about 10 %.
+        sigma: f64,
+    },
+}
+
+impl Prior {
+    /// Its residual at a value of the parameter; NaN for a log-normal prior of a value that is not positive.
+    pub fn residual(&self, value: f64) -> f64 {
+        match *self {
+            Self::Normal { mean, sd } => (value - mean) / sd,
+            Self::LogNormal { median, sigma } => (value / median).ln() / sigma,
+        }
+    }
+
+    /// The derivative of [`residual`](Self::residual).
+    pub fn slope(&self, value: f64) -> f64 {
+        match *self {
+            Self::Normal { sd, .. } => 1.0 / sd,
+            Self::LogNormal { sigma, .. } => 1.0 / (sigma * value),
+        }
+    }
+
+    /// What is wrong with its numbers.
+    pub(crate) fn problem(&self) -> Option<String> {
+        let is_positive = |value: f64| value.is_finite() && value > 0.0;
+        match *self {
+            Self::Normal { mean, sd } if !mean.is_finite() || !is_positive(sd) => {
+                let [mean, sd] = [mean, sd].map(Number);
+                Some(format!(
+                    "its normal prior has mean {mean} and sd {sd}; the mean must be finite, sd positive"
+                ))
+            }
+            Self::LogNormal { median, sigma } if !is_positive(median) || !is_positive(sigma) => {
+                let [median, sigma] = [median, sigma].map(Number);
+                Some(format!(
+                    "its log-normal prior has median {median} and sigma {sigma}; both must be positive"
+                ))
+            }
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn residuals_and_their_slopes() {
+        let normal = Prior::Normal { mean: 2.0, sd: 0.5 };
+        assert_eq!((normal.residual(3.0), normal.slope(3.0)), (2.0, 2.0));
+        let relative = Prior::LogNormal { median: 2.0, sigma: 0.1 };
+        assert!((relative.residual(2.0 * 0.2f64.exp()) - 2.0).abs() < 1e-12);
+        assert_eq!(relative.slope(4.0), 2.5);
+        assert!(relative.residual(-1.0).is_nan());
+    }
+}
