@@ -64,7 +64,7 @@ LAYERS = {
         fmu
         fmu_cache instance
         simulation
-        reuse
+        reuse start_values
         session
     """,
     "ode": """

@@ -1,7 +1,7 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
-use crate::effect::{BoundSide, is_over};
+use crate::effect::{BoundSide, Findings, is_over};
 use crate::error::CalibrationError;
 use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
@@ -321,8 +321,7 @@ impl Calibration {
             options.workers = options.workers.or(described.workers);
             options.held.extend(&held);
             let asked = WorthOptions { loss, ..options };
-            let found = (&found.at_bound[..], &found.without_effect[..]);
-            self.worth_of_fit((&mut report, found), &tolerances, asked, (&cancelled, &mut stats))
+            self.worth_of_fit((&mut report, &found), &tolerances, asked, (&cancelled, &mut stats))
         });
         if n_beginnings > 1 {
             report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
@@ -364,7 +363,7 @@ impl Calibration {
     /// shall not.
     pub(crate) fn worth_of_fit(
         &self,
-        (report, (at_bound, inert)): (&mut Report, (&[(usize, BoundSide)], &[usize])),
+        (report, found): (&mut Report, &Findings),
         tolerances: &Tolerances,
         mut options: WorthOptions,
         (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
@@ -374,7 +373,9 @@ impl Calibration {
         }
         let workers = options.workers.unwrap_or(1);
         let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
-        options.held.extend(at_bound.iter().map(|(index, _)| index).filter(|index| !inert.contains(index)));
+        let inert = &found.without_effect;
+        let at_bound = found.at_bound.iter().map(|(index, _)| index);
+        options.held.extend(at_bound.filter(|index| !inert.contains(index)));
         let known = KnownPoint {
             // Those of a stage with a window of its own are others.
             residuals: report.residuals.as_deref().filter(|r| r.len() == self.n_residuals()),
