@@ -88,7 +88,7 @@ LAYERS = {
         settings
         experiment fit minimize model py_system stages
         calibration fit_report optimizer solve
-        share validation worth
+        recordings share validation worth
     """,
 }
 

@@ -123,8 +123,13 @@ impl Experiment {
         self.outputs.iter().map(|o| (o.variable.as_str(), o.column.as_str()))
     }
 
+    /// Intervals in which measurements count; none: they count everywhere.
+    pub fn windows_of_measurements(&self) -> &[(f64, f64)] {
+        &self.windows
+    }
+
     /// Inputs with the columns that drive them.
-    pub(crate) fn driving_columns(&self) -> impl Iterator<Item = (&str, &str)> {
+    pub fn driving_columns(&self) -> impl Iterator<Item = (&str, &str)> {
         self.inputs.iter().filter_map(|(input, source)| match source {
             InputSource::Column(column) => Some((input.as_str(), column.as_str())),
             InputSource::Constant(_) | InputSource::Function(_) => None,

@@ -128,6 +128,11 @@ pub(crate) struct ExperimentFields {
     windows: Vec<(f64, f64)>,
     warm_up: Option<f64>,
     start_time: Option<f64>,
+    /// Rows whose measurements count, or the column that says so.
+    mask: Option<Vec<bool>>,
+    mask_column: Option<String>,
+    /// Interval in s over which means are taken.
+    resample: Option<f64>,
     delays: Vec<(String, f64)>,
     hold_inputs: bool,
 }
@@ -251,6 +256,16 @@ impl ExperimentFields {
             (Some(path), None) => Data::from_csv(path)?,
             (Some(path), Some(time)) => Data::from_csv_with_time(path, time)?,
             (None, time) => Data::from_table(self.columns, time.as_deref())?.left_out(self.left_out),
+        };
+        let measured: Vec<&str> = self.outputs.iter().map(|(_, column, _)| column.as_str()).collect();
+        let data = match (&self.mask, &self.mask_column) {
+            (Some(keep), _) => data.masked(&measured, keep)?,
+            (None, Some(by)) => data.masked_by(&measured, by)?,
+            (None, None) => data,
+        };
+        let data = match self.resample {
+            Some(interval) => data.resampled(interval)?,
+            None => data,
         };
         let mut experiment = Experiment::new(data).windows(self.windows).hold_inputs(self.hold_inputs);
         if let Some(name) = self.name {

@@ -22,6 +22,7 @@ mod objective;
 mod optimizer;
 mod py_system;
 mod quad_err;
+mod recordings;
 mod report;
 mod settings;
 mod share;
@@ -66,6 +67,8 @@ mod core_module {
     use super::optimizer::PyOptimizer;
     #[pymodule_export]
     use super::quad_err::quad_err;
+    #[pymodule_export]
+    use super::recordings::{check, recorded};
     #[pymodule_export]
     use super::share::{fit_to_bytes, load_fit, parameters_of, save_fit};
     #[pymodule_export]

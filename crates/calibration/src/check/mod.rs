@@ -4,23 +4,13 @@ mod finding;
 mod model;
 mod recording;
 mod simulated;
+mod subject;
 
 pub use finding::{Check, Finding, Severity};
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::experiment::Experiment;
-use fmi::ModelDescription;
-
-/// An experiment that is looked at.
-struct Subject<'a> {
-    /// What its findings begin with: its name and a colon, where there are several.
-    prefix: String,
-    experiment: &'a Experiment,
-    description: &'a ModelDescription,
-    /// Where its simulation starts, in s.
-    start_time: f64,
-}
+use subject::Subject;
 
 impl Calibration {
     /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters' start values, and another with

@@ -1,8 +1,9 @@
 //! What the description of the model says about parameters, inputs and units.
 
-use super::Subject;
 use super::finding::{Finding, Severity};
+use super::subject::Subject;
 use crate::column_units::declared;
+use crate::data::UnitConversion;
 use crate::parameter::Parameter;
 use crate::warning::SetupWarning;
 use fmi::ModelDescription;
@@ -21,9 +22,14 @@ pub(super) fn parameters(parameters: &[Parameter], description: &ModelDescriptio
     for parameter in parameters {
         let first = parameter.variable_names().first();
         let Some(variable) = first.and_then(|name| declared(description, name)) else { continue };
-        let (low, high) = (variable.min.unwrap_or(f64::NEG_INFINITY), variable.max.unwrap_or(f64::INFINITY));
+        // The model's range in the unit of the parameter.
+        let given = parameter.given_unit().filter(|_| !parameter.is_tied());
+        let conversion = given.and_then(|unit| UnitConversion::to_variable(unit, variable, description).ok());
+        let own = |value| conversion.unwrap_or(UnitConversion::IDENTITY).invert(value);
+        let (min, max) = (variable.min.map(own), variable.max.map(own));
+        let (low, high) = (min.unwrap_or(f64::NEG_INFINITY), max.unwrap_or(f64::INFINITY));
         let subject = format!("parameter '{}'", parameter.name());
-        let range = match (variable.min, variable.max) {
+        let range = match (min, max) {
             (Some(low), Some(high)) => format!("from {} to {}", Number(low), Number(high)),
             (Some(low), None) => format!("of at least {}", Number(low)),
             (None, Some(high)) => format!("of at most {}", Number(high)),

@@ -1,7 +1,7 @@
 //! What a recording shows by itself: its times, and values that are constant, clipped or missing.
 
-use super::Subject;
 use super::finding::{Finding, Severity};
+use super::subject::Subject;
 use crate::data::sampling_interval;
 use ode::Number;
 

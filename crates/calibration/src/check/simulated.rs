@@ -1,7 +1,7 @@
 //! What an evaluation at the start values shows: measurements in another unit, swapped, or far from the simulation from the start.
 
-use super::Subject;
 use super::finding::{Finding, Severity};
+use super::subject::Subject;
 use crate::calibration::Calibration;
 use crate::column_units::declared;
 use crate::data::{parts, sampling_interval};
@@ -328,6 +328,7 @@ fn a_thousandth_as_long(calibration: &Calibration) -> Option<Calibration> {
         windows.for_each(|(from, to)| (*from, *to) = (1e-3 * *from, 1e-3 * *to));
         experiment.warm_up = experiment.warm_up.map(|seconds| 1e-3 * seconds);
         experiment.start_time = experiment.start_time.map(|start| 1e-3 * start);
+        experiment.delays.iter_mut().for_each(|(_, delay)| *delay *= 1e-3);
     }
     calibration.derived(problem).ok()
 }

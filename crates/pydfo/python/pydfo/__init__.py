@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from . import dfo, ode
 from ._calibration import Calibration, Raced
+from ._check import Check, Finding
 from ._core import __version__
 from ._description import Description, Variable, read_description
 from ._errors import (
@@ -57,11 +58,13 @@ __all__ = [
     "Calibration",
     "CalibrationError",
     "CalibrationWarning",
+    "Check",
     "CheckpointError",
     "CrossValidation",
     "Description",
     "Experiment",
     "FMUModel",
+    "Finding",
     "Fit",
     "FmuError",
     "Fold",

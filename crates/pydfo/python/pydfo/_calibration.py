@@ -8,12 +8,12 @@ import os
 import warnings
 from contextlib import closing, nullcontext
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options, _stages, _worth
+from . import _check, _core, _options, _stages, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import Inputs, Names, Settings, Weights, collected, path_of
 from ._files import OpenOptions
@@ -27,6 +27,9 @@ from ._result import OptimizeResult
 from ._stages import Stage
 from ._validation import CrossValidation
 from ._worth import Worth
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -122,6 +125,11 @@ class Calibration:
         thread-safe then; where it is not, results are wrong or the process ends.
     time : str, optional
         Name of the column of times, where it is not ``time``; its unit may be left out.
+    mask : array of bool or str, optional
+        Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
+    resample : float, optional
+        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves); at least that of the
+        recording.
     initial_states, windows, warm_up, delays, hold_inputs : optional
         Of the one recording, as in `Experiment`.
 
@@ -172,6 +180,8 @@ class Calibration:
         warm_up: SupportsFloat | None = None,
         delays: Mapping[str, SupportsFloat] | None = None,
         hold_inputs: bool | None = None,
+        mask: Any = None,
+        resample: SupportsFloat | None = None,
     ) -> None:
         own: dict[str, Any] = {
             "window": window,
@@ -184,6 +194,8 @@ class Calibration:
             "warm_up": warm_up,
             "delays": delays,
             "hold_inputs": hold_inputs,
+            "mask": mask,
+            "resample": resample,
         }
         experiments, parameters = collected(data, outputs, parameters, inputs, **own)
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
@@ -583,6 +595,54 @@ class Calibration:
         return fit
 
     @explained
+    def check(self, simulate: bool = True) -> _check.Check:
+        """Looks for what does not fit between model, recordings and parameters, and says what to do about it.
+
+        Looked at are the times (gaps, unit, start), the recorded values (constant, clipped, missing, in other units than the model, far
+        from the simulation at the start, columns that are swapped), inputs that nothing drives or that end early, and the ranges that the
+        model states for its parameters.
+
+        Parameters
+        ----------
+        simulate : bool
+            Whether to simulate all experiments once at the start values (and once with times a thousandth as long, where they could be
+            in ms).
+
+        Returns
+        -------
+        Check
+            A sequence of findings, the gravest first, which prints as a table; true in a condition if there are errors or warnings.
+
+        Examples
+        --------
+        >>> from pydfo import Calibration, Parameter, example_fmu
+        >>> data = {"time": [0.0, 1.0, 2.0], "x": [1000.0, 150.0, 20.0]}
+        >>> calibration = Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
+        >>> print(calibration.check(simulate=False))
+        nothing found
+        >>> calibration.check()[0].severity
+        'warning'
+        """
+        return _check.of(self._native, _options.flag("simulate", simulate))
+
+    def plot_data(self) -> Figure:
+        """Draws the recordings before anything is simulated: measurements and inputs in the units of the model, the rows outside of the
+        windows in grey; a column per experiment. Needs matplotlib.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Nothing is shown or saved: ``calibration.plot_data().savefig("data.png")``.
+
+        Raises
+        ------
+        ImportError
+            matplotlib is not installed.
+        """
+        from . import _plot_data
+
+        return _plot_data.recordings(self._native)
+
     def worth(
         self,
         x: npt.ArrayLike | Mapping[str, float] | None = None,

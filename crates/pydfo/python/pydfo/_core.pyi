@@ -26,6 +26,7 @@ __all__ = [
     "Optimizer",
     "__version__",
     "build_fmu",
+    "check",
     "check_parameter",
     "clear_caches",
     "close_unused",
@@ -45,6 +46,7 @@ __all__ = [
     "option_names",
     "quad_err",
     "read_csv",
+    "recorded",
     "solve",
     "cross_validate",
     "prediction_bands",
@@ -104,6 +106,18 @@ def solve(problem: _Problem) -> OdeResult: ...
 def check_parameter(parameter: Parameter) -> None: ...
 def find_time(names: list[str], time: str | None = None) -> tuple[int, tuple[float, float]]: ...
 def find_column(names: list[str], wanted: str) -> int: ...
+def check(
+    calibration: Calibration, simulate: bool
+) -> tuple[list[tuple[str, str, str, str]], str, int, bool]: ...
+def recorded(
+    calibration: Calibration,
+) -> list[
+    tuple[
+        npt.NDArray[np.float64],
+        list[tuple[str, str, str | None, npt.NDArray[np.float64], bool]],
+        list[tuple[float, float]],
+    ]
+]: ...
 def date_seconds(texts: list[str]) -> list[float]: ...
 def read_csv(
     text: bytes, source: str, time: str | None, needed: list[str]

@@ -49,6 +49,10 @@ class Experiment:
         Where the simulation starts, in s.
     time : str, optional
         Name of the column of times, where it is not ``time``.
+    mask : array of bool or str, optional
+        Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
+    resample : float, optional
+        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves).
     initial_states : dict, optional
         What states of the model are at the start: a number, "measured" (the first measurement that counts, of the column that is
         compared with the state), or a `Parameter` of this experiment alone with start and bounds, whose name plays no part: it
@@ -100,6 +104,9 @@ class Experiment:
     windows: list[tuple[float, float]]
     warm_up: float | None
     start_time: float | None
+    mask: list[bool] | None
+    mask_column: str | None
+    resample: float | None
     delays: list[tuple[str, float]]
     hold_inputs: bool
 
@@ -121,6 +128,8 @@ class Experiment:
         warm_up: SupportsFloat | None = None,
         delays: Mapping[str, SupportsFloat] | None = None,
         hold_inputs: bool = False,
+        mask: Any = None,
+        resample: SupportsFloat | None = None,
     ) -> None:
         put = object.__setattr__
         put(self, "name", None if name is None else _options.choice("name", name))
@@ -132,7 +141,11 @@ class Experiment:
             columns = [column for _, column in pairs]
             columns += [source for _, source in driven if isinstance(source, str)]
             columns += [weight for _, _, weight in weighed if isinstance(weight, str)]
-            table = _data.read(data, columns, named)
+            rows, by = _data.mask(mask)
+            table = _data.read(data, columns + ([] if by is None else [by]), named)
+            put(self, "mask", rows)
+            put(self, "mask_column", by)
+            put(self, "resample", _options.optional_number("resample", resample))
             put(self, "path", table.path)
             put(self, "columns", table.columns)
             put(self, "left_out", table.left_out)
