@@ -30,6 +30,7 @@ LAYERS = {
         calibration
         effect simulations spot_checks output_fit
         worth
+        preflight
         fit
         stages
         report

@@ -16,6 +16,7 @@ use crate::simulations::{Point, Simulations};
 use covariance::{Factors, Noise};
 use dfo::Kind;
 use differences::{Center, Differences};
+pub(crate) use digits::digits;
 use nalgebra::DMatrix;
 pub use residual_check::ResidualCheck;
 pub use result::{Estimator, Worth, WorthOptions};

@@ -43,7 +43,7 @@ from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
 from ._stages import Stage
 from ._trajectory import SimulationResult
-from ._worth import ResidualCheck, Worth
+from ._worth import ParameterCheck, Preflight, ResidualCheck, Worth
 
 __all__ = [
     "Above",
@@ -68,6 +68,8 @@ __all__ = [
     "OptimizeResult",
     "Optimizer",
     "Parameter",
+    "ParameterCheck",
+    "Preflight",
     "Progress",
     "PydfoError",
     "Raced",
