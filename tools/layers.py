@@ -23,17 +23,20 @@ LAYERS = {
         measurements names
         residual warning
         problem
-        assignment column_units identity
+        column_units identity
+        assignment
         simulation
         evaluate
         solver
         calibration
-        effect simulations spot_checks output_fit
+        check effect simulations spot_checks output_fit
         worth
         preflight
         fit
-        stages
-        report
+        stages prediction
+        validation
+        cross_validation
+        report export
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -81,11 +84,12 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
-        data description inputs trajectory
+        data
+        description inputs trajectory
         settings
         experiment fit minimize model py_system stages
-        calibration optimizer solve
-        worth
+        calibration fit_report optimizer solve
+        share validation worth
     """,
 }
 

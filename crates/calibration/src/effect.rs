@@ -6,9 +6,11 @@ use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
 use dfo::{Kind, Measure, Outcome, Report, Termination, Tolerances};
 use ode::{Number, Stats};
+use serde::{Deserialize, Serialize};
 
 /// One of the two bounds of a parameter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum BoundSide {
     /// The smallest value.
     Lower,

@@ -15,6 +15,14 @@ pub enum CalibrationError {
         /// The system's reason.
         source: io::Error,
     },
+    /// A report cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    ReportFile {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
     /// A table of measurements that cannot be used.
     #[error("{source_name}: {message}")]
     Data {
@@ -41,6 +49,14 @@ pub enum CalibrationError {
         name: String,
         /// What is wrong.
         source: Box<CalibrationError>,
+    },
+    /// A file that should hold a fit, and does not, or not one of this version.
+    #[error("{name}: {message}")]
+    SavedFit {
+        /// The file.
+        name: String,
+        /// What is wrong with it.
+        message: String,
     },
     /// What is wrong with one of the stages of a fit.
     #[error("stage {number}: {source}")]

@@ -16,6 +16,7 @@ use dfo::{
     RunOptions, Search, Stop, Tolerances, Want,
 };
 use ode::{Number, Stats};
+use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -104,7 +105,7 @@ impl fmt::Debug for FitOptions<'_> {
 }
 
 /// The result of a fit. `Display` prints a summary.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Fit {
     /// Fitted values, one per parameter, user's order and units; fixed ones included.
@@ -360,8 +361,8 @@ impl Calibration {
         let outputs = self.output_fits((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let description = self.fmu().description();
-        let of_model = |p: &Parameter| description.variable(p.variable()?).and_then(|v| v.unit.clone());
-        let unit = |p: &Parameter| p.given_unit().map(str::to_owned).or_else(|| of_model(p));
+        let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
+        let start_rms = start_cost.map(|cost| self.rms(&start, cost, loss));
         Ok(Fit {
             units: self.parameters().iter().map(unit).collect(),
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
@@ -373,10 +374,10 @@ impl Calibration {
             preflight,
             worth,
             cost: report.fun,
-            rms: self.rms(report.fun - self.prior_cost(&report.x, loss)),
+            rms: self.rms(&report.x, report.fun, loss),
             tied: self.tied_values(&report.x),
             start_cost,
-            start_rms: start_cost.map(|cost| self.rms(cost - self.prior_cost(&start, loss))),
+            start_rms,
             start,
             stages: Vec::new(),
             at_bound: found.at_bound,

@@ -43,7 +43,7 @@ impl NoCost {
 impl From<FmiError> for NoCost {
     fn from(error: FmiError) -> Self {
         match error {
-            FmiError::NoCopy { .. } => return NoCost::Over(Box::new(error)),
+            FmiError::NoCopy { .. } | FmiError::Absent { .. } => return NoCost::Over(Box::new(error)),
             FmiError::Cancelled => return NoCost::Cancelled,
             _ => {}
         }

@@ -8,10 +8,12 @@ use crate::method::{BarrierStage, Method, Optimum, Simplex};
 use crate::termination::{Termination, UNBOUNDED};
 use crate::tolerances::{Limits, Tests};
 use crate::trace::Trace;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 
 /// The result of a run. `Display` prints a summary for people.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Report {
     /// The best point (user's units, user's order).
@@ -45,11 +47,11 @@ pub struct Report {
     /// Reasons of the failures with their counts, most frequent first.
     pub failures: Vec<(String, usize)>,
     /// Name of the method.
-    pub method: &'static str,
+    pub method: Cow<'static, str>,
     /// Why it was chosen, where the user left the choice open.
     pub method_reason: Option<String>,
     /// Batch plan of the method.
-    pub batch: &'static str,
+    pub batch: Cow<'static, str>,
     /// Evaluations that could run at once.
     pub workers: usize,
     /// The stages of a sequential barrier search: barrier parameter, barrier, point and cost of each.
@@ -77,6 +79,21 @@ impl Report {
     /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search.
     pub fn is_success(&self) -> bool {
         self.termination.is_success()
+    }
+
+    /// Whether the lengths of its parts fit together: what comes from a file may not.
+    pub fn is_sound(&self) -> bool {
+        let n = self.x.len();
+        let simplexes = self.final_simplex.iter().chain(&self.final_population);
+        let m = self.residuals.as_ref().map_or(0, Vec::len);
+        self.trace.is_sound(n)
+            && simplexes
+                .into_iter()
+                .all(|s| s.costs.len() == s.vertices.len() && s.vertices.iter().all(|v| v.len() == n))
+            && self.jacobian.as_ref().is_none_or(|jacobian| jacobian.len() == m * n)
+            && self.active.len() == if self.jacobian.is_some() { n } else { 0 }
+            && self.schedule.iter().all(|stage| stage.x.len() == n)
+            && self.optima.iter().all(|optimum| optimum.x.len() == n)
     }
 
     /// How uncertain the parameters are, as far as the linear model of the residuals at the end tells it: `s^2 (J' J)^-1` with
@@ -172,9 +189,9 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         schedule: details.schedule.to_vec(),
         optima: details.optima.to_vec(),
         seed: details.seed,
-        method: method.name(),
+        method: method.name().into(),
         method_reason: None,
-        batch: details.plan,
+        batch: details.plan.into(),
         workers,
         seconds,
         residuals,

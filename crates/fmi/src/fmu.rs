@@ -115,6 +115,36 @@ impl Fmu {
         Ok(Fmu { inner: Arc::new(inner), path: path.into() })
     }
 
+    /// The FMU that was at `path` with this content, of which only `modelDescription.xml` is at hand: it can be inspected, and
+    /// simulations of it can be planned. What needs its other files fails with [`FmiError::Absent`].
+    /// `reason`: why it is not at hand, for that error.
+    ///
+    /// # Errors
+    /// The description cannot be read as one.
+    pub fn absent(
+        path: impl AsRef<Path>,
+        description: Vec<u8>,
+        content_hash: String,
+        reason: String,
+        options: &OpenOptions,
+    ) -> Result<Fmu, FmiError> {
+        let path = path.as_ref();
+        Self::describe(Archive::absent(path, description, content_hash, reason), path, options)
+    }
+
+    /// The bytes of its `modelDescription.xml`, as it is at present.
+    ///
+    /// # Errors
+    /// The file cannot be read any more.
+    pub fn description_file(&self) -> Result<Vec<u8>, FmiError> {
+        self.inner.archive.description(self.inner.options.description.bytes, &Cancel::default())
+    }
+
+    /// How it was opened.
+    pub fn options(&self) -> &OpenOptions {
+        &self.inner.options
+    }
+
     /// The same FMU, opened by another path.
     pub(crate) fn at(&self, path: &Path) -> Fmu {
         Fmu { inner: Arc::clone(&self.inner), path: path.into() }

@@ -1,6 +1,7 @@
 //! The log of an instance: a bounded store of its last lines, with a limit of their rate.
 
 use crate::error::{LogLine, Status};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicI32, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -17,7 +18,7 @@ const PER_POINT: i32 = 4;
 const ERRORS_BEYOND: i32 = 64;
 
 /// Which lines of an FMU's log are kept; the others are not even expanded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum LogFilter {
     /// All.

@@ -6,6 +6,7 @@ use crate::description::DescriptionLimits;
 use crate::log::LogFilter;
 use crate::source::COMPILE_TIME;
 use crate::sys::LoaderOptions;
+use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
 /// Options of [`Fmu::open_with`](crate::Fmu::open_with); the default is what [`Fmu::open`](crate::Fmu::open) does.
@@ -14,7 +15,7 @@ use std::time::Duration;
 /// use fmi::{LoaderOptions, OpenOptions};
 /// let options = OpenOptions { loader: LoaderOptions { deepbind: true, ..Default::default() }, ..Default::default() };
 /// ```
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OpenOptions {
     /// What an archive may contain.
     pub limits: ArchiveLimits,
@@ -30,6 +31,7 @@ pub struct OpenOptions {
     /// How long the compiler may run that builds the library of a source-code FMU (default: five minutes).
     pub compile_time: Duration,
     /// Ends the opening early. It is not looked at any more when the FMU is open.
+    #[serde(skip)]
     pub cancel: Cancel,
 }
 
@@ -49,7 +51,7 @@ impl Default for OpenOptions {
 
 /// What is done with the log of an FMU. Its lines are kept per instance, not for ever, and the last of them are part of
 /// every error.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LogOptions {
     /// The FMU is asked to log. FMUs log what they think important without being asked, too.
     pub asked: bool,

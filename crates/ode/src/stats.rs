@@ -1,5 +1,6 @@
 //! What a run cost.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::AddAssign;
 
@@ -15,7 +16,7 @@ const OPERATIONS_PER_STATE: f64 = 30.0;
 /// assert_eq!(Seconds::new(1.0), Seconds::new(2.0));
 /// assert_eq!(Seconds::new(1.5).get(), 1.5);
 /// ```
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Default, Serialize, Deserialize)]
 pub struct Seconds(f64);
 
 impl Seconds {
@@ -51,7 +52,7 @@ impl fmt::Debug for Seconds {
 }
 
 /// Counts of one run, and how long it took. They add up over runs. Runs are compared by the counts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Stats {
     /// Accepted steps.
     pub accepted_steps: u64,

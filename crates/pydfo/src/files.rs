@@ -21,6 +21,15 @@ const SHORT: Duration = Duration::from_millis(20);
 /// The FMU at `path`, opened now or before with the same options. What takes long is opened while this thread looks for
 /// signals: small files can hold large descriptions.
 pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyResult<fmi::Fmu> {
+    try_open(py, path, options)?.map_err(|e| fmu_error::raise(py, &e))
+}
+
+/// The same, with an error of the model as it is.
+pub(crate) fn try_open(
+    py: Python<'_>,
+    path: PathBuf,
+    options: &OpenOptions,
+) -> PyResult<Result<fmi::Fmu, FmiError>> {
     let try_here = || OPEN.open_with(&path, &OpenOptions { cancel: Cancel::after(SHORT), ..options.clone() });
     let opened = match py.detach(try_here) {
         Err(FmiError::Cancelled) => {
@@ -30,7 +39,7 @@ pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyRe
         opened => opened,
     };
     logs::pass_on(py)?;
-    opened.map_err(|e| fmu_error::raise(py, &e))
+    Ok(opened)
 }
 
 /// Does work of some seconds while this thread looks for signals: one that asks for an early end ends it.

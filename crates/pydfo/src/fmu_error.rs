@@ -2,7 +2,7 @@
 
 use fmi::FmiError;
 use pyo3::IntoPyObjectExt;
-use pyo3::exceptions::{PyKeyboardInterrupt, PyMemoryError, PyOSError};
+use pyo3::exceptions::{PyFileNotFoundError, PyKeyboardInterrupt, PyMemoryError, PyOSError};
 use pyo3::prelude::*;
 use std::io;
 use std::path::Path;
@@ -20,6 +20,7 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
         FmiError::Cancelled => PyKeyboardInterrupt::new_err(()),
         FmiError::Memory { .. } => PyMemoryError::new_err(message),
         FmiError::Io { path, source, .. } => os_error(py, path, source, message),
+        FmiError::Absent { .. } => PyFileNotFoundError::new_err(message),
         FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => {
             UnknownVariableError::new_err(message)
         }

@@ -10,6 +10,7 @@ mod error;
 mod experiment;
 mod files;
 mod fit;
+mod fit_report;
 mod fmu_error;
 mod inputs;
 mod interrupt;
@@ -23,10 +24,12 @@ mod py_system;
 mod quad_err;
 mod report;
 mod settings;
+mod share;
 mod solve;
 mod stages;
 mod threads;
 mod trajectory;
+mod validation;
 mod values;
 mod words;
 mod worth;
@@ -52,6 +55,10 @@ mod core_module {
     #[pymodule_export]
     use super::fit::PyFit;
     #[pymodule_export]
+    use super::fit_report::{
+        fit_correlation, fit_curves, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text,
+    };
+    #[pymodule_export]
     use super::methods::{auto_method, method_names, option_names};
     #[pymodule_export]
     use super::minimize::minimize;
@@ -62,7 +69,11 @@ mod core_module {
     #[pymodule_export]
     use super::quad_err::quad_err;
     #[pymodule_export]
+    use super::share::{fit_to_bytes, load_fit, parameters_of, save_fit};
+    #[pymodule_export]
     use super::solve::solve;
+    #[pymodule_export]
+    use super::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]
     use super::values::dtypes;
     #[pymodule_export]

@@ -227,11 +227,11 @@ pub(crate) fn to_python<'py>(
     }
     fields.set_item("failures", failures)?;
     fields.set_item("trace", trace(py, &report.trace)?)?;
-    fields.set_item("method", report.method)?;
+    fields.set_item("method", &*report.method)?;
     fields.set_item("method_reason", report.method_reason.as_deref())?;
     let optima = report.optima.iter().map(|o| (PyArray1::from_slice(py, &o.x), o.cost, o.n_starts));
     fields.set_item("optima", optima.collect::<Vec<_>>())?;
-    fields.set_item("batch", report.batch)?;
+    fields.set_item("batch", &*report.batch)?;
     fields.set_item("workers", report.workers)?;
     let n = report.x.len();
     if let Some(jacobian) = &report.jacobian {

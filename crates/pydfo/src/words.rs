@@ -2,6 +2,7 @@
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde::de::value::{Error, StrDeserializer};
 
@@ -9,6 +10,14 @@ use serde::de::value::{Error, StrDeserializer};
 pub(crate) fn word<T: DeserializeOwned>(name: &str, given: &str) -> PyResult<T> {
     let lower = given.to_ascii_lowercase();
     T::deserialize(StrDeserializer::<Error>::new(&lower)).map_err(|e| none_of(name, given, &e.to_string()))
+}
+
+/// The word that stands for a value.
+pub(crate) fn word_of<T: Serialize>(value: &T) -> String {
+    match serde_json::to_value(value) {
+        Ok(serde_json::Value::String(word)) => word,
+        _ => String::new(),
+    }
 }
 
 pub(crate) fn words<T: DeserializeOwned>(name: &str, given: &[String]) -> PyResult<Vec<T>> {

@@ -57,6 +57,12 @@ impl Data {
         Self::new("data".to_owned(), name, times, columns, |row| format!("row {row}"))
     }
 
+    /// Checks what a table is checked for when it is made: what comes from a file may be something else.
+    pub(crate) fn check(&self) -> Result<(), CalibrationError> {
+        let Self { source, time_name, time, columns, .. } = self.clone();
+        Self::new(source, time_name, time, columns, |row| format!("row {row}")).map(|_| ())
+    }
+
     /// Names of columns that the recording has, and this table has not: a [warning](crate::SetupWarning) may concern them.
     #[must_use]
     pub fn left_out(mut self, names: impl IntoIterator<Item = String>) -> Self {
@@ -199,6 +205,11 @@ impl Data {
     pub fn unit(&self, column: &str) -> Option<&str> {
         let column = &self.columns[self.position(column).ok()??];
         column.unit.as_deref().or_else(|| parts(&column.name).1)
+    }
+
+    /// Multiplies the times with a positive factor.
+    pub(crate) fn scale_times(&mut self, factor: f64) {
+        self.time.iter_mut().for_each(|time| *time *= factor);
     }
 
     /// The name of a column in full, with its unit if it has one there.

@@ -110,7 +110,7 @@ fn sentence(fit: &Fit) -> String {
     };
     let before = match fit.start_rms {
         Some(rms) => format!("at the start {}", rounded(rms, FEW_DIGITS)),
-        None => "no simulation at the start".to_owned(),
+        None => "none at the start".to_owned(),
     };
     let mut suspects: Vec<usize> = fit.at_bound.iter().map(|(i, _)| *i).collect();
     suspects.extend(&fit.without_effect);
@@ -211,7 +211,7 @@ fn outputs(fit: &Fit) -> Vec<OutputRow> {
         rms: rounded(output.rms, FEW_DIGITS),
         start_rms: output.start_rms.map_or_else(|| "failed".to_owned(), |rms| rounded(rms, FEW_DIGITS)),
         fit_percent: match output.fit_percent.is_nan() {
-            true => "constant data".to_owned(),
+            true => "none: constant data".to_owned(),
             false => format!("{} %", rounded(output.fit_percent, 3)),
         },
         unit: output.unit.clone().unwrap_or_default(),
@@ -227,11 +227,16 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     };
     let mut facts = vec![("ended", format!("{}: {}", report.method, report.message))];
     facts.extend(report.method_reason.iter().map(|reason| ("chosen", reason.clone())));
+    facts.extend(fit.stages.iter().map(|stage| ("stage", stage.report.message.clone())));
     facts.push(("cost", format!("{}{before}, RMS {}", rounded(fit.cost, DIGITS), rounded(fit.rms, DIGITS))));
+    if !fit.tied.is_empty() {
+        let value = |(name, value): &(String, f64)| format!("{name} = {}", rounded(*value, DIGITS));
+        facts.push(("tied", fit.tied.iter().map(value).collect::<Vec<_>>().join(", ")));
+    }
     if !report.loss.is_linear() {
         facts.push(("loss", report.loss.to_string()));
     }
-    facts.push(("errors", errors(fit)));
+    facts.push(("standard errors", errors(fit)));
     let counts = [(report.n_failed, "failed"), (report.n_speculative, "speculative")];
     let counts: String =
         counts.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!(", {n} {what}")).collect();

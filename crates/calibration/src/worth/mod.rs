@@ -19,6 +19,7 @@ use differences::{Center, Differences};
 pub(crate) use digits::digits;
 use nalgebra::DMatrix;
 pub use residual_check::ResidualCheck;
+pub(crate) use result::check_level;
 pub use result::{Estimator, Worth, WorthOptions};
 use std::thread::available_parallelism;
 

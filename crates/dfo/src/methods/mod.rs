@@ -222,7 +222,7 @@ impl AnyMethod {
     ///
     /// let rosenbrock = |x: &[f64], out: &mut Vec<f64>| out.extend([10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]]);
     /// let report = minimize(residuals(rosenbrock)).start(&[-1.2, 1.0]).method(AnyMethod::auto(Search::Local)).run()?;
-    /// assert_eq!((report.method, report.method_reason.as_deref()), ("least-squares", Some("the objective gives residuals")));
+    /// assert_eq!((&*report.method, report.method_reason.as_deref()), ("least-squares", Some("the objective gives residuals")));
     /// # Ok::<(), dfo::Error>(())
     /// ```
     pub fn auto(search: Search) -> Self {

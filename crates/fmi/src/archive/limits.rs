@@ -1,10 +1,12 @@
 //! What an archive may contain, and what it has to.
 
+use serde::{Deserialize, Serialize};
+
 /// Name of the file every FMU has at its root.
 pub(crate) const MODEL_DESCRIPTION: &str = "modelDescription.xml";
 
 /// What an archive may contain. The defaults are far above any real FMU, and stop archives made to fill a disk.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ArchiveLimits {
     /// Files and folders (default 100 000).
     pub entries: u64,

@@ -60,6 +60,16 @@ pub struct Archive {
 enum Content {
     Folder(Folder),
     Packed(Packed),
+    Absent(Absent),
+}
+
+/// A file or folder that is not there (any more), of which the description was kept.
+#[derive(Debug)]
+struct Absent {
+    path: PathBuf,
+    description: Vec<u8>,
+    /// Why it is not at hand.
+    reason: String,
 }
 
 /// An unpacked folder.
@@ -102,6 +112,19 @@ impl Archive {
         Ok(Archive { content, content_hash: OnceLock::new() })
     }
 
+    /// What was at `path` with this content, by its description: nothing else of it can be read.
+    pub(crate) fn absent(path: &Path, description: Vec<u8>, content_hash: String, reason: String) -> Archive {
+        let content = Content::Absent(Absent { path: path.to_owned(), description, reason });
+        Archive { content, content_hash: content_hash.into() }
+    }
+
+    /// Why there is nothing but the description.
+    fn missing(&self, absent: &Absent) -> FmiError {
+        let Absent { path, reason, .. } = absent;
+        let content_hash = self.content_hash.get().cloned().unwrap_or_default();
+        FmiError::Absent { path: path.clone(), content_hash, reason: reason.clone() }
+    }
+
     /// Unpacks all of it into a private folder, which goes with this value; returns the folder that holds
     /// `modelDescription.xml`, an absolute path. An unpacked folder is returned as it is.
     ///
@@ -120,6 +143,7 @@ impl Archive {
                 root.metadata().map_err(FmiError::io("open", root))?;
                 Ok(root.clone())
             }
+            Content::Absent(absent) => Err(self.missing(absent)),
         }
     }
 
@@ -140,6 +164,7 @@ impl Archive {
         let path = || match &self.content {
             Content::Packed(packed) => packed.path(),
             Content::Folder(folder) => &folder.root,
+            Content::Absent(absent) => &absent.path,
         };
         let bytes = self.read(MODEL_DESCRIPTION, limit, cancel)?;
         bytes.ok_or_else(|| FmiError::NoModelDescription { path: path().to_owned(), hint: None })
@@ -149,6 +174,7 @@ impl Archive {
     pub(crate) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>, FmiError> {
         match &self.content {
             Content::Packed(packed) => packed.read(name, limit, cancel),
+            Content::Absent(absent) => Ok((name == MODEL_DESCRIPTION).then(|| absent.description.clone())),
             Content::Folder(Folder { root, .. }) => {
                 let path = root.join(name);
                 let file = match File::open(&path) {
@@ -176,6 +202,7 @@ impl Archive {
         let hash = match &self.content {
             Content::Packed(packed) => packed.hash()?,
             Content::Folder(folder) => hash::of_folder(&folder.root, &folder.limits)?,
+            Content::Absent(absent) => return Err(self.missing(absent)),
         };
         Ok(self.content_hash.get_or_init(|| hash))
     }
@@ -184,7 +211,7 @@ impl Archive {
     pub(crate) fn fingerprint(&self) -> Option<String> {
         match &self.content {
             Content::Packed(packed) => Some(packed.fingerprint()),
-            Content::Folder(..) => None,
+            Content::Folder(..) | Content::Absent(_) => None,
         }
     }
 
@@ -202,14 +229,14 @@ impl Archive {
     pub fn repeated(&self) -> Vec<&str> {
         match &self.content {
             Content::Packed(packed) => packed.repeated().collect(),
-            Content::Folder(..) => Vec::new(),
+            Content::Folder(..) | Content::Absent(_) => Vec::new(),
         }
     }
 
     /// The hash of the content as it is at present: a folder that is not private may have been edited.
     pub(crate) fn present_hash(&self) -> Result<String, FmiError> {
         match &self.content {
-            Content::Packed(_) => self.content_hash().map(str::to_owned),
+            Content::Packed(_) | Content::Absent(_) => self.content_hash().map(str::to_owned),
             Content::Folder(folder) => hash::of_folder(&folder.root, &folder.limits),
         }
     }

@@ -3,11 +3,12 @@
 use crate::archive::MODEL_DESCRIPTION;
 use crate::cancel::Cancel;
 use crate::error::FmiError;
+use serde::{Deserialize, Serialize};
 use std::cell::Cell;
 
 /// What a model description may ask for. The defaults are above what real models need, and stop small files that would fill
 /// the memory.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DescriptionLimits {
     /// Bytes of `modelDescription.xml` (default 64 MiB, a description of 200 000 variables). Reading it takes at most
     /// eight times as much memory.

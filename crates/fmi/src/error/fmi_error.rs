@@ -32,6 +32,16 @@ pub enum FmiError {
         /// The system's reason.
         source: io::Error,
     },
+    /// Of the FMU only its description is at hand; see [`Fmu::absent`](crate::Fmu::absent).
+    #[error("the FMU {} is needed with the content that it had (SHA-256 {content_hash}); {reason}", path.display())]
+    Absent {
+        /// Where it was.
+        path: PathBuf,
+        /// SHA-256 of its content.
+        content_hash: String,
+        /// Why it is not at hand.
+        reason: String,
+    },
     /// The file is not a zip archive, or it is damaged.
     #[error("{} is not a usable FMU archive: {reason}", path.display())]
     BadArchive {
@@ -387,7 +397,7 @@ impl FmiError {
     }
 
     /// Wraps an error of the operating system with what was tried on which path.
-    pub(crate) fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> FmiError {
+    pub fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> FmiError {
         let path = path.into();
         move |source| FmiError::Io { action, path, source }
     }

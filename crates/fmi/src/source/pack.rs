@@ -44,16 +44,11 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<(), Fmi
         folder: folder.to_owned(),
         reason: format!("\"{}\" {problem}", entry.escape_debug()),
     })?;
-    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    let unfinished = platform::with_usual_permissions(builder.prefix(".fmufit-").suffix(".fmu"))
-        .tempfile_in(parent)
-        .map_err(FmiError::io("create a file in", parent))?;
-    cancel.check()?;
-    write_archive(unfinished.as_file(), &files).map_err(|error| error.of(unfinished.path()))?;
-    check_result(unfinished.path(), &source, folder)?;
-    unfinished.persist(out).map_err(|error| FmiError::io("write", out)(error.error))?;
-    Ok(())
+    platform::write_whole(out, |file, path| {
+        cancel.check()?;
+        write_archive(file, &files).map_err(|error| error.of(path))?;
+        check_result(path, &source, folder)
+    })
 }
 
 /// Path of an `.fmu` named `file_name` with these files (paths inside of it, and texts), packed as by [`pack`] at the first call
@@ -139,9 +134,7 @@ fn write_archive(out: &File, files: &BTreeMap<String, PathBuf>) -> Result<(), Wr
         io::copy(&mut file, &mut archive).map_err(WriteError::Write)?;
     }
     let mut buffer = archive.finish()?;
-    buffer.flush().map_err(WriteError::Write)?;
-    drop(buffer);
-    out.sync_all().map_err(WriteError::Write)
+    buffer.flush().map_err(WriteError::Write)
 }
 
 /// Opens the archive as a user would, and unpacks it.

@@ -2,6 +2,7 @@
 
 use super::environment::CallEnvironment;
 use crate::platform::Shared;
+use serde::{Deserialize, Serialize};
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
 use std::path::Path;
@@ -12,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// missing one is an error then and not the end of the process later (`RTLD_NOW`), and none of them are offered to other
 /// libraries (`RTLD_LOCAL`). A library that is loaded already stays as it is; that holds for the libraries it depends on too,
 /// which the loader knows by their names: of two with one name in a process it takes the first.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LoaderOptions {
     /// Symbols of the library and what it depends on come before those of the process (`RTLD_DEEPBIND` of glibc): for
     /// libraries that call a function of their own and get one of the same name of the host program instead. An error

@@ -31,18 +31,20 @@ from ._errors import (
 )
 from ._experiment import Experiment
 from ._files import build_fmu, clear_caches, example_fmu
-from ._fit import Fit
+from ._fit import Fit, OutputFit
 from ._fmin import fmin
 from ._least_squares import least_squares
 from ._minimize import minimize
 from ._model import FMUModel, load_fmu
 from ._optimizer import Above, Asked, Optimizer
-from ._parameter import Parameter
+from ._parameter import LogNormal, Normal, Parameter
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
+from ._share import load_fit
 from ._stages import Stage
 from ._trajectory import SimulationResult
+from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
 from ._worth import ParameterCheck, Preflight, ResidualCheck, Worth
 
 __all__ = [
@@ -56,20 +58,26 @@ __all__ = [
     "CalibrationError",
     "CalibrationWarning",
     "CheckpointError",
+    "CrossValidation",
     "Description",
     "Experiment",
     "FMUModel",
     "Fit",
     "FmuError",
+    "Fold",
     "Interrupted",
     "LeastSquaresResult",
     "ModelTypeError",
     "NoResult",
     "OptimizeResult",
     "Optimizer",
+    "LogNormal",
+    "Normal",
+    "OutputFit",
     "Parameter",
     "ParameterCheck",
     "Preflight",
+    "PredictionBand",
     "Progress",
     "PydfoError",
     "Raced",
@@ -79,6 +87,8 @@ __all__ = [
     "Stage",
     "Trace",
     "UnknownVariableError",
+    "ValidatedOutput",
+    "Validation",
     "Variable",
     "Worth",
     "__version__",
@@ -88,6 +98,7 @@ __all__ = [
     "example_fmu",
     "fmin",
     "least_squares",
+    "load_fit",
     "load_fmu",
     "minimize",
     "ode",

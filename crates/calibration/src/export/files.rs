@@ -1,0 +1,43 @@
+//! What all files have in common that a fit is handed on by: whose they are, and how they are written.
+
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::fit::Fit;
+use fmi::FmiError;
+use fmi::platform::write_whole;
+use std::io::Write;
+use std::path::Path;
+
+/// Refuses a fit of something else.
+pub(super) fn check_belongs(fit: &Fit, calibration: &Calibration) -> Result<(), CalibrationError> {
+    let names: Vec<&str> = calibration.parameters().iter().map(|p| p.name()).collect();
+    let lists = [names.join(", "), fit.names.join(", ")];
+    if names != fit.names {
+        let [own, other] = lists;
+        return Err(CalibrationError::Setup(format!("it is a fit of {other}, the calibration has {own}")));
+    }
+    Ok(())
+}
+
+/// Writes a file in one step; not over the model.
+pub(super) fn write(path: &Path, calibration: &Calibration, bytes: &[u8]) -> Result<(), CalibrationError> {
+    check_path(path, calibration)?;
+    let fill = |mut file: &std::fs::File, _: &Path| {
+        Ok(file.write_all(bytes).map_err(FmiError::io("write", path))?)
+    };
+    write_whole(path, fill)
+}
+
+/// Refuses to write over the model.
+pub(super) fn check_path(path: &Path, calibration: &Calibration) -> Result<(), CalibrationError> {
+    let model = calibration.fmu().path();
+    match (path.canonicalize(), model.canonicalize()) {
+        (Ok(one), Ok(two)) if one == two => {
+            let place = path.display();
+            Err(CalibrationError::Setup(format!(
+                "{place} is the model itself: give another path to write to"
+            )))
+        }
+        _ => Ok(()),
+    }
+}

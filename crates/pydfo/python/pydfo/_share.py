@@ -1,0 +1,96 @@
+"""Handing a fit on: to a file that is read back, to tables, to other programs."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from . import _core
+from ._experiment import path_of
+from ._parameter import Parameter
+
+if TYPE_CHECKING:
+    from ._fit import Fit
+    from ._files import OpenOptions
+
+PathLike = str | os.PathLike[str]
+
+
+def load_fit(path: PathLike, model: Any = None) -> Fit:
+    """A fit that `Fit.save` has written.
+
+    It has the numbers that it had, bit for bit, and simulates as it did. Where its FMU is not at its place any more, or has
+    another content there, the fit still shows all that it holds; what simulates raises FileNotFoundError, which names the
+    file and the hash of the content.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    model : path or FMUModel, optional
+        The FMU, where it is at another place than it was when the fit was made. It must have the same content.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    BadCalibrationError
+        It holds no fit, is cut or damaged, or was written in a format that this version does not read (the message says by
+        which version it was); `model` has another content. A ValueError.
+
+    Examples
+    --------
+    >>> fit.save("furuta.fit")  # doctest: +SKIP
+    >>> pydfo.load_fit("furuta.fit").parameters  # doctest: +SKIP
+    {'armFriction': 0.010001, 'pendulumFriction': 0.001}
+    """
+    return _loaded(os.fspath(path), None, model, getattr(model, "_opened", None))
+
+
+def _loaded(path: str, content: bytes | None, model: Any, opened: OpenOptions | None) -> Fit:
+    from ._calibration import Calibration
+
+    fmu = None
+    if model is not None:
+        known = getattr(model, "_fmu", None)
+        fmu = known if isinstance(known, _core.Fmu) else _core.Fmu(path_of(model), opened)
+    native, result = _core.load_fit(path, content, fmu)
+    calibration = Calibration.__new__(Calibration)
+    place, parameters = _core.parameters_of(native)
+    calibration._parameters = tuple(Parameter(**arguments) for arguments in parameters)
+    calibration._model = os.fspath(place)
+    calibration._opened = opened
+    calibration._native = native
+    return calibration._fit(result, vars(result)["_native"].start)
+
+
+def pickled(fit: Fit) -> tuple[Any, ...]:
+    """What a pickle of a fit holds: the bytes of the file that `Fit.save` writes."""
+    native = vars(fit).get("_native")
+    if native is None:
+        # Interrupted twice: there is no more than its fields.
+        return _restored_fields, (type(fit), vars(fit))
+    return _restored, (_core.fit_to_bytes(native), fit._calibration._opened)
+
+
+def _restored(content: bytes, opened: OpenOptions | None) -> Fit:
+    return _loaded("the pickle of a Fit", content, None, opened)
+
+
+def _restored_fields(of: type[Fit], fields: dict[str, Any]) -> Fit:
+    fit = of.__new__(of)
+    vars(fit).update(fields)
+    return fit
+
+
+def native_of(fit: Fit) -> _core.Fit:
+    """The native fit."""
+    native = vars(fit).get("_native")
+    if native is None:
+        raise ValueError("the fit was interrupted twice and has no more than its last point: it cannot be handed on")
+    assert isinstance(native, _core.Fit)
+    return native

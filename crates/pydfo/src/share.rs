@@ -1,0 +1,80 @@
+//! Handing a fit on: to a file that is read back, to tables, to other programs.
+
+use crate::calibration::PyCalibration;
+use crate::description::Fmu;
+use crate::fit::PyFit;
+use crate::words::word_of;
+use crate::{error, files, logs};
+use calibration::SavedFit;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Writes a fit to a file.
+#[pyfunction]
+pub(crate) fn save_fit(py: Python<'_>, fit: &PyFit, path: PathBuf) -> PyResult<()> {
+    py.detach(|| fit.inner.save(&fit.calibration, path)).map_err(|e| error::calibration(py, &e))
+}
+
+/// The bytes of that file.
+#[pyfunction]
+pub(crate) fn fit_to_bytes<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<Bound<'py, PyBytes>> {
+    let bytes = py.detach(|| fit.inner.to_bytes(&fit.calibration)).map_err(|e| error::calibration(py, &e))?;
+    Ok(PyBytes::new(py, &bytes))
+}
+
+/// A fit from a file, or from its bytes, with its model: the one given, else the one at its place if that has the content. Its
+/// calibration, and what a `pydfo.Fit` is made of.
+#[pyfunction]
+#[pyo3(signature = (path, content=None, model=None))]
+pub(crate) fn load_fit<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    content: Option<&[u8]>,
+    model: Option<&Bound<'py, Fmu>>,
+) -> PyResult<(PyCalibration, Bound<'py, PyAny>)> {
+    let saved = py.detach(|| match content {
+        Some(bytes) => SavedFit::from_bytes(bytes, &path.display().to_string()),
+        None => SavedFit::load(&path),
+    });
+    let saved = saved.map_err(|e| error::calibration(py, &e))?;
+    let opened = match model {
+        Some(_) => None,
+        None => Some(files::try_open(py, saved.problem.model.path.clone(), &saved.open_options)?),
+    };
+    let model = model.map(|model| model.get().fmu.clone());
+    let made = py.detach(|| match (model, opened) {
+        (Some(fmu), _) => saved.calibration_with(fmu),
+        (None, Some(opened)) => saved.calibration_from(opened),
+        (None, None) => saved.calibration(),
+    });
+    logs::pass_on(py)?;
+    let calibration = PyCalibration::of(Arc::new(made.map_err(|e| error::calibration(py, &e))?));
+    let result = calibration.result(py, saved.fit)?;
+    Ok((calibration, result))
+}
+
+/// The place of the model of a calibration, and the arguments of the `pydfo.Parameter` of each of its parameters.
+#[pyfunction]
+pub(crate) fn parameters_of<'py>(
+    py: Python<'py>,
+    calibration: &PyCalibration,
+) -> PyResult<(PathBuf, Vec<Bound<'py, PyDict>>)> {
+    let problem = calibration.inner.problem();
+    let arguments = |p: &calibration::Parameter| {
+        let arguments = PyDict::new(py);
+        arguments.set_item("name", p.name())?;
+        arguments.set_item("start", p.start())?;
+        arguments.set_item("lower", p.lower())?;
+        arguments.set_item("upper", p.upper())?;
+        arguments.set_item("scale", word_of(&p.scale_kind()))?;
+        arguments.set_item("nominal", p.nominal_size())?;
+        arguments.set_item("kind", word_of(&p.value_kind()))?;
+        arguments.set_item("fixed", p.is_fixed())?;
+        arguments.set_item("local", p.is_local())?;
+        Ok(arguments)
+    };
+    let all = problem.parameters.iter().map(arguments).collect::<PyResult<_>>()?;
+    Ok((problem.model.path.clone(), all))
+}
