@@ -31,6 +31,7 @@ LAYERS = {
         calibration
         check effect simulations spot_checks output_fit
         worth
+        preflight
         fit
         stages prediction
         validation

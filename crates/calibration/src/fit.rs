@@ -5,11 +5,12 @@ use crate::effect::{BoundSide, Findings, is_over};
 use crate::error::CalibrationError;
 use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
+use crate::preflight::{Preflight, PreflightOptions};
 use crate::residual::CostRule;
 use crate::simulations::Simulations;
 use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
-use crate::worth::{KnownPoint, Worth, WorthOptions};
+use crate::worth::{KnownPoint, Worth, WorthOptions, digits};
 use dfo::{
     Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
     RunOptions, Search, Stop, Tolerances, Want,
@@ -46,6 +47,9 @@ pub struct FitOptions<'a> {
     /// What a residual counts; default: its square. With another loss [`Fit::cost`] is the sum of what they count, also where
     /// the method sees costs alone.
     pub loss: RobustLoss,
+    /// The start is looked at first, see [`Calibration::preflight`]; `f_tol` below the noise of the simulations is raised to it, with
+    /// a word in the message. Default: no.
+    pub preflight: bool,
     /// What the fit is worth is found out after the run: standard errors, correlation, what the data cannot tell. Takes at least two
     /// simulations for each parameter and one that is more accurate, in parallel; they are none of the run's evaluations, are not
     /// made after an interrupt or when the time is up, and are part of `stats`. `None`: it is not. Its loss is that of the fit.
@@ -76,6 +80,7 @@ impl Default for FitOptions<'_> {
             held: Vec::new(),
             cutoffs: true,
             loss: RobustLoss::default(),
+            preflight: false,
             worth: Some(WorthOptions::default()),
             observer: None,
             poll: None,
@@ -144,6 +149,8 @@ pub struct Fit {
     pub n_beginnings: usize,
     /// How well each output is reproduced, in the order of the residual vector; empty where the run was ended from outside.
     pub outputs: Vec<OutputFit>,
+    /// What was found before the fit, where it was asked for.
+    pub preflight: Option<Preflight>,
     /// What the fit is worth; `None` where it was not asked for, or the run was ended from outside.
     pub worth: Option<Worth>,
     /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
@@ -221,8 +228,18 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        let FitOptions { run: mut described, start, held, cutoffs, loss, worth, mut observer, poll, cancel } =
-            options.into();
+        let FitOptions {
+            run: mut described,
+            start,
+            held,
+            cutoffs,
+            loss,
+            preflight,
+            worth,
+            mut observer,
+            poll,
+            cancel,
+        } = options.into();
         let poll = RefCell::new(poll);
         described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
@@ -259,8 +276,21 @@ impl Calibration {
         let problem = self.problem_hash(solver);
         described.problem = Some(if loss.is_linear() { problem } else { format!("{problem}, loss {loss}") });
         described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
-        let tolerances = described.tolerances;
         let (mut stats, mut n_beginnings) = (Stats::default(), 0);
+        let preflight = preflight.then(|| {
+            let options = PreflightOptions { start: Some(start.clone()), workers: described.workers, loss };
+            self.preflight_counted(&options, &cancelled, &mut stats)
+        });
+        let preflight = preflight.transpose()?;
+        let mut raised = String::new();
+        if let Some(found) = &preflight
+            && described.tolerances.measure == Measure::Relative
+            && found.f_tol_above_noise(described.tolerances.f_tol) > described.tolerances.f_tol
+        {
+            described.tolerances.f_tol = found.noise;
+            raised = format!("; f_tol raised to the noise of the simulations, {}", digits(found.noise));
+        }
+        let tolerances = described.tolerances;
         let (mut report, found, residuals) = loop {
             n_beginnings += 1;
             let n_findings = self.n_history_findings();
@@ -316,7 +346,7 @@ impl Calibration {
             described.checkpoint = described.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
             described.known.iter_mut().for_each(|known| known.problem = None);
         };
-        report.message += &self.remarks(&found);
+        report.message += &(self.remarks(&found) + &raised);
         let worth = worth.and_then(|mut options| {
             options.workers = options.workers.or(described.workers);
             options.held.extend(&held);
@@ -341,6 +371,7 @@ impl Calibration {
             x: report.x.clone(),
             names,
             outputs,
+            preflight,
             worth,
             cost: report.fun,
             rms: self.rms(&report.x, report.fun, loss),

@@ -114,7 +114,7 @@ impl Calibration {
         stages: &[Stage],
         options: impl Into<FitOptions<'a>>,
     ) -> Result<Fit, CalibrationError> {
-        let FitOptions { run, start, held, cutoffs, loss, worth, mut observer, poll, cancel } =
+        let FitOptions { run, start, held, cutoffs, loss, preflight, worth, mut observer, poll, cancel } =
             options.into();
         let poll = RefCell::new(poll);
         let start = start.unwrap_or_else(|| self.start());
@@ -179,6 +179,7 @@ impl Calibration {
                 held: (0..x.len()).filter(|i| !freed[k].contains(i)).collect(),
                 cutoffs,
                 loss,
+                preflight: preflight && k == 0,
                 worth: worth.clone(),
                 observer: observer.as_mut().map(|observer| {
                     Box::new(move |progress: &Progress<'_>| {
@@ -272,6 +273,7 @@ impl Calibration {
     ) -> Fit {
         let mut all = fits[fits.len() - 1].clone();
         all.start.clone_from(&fits[0].start);
+        all.preflight.clone_from(&fits[0].preflight);
         let (at_bound, without_effect) = (&mut all.at_bound, &mut all.without_effect);
         at_bound.clear();
         without_effect.clear();

@@ -3,7 +3,8 @@
 #![allow(clippy::print_stderr, clippy::unwrap_used)]
 
 use calibration::{
-    Calibration, Data, Estimator, Experiment, Fit, FitOptions, Parameter, Scale, Worth, WorthOptions,
+    Calibration, Data, Estimator, Experiment, Fit, FitOptions, Parameter, PreflightOptions, Scale, Worth,
+    WorthOptions,
 };
 use dfo::{Limits, NelderMead, RunOptions};
 use example_models::example_fmu;
@@ -277,4 +278,40 @@ fn four_parameters_of_the_exhaust_pipe_are_confounded() {
     }
     let at_bound = worth(&calibration, &[50000.0, 7.6, 21091.0, 255.4], Estimator::Pooled);
     assert_eq!(at_bound.held, [0]);
+}
+
+#[test]
+fn a_preflight_says_what_would_spoil_the_fit() {
+    let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
+    let h = time.iter().map(|t| 1.0 - 0.5 * 9.81 * t * t).collect();
+    let ball = Calibration::builder(open("bouncing_ball"))
+        .experiment(Experiment::new(data(&time, &[("h", h)])).output("h", "h"))
+        .parameter(Parameter::new("e", 0.7).bounds(0.1, 0.95))
+        .parameter(Parameter::new("g", -9.0).bounds(-15.0, -5.0))
+        .parameter(Parameter::new("v", 0.0).fixed(true))
+        .build()
+        .unwrap();
+    let found = ball.preflight(&PreflightOptions::default(), &|| false).unwrap();
+    let effects: Vec<_> = found.parameters.iter().map(|p| (p.has_effect, p.moved_to.is_some())).collect();
+    assert_eq!(effects, [(false, true), (true, true), (false, false)]);
+    assert!(found.messages.len() == 1 && found.messages[0].starts_with("e moves no output"), "{found}");
+    // h falls with g t^2 / 2; the size of g is the width of its bounds.
+    let by_g = time.iter().map(|t| (0.5 * t * t).powi(2)).sum::<f64>() / 40.0;
+    near(found.parameters[1].sensitivity.unwrap(), 10.0 * by_g.sqrt() / (0.5 * 9.81 * 0.39 * 0.39), 1e-3);
+    assert_eq!((found.expected_evaluations, found.n_simulations), (36, 4));
+    for said in ["moves no output", "fixed", "sensitivity", "36 evaluations"] {
+        assert!(found.to_string().contains(said), "{found}");
+    }
+    let fit = ball.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
+    assert_eq!(fit.preflight.unwrap().messages, found.messages);
+    assert!(ball.preflight(&PreflightOptions::default(), &|| true).is_err());
+}
+
+#[test]
+fn a_preflight_names_pairs_that_are_confounded_at_the_start() {
+    let Some(calibration) = exhaust() else { return };
+    let start = Some(vec![13893.0, 211.9, 16089.0, 47.4]);
+    let found = calibration.preflight(&PreflightOptions { start, ..PreflightOptions::default() }, &|| false);
+    let found = found.unwrap();
+    assert!(found.confounded.iter().any(|(i, j, c)| (*i, *j) == (0, 3) && *c < -0.9), "{found}");
 }

@@ -335,7 +335,7 @@ impl PyCalibration {
         self.inner.problem().experiments.iter().map(recording).collect()
     }
 
-    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None, covariance=None))]
+    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None, covariance=None, preflight=false))]
     fn fit<'py>(
         &self,
         py: Python<'py>,
@@ -345,6 +345,7 @@ impl PyCalibration {
         loss: Option<LossFields>,
         stages: Option<Vec<StageFields>>,
         covariance: Option<&str>,
+        preflight: bool,
     ) -> PyResult<Bound<'py, PyAny>> {
         let check = |stages: Vec<StageFields>| stages.into_iter().map(|stage| stage.check(py)).collect();
         let stages: Option<Vec<calibration::Stage>> = stages.map(check).transpose()?;
@@ -365,6 +366,7 @@ impl PyCalibration {
                     run,
                     start,
                     loss,
+                    preflight,
                     worth,
                     observer: Some(Box::new(|progress: &Progress<'_>| {
                         seen.pass_on(progress, caller, notified.as_ref())

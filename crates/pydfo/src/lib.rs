@@ -78,7 +78,7 @@ mod core_module {
     #[pymodule_export]
     use super::values::dtypes;
     #[pymodule_export]
-    use super::worth::{PyWorth, worth_at, worth_of_fit};
+    use super::worth::{PyWorth, preflight_at, preflight_of_fit, worth_at, worth_of_fit};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

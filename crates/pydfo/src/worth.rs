@@ -1,10 +1,10 @@
-//! `Worth`: what a fit is worth; `pydfo.Worth` is its Python class.
+//! `Worth` and the preflight: what a fit is worth, and what is found before it; `pydfo.Worth` and `pydfo.Preflight` in Python.
 
 use crate::calibration::PyCalibration;
 use crate::error;
 use crate::fit::PyFit;
 use crate::settings;
-use calibration::{Worth, WorthOptions};
+use calibration::{Preflight, PreflightOptions, Worth, WorthOptions};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -35,6 +35,54 @@ pub(crate) fn worth_at(
     let options = WorthOptions { workers, held, ..settings::worth(Some(covariance))?.unwrap_or_default() };
     let worth = calibration.compute(py, move |c, cancelled| c.worth(&x, &options, cancelled))?;
     Ok(PyWorth { inner: Arc::new(worth) })
+}
+
+/// The fields of `pydfo.Preflight`, found at `x`.
+#[pyfunction]
+pub(crate) fn preflight_at<'py>(
+    py: Python<'py>,
+    calibration: &PyCalibration,
+    x: Vec<f64>,
+    workers: Option<usize>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let options = PreflightOptions { start: Some(x), workers, ..PreflightOptions::default() };
+    let found = calibration.compute(py, move |c, cancelled| c.preflight(&options, cancelled))?;
+    preflight(py, &found)
+}
+
+/// The fields of `pydfo.Preflight` that a fit has, if it was asked for.
+#[pyfunction]
+pub(crate) fn preflight_of_fit<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<Option<Bound<'py, PyDict>>> {
+    fit.inner.preflight.as_ref().map(|found| preflight(py, found)).transpose()
+}
+
+fn preflight<'py>(py: Python<'py>, found: &Preflight) -> PyResult<Bound<'py, PyDict>> {
+    let fields = PyDict::new(py);
+    let name = |i: usize| &found.parameters[i].name;
+    let checks = found.parameters.iter().map(|check| {
+        let fields = PyDict::new(py);
+        fields.set_item("name", &check.name)?;
+        fields.set_item("start", check.start)?;
+        fields.set_item("moved_to", check.moved_to)?;
+        fields.set_item("sensitivity", check.sensitivity)?;
+        fields.set_item("has_effect", check.has_effect)?;
+        fields.set_item("failure", check.failure.as_deref())?;
+        Ok(fields)
+    });
+    fields.set_item("parameters", checks.collect::<PyResult<Vec<_>>>()?)?;
+    let pairs = found.confounded.iter().map(|(i, j, c)| (name(*i), name(*j), *c));
+    fields.set_item("confounded", pairs.collect::<Vec<_>>())?;
+    fields.set_item("cost", found.cost)?;
+    fields.set_item("accurate_cost", found.accurate_cost)?;
+    fields.set_item("noise", found.noise)?;
+    fields.set_item("seconds_per_evaluation", found.seconds_per_evaluation)?;
+    fields.set_item("expected_evaluations", found.expected_evaluations)?;
+    fields.set_item("expected_seconds", found.expected_seconds)?;
+    fields.set_item("workers", found.workers)?;
+    fields.set_item("messages", &found.messages)?;
+    fields.set_item("n_simulations", found.n_simulations)?;
+    fields.set_item("text", found.to_string())?;
+    Ok(fields)
 }
 
 fn matrix<'py>(py: Python<'py>, rows: &[f64], n: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {

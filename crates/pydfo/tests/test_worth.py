@@ -78,6 +78,10 @@ def test_what_cannot_be_told_is_said(furuta):
     fit = calibration.fit()
     assert fit.worth.undetermined == ["e"] and np.isinf(fit.stderr[0]) and fit.worth.identifiable == ["g"]
     assert "the data do not determine e" in fit.message and "do not determine e" in fit.cov_message
+    before = calibration.preflight()
+    assert [check.has_effect for check in before.parameters] == [False, True] and before.n_simulations == 4
+    assert "e moves no output" in before.messages[0] and "moves no output" in repr(before) and before.cost == calibration.cost()
+    assert calibration.fit(preflight=True).preflight.messages == before.messages and fit.preflight is None
     conditional = calibration.worth(fit.x, parameters=["g"])
     assert conditional.held == ["e"] and conditional.undetermined == []
     without = calibration.fit(covariance=None)

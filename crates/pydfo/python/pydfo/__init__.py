@@ -46,7 +46,7 @@ from ._share import load_fit
 from ._stages import Stage
 from ._trajectory import SimulationResult
 from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
-from ._worth import ResidualCheck, Worth
+from ._worth import ParameterCheck, Preflight, ResidualCheck, Worth
 
 __all__ = [
     "Above",
@@ -78,6 +78,8 @@ __all__ = [
     "Normal",
     "OutputFit",
     "Parameter",
+    "ParameterCheck",
+    "Preflight",
     "PredictionBand",
     "Progress",
     "PydfoError",

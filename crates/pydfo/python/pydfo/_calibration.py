@@ -26,7 +26,7 @@ from ._progress import Printer
 from ._result import OptimizeResult
 from ._stages import Stage
 from ._validation import CrossValidation
-from ._worth import Worth
+from ._worth import Preflight, Worth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -433,6 +433,7 @@ class Calibration:
         search: Literal["local", "global"] = "local",
         stages: Sequence[Stage | Sequence[str]] | None = None,
         covariance: Literal["sandwich", "pooled"] | None = "sandwich",
+        preflight: bool = False,
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
@@ -494,6 +495,9 @@ class Calibration:
         covariance : {"sandwich", "pooled"} or None
             How the standard errors of the fit are estimated, see `worth`. Found out after the run, with simulations that do not
             count in ``nfev``: at least two for each parameter and an accurate one, in parallel. None: not at all.
+        preflight : bool
+            Look at the start first, see `preflight`; the fit has what was found (``fit.preflight``), and `disp` prints it. A
+            relative `f_tol` below the noise of the simulations is raised to it, with a word in the message.
 
         Returns
         -------
@@ -580,7 +584,15 @@ class Calibration:
             setattr(observer, "tick", live.tick)
         try:
             with closing(live) if live else nullcontext():
-                result = self._native.fit(built, start=begin, observer=observer, loss=counted, stages=of_stages, covariance=covariance)
+                result = self._native.fit(
+                    built,
+                    start=begin,
+                    observer=observer,
+                    loss=counted,
+                    stages=of_stages,
+                    covariance=covariance,
+                    preflight=_options.flag("preflight", preflight),
+                )
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):
@@ -590,6 +602,8 @@ class Calibration:
             raise
         fit = self._fit(result, begin)
         _log.info("fit: %s; cost %r after %d evaluations", fit.message, fit.cost, fit.nfev)
+        if disp and fit.preflight is not None:
+            print(fit.preflight)
         if disp:
             printer.end(fit.message, fit.x, fit.cost, fit.nit, fit.nfev, fit.solve_time)
         return fit
@@ -643,6 +657,30 @@ class Calibration:
 
         return _plot_data.recordings(self._native)
 
+    @explained
+    def preflight(self, start: npt.ArrayLike | Mapping[str, float] | None = None, workers: SupportsIndex | None = None) -> Preflight:
+        """Looks before a fit at what would spoil it; ``print(calibration.preflight())`` shows a table.
+
+        Each parameter is moved by a hundredth of its size (one simulation each, in parallel), and the start is simulated once
+        more with a hundredth of the relative tolerance.
+
+        Parameters
+        ----------
+        start : array_like or dict, optional
+            As in `cost`.
+        workers : int, optional
+            Simulations that may run at once; None: all cores.
+
+        Raises
+        ------
+        SimulationError
+            The simulation fails at the start.
+        ValueError, TypeError
+            Arguments that cannot be used.
+        """
+        return _worth.before(self, self._values(start), workers)
+
+    @explained
     def worth(
         self,
         x: npt.ArrayLike | Mapping[str, float] | None = None,

@@ -52,6 +52,8 @@ __all__ = [
     "prediction_bands",
     "validate",
     "Worth",
+    "preflight_at",
+    "preflight_of_fit",
     "worth_at",
     "worth_of_fit",
 ]
@@ -164,6 +166,7 @@ class Calibration:
         loss: tuple[str, float] | None = None,
         stages: list[BuiltStage] | None = None,
         covariance: str | None = None,
+        preflight: bool = False,
     ) -> OptimizeResult: ...
 @final
 class Fit:
@@ -186,6 +189,8 @@ class Worth:
     def message(self) -> str: ...
     def text(self) -> str: ...
 
+def preflight_at(calibration: Calibration, x: Sequence[float], workers: int | None) -> dict[str, Any]: ...
+def preflight_of_fit(fit: Fit) -> dict[str, Any] | None: ...
 def worth_of_fit(fit: Fit) -> Worth | None: ...
 def worth_at(
     calibration: Calibration, x: Sequence[float], covariance: str, held: Sequence[int], workers: int | None

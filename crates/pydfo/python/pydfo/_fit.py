@@ -94,6 +94,8 @@ class Fit(OptimizeResult):
     worth : Worth or None
         Standard errors, correlation, and what the data cannot tell, in words (``print(fit.worth)``). None: not asked for, the fit
         was ended by an interrupt, an error or its time, or simulations around the result fail.
+    preflight : Preflight or None
+        What was found at the start, where ``preflight=True`` was given.
     cov, cov_message
         The covariance of `worth` and what is to be said of it.
     stats : SimulationStats or None
@@ -118,6 +120,7 @@ class Fit(OptimizeResult):
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
         self.worth = _worth.of_fit(vars(self).get("_native"))
+        self.preflight = _worth.before_fit(vars(self).get("_native"))
         self.cov = None if self.worth is None else self.worth.covariance
         self.cov_message = "" if self.worth is None else self.worth.message
         self.start = start

@@ -1,9 +1,9 @@
-"""What a fit is worth: standard errors, correlation, and what the data cannot tell."""
+"""What a fit is worth (standard errors, correlation, what the data cannot tell), and what is found before it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, SupportsFloat, SupportsIndex
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -125,6 +125,76 @@ class Worth:
 
     def __repr__(self) -> str:
         return self._native.text().rstrip("\n")
+
+
+class ParameterCheck(NamedTuple):
+    """What moving one parameter did before a fit."""
+
+    name: str
+    start: float
+    moved_to: float | None
+    """None: the parameter is fixed."""
+    sensitivity: float | None
+    """RMS change of the residuals for a step of the parameter's size, over the RMS range of the measurements; None where nothing
+    was moved or the simulation failed."""
+    has_effect: bool
+    """Whether it moves an output by more than the error of the simulations."""
+    failure: str | None
+    """Why the simulation failed."""
+
+
+class Preflight:
+    """What was found before a fit (`Calibration.preflight`, ``fit.preflight``); ``print(preflight)`` shows a table.
+
+    Attributes
+    ----------
+    parameters : list of ParameterCheck
+        What moving each parameter by a hundredth of its size did.
+    confounded : list of (str, str, float)
+        Pairs that move the outputs the same way at the start, with the correlation that their estimates would have.
+    cost, accurate_cost : float
+        The cost at the start, and with a hundredth of the relative tolerance (None: that simulation failed).
+    noise : float
+        The difference of both relative to the cost.
+    seconds_per_evaluation, expected_seconds : float
+        Time of one evaluation, and of a fit by least squares, one evaluation after the other.
+    expected_evaluations : int
+        A rule of thumb for least squares: 12 for each free parameter and one more.
+    workers : int
+        Evaluations that may run at once.
+    messages : list of str
+        What is to be said, in sentences; empty if nothing is.
+    n_simulations : int
+        Points that were simulated.
+    """
+
+    def __init__(self, fields: dict[str, Any]) -> None:
+        self.parameters = [ParameterCheck(**check) for check in fields["parameters"]]
+        self.confounded: list[tuple[str, str, float]] = fields["confounded"]
+        self.cost: float = fields["cost"]
+        self.accurate_cost: float | None = fields["accurate_cost"]
+        self.noise: float = fields["noise"]
+        self.seconds_per_evaluation: float = fields["seconds_per_evaluation"]
+        self.expected_evaluations: int = fields["expected_evaluations"]
+        self.expected_seconds: float = fields["expected_seconds"]
+        self.workers: int = fields["workers"]
+        self.messages: list[str] = fields["messages"]
+        self.n_simulations: int = fields["n_simulations"]
+        self._text: str = fields["text"]
+
+    def __repr__(self) -> str:
+        return self._text.rstrip("\n")
+
+
+def before(calibration: Calibration, x: list[float], workers: SupportsIndex | None) -> Preflight:
+    """What is found at a point before a fit."""
+    return Preflight(_core.preflight_at(calibration._native, x, _options.worker_count("workers", workers, None)))
+
+
+def before_fit(fit: _core.Fit | None) -> Preflight | None:
+    """What was found before a fit, if it was asked for."""
+    fields = None if fit is None else _core.preflight_of_fit(fit)
+    return None if fields is None else Preflight(fields)
 
 
 def of_fit(fit: _core.Fit | None) -> Worth | None:
