@@ -21,7 +21,7 @@ LAYERS = {
         input
         experiment
         measurements names
-        residual warning
+        objective residual warning
         problem
         assignment column_units identity
         simulation
@@ -84,7 +84,7 @@ LAYERS = {
         error files values
         description inputs trajectory
         settings
-        experiment fit minimize model py_system stages
+        cost experiment fit minimize model py_system stages
         calibration fit_report optimizer solve
         share validation worth
     """,

@@ -1,5 +1,6 @@
 //! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter lock.
 
+use crate::cost::{self, CostFields};
 use crate::description::Fmu;
 use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields};
 use crate::fit::PyFit;
@@ -7,6 +8,7 @@ use crate::interrupt::{Watch, fits_here};
 use crate::report::{self, LastProgress, Listener, ResultKind};
 use crate::settings::{self, LossFields, Options, Settings};
 use crate::stages::StageFields;
+use crate::threads::lock;
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
 use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
@@ -84,6 +86,7 @@ impl PyCalibration {
         let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
         result.setattr("without_effect", inert)?;
         result.setattr("start_cost", fit.start_cost)?;
+        result.setattr("objective", &fit.objective)?;
         let stages = fit.stages.iter().map(|stage| self.result(py, stage.clone()));
         result.setattr("stages", stages.collect::<PyResult<Vec<_>>>()?)?;
         result.setattr("_rms", (fit.rms, fit.start_rms))?;
@@ -286,7 +289,14 @@ impl PyCalibration {
         self.inner.problem().experiments.iter().map(recording).collect()
     }
 
-    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None, covariance=None))]
+    /// The measurements that count, as a function of the user's sees them.
+    fn measured_series<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let outputs = &self.inner.residual_layout().outputs;
+        let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), o.measured.as_slice()));
+        cost::series(py, &self.inner.problem().experiment_names(), measured)
+    }
+
+    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None, covariance=None, objective=None))]
     fn fit<'py>(
         &self,
         py: Python<'py>,
@@ -296,6 +306,7 @@ impl PyCalibration {
         loss: Option<LossFields>,
         stages: Option<Vec<StageFields>>,
         covariance: Option<&str>,
+        objective: Option<CostFields>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let check = |stages: Vec<StageFields>| stages.into_iter().map(|stage| stage.check(py)).collect();
         let stages: Option<Vec<calibration::Stage>> = stages.map(check).transpose()?;
@@ -304,6 +315,9 @@ impl PyCalibration {
         let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
+        let of_objective = cost::Raised::default();
+        let kind = |given| cost::kind(given, &self.inner, (Arc::clone(&stop), Arc::clone(&of_objective)));
+        let objective = objective.map(kind).transpose()?.unwrap_or_default();
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
         let last_progress = Arc::new(LastProgress::default());
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
@@ -312,6 +326,7 @@ impl PyCalibration {
             let options = FitOptions {
                 run,
                 start,
+                objective,
                 loss,
                 worth,
                 observer: Some(Box::new(|progress: &Progress<'_>| {
@@ -331,6 +346,7 @@ impl PyCalibration {
             return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None));
         };
         let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
+        raised = raised.or_else(|| lock(&of_objective).take());
         let result = match outcome {
             Ok(mut fit) => {
                 // No simulation can be made any more.
