@@ -23,12 +23,13 @@ LAYERS = {
         measurements names
         objective residual warning
         problem
-        assignment column_units identity
+        column_units identity
+        assignment
         simulation
         evaluate
         solver
         calibration
-        effect simulations spot_checks output_fit
+        check effect simulations spot_checks output_fit
         worth
         fit
         stages prediction
@@ -63,7 +64,7 @@ LAYERS = {
         fmu
         fmu_cache instance
         simulation
-        reuse
+        reuse start_values
         session
     """,
     "ode": """
@@ -82,6 +83,7 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
+        data
         description inputs trajectory
         settings
         cost experiment fit minimize model py_system stages

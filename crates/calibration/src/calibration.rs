@@ -2,7 +2,7 @@
 
 use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
-use crate::experiment::{Experiment, InitialState, SimulationSettings};
+use crate::experiment::{Experiment, SimulationSettings};
 use crate::identity::{hash, identity};
 use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
@@ -134,17 +134,9 @@ impl Calibration {
             return Err(CalibrationError::Setup("windows: there are none".to_owned()));
         }
         let mut problem = self.problem().clone();
-        for (k, experiment) in problem.experiments.iter_mut().enumerate() {
+        for (experiment, simulation) in problem.experiments.iter_mut().zip(&self.evaluator.simulations) {
             experiment.windows = windows.to_vec();
-            experiment.start_time = self.evaluator.simulations[k].options.start_time;
-            experiment.warm_up = None;
-            let outputs = &self.residual_layout().outputs;
-            for (state, initial) in &mut experiment.initial_states {
-                let own = outputs.iter().find(|output| output.experiment == k && output.variable == *state);
-                if let (InitialState::Measured, Some(own)) = (&*initial, own) {
-                    *initial = InitialState::Value(own.measured[0]);
-                }
-            }
+            simulation.keep_start(experiment);
         }
         self.derived(problem)
     }
@@ -195,10 +187,16 @@ impl Calibration {
         self.evaluator.layout.n_measurements()
     }
 
-    /// The root of the mean squared weighted residual of the measurements, from the part of a cost that is theirs: all but the
-    /// [part of the priors](Self::prior_cost).
-    pub fn rms(&self, cost: f64) -> f64 {
-        (cost / self.n_measurements() as f64).sqrt()
+    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with the loss of a fit, of what they
+    /// count): the priors have their part of the cost, and are no measurements.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn rms(&self, x: &[f64], cost: f64, loss: RobustLoss) -> f64 {
+        let priors = if self.residual_layout().priors.is_empty() { 0.0 } else { self.prior_cost(x, loss) };
+        let squares = cost - priors;
+        // The rounding of a difference.
+        (if squares < 0.0 { 0.0 } else { squares } / self.n_measurements() as f64).sqrt()
     }
 
     /// The part of the cost at `x` that is that of the priors, with the loss of a fit; NaN where one is not defined.

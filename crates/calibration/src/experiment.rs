@@ -84,6 +84,20 @@ pub enum OutputScale {
 }
 
 impl OutputScale {
+    /// The scale of a name.
+    ///
+    /// # Errors
+    /// A name that is none.
+    pub fn named(name: &str) -> Result<Self, CalibrationError> {
+        let known = [Self::Range, Self::Mean, Self::Sd];
+        known.into_iter().find(|scale| scale.name() == name).ok_or_else(|| {
+            let known = known.map(|scale| format!("'{}'", scale.name())).join(", ");
+            CalibrationError::Setup(format!(
+                "weights = '{name}' is none of {known}; give one of them, or numbers for the outputs"
+            ))
+        })
+    }
+
     /// "range", "mean" or "sd".
     pub fn name(self) -> &'static str {
         match self {
@@ -163,14 +177,20 @@ impl Experiment {
         self.outputs.iter().map(|o| (o.variable.as_str(), o.column.as_str()))
     }
 
+    /// Inputs with the columns that drive them.
+    pub(crate) fn driving_columns(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.inputs.iter().filter_map(|(input, source)| match source {
+            InputSource::Column(column) => Some((input.as_str(), column.as_str())),
+            InputSource::Constant(_) | InputSource::Function(_) => None,
+        })
+    }
+
     /// Variables with the columns that measure or drive them.
     pub(crate) fn columns_in_use(&self) -> Vec<(String, String)> {
         let outputs = self.outputs.iter().map(|o| (o.variable.clone(), o.column.clone()));
-        let driven = |(input, source): &(String, InputSource)| match source {
-            InputSource::Column(column) => Some((input.clone(), column.clone())),
-            _ => None,
-        };
-        outputs.chain(self.inputs.iter().filter_map(driven)).collect()
+        outputs
+            .chain(self.driving_columns().map(|(input, column)| (input.to_owned(), column.to_owned())))
+            .collect()
     }
 
     /// Whether a start value is that of a local parameter.
@@ -226,11 +246,13 @@ impl Experiment {
     ) -> Self {
         let function = SignalFunction { function: Some(Arc::new(function)) };
         let variable = variable.into();
+        let source = InputSource::Function(function);
         // That of a stored problem has lost its function.
-        self.inputs.retain(|(known, source)| {
-            *known != variable || *source != InputSource::Function(SignalFunction::default())
-        });
-        self.inputs.push((variable, InputSource::Function(function)));
+        let lost = InputSource::Function(SignalFunction::default());
+        match self.inputs.iter_mut().find(|(known, source)| *known == variable && *source == lost) {
+            Some((_, known)) => *known = source,
+            None => self.inputs.push((variable, source)),
+        }
         self
     }
 

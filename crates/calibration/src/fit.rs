@@ -1,7 +1,7 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
-use crate::effect::{BoundSide, is_over};
+use crate::effect::{BoundSide, Findings, is_over};
 use crate::error::CalibrationError;
 use crate::objective::CostKind;
 use crate::output_fit::{KeptResiduals, OutputFit};
@@ -362,8 +362,7 @@ impl Calibration {
             options.workers = options.workers.or(described.workers);
             options.held.extend(&held);
             let asked = WorthOptions { loss, ..options };
-            let found = (&found.at_bound[..], &found.without_effect[..]);
-            self.worth_of_fit((&mut report, found), &tolerances, asked, (&cancelled, &mut stats))
+            self.worth_of_fit((&mut report, &found), &tolerances, asked, (&cancelled, &mut stats))
         });
         if n_beginnings > 1 {
             report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
@@ -374,14 +373,13 @@ impl Calibration {
         let mut rms = |x: &[f64], cost: Option<f64>| {
             // Of another cost the residuals have to be known.
             match objective.is_sum_of_squares() {
-                true => cost.map(|cost| self.rms(cost - self.prior_cost(x, loss))),
+                true => cost.map(|cost| self.rms(x, cost, loss)),
                 false => self.cost_and_rms(x, (&objective, loss), &cancelled, &mut stats).map(|(_, rms)| rms),
             }
         };
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let description = self.fmu().description();
-        let of_model = |p: &Parameter| description.variable(p.variable()?).and_then(|v| v.unit.clone());
-        let unit = |p: &Parameter| p.given_unit().map(str::to_owned).or_else(|| of_model(p));
+        let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
         Ok(Fit {
             units: self.parameters().iter().map(unit).collect(),
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
@@ -420,14 +418,14 @@ impl Calibration {
         let mut residuals = vec![0.0; self.n_residuals()];
         let sum = self.evaluate_into(x, CostRule::whole(loss, cancelled), &mut residuals, stats).ok()?;
         let outcome = kind.outcome(self.residual_layout(), (sum, &residuals), &mut Vec::new());
-        Some((outcome.value()?, self.rms(sum - self.prior_cost(x, loss))))
+        Some((outcome.value()?, self.rms(x, sum, loss)))
     }
 
     /// What the result of a run is worth, with what is to be said of it added to its message; `None` where it cannot be found out, or
     /// shall not.
     pub(crate) fn worth_of_fit(
         &self,
-        (report, (at_bound, inert)): (&mut Report, (&[(usize, BoundSide)], &[usize])),
+        (report, found): (&mut Report, &Findings),
         tolerances: &Tolerances,
         mut options: WorthOptions,
         (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
@@ -437,7 +435,9 @@ impl Calibration {
         }
         let workers = options.workers.unwrap_or(1);
         let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
-        options.held.extend(at_bound.iter().map(|(index, _)| index).filter(|index| !inert.contains(index)));
+        let inert = &found.without_effect;
+        let at_bound = found.at_bound.iter().map(|(index, _)| index);
+        options.held.extend(at_bound.filter(|index| !inert.contains(index)));
         let known = KnownPoint {
             // Those of a stage with a window of its own are others.
             residuals: report.residuals.as_deref().filter(|r| r.len() == self.n_residuals()),

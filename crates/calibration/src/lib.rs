@@ -5,16 +5,17 @@
 //! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
 //! [`Calibration::residuals`] and [`Calibration::fit`].
 //!
-//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `measurements` (which of them count), `column_units`
-//! (recordings in the units of the model), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model);
+//! `measurements` (which of them count), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
 //! `simulation` (of an experiment), `evaluate` (residuals and cost at a point), `objective` (other costs); `race` and `solver` (which method integrates);
-//! `calibration`; `effect` and `spot_checks` (checks after a fit), `fit`, `stages`, `prediction`,
-//! `validation`, `cross_validation`; `report` (what it found, for people);
+//! `calibration`; `check` (what does not fit, before a fit); `effect` and `spot_checks` (checks after a fit), `fit`, `stages`,
+//! `prediction`, `validation`, `cross_validation`; `report` (what it found, for people);
 //! `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
 mod assignment;
 mod calibration;
+mod check;
 mod column_units;
 mod cross_validation;
 mod data;
@@ -50,6 +51,7 @@ mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
+pub use check::{Check, Finding, Severity};
 pub use cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, date_seconds, find_column};
 pub use dfo;

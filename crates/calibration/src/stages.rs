@@ -1,6 +1,7 @@
 //! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the last.
 
 use crate::calibration::Calibration;
+use crate::effect::Findings;
 use crate::error::CalibrationError;
 use crate::fit::{Fit, FitOptions};
 use crate::output_fit::KeptResiduals;
@@ -244,8 +245,12 @@ impl Calibration {
                 fit.report.residuals = None;
             }
             let asked = WorthOptions { loss, ..options };
-            let found = (&fit.at_bound[..], &fit.without_effect[..]);
-            self.worth_of_fit((&mut fit.report, found), &run.tolerances, asked, (&is_late, &mut fit.stats))
+            let found = Findings {
+                at_bound: fit.at_bound.clone(),
+                without_effect: fit.without_effect.clone(),
+                n_checks: 0,
+            };
+            self.worth_of_fit((&mut fit.report, &found), &run.tolerances, asked, (&is_late, &mut fit.stats))
         });
         (fit.start_cost, fit.start_rms) = at_start.unzip();
         fit.n_measurements = self.n_measurements();

@@ -5,6 +5,7 @@
 //! A module imports from those below it only (`tools/layers.py` checks that), from top to bottom:
 //!
 //! - `session`: one model as scripts use it: set, simulate, get
+//! - `start_values`: a copy of an FMU with other start values
 //! - `reuse/`: loaded copies of a library and who has them, instances brought back to their start, simulators, pools
 //! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
 //! - `instance/`: the phases of an instance as types, its values
@@ -35,6 +36,7 @@ mod reuse;
 mod session;
 mod simulation;
 mod source;
+mod start_values;
 mod sys;
 mod value;
 

@@ -2,8 +2,9 @@
 
 use crate::cost::{self, CostFields};
 use crate::description::Fmu;
-use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields};
+use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields, SignalFunctions};
 use crate::fit::PyFit;
+use crate::inputs::Callbacks;
 use crate::interrupt::{Watch, fits_here};
 use crate::report::{self, LastProgress, Listener, ResultKind};
 use crate::settings::{self, LossFields, Options, Settings};
@@ -12,7 +13,7 @@ use crate::threads::lock;
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
 use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
-use dfo::{Progress, Termination};
+use dfo::{Progress, RobustLoss, Termination};
 use fmi::OpenOptions;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
@@ -29,11 +30,13 @@ pub(crate) struct PyCalibration {
     pub(crate) inner: Arc<calibration::Calibration>,
     /// How long the last evaluation took, in ns; 0: there was none.
     last: Arc<AtomicU64>,
+    /// The functions of time that drive inputs.
+    callbacks: Callbacks,
 }
 
 impl PyCalibration {
     pub(crate) fn of(inner: Arc<calibration::Calibration>) -> Self {
-        Self { inner, last: Arc::default() }
+        Self { inner, last: Arc::default(), callbacks: Callbacks::default() }
     }
 
     /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C ends it at
@@ -67,7 +70,7 @@ impl PyCalibration {
             watch.run_briefly(move || timed(&|| flag.load(Ordering::Relaxed)))?
         };
         logs::pass_on(py)?;
-        if let Some(e) = watch.stop().take_raised() {
+        if let Some(e) = watch.stop().take_raised().or_else(|| self.callbacks.take_raised()) {
             return Err(e);
         }
         match result {
@@ -75,6 +78,20 @@ impl PyCalibration {
             Some(result) => result.map_err(|e| error::calibration(py, &e)),
             None => Err(error::interrupted(py, None, None)),
         }
+    }
+
+    /// One that was built, unless a function of time has raised an exception.
+    fn finish(
+        py: Python<'_>,
+        built: Result<calibration::Calibration, CalibrationError>,
+        callbacks: Callbacks,
+    ) -> PyResult<Self> {
+        logs::pass_on(py)?;
+        if let Some(e) = callbacks.take_raised() {
+            return Err(e);
+        }
+        let inner = built.map_err(|e| error::calibration(py, &e))?;
+        Ok(Self { inner: Arc::new(inner), last: Arc::default(), callbacks })
     }
 
     /// A fit as `pydfo.OptimizeResult`, with what only a fit has.
@@ -124,23 +141,26 @@ impl PyCalibration {
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
         // The name of an experiment, where there are several.
         let is_one = experiments.len() == 1;
-        let named = |(k, experiment): (usize, ExperimentFields)| {
+        let mut callbacks = Callbacks::default();
+        let mut named = |(k, mut experiment): (usize, ExperimentFields)| {
             let name = || experiment.name.clone().unwrap_or_else(|| Experiment::default_name(k));
             let name = (!is_one).then(name);
-            let start_values = experiment.start_values(py, &fmu).map_err(|e| match &name {
-                Some(name) => {
-                    let message = format!("{name}: {}", e.value(py));
-                    error::reworded(py, e, message)
-                }
-                None => e,
-            })?;
-            Ok((name, start_values, experiment))
+            let resolved =
+                experiment.resolve(py, (&fmu, &parameters), &mut callbacks).map_err(|e| match &name {
+                    Some(name) => {
+                        let message = format!("{name}: {}", e.value(py));
+                        error::reworded(py, e, message)
+                    }
+                    None => e,
+                })?;
+            Ok((name, resolved, experiment))
         };
-        let experiments = experiments.into_iter().enumerate().map(named).collect::<PyResult<Vec<_>>>()?;
+        let experiments =
+            experiments.into_iter().enumerate().map(&mut named).collect::<PyResult<Vec<_>>>()?;
         let built = py.detach(move || {
             let mut builder = calibration::Calibration::builder(fmu).settings(settings);
-            for (name, start_values, experiment) in experiments {
-                let made = experiment.experiment(start_values).map_err(|e| match name {
+            for (name, resolved, experiment) in experiments {
+                let made = experiment.experiment(resolved).map_err(|e| match name {
                     Some(name) => CalibrationError::Experiment { name, source: Box::new(e) },
                     None => e,
                 });
@@ -148,9 +168,7 @@ impl PyCalibration {
             }
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
         });
-        logs::pass_on(py)?;
-        let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self::of(Arc::new(inner)))
+        Self::finish(py, built, callbacks)
     }
 
     /// The problem and the solver, if it is known: what a pickle holds.
@@ -168,24 +186,49 @@ impl PyCalibration {
         Ok((problem.model.path, problem.model.content_hash))
     }
 
-    /// A calibration from a state and its model.
+    /// A calibration from a state, its model, and the functions that a state does not hold.
     #[staticmethod]
-    fn restore(py: Python<'_>, state: &[u8], fmu: &Bound<'_, Fmu>) -> PyResult<Self> {
-        let (problem, solver) = stored(state)?;
+    fn restore(
+        py: Python<'_>,
+        state: &[u8],
+        fmu: &Bound<'_, Fmu>,
+        functions: SignalFunctions,
+    ) -> PyResult<Self> {
+        let (mut problem, solver) = stored(state)?;
         let fmu = fmu.get().fmu.clone();
+        let mut callbacks = Callbacks::default();
+        for (k, input, function) in functions {
+            let callback = callbacks.add(function);
+            if let Some(experiment) = problem.experiments.get_mut(k) {
+                *experiment = experiment.clone().function_input(input, move |t| callback.value(t, 0));
+            }
+        }
         let built = py.detach(move || {
             let calibration = calibration::Calibration::from_problem(fmu, problem)?;
             solver.map_or(Ok(()), |solver| calibration.set_solver(solver))?;
             Ok(calibration)
         });
-        logs::pass_on(py)?;
-        let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self::of(Arc::new(inner)))
+        Self::finish(py, built, callbacks)
     }
 
     /// Names of the entries of `x`.
     fn names(&self) -> Vec<&str> {
         self.inner.parameters().iter().map(|p| p.name()).collect()
+    }
+
+    /// Their bounds, both the same where one is fixed, and what values they take.
+    fn bounds(&self) -> Vec<(f64, f64, String)> {
+        self.inner.parameters().iter().map(|p| (p.lower(), p.upper(), p.value_kind().to_string())).collect()
+    }
+
+    /// Names of the parameters that are tied, and their values.
+    fn tied(&self, x: Vec<f64>) -> Vec<(String, f64)> {
+        self.inner.tied_values(&x)
+    }
+
+    /// What is set in the model, by variable, in the simulation of an experiment.
+    fn model_values(&self, experiment: usize, x: Vec<f64>) -> Vec<(String, f64)> {
+        self.inner.model_values(experiment, &x)
     }
 
     /// Their start values.
@@ -208,8 +251,14 @@ impl PyCalibration {
         self.inner.n_residuals()
     }
 
-    fn rms(&self, cost: f64) -> f64 {
-        self.inner.rms(cost)
+    #[getter]
+    fn n_measurements(&self) -> usize {
+        self.inner.n_measurements()
+    }
+
+    /// The rms at `x`, from the cost without a loss.
+    fn rms(&self, x: Vec<f64>, cost: f64) -> f64 {
+        self.inner.rms(&x, cost, RobustLoss::default())
     }
 
     /// Name of the integration method that is in use; None: not chosen yet.
@@ -322,6 +371,7 @@ impl PyCalibration {
         let last_progress = Arc::new(LastProgress::default());
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
+        let callbacks = self.callbacks.clone();
         let outcome = watch.run(move |caller| {
             let options = FitOptions {
                 run,
@@ -333,7 +383,9 @@ impl PyCalibration {
                     seen.pass_on(progress, caller, notified.as_ref())
                 })),
                 cancel: Some(asked.flag()),
-                poll: asked.has_parent().then(|| Box::new(|| asked.is_asked()) as Box<dyn FnMut() -> bool>),
+                poll: (asked.has_parent() || !callbacks.is_empty()).then(|| {
+                    Box::new(|| asked.is_asked() || callbacks.has_raised()) as Box<dyn FnMut() -> bool>
+                }),
                 ..FitOptions::default()
             };
             match stages {
@@ -346,7 +398,7 @@ impl PyCalibration {
             return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None));
         };
         let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
-        raised = raised.or_else(|| lock(&of_objective).take());
+        raised = raised.or_else(|| lock(&of_objective).take()).or_else(|| self.callbacks.take_raised());
         let result = match outcome {
             Ok(mut fit) => {
                 // No simulation can be made any more.

@@ -4,6 +4,7 @@ use crate::calibration::PyCalibration;
 use crate::error;
 use crate::experiment::ExperimentFields;
 use crate::fit::PyFit;
+use crate::inputs::Callbacks;
 use crate::settings::{self, LossFields, Options, Settings};
 use crate::trajectory::Counts;
 use calibration::{
@@ -19,12 +20,14 @@ fn experiments(
     py: Python<'_>,
     calibration: &PyCalibration,
     given: Vec<ExperimentFields>,
+    callbacks: &mut Callbacks,
 ) -> PyResult<Vec<Experiment>> {
     let is_one = given.len() == 1;
-    let made = |(k, fields): (usize, ExperimentFields)| {
+    let of = (calibration.inner.fmu(), &calibration.inner.problem().parameters[..]);
+    let made = |(k, mut fields): (usize, ExperimentFields)| {
         let name = fields.name.clone().unwrap_or_else(|| Experiment::default_name(k));
-        let start_values = fields.start_values(py, calibration.inner.fmu())?;
-        fields.experiment(start_values).map_err(|e| {
+        let resolved = fields.resolve(py, of, callbacks)?;
+        fields.experiment(resolved).map_err(|e| {
             let named = if is_one { e } else { CalibrationError::Experiment { name, source: Box::new(e) } };
             error::calibration(py, &named)
         })
@@ -41,14 +44,19 @@ pub(crate) fn validate<'py>(
     windows: Vec<(f64, f64)>,
     experiments: Option<Vec<ExperimentFields>>,
 ) -> PyResult<Bound<'py, PyDict>> {
+    let mut callbacks = Callbacks::default();
     let set = match experiments {
-        Some(given) => ValidationSet::Experiments(self::experiments(py, calibration, given)?),
+        Some(given) => ValidationSet::Experiments(self::experiments(py, calibration, given, &mut callbacks)?),
         None => ValidationSet::Windows(windows),
     };
     let fit = fit.inner.clone();
     let validation = calibration
-        .compute(py, move |calibration, cancelled| calibration.validate_until(&fit, &set, cancelled))?;
-    to_python(py, &validation)
+        .compute(py, move |calibration, cancelled| calibration.validate_until(&fit, &set, cancelled));
+    // An exception of an input function is why the simulation failed.
+    if let Some(e) = callbacks.take_raised() {
+        return Err(e);
+    }
+    to_python(py, &validation?)
 }
 
 /// The fields of `pydfo.Validation`.

@@ -114,3 +114,17 @@ def test_objectives_that_cannot_be_used(arguments, error, message):
     with pytest.raises(error) as caught:
         calibration().fit(**arguments)
     assert message in str(caught.value)
+
+
+def test_outputs_are_weighed_by_what_was_measured():
+    values = np.array([4.0, np.nan, 1.0, 1.0])
+    data = {"time": np.arange(4.0), "x": values}
+
+    def problem(weights):
+        return Calibration(example_fmu("dahlquist"), [Experiment(data, ["x"], weights=weights)], [Parameter("k", 1.0)])
+
+    plain = problem(None).cost()
+    for weights, scale in (("range", 3.0), ("mean", 2.0), ("sd", np.sqrt(3.0))):
+        assert problem(weights).cost() == pytest.approx(plain / scale**2, rel=1e-12)
+    with pytest.raises(ValueError, match="weights = 'variance' is none of 'range', 'mean', 'sd'"):
+        problem("variance")

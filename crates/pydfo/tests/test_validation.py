@@ -20,7 +20,7 @@ def decay(k, x0, noise=0.0, **more):
 @pytest.fixture(scope="module")
 def one():
     parameters = [Parameter("k", 1.0, 0.1, 10.0), Parameter("x", 1.5, 0.1, 10.0)]
-    return Calibration(example_fmu("dahlquist"), [decay(2.0, 1.0, 3e-3, windows=(0, 2))], parameters).fit()
+    return Calibration(example_fmu("dahlquist"), [decay(2.0, 1.0, 3e-3, window=(0, 2))], parameters).fit()
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +50,9 @@ def test_the_exhaust_pipe_after_ten_minutes():
 
 
 def test_a_window_and_another_recording(one):
-    window = one.validate(windows=(2.1, 3.0))
+    window = one.validate(windows=(2.05, 3.0))
     k, x0 = one.x
-    assert window.n == 9 and window.parameters == one.parameters
+    assert window.n == 10 and window.parameters == one.parameters
     simulated = x0 * np.exp(-k * window.outputs[0].time)
     assert window.outputs[0].simulated == pytest.approx(simulated, abs=1e-5)
     assert window.rms == pytest.approx(np.sqrt(np.mean(window.outputs[0].residuals ** 2)), rel=1e-12)
@@ -83,7 +83,6 @@ def test_validations_are_drawn(one):
         ({"experiment": "run2.csv"}, TypeError, "experiment must be an Experiment or a list of such, not 'run2.csv'"),
         ({"experiment": {"time": TIME}}, TypeError, "experiment must be an Experiment"),
         ({"experiment": []}, ValueError, "there are no experiments"),
-        ({"experiment": Experiment({"time": TIME, "y": TIME}, {"x": "z"})}, ValueError, "'z'"),
         ({"experiment": Experiment({"time": TIME, "y": TIME}, ["y"])}, KeyError, "did you mean x"),
         ({"holdout": (0, 1)}, TypeError, "holdout"),
     ],

@@ -229,6 +229,10 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     facts.extend(report.method_reason.iter().map(|reason| ("chosen", reason.clone())));
     facts.extend(fit.stages.iter().map(|stage| ("stage", stage.report.message.clone())));
     facts.push(("cost", format!("{}{before}, RMS {}", rounded(fit.cost, DIGITS), rounded(fit.rms, DIGITS))));
+    if !fit.tied.is_empty() {
+        let value = |(name, value): &(String, f64)| format!("{name} = {}", rounded(*value, DIGITS));
+        facts.push(("tied", fit.tied.iter().map(value).collect::<Vec<_>>().join(", ")));
+    }
     if !report.loss.is_linear() {
         facts.push(("loss", report.loss.to_string()));
     }

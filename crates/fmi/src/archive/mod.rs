@@ -251,6 +251,15 @@ impl Archive {
         folder.libraries.iter().find(is_changed).map(|(path, _)| &**path)
     }
 
+    /// The files of a folder by their names in an archive; `None` for a file, which is one archive.
+    pub(crate) fn loose_files(&self) -> Result<Option<Vec<(String, PathBuf)>>, FmiError> {
+        match &self.content {
+            Content::Folder(Folder { root, limits, .. }) => files_below(root, limits.entries).map(Some),
+            Content::Packed(_) => Ok(None),
+            Content::Absent(absent) => Err(self.missing(absent)),
+        }
+    }
+
     /// Whether it is a file, which is unpacked into a private folder that goes with this value.
     pub fn is_private(&self) -> bool {
         matches!(self.content, Content::Packed(_))

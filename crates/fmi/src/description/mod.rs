@@ -9,6 +9,7 @@ mod names;
 mod parse;
 mod quirks;
 mod read;
+mod start_texts;
 mod structure;
 mod terminals;
 mod unit;
@@ -31,6 +32,7 @@ pub use variable::{
 pub use crate::value::{Value, VariableKind};
 pub use version::FmiVersion;
 
+pub(crate) use start_texts::with_start_texts;
 pub(crate) use structure::Structure;
 
 pub(crate) use parse::{BUILD_DESCRIPTION, BuildSet, TERMINALS, build_sets, terminals};

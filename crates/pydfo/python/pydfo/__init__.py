@@ -37,7 +37,7 @@ from ._least_squares import least_squares
 from ._minimize import minimize
 from ._model import FMUModel, load_fmu
 from ._optimizer import Above, Asked, Optimizer
-from ._parameter import Parameter
+from ._parameter import LogNormal, Normal, Parameter
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
@@ -71,6 +71,8 @@ __all__ = [
     "NoResult",
     "OptimizeResult",
     "Optimizer",
+    "LogNormal",
+    "Normal",
     "OutputFit",
     "Parameter",
     "PredictionBand",

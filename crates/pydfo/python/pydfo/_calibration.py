@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from . import _core, _objective, _options, _stages, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
-from ._experiment import Names, Settings, collected, path_of
+from ._experiment import Inputs, Names, Settings, Weights, collected, path_of
 from ._files import OpenOptions
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
@@ -82,16 +82,16 @@ class Calibration:
     parameters : sequence of Parameter
         What is fitted. The entries of every ``x`` are in this order; a local parameter has one entry per experiment in its
         place.
-    inputs : dict of str to str, or list of str, optional
+    inputs : dict, or list of str, optional
         Which input of the model is driven by which column: linearly between the rows if the input is continuous, else
-        held. A time that stands there twice is a jump.
+        held. A time that stands there twice is a jump. In a dict also by a number or a function of time, see `Experiment`.
     window : (float, float), optional
         Only measurements at times in this interval count, in s; the simulation still starts at its start time.
     max_time : float, optional
         Wall-clock limit of one simulation in s (also called `timeout`). One that reaches it counts as failed.
-    weights : dict of str to float, or sequence of float, optional
+    weights : dict, or sequence, optional
         Per output, what its residuals are multiplied with (default 1): the inverse of the standard deviation of its noise,
-        if that is known.
+        if that is known; or a weight per measurement, or "range", "mean", "sd", see `Experiment`.
     start_values : dict, optional
         Values of other parameters and start values of variables, by name; not of those that are fitted.
     relative_tolerance : float, optional
@@ -120,12 +120,13 @@ class Calibration:
         thread-safe then; where it is not, results are wrong or the process ends.
     time : str, optional
         Name of the column of times, where it is not ``time``; its unit may be left out.
+    initial_states, windows, warm_up, delays, hold_inputs : optional
+        Of the one recording, as in `Experiment`.
 
     Warns
     -----
     CalibrationWarning
-        A column that is not used has the name of an input that nothing drives, but for its case perhaps; the
-        recording of an input does not cover the simulation, outside of it the first and the last value are held;
+        A column that is not used has the name of an input that nothing drives, but for its case perhaps;
         values set in an FMUModel do not count; a setting has no effect (`step_size` with a solver that chooses its
         steps itself, `max_step` with one that does not, ...).
 
@@ -148,10 +149,10 @@ class Calibration:
         data: Any,
         outputs: Names | Sequence[Parameter] | Parameter | None = None,
         parameters: Sequence[Parameter] | Parameter | None = None,
-        inputs: Names | None = None,
+        inputs: Inputs | None = None,
         window: tuple[float, float] | None = None,
         max_time: SupportsFloat | None = None,
-        weights: Mapping[str, float] | Sequence[float] | None = None,
+        weights: Weights | None = None,
         start_values: Mapping[str, Any] | None = None,
         relative_tolerance: SupportsFloat | None = None,
         solver: str = "auto",
@@ -163,8 +164,25 @@ class Calibration:
         input_derivatives: bool = True,
         sharing: Literal["copies", "serial", "together"] = "copies",
         time: str | None = None,
+        *,
+        initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
+        windows: Sequence[tuple[float, float]] | None = None,
+        warm_up: SupportsFloat | None = None,
+        delays: Mapping[str, SupportsFloat] | None = None,
+        hold_inputs: bool | None = None,
     ) -> None:
-        own = {"window": window, "weights": weights, "start_values": start_values, "start_time": start_time, "time": time}
+        own: dict[str, Any] = {
+            "window": window,
+            "weights": weights,
+            "start_values": start_values,
+            "start_time": start_time,
+            "time": time,
+            "initial_states": initial_states,
+            "windows": windows,
+            "warm_up": warm_up,
+            "delays": delays,
+            "hold_inputs": hold_inputs,
+        }
         experiments, parameters = collected(data, outputs, parameters, inputs, **own)
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
@@ -187,11 +205,17 @@ class Calibration:
         self._opened: OpenOptions | None = getattr(model, "_opened", None)
         opened = getattr(model, "_fmu", None)
         source = opened if isinstance(opened, _core.Fmu) else self._model
+        self._functions = [
+            (k, variable, source)
+            for k, experiment in enumerate(experiments)
+            for variable, source in experiment.inputs
+            if callable(source)
+        ]
         self._native = _core.Calibration(source, experiments, settings, list(self._parameters))
         for warning in self._native.warnings():
             warnings.warn(warning, CalibrationWarning, stacklevel=3)
-        given = {parameter.name for parameter in self._parameters}
-        given.update(name for experiment in experiments for name, _ in experiment.start_values)
+        given = {name for parameter in self._parameters for name in (parameter.name, *(parameter.variables or ()))}
+        given.update(name for experiment in experiments for name, _ in experiment.start_values + experiment.initial_states)
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
             warnings.warn(
                 f"values set in an FMUModel do not count in a calibration: {_options.listed(forgotten)}; give them as "
@@ -222,8 +246,39 @@ class Calibration:
 
     @property
     def n_residuals(self) -> int:
-        """Length of the residual vector: how many measurements count."""
+        """Length of the residual vector: how many measurements count, and one for each prior."""
         return self._native.n_residuals
+
+    @property
+    def n_measurements(self) -> int:
+        """How many measurements count."""
+        return self._native.n_measurements
+
+    def model_values(self, x: npt.ArrayLike | Mapping[str, float] | None = None, experiment: str | None = None) -> dict[str, float]:
+        """What is set in the model.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+        experiment : str, optional
+            Name of the experiment whose values are meant; default: the first.
+
+        Returns
+        -------
+        dict of str to float
+            The values of variables by their names, in the units of the model; of parameters that are tied or set several variables, too.
+        """
+        names = self.experiments
+        if experiment is not None and experiment not in names:
+            raise BadCalibrationError(f"there is no experiment '{experiment}'; there are: {', '.join(names)}")
+        return dict(self._native.model_values(0 if experiment is None else names.index(experiment), self._checked(x)))
+
+    def _checked(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
+        values = self._values(x)
+        if len(values) != len(self.names):
+            raise BadCalibrationError(f"{len(values)} values given for {len(self.names)} parameters ({', '.join(self.names)})")
+        return values
 
     @property
     def solver(self) -> str:
@@ -247,10 +302,15 @@ class Calibration:
     def _values(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
         if x is None or isinstance(x, Mapping):
             values = dict(zip(self.names, self._native.start()))
-            for name, value in (x or {}).items():
+            given = dict(x or {})
+            tied = {name: given.pop(name) for name, _ in self._native.tied(self._native.start()) if name in given}
+            for name, value in given.items():
                 if name not in values:
                     raise BadCalibrationError(f"there is no parameter '{name}'; there are: {', '.join(values)}")
                 values[name] = _options.number(name, value)
+            for name, expected in self._native.tied(list(values.values())):
+                if name in tied and not np.isclose(_options.number(name, tied[name]), expected, rtol=1e-9, atol=0.0):
+                    raise BadCalibrationError(f"{name} = {tied[name]!r}: it is tied to another parameter, by which it is {expected!r}")
             return list(values.values())
         return [float(value) for value in _options.vector("x", x)]
 
@@ -480,7 +540,11 @@ class Calibration:
                 bounds=self._bounds(),
                 search=search,
                 residuals=cost.has_residuals,
-                parameter_kinds=[p.kind for p in self._parameters if not p.fixed and free(p.name)],
+                parameter_kinds=[
+                    kind
+                    for name, (lower, upper, kind) in zip(self.names, self._native.bounds())
+                    if lower < upper and (free(name) or free(name.partition("[")[0]))
+                ],
             )
 
         built = build(method, own, limits, lambda _: True)
@@ -611,9 +675,8 @@ class Calibration:
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the parameters; equal where one is fixed."""
-        pairs = [(p.start, p.start) if p.fixed else (p.lower, p.upper) for p in self._parameters]
-        lower = [-np.inf if low is None else low for low, _ in pairs]
-        return np.array(lower, dtype=float), np.array([np.inf if high is None else high for _, high in pairs], dtype=float)
+        bounds = self._native.bounds()
+        return np.array([lower for lower, _, _ in bounds]), np.array([upper for _, upper, _ in bounds])
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
         return Fit(self, result, np.array(start), self._native.known_solver())
@@ -625,14 +688,18 @@ class Calibration:
         super().__setattr__(name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (type(self), self._native.state(), self._parameters, self._opened)
+        return _restore, (type(self), self._native.state(), self._parameters, self._opened, self._functions)
 
     def __repr__(self) -> str:
-        return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_residuals} measurements>"
+        return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_measurements} measurements>"
 
 
 def _restore(
-    of: type[Calibration], state: bytes, parameters: tuple[Parameter, ...], opened: OpenOptions | None
+    of: type[Calibration],
+    state: bytes,
+    parameters: tuple[Parameter, ...],
+    opened: OpenOptions | None,
+    functions: list[tuple[int, str, Any]],
 ) -> Calibration:
     """A pickled calibration."""
     path, content = _core.Calibration.model_of(state)
@@ -645,5 +712,6 @@ def _restore(
     calibration._parameters = parameters
     calibration._model = os.fspath(path)
     calibration._opened = opened
-    calibration._native = _core.Calibration.restore(state, fmu)
+    calibration._functions = functions
+    calibration._native = _core.Calibration.restore(state, fmu, functions)
     return calibration

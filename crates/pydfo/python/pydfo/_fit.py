@@ -106,7 +106,7 @@ class Fit(OptimizeResult):
 
     def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
         vars(self).update(vars(result))
-        rms = calibration._native.rms(self.fun)
+        rms = calibration._native.rms(list(map(float, self.x)), self.fun)
         self._rms_and_start: tuple[float, float | None] = vars(self).pop("_rms", (rms, None))
         counts = vars(self).pop("stats", None)
         self.stats = None if counts is None else SimulationStats(**counts)
@@ -159,8 +159,9 @@ class Fit(OptimizeResult):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The fitted values by name."""
-        return dict(zip(self._calibration.names, np.asarray(self.x).tolist()))
+        """The fitted values by name, those of parameters that are tied to others last."""
+        x = np.asarray(self.x).tolist()
+        return {**dict(zip(self._calibration.names, x)), **dict(self._calibration._native.tied(x))}
 
     @property
     def cost(self) -> float:

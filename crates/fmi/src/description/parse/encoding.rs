@@ -30,6 +30,12 @@ pub(super) fn decode<'b>(bytes: Cow<'b, [u8]>, quirks: &mut Quirks) -> Cow<'b, s
     }
 }
 
+/// The encoding of a document: by its mark, or as it is declared.
+pub(in crate::description) fn encoding_of(bytes: &[u8]) -> &'static Encoding {
+    let by_mark = Encoding::for_bom(bytes).map(|(encoding, _)| encoding);
+    by_mark.unwrap_or_else(|| without_mark(bytes, &mut Quirks::default()))
+}
+
 fn decode_body<'b>(encoding: &'static Encoding, body: &'b [u8], quirks: &mut Quirks) -> Cow<'b, str> {
     let (text, damaged) = encoding.decode_without_bom_handling(body);
     if damaged {

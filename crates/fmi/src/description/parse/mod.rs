@@ -26,6 +26,7 @@ use std::rc::Rc;
 use xml::{Element, Xml};
 
 pub(crate) use build_description::{BUILD_DESCRIPTION, BuildSet, build_sets};
+pub(super) use encoding::encoding_of;
 pub(crate) use terminals::{TERMINALS, terminals};
 
 /// Parses a document.

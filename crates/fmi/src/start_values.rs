@@ -1,0 +1,146 @@
+//! A copy of an FMU with other start values in its description.
+
+use crate::archive::MODEL_DESCRIPTION;
+use crate::description::{Structure, Value, VariableKind, with_start_texts};
+use crate::error::FmiError;
+use crate::fmu::Fmu;
+use crate::instance::assignments::{check_settable_at_start, convert_one, negate};
+use crate::simulation::variable_elements::{Starts, VariableElement};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufWriter, Seek, Write};
+use zip::write::{SimpleFileOptions, ZipWriter};
+use zip::{CompressionMethod, ZipArchive};
+
+impl Fmu {
+    /// Writes an `.fmu` in which these variables, or elements of arrays (`a[2,1]`, counted from 1), have other start values. In
+    /// `modelDescription.xml` nothing changes but their `start` attributes and those of their aliases, which follow; all other
+    /// files are copied as they are packed.
+    ///
+    /// **Many libraries do not look at the description**: their variables start from values that were compiled into them, unless
+    /// the importing tool sets the start values of the description. (FMI 2.0.4, section 2.2.7.)
+    ///
+    /// # Errors
+    /// [`FmiError::UnknownVariable`], [`FmiError::NotSettable`], [`FmiError::WrongType`] and the like for values that cannot be set;
+    /// [`FmiError::BadArchive`] if the file was changed since it was opened; [`FmiError::Io`]. What was written is then no FMU.
+    pub fn write_with_start_values(&self, values: &[(String, f64)], out: &File) -> Result<(), FmiError> {
+        let bytes = self.description_file()?;
+        let description = with_start_texts(&bytes, self.description(), &self.start_texts(values)?)?;
+        let failed =
+            |error: zip::result::ZipError| FmiError::io("write a copy of", self.path())(error.into());
+        let mut archive = ZipWriter::new(BufWriter::new(out));
+        match self.archive().loose_files()? {
+            None => self.copy_packed(&mut archive, &description)?,
+            Some(files) => {
+                for (name, path) in files {
+                    let content = match name.as_str() {
+                        MODEL_DESCRIPTION => description.clone(),
+                        _ => std::fs::read(&path).map_err(FmiError::io("read", &path))?,
+                    };
+                    let executable =
+                        path.metadata().is_ok_and(|found| crate::platform::is_executable(&found));
+                    let options = SimpleFileOptions::default()
+                        .compression_method(CompressionMethod::Deflated)
+                        .last_modified_time(zip::DateTime::default())
+                        .large_file(content.len() as u64 >= u64::from(u32::MAX))
+                        .unix_permissions(if executable { 0o755 } else { 0o644 });
+                    archive.start_file(name, options).map_err(failed)?;
+                    archive.write_all(&content).map_err(FmiError::io("write a copy of", self.path()))?;
+                }
+            }
+        }
+        let mut buffer = archive.finish().map_err(failed)?;
+        buffer.flush().map_err(FmiError::io("write a copy of", self.path()))
+    }
+
+    /// Copies the entries of the file as they are packed, but for the description.
+    fn copy_packed(
+        &self,
+        archive: &mut ZipWriter<impl Write + Seek>,
+        description: &[u8],
+    ) -> Result<(), FmiError> {
+        let path = self.path();
+        let failed = |error: zip::result::ZipError| FmiError::io("copy", path)(error.into());
+        let file = File::open(path).map_err(FmiError::io("open", path))?;
+        let known = self.content_hash()?;
+        if Fmu::open_with(path, self.options())?.content_hash()? != known {
+            return Err(FmiError::BadArchive {
+                path: path.to_owned(),
+                reason: "it was written over since it was opened".to_owned(),
+            });
+        }
+        let mut packed = ZipArchive::new(file).map_err(failed)?;
+        archive.set_raw_comment(packed.comment().into()).map_err(failed)?;
+        for k in 0..packed.len() {
+            let entry = packed.by_index_raw(k).map_err(failed)?;
+            if entry.name().map_err(failed)? != MODEL_DESCRIPTION {
+                archive.raw_copy_file(entry).map_err(failed)?;
+                continue;
+            }
+            let options = SimpleFileOptions::default()
+                .compression_method(entry.compression())
+                .last_modified_time(entry.last_modified().unwrap_or_default());
+            let options = match entry.unix_mode() {
+                Some(mode) => options.unix_permissions(mode & 0o777),
+                None => options,
+            };
+            archive.start_file(MODEL_DESCRIPTION, options).map_err(failed)?;
+            archive.write_all(description).map_err(FmiError::io("write a copy of", path))?;
+        }
+        Ok(())
+    }
+
+    /// The start values as the description writes them, by the positions of the variables.
+    fn start_texts(&self, values: &[(String, f64)]) -> Result<BTreeMap<usize, String>, FmiError> {
+        let model = self.description();
+        let structure = Structure::default();
+        // Whole values by position: elements of one array come together.
+        let mut starts: BTreeMap<usize, Value> = BTreeMap::new();
+        for (name, value) in values {
+            let VariableElement { variable, element } = VariableElement::of_name(model, &structure, name)?;
+            let declared = &model.variables[variable];
+            check_settable_at_start(declared)?;
+            let value = convert_one(declared, &Value::Real(*value))?;
+            let whole = match element {
+                None => value,
+                Some(element) => {
+                    let given: Vec<(usize, Value)> = starts.iter().map(|(k, v)| (*k, v.clone())).collect();
+                    let all = Starts { description: model, structure: &structure, given: &given };
+                    all.with_element(variable, element, value)?
+                }
+            };
+            starts.insert(variable, whole);
+        }
+        let mut texts = BTreeMap::new();
+        for (variable, value) in starts {
+            let declared = &model.variables[variable];
+            let is_alias = |k: &usize| {
+                let other = &model.variables[*k];
+                (other.kind, other.value_reference) == (declared.kind, declared.value_reference)
+            };
+            let aliases =
+                (0..model.variables.len()).filter(is_alias).filter(|k| model.variables[*k].start.is_some());
+            let mut with_start: Vec<usize> = aliases.collect();
+            if with_start.is_empty() {
+                with_start.push(variable);
+            }
+            for k in with_start {
+                let other = &model.variables[k];
+                let turned =
+                    if other.negated == declared.negated { value.clone() } else { negate(value.clone()) };
+                texts.insert(k, text(other.kind, &turned));
+            }
+        }
+        Ok(texts)
+    }
+}
+
+/// A start value as an attribute has it: the shortest text that stands for the same number.
+fn text(kind: VariableKind, value: &Value) -> String {
+    match value {
+        Value::Real(x) if kind == VariableKind::Float32 => format!("{:?}", *x as f32),
+        Value::Real(x) => format!("{x:?}"),
+        Value::Array(values) => values.iter().map(|value| text(kind, value)).collect::<Vec<_>>().join(" "),
+        other => other.to_string(),
+    }
+}
