@@ -50,6 +50,7 @@ test-long: build  ## what takes long: many runs, memory
 bench: build benches/env/.venv/.done  ## side by side with the peers, in one run
 	benches/env/.venv/bin/python benches/against_fmpy.py
 	benches/env/.venv/bin/python benches/against_fmpy_fit.py
+	benches/env/.venv/bin/python benches/two_recordings.py
 	benches/env/.venv/bin/python benches/open_large.py
 	benches/env/.venv/bin/python benches/dae.py
 	cargo bench --workspace

@@ -21,7 +21,7 @@ LAYERS = {
         input
         experiment
         measurements names
-        residual warning
+        objective residual warning
         problem
         column_units identity
         assignment
@@ -87,7 +87,7 @@ LAYERS = {
         data
         description inputs trajectory
         settings
-        experiment fit minimize model py_system stages
+        cost experiment fit minimize model py_system stages
         calibration fit_report optimizer solve
         recordings share validation worth
     """,

@@ -2,9 +2,10 @@
 
 use crate::calibration::Calibration;
 use crate::no_cost::NoCost;
+use crate::objective::CostKind;
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
-use dfo::{Kind, Measure, Outcome, Report, Termination, Tolerances};
+use dfo::{FailureKind, Kind, Measure, Outcome, Report, Termination, Tolerances};
 use ode::{Number, Stats};
 use serde::{Deserialize, Serialize};
 
@@ -76,7 +77,7 @@ impl Calibration {
     /// one with the parameter moved for each that no evaluation has shown to change the cost. No budget of the search counts them.
     pub(crate) fn findings(
         &self,
-        (start, held, report): (&[f64], &[usize], &Report),
+        (start, held, report, kind): (&[f64], &[usize], &Report, &CostKind),
         tolerances: &Tolerances,
         cancelled: &dyn Fn() -> bool,
         stats: &mut Stats,
@@ -99,7 +100,10 @@ impl Calibration {
             checked.n_checks += 1;
             let mut x = report.x.clone();
             x[index] = value;
-            self.evaluate_into(&x, CostRule::whole(report.loss, cancelled), &mut residuals, stats)
+            let rule = CostRule::whole(report.loss, cancelled);
+            let sum = self.evaluate_into(&x, rule, &mut residuals, stats)?;
+            let outcome = kind.outcome(self.residual_layout(), (sum, &residuals), &mut Vec::new());
+            outcome.value().ok_or_else(|| NoCost::failed(FailureKind::Error, "there is no cost".to_owned()))
         };
         // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
         let is_spent = report.termination == Termination::MaxEvaluations;

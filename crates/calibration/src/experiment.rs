@@ -66,6 +66,60 @@ pub enum Weight {
     Column(String),
     /// Each with the number of its row of the recording.
     Rows(Vec<f64>),
+    /// All with the inverse of this scale of what was measured in the whole recording, whichever part of it counts: so that outputs of
+    /// different units count alike.
+    Inverse(OutputScale),
+}
+
+/// How large the measurements of an output are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OutputScale {
+    /// The largest less the smallest.
+    Range,
+    /// The size of their mean.
+    Mean,
+    /// Their standard deviation.
+    Sd,
+}
+
+impl OutputScale {
+    /// The scale of a name.
+    ///
+    /// # Errors
+    /// A name that is none.
+    pub fn named(name: &str) -> Result<Self, CalibrationError> {
+        let known = [Self::Range, Self::Mean, Self::Sd];
+        known.into_iter().find(|scale| scale.name() == name).ok_or_else(|| {
+            let known = known.map(|scale| format!("'{}'", scale.name())).join(", ");
+            CalibrationError::Setup(format!(
+                "weights = '{name}' is none of {known}; give one of them, or numbers for the outputs"
+            ))
+        })
+    }
+
+    /// "range", "mean" or "sd".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Range => "range",
+            Self::Mean => "mean",
+            Self::Sd => "sd",
+        }
+    }
+
+    /// That of these measurements, without those that are missing.
+    pub(crate) fn of(self, measured: &[f64]) -> f64 {
+        let counted = || measured.iter().copied().filter(|m| !m.is_nan());
+        let n = counted().count() as f64;
+        let mean = counted().sum::<f64>() / n;
+        match self {
+            Self::Range => {
+                counted().fold(f64::NEG_INFINITY, f64::max) - counted().fold(f64::INFINITY, f64::min)
+            }
+            Self::Mean => mean.abs(),
+            Self::Sd => (counted().map(|m| (m - mean) * (m - mean)).sum::<f64>() / (n - 1.0)).sqrt(),
+        }
+    }
 }
 
 impl From<f64> for Weight {

@@ -3,6 +3,7 @@
 use crate::calibration::Calibration;
 use crate::effect::{BoundSide, Findings, is_over};
 use crate::error::CalibrationError;
+use crate::objective::CostKind;
 use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
 use crate::preflight::{Preflight, PreflightOptions};
@@ -44,6 +45,8 @@ pub struct FitOptions<'a> {
     /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
     /// work.
     pub cutoffs: bool,
+    /// What is minimised; default: the sum of the squared residuals.
+    pub objective: CostKind,
     /// What a residual counts; default: its square. With another loss [`Fit::cost`] is the sum of what they count, also where
     /// the method sees costs alone.
     pub loss: RobustLoss,
@@ -79,6 +82,7 @@ impl Default for FitOptions<'_> {
             start: None,
             held: Vec::new(),
             cutoffs: true,
+            objective: CostKind::default(),
             loss: RobustLoss::default(),
             preflight: false,
             worth: Some(WorthOptions::default()),
@@ -128,6 +132,8 @@ pub struct Fit {
     pub cost: f64,
     /// Root of the mean squared weighted residual of the measurements there; with a loss, of what they count.
     pub rms: f64,
+    /// Name of the cost, see [`CostKind::name`].
+    pub objective: String,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
     /// RMS at the start, if the simulation did not fail there.
@@ -173,6 +179,7 @@ impl Fit {
 struct Counted<'a> {
     calibration: &'a Calibration,
     cutoffs: bool,
+    kind: &'a CostKind,
     loss: RobustLoss,
     start: &'a [f64],
     stats: Mutex<(Stats, SpotChecks, KeptResiduals)>,
@@ -192,11 +199,22 @@ impl Objective for Counted<'_> {
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
         let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
         known.0 += stats;
-        known.1.note(x, answer.outcome.value());
-        if let Some(cost) = answer.outcome.value() {
-            known.2.note((x, self.start), cost, &answer.residuals);
-        }
+        let sum = answer.outcome.value();
+        known.1.note(x, sum);
         drop(known);
+        let mut own = Vec::new();
+        if let Some(sum) = sum {
+            // A function of the user's may take its time.
+            let layout = self.calibration.residual_layout();
+            answer.outcome = self.kind.outcome(layout, (sum, &answer.residuals), &mut own);
+            if let Some(cost) = answer.outcome.value() {
+                let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
+                known.2.note((x, self.start), cost, &answer.residuals);
+            }
+            if !self.kind.is_sum_of_squares() {
+                answer.residuals = own;
+            }
+        }
         if wanted == Want::Cost {
             answer.residuals.clear();
         }
@@ -210,7 +228,7 @@ impl Objective for Counted<'_> {
     }
 
     fn has_residuals(&self) -> bool {
-        true
+        self.kind.has_residuals()
     }
 
     fn residual_loss(&self) -> RobustLoss {
@@ -233,6 +251,7 @@ impl Calibration {
             start,
             held,
             cutoffs,
+            objective,
             loss,
             preflight,
             worth,
@@ -240,6 +259,8 @@ impl Calibration {
             poll,
             cancel,
         } = options.into();
+        objective.check(self.residual_layout(), !loss.is_linear())?;
+        let cutoffs = cutoffs && objective.is_sum_of_squares();
         let poll = RefCell::new(poll);
         described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
         let start = start.unwrap_or_else(|| self.start());
@@ -274,7 +295,10 @@ impl Calibration {
         let is_late = || late.is_some_and(|late| Instant::now() >= late);
         let cancelled = || is_late() || is_asked();
         let problem = self.problem_hash(solver);
-        described.problem = Some(if loss.is_linear() { problem } else { format!("{problem}, loss {loss}") });
+        let problem = if loss.is_linear() { problem } else { format!("{problem}, loss {loss}") };
+        let is_usual = objective.is_sum_of_squares();
+        described.problem =
+            Some(if is_usual { problem } else { format!("{problem}, objective {}", objective.name()) });
         described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
         let (mut stats, mut n_beginnings) = (Stats::default(), 0);
         let preflight = preflight.then(|| {
@@ -297,6 +321,7 @@ impl Calibration {
             let counted = Counted {
                 calibration: self,
                 cutoffs,
+                kind: &objective,
                 loss,
                 start: &start,
                 stats: Mutex::default(),
@@ -322,19 +347,26 @@ impl Calibration {
                 run = run.cancel(Arc::clone(flag));
             }
             let began = Instant::now();
-            let outcome = run.run();
+            let outcome = run.run().map_err(|error| match error {
+                dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
+                    "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
+                     (method auto), or take nelder-mead",
+                    objective.name()
+                )),
+                error => self.name_parameter(error),
+            });
             let took = began.elapsed();
             let (taken, checks, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
             stats += taken;
             let is_sound = || self.n_history_findings() == n_findings;
             if is_sound() || cancelled() {
-                let report = outcome.map_err(|e| self.name_parameter(e))?;
+                let report = outcome?;
                 let differs = || self.depends_on_history(&report.x, &cancelled);
                 if cancelled()
                     || !(differs()
                         || self.costs_depend_on_history(&checks, took, CostRule::whole(loss, &cancelled)))
                 {
-                    let of_run = (start.as_slice(), held.as_slice(), &report);
+                    let of_run = (start.as_slice(), held.as_slice(), &report, &objective);
                     let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
                     if is_sound() || cancelled() {
                         break (report, found, residuals);
@@ -347,7 +379,7 @@ impl Calibration {
             described.known.iter_mut().for_each(|known| known.problem = None);
         };
         report.message += &(self.remarks(&found) + &raised);
-        let worth = worth.and_then(|mut options| {
+        let worth = worth.filter(|_| objective.is_sum_of_squares()).and_then(|mut options| {
             options.workers = options.workers.or(described.workers);
             options.held.extend(&held);
             let asked = WorthOptions { loss, ..options };
@@ -359,10 +391,16 @@ impl Calibration {
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let outputs = self.output_fits((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
+        let mut rms = |x: &[f64], cost: Option<f64>| {
+            // Of another cost the residuals have to be known.
+            match objective.is_sum_of_squares() {
+                true => cost.map(|cost| self.rms(x, cost, loss)),
+                false => self.cost_and_rms(x, (&objective, loss), &cancelled, &mut stats).map(|(_, rms)| rms),
+            }
+        };
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let description = self.fmu().description();
         let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
-        let start_rms = start_cost.map(|cost| self.rms(&start, cost, loss));
         Ok(Fit {
             units: self.parameters().iter().map(unit).collect(),
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
@@ -374,10 +412,11 @@ impl Calibration {
             preflight,
             worth,
             cost: report.fun,
-            rms: self.rms(&report.x, report.fun, loss),
+            rms: rms(&report.x, Some(report.fun)).unwrap_or(f64::NAN),
             tied: self.tied_values(&report.x),
             start_cost,
-            start_rms,
+            start_rms: rms(&start, start_cost),
+            objective: objective.name().to_owned(),
             start,
             stages: Vec::new(),
             at_bound: found.at_bound,
@@ -388,6 +427,20 @@ impl Calibration {
             solver: solver.clone(),
             report,
         })
+    }
+
+    /// The cost at `x` and the RMS of the measurements there; `None` where the simulation fails.
+    pub(crate) fn cost_and_rms(
+        &self,
+        x: &[f64],
+        (kind, loss): (&CostKind, RobustLoss),
+        cancelled: &dyn Fn() -> bool,
+        stats: &mut Stats,
+    ) -> Option<(f64, f64)> {
+        let mut residuals = vec![0.0; self.n_residuals()];
+        let sum = self.evaluate_into(x, CostRule::whole(loss, cancelled), &mut residuals, stats).ok()?;
+        let outcome = kind.outcome(self.residual_layout(), (sum, &residuals), &mut Vec::new());
+        Some((outcome.value()?, self.rms(x, sum, loss)))
     }
 
     /// What the result of a run is worth, with what is to be said of it added to its message; `None` where it cannot be found out, or

@@ -92,6 +92,7 @@ fn of(experiment: &Experiment, parameters: &[Parameter]) -> Vec<(&'static str, S
         Weight::Constant(weight) => format!("{weight:?}"),
         Weight::Column(column) => format!("by {column}"),
         Weight::Rows(weights) => hash_of_numbers(weights),
+        Weight::Inverse(scale) => format!("1 / {}", scale.name()),
     };
     let output =
         |m: &Measured| format!("{} measured by {}, weight {}", m.variable, m.column, weight(&m.weight));

@@ -7,7 +7,7 @@
 //!
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model);
 //! `measurements` (which of them count), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
-//! `simulation` (of an experiment), `evaluate` (residuals and cost at a point); `race` and `solver` (which method integrates);
+//! `simulation` (of an experiment), `evaluate` (residuals and cost at a point), `objective` (other costs); `race` and `solver` (which method integrates);
 //! `calibration`; `check` (what does not fit, before a fit); `effect` and `spot_checks` (checks after a fit), `fit`, `stages`,
 //! `prediction`, `validation`, `cross_validation`; `report` (what it found, for people);
 //! `export` (files, tables, other programs).
@@ -31,6 +31,7 @@ mod layout;
 mod measurements;
 mod names;
 mod no_cost;
+mod objective;
 mod output_fit;
 mod parallel;
 mod parameter;
@@ -58,11 +59,12 @@ pub use dfo;
 pub use dfo::Kind;
 pub use effect::BoundSide;
 pub use error::CalibrationError;
-pub use experiment::{Experiment, InitialState, SimulationSettings, Weight};
+pub use experiment::{Experiment, InitialState, OutputScale, SimulationSettings, Weight};
 pub use export::SavedFit;
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
+pub use objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};
 pub use output_fit::OutputFit;
 pub use parameter::{Parameter, Scale, Target, Tie};
 pub use prediction::{BandOptions, PredictionBand};

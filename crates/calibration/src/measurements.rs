@@ -118,7 +118,7 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Vec<Measurement>>, Calibrat
     };
     let rows = first..time.iter().rposition(counts).unwrap_or(first) + 1;
     let of_output = |Measured { variable, column, weight }: &Measured| {
-        let weights = weights(experiment, variable, weight)?;
+        let weights = weights(experiment, (variable, column), weight)?;
         let measured = data.measured(column, rows.clone())?;
         let of_row = |(row, value): (usize, &f64)| {
             let (time, weight) = (time[row], weights[row % weights.len()]);
@@ -143,7 +143,7 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Vec<Measurement>>, Calibrat
 /// The weights of an output: one for all, or one per row.
 fn weights<'a>(
     experiment: &'a Experiment,
-    variable: &str,
+    (variable, column): (&str, &str),
     weight: &'a Weight,
 ) -> Result<Cow<'a, [f64]>, CalibrationError> {
     let (data, n) = (&experiment.data, experiment.data.time().len());
@@ -156,6 +156,17 @@ fn weights<'a>(
             ));
         }
         Weight::Constant(weight) => return Ok(Cow::Owned(vec![*weight])),
+        Weight::Inverse(scale) => {
+            let weight = 1.0 / scale.of(data.measured(column, 0..n)?);
+            if weight.is_finite() && weight > 0.0 {
+                return Ok(Cow::Owned(vec![weight]));
+            }
+            let (scale, value) = (scale.name(), Number(1.0 / weight));
+            return setup(format!(
+                "the measurements of '{variable}' (column '{column}') have the {scale} {value}, by which they cannot be weighed: give a \
+                 number"
+            ));
+        }
         Weight::Column(column) => (data.column(column)?, format!(" in column '{column}'")),
         Weight::Rows(weights) if weights.len() != n => {
             return setup(format!(

@@ -5,7 +5,6 @@ use crate::effect::Findings;
 use crate::error::CalibrationError;
 use crate::fit::{Fit, FitOptions};
 use crate::output_fit::KeptResiduals;
-use crate::residual::CostRule;
 use crate::worth::WorthOptions;
 use dfo::{AnyMethod, Checkpoint, Limits, Progress, Report, Resume, Termination, Tolerances};
 use ode::Stats;
@@ -114,8 +113,19 @@ impl Calibration {
         stages: &[Stage],
         options: impl Into<FitOptions<'a>>,
     ) -> Result<Fit, CalibrationError> {
-        let FitOptions { run, start, held, cutoffs, loss, preflight, worth, mut observer, poll, cancel } =
-            options.into();
+        let FitOptions {
+            run,
+            start,
+            held,
+            cutoffs,
+            objective,
+            loss,
+            preflight,
+            worth,
+            mut observer,
+            poll,
+            cancel,
+        } = options.into();
         let poll = RefCell::new(poll);
         let start = start.unwrap_or_else(|| self.start());
         let in_stage =
@@ -178,6 +188,7 @@ impl Calibration {
                 start: Some(x.clone()),
                 held: (0..x.len()).filter(|i| !freed[k].contains(i)).collect(),
                 cutoffs,
+                objective: objective.clone(),
                 loss,
                 preflight: preflight && k == 0,
                 worth: worth.clone(),
@@ -222,22 +233,24 @@ impl Calibration {
         let mut stats = Stats::default();
         let mut n_checks = 0;
         let mut cost_at = |x: &[f64]| {
-            let mut residuals = vec![0.0; self.n_residuals()];
             n_checks += 1;
-            self.evaluate_into(x, CostRule::whole(loss, &is_asked), &mut residuals, &mut stats).ok()
+            self.cost_and_rms(x, (&objective, loss), &is_asked, &mut stats)
         };
         let is_own = |k: usize| stages[k].windows.is_empty();
         let (is_first_own, is_last_own) = (is_own(0), is_own(fits.len() - 1));
-        let cost = if is_last_own { None } else { Some(cost_at(&x).unwrap_or(f64::NAN)) };
-        let start_cost = if is_first_own { fits[0].start_cost } else { cost_at(&start) };
+        let at_end = if is_last_own { None } else { Some(cost_at(&x).unwrap_or((f64::NAN, f64::NAN))) };
+        let at_start = match is_first_own {
+            true => fits[0].start_cost.zip(fits[0].start_rms),
+            false => cost_at(&start),
+        };
         let mut fit = self.in_all(stages, fits, &freed, ended);
         fit.stats += stats;
         fit.n_checks += n_checks;
-        if let Some(cost) = cost {
-            (fit.cost, fit.report.fun, fit.rms) = (cost, cost, self.rms(&x, cost, loss));
+        if let Some((cost, rms)) = at_end {
+            (fit.cost, fit.report.fun, fit.rms) = (cost, cost, rms);
         }
         let is_late = || late.is_some_and(|late| Instant::now() >= late) || is_asked();
-        fit.worth = worth.and_then(|mut options| {
+        fit.worth = worth.filter(|_| objective.is_sum_of_squares()).and_then(|mut options| {
             options.workers = options.workers.or(Some(fit.report.workers));
             options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
             if !is_own(fit.stages.len() - 1) {
@@ -251,7 +264,7 @@ impl Calibration {
             };
             self.worth_of_fit((&mut fit.report, &found), &run.tolerances, asked, (&is_late, &mut fit.stats))
         });
-        (fit.start_cost, fit.start_rms) = (start_cost, start_cost.map(|cost| self.rms(&start, cost, loss)));
+        (fit.start_cost, fit.start_rms) = at_start.unzip();
         fit.n_measurements = self.n_measurements();
         if is_first_own && is_last_own {
             let at_start = fit.stages[0].outputs.iter().map(|output| output.start_rms);

@@ -1,5 +1,6 @@
 //! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter lock.
 
+use crate::cost::{self, CostFields};
 use crate::description::Fmu;
 use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields, SignalFunctions};
 use crate::fit::PyFit;
@@ -8,6 +9,7 @@ use crate::interrupt::{Watch, fits_here};
 use crate::report::{self, LastProgress, Listener, ResultKind};
 use crate::settings::{self, LossFields, Options, Settings};
 use crate::stages::StageFields;
+use crate::threads::lock;
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
 use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
@@ -101,6 +103,7 @@ impl PyCalibration {
         let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
         result.setattr("without_effect", inert)?;
         result.setattr("start_cost", fit.start_cost)?;
+        result.setattr("objective", &fit.objective)?;
         let stages = fit.stages.iter().map(|stage| self.result(py, stage.clone()));
         result.setattr("stages", stages.collect::<PyResult<Vec<_>>>()?)?;
         result.setattr("_rms", (fit.rms, fit.start_rms))?;
@@ -335,7 +338,14 @@ impl PyCalibration {
         self.inner.problem().experiments.iter().map(recording).collect()
     }
 
-    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None, covariance=None, preflight=false))]
+    /// The measurements that count, as a function of the user's sees them.
+    fn measured_series<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let outputs = &self.inner.residual_layout().outputs;
+        let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), o.measured.as_slice()));
+        cost::series(py, &self.inner.problem().experiment_names(), measured)
+    }
+
+    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None, covariance=None, objective=None, preflight=false))]
     fn fit<'py>(
         &self,
         py: Python<'py>,
@@ -345,6 +355,7 @@ impl PyCalibration {
         loss: Option<LossFields>,
         stages: Option<Vec<StageFields>>,
         covariance: Option<&str>,
+        objective: Option<CostFields>,
         preflight: bool,
     ) -> PyResult<Bound<'py, PyAny>> {
         let check = |stages: Vec<StageFields>| stages.into_iter().map(|stage| stage.check(py)).collect();
@@ -355,6 +366,9 @@ impl PyCalibration {
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
         let tick = observer.as_ref().and_then(|observer| observer.getattr(py, "tick").ok());
+        let of_objective = cost::Raised::default();
+        let kind = |given| cost::kind(given, &self.inner, (Arc::clone(&stop), Arc::clone(&of_objective)));
+        let objective = objective.map(kind).transpose()?.unwrap_or_default();
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
         let last_progress = Arc::new(LastProgress::default());
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
@@ -365,6 +379,7 @@ impl PyCalibration {
                 let options = FitOptions {
                     run,
                     start,
+                    objective,
                     loss,
                     preflight,
                     worth,
@@ -389,7 +404,7 @@ impl PyCalibration {
             return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None));
         };
         let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
-        raised = raised.or_else(|| self.callbacks.take_raised());
+        raised = raised.or_else(|| lock(&of_objective).take()).or_else(|| self.callbacks.take_raised());
         let result = match outcome {
             Ok(mut fit) => {
                 // No simulation can be made any more.

@@ -5,7 +5,8 @@ use crate::settings::time_limit;
 use crate::words::word;
 use crate::{error, fmu_error, values};
 use calibration::{
-    CalibrationError, Data, Experiment, InitialState, Parameter, Prior, SimulationSettings, Weight,
+    CalibrationError, Data, Experiment, InitialState, OutputScale, Parameter, Prior, SimulationSettings,
+    Weight,
 };
 use fmi::FmiError;
 use pyo3::exceptions::PyValueError;
@@ -144,6 +145,9 @@ enum WeightFields {
     Constant(f64),
     #[pyo3(transparent)]
     Column(String),
+    /// By a scale of this name.
+    #[pyo3(transparent)]
+    Inverse((String,)),
     #[pyo3(transparent)]
     Rows(Vec<f64>),
 }
@@ -275,6 +279,7 @@ impl ExperimentFields {
             let weight = match weight {
                 WeightFields::Constant(weight) => Weight::Constant(weight),
                 WeightFields::Column(column) => Weight::Column(column),
+                WeightFields::Inverse((name,)) => Weight::Inverse(OutputScale::named(&name)?),
                 WeightFields::Rows(weights) => Weight::Rows(weights),
             };
             experiment = experiment.weighted_output(variable, column, weight);

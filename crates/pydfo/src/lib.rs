@@ -3,6 +3,7 @@
 #![deny(unsafe_code)]
 
 mod calibration;
+mod cost;
 mod data;
 mod description;
 mod dict;

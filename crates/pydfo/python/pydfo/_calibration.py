@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, Suppo
 import numpy as np
 import numpy.typing as npt
 
-from . import _check, _core, _options, _stages, _worth
+from . import _check, _core, _objective, _options, _stages, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import Inputs, Names, Settings, Weights, collected, path_of
 from ._files import OpenOptions
@@ -96,7 +96,7 @@ class Calibration:
         Wall-clock limit of one simulation in s (also called `timeout`). One that reaches it counts as failed.
     weights : dict, or sequence, optional
         Per output, what its residuals are multiplied with (default 1): the inverse of the standard deviation of its noise,
-        if that is known; or a weight per measurement, see `Experiment`.
+        if that is known; or a weight per measurement, or "range", "mean", "sd", see `Experiment`.
     start_values : dict, optional
         Values of other parameters and start values of variables, by name; not of those that are fitted.
     relative_tolerance : float, optional
@@ -432,6 +432,7 @@ class Calibration:
         resume: Literal["auto", "never", "require"] = "auto",
         search: Literal["local", "global"] = "local",
         stages: Sequence[Stage | Sequence[str]] | None = None,
+        objective: str | _objective.Objective = "sum-of-squares",
         covariance: Literal["sandwich", "pooled"] | None = "sandwich",
         preflight: bool = False,
     ) -> Fit:
@@ -492,6 +493,15 @@ class Calibration:
             ``[["C2", "G2"], ["C1", "G1"]]``: each stage frees these parameters, from where the last one left them, and holds the
             others. Limits hold for all stages together, ``nfev`` and the trace are those of all; the fit has that of each stage in
             ``stages``. A checkpoint has a file for each: ``fit.ckpt.stage1``, ``fit.ckpt.stage2`` and so on.
+        objective : str or callable
+            What is minimised: "sum-of-squares" of the residuals (with weights of 1/sigma, the inverse standard deviation of the noise, the
+            likelihood with known noise), "mae" (mean absolute error), "rmse", "nrmse" (mean over the outputs of RMSE over the range of
+            the measurements), "likelihood" (with an unknown standard deviation of the noise for each output:
+            ``sum N_o / 2 ln(r_o' r_o / N_o)``); or a function of (measured, simulated), dicts of arrays by output (with several
+            experiments: dicts of such by their names), that returns a cost or a vector of residuals, whose sum of squares is minimised.
+            It is called with the interpreter lock, by one thread at a time, and once before the fit; what it raises ends the fit. It is
+            no part of the calibration, which can be pickled in any case. Only the sum of squares has standard errors and robust losses;
+            where there are no residuals, method "auto" is "nelder-mead".
         covariance : {"sandwich", "pooled"} or None
             How the standard errors of the fit are estimated, see `worth`. Found out after the run, with simulations that do not
             count in ``nfev``: at least two for each parameter and an accurate one, in parallel. None: not at all.
@@ -531,6 +541,7 @@ class Calibration:
         count = _options.worker_count("workers", workers, None)
         if own.get("batch") == "workers":
             own["batch"] = count or _options.all_cores()
+        cost = _objective.built(objective, self)
         limits = _options.Limits.check(
             ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
         )
@@ -548,7 +559,7 @@ class Calibration:
                 resume=resume,
                 bounds=self._bounds(),
                 search=search,
-                residuals=True,
+                residuals=cost.has_residuals,
                 parameter_kinds=[
                     kind
                     for name, (lower, upper, kind) in zip(self.names, self._native.bounds())
@@ -590,6 +601,7 @@ class Calibration:
                     observer=observer,
                     loss=counted,
                     stages=of_stages,
+                    objective=cost,
                     covariance=covariance,
                     preflight=_options.flag("preflight", preflight),
                 )

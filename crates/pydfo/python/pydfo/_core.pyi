@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ._experiment import Experiment, Settings
 from ._files import OpenOptions
 from ._model import Request
+from ._objective import CostFields
 from ._options import Options
 from ._parameter import Parameter
 from ._progress import Progress
@@ -157,6 +158,7 @@ class Calibration:
     def measurements(
         self,
     ) -> list[tuple[npt.NDArray[np.float64], list[tuple[str, npt.NDArray[np.float64]]]]]: ...
+    def measured_series(self) -> dict[str, Any]: ...
     def fit(
         self,
         options: Options,
@@ -166,6 +168,7 @@ class Calibration:
         loss: tuple[str, float] | None = None,
         stages: list[BuiltStage] | None = None,
         covariance: str | None = None,
+        objective: CostFields | None = None,
         preflight: bool = False,
     ) -> OptimizeResult: ...
 @final

@@ -20,8 +20,8 @@ Names = Mapping[str, str] | Sequence[str] | str
 Source = str | float | Callable[[float], float]
 Inputs = Mapping[str, Source] | Sequence[str] | str
 #: What residuals are multiplied with: a number, a column, a number per row.
-Weight = float | str | list[float]
-Weights = Mapping[str, Any] | Sequence[Any]
+Weight = float | str | list[float] | tuple[str]
+Weights = Mapping[str, Any] | Sequence[Any] | str
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -41,7 +41,8 @@ class Experiment:
         Only measurements at times in this interval count, in s: one of `windows`.
     weights : dict, or sequence, optional
         Per output, what its residuals are multiplied with: a number, or one number per measurement: a column, or an array as long as
-        the recording (of Booleans: a mask). Measurements with the weight 0 do not count.
+        the recording (of Booleans: a mask). Measurements with the weight 0 do not count. "range", "mean" or "sd" weighs each output by
+        the inverse of the range, mean or standard deviation of what was measured in the whole recording.
     start_values : dict, optional
         Values of other parameters and start values of variables in this experiment, by name; of a local parameter, where
         its search starts here.
@@ -298,7 +299,9 @@ def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tu
             if name not in known:
                 raise BadCalibrationError(f"weights: there is no output '{name}'; there are: {', '.join(known)}")
         return [(v, c, _weight(v, weights.get(v, 1.0))) for v, c in outputs]
-    if isinstance(weights, str) or not isinstance(weights, Iterable):
+    if isinstance(weights, str):
+        return [(variable, column, (weights,)) for variable, column in outputs]
+    if not isinstance(weights, Iterable):
         raise TypeError(f"weights must be a dict of outputs and numbers, or a number per output, not {_options.show(weights)}")
     listed = list(weights)
     if len(listed) != len(outputs):

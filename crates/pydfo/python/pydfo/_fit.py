@@ -60,7 +60,10 @@ class Fit(OptimizeResult):
     parameters : dict of str to float
         The same by name.
     cost : float
-        Sum of the squared weighted residuals there (the same as ``fun``); with a loss, of what they count.
+        Sum of the squared weighted residuals there (the same as ``fun``); with a loss, of what they count; with another
+        `objective`, its value.
+    objective : str
+        Name of the cost that was minimised.
     rms : float
         Root of the mean squared weighted residual there.
     start : ndarray, shape (n,)
@@ -115,6 +118,7 @@ class Fit(OptimizeResult):
             self.at_bound: dict[str, str] = {}
             self.without_effect: list[str] = []
             self.n_checks = 0
+            self.objective = ""
             self.n_beginnings = 1
         self._native: _core.Fit | None = vars(self).get("_native")
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
