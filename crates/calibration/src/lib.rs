@@ -60,7 +60,7 @@ pub use dfo::Kind;
 pub use effect::BoundSide;
 pub use error::CalibrationError;
 pub use experiment::{Experiment, InitialState, OutputScale, SimulationSettings, Weight};
-pub use export::SavedFit;
+pub use export::{FmuExport, SavedFit, Table};
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};

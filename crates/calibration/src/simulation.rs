@@ -185,6 +185,24 @@ impl Simulation {
         simulator.run(&self.values(x), observer)
     }
 
+    /// How these variables of the model are recorded at `x`, as they are, at the measured times or those given; without the values of
+    /// [`named_values`](Self::named_values).
+    pub(crate) fn recording(
+        &self,
+        (x, method): (&[f64], Method),
+        times: Option<&[f64]>,
+        variables: &[String],
+    ) -> SimulateOptions {
+        let times = times.unwrap_or(&self.times);
+        SimulateOptions {
+            method,
+            parameters: Vec::new(),
+            outputs: Some(variables.to_vec()),
+            final_time: times.last().copied(),
+            ..self.options_at(x, times)
+        }
+    }
+
     /// The compared outputs at `x` as they are compared, late and with their offsets, at the measured times or those given.
     pub(crate) fn trajectory(
         &self,

@@ -71,7 +71,10 @@ mod core_module {
     #[pymodule_export]
     use super::recordings::{check, recorded};
     #[pymodule_export]
-    use super::share::{fit_to_bytes, load_fit, parameters_of, save_fit};
+    use super::share::{
+        export_fmu, export_ssv, fit_to_bytes, fit_to_csv, fit_to_json, load_fit, parameters_of, save_fit,
+        simulate_variables, variable_values,
+    };
     #[pymodule_export]
     use super::solve::solve;
     #[pymodule_export]

@@ -3,9 +3,9 @@
 use crate::calibration::PyCalibration;
 use crate::description::Fmu;
 use crate::fit::PyFit;
-use crate::words::word_of;
-use crate::{error, files, logs};
-use calibration::SavedFit;
+use crate::words::{word, word_of};
+use crate::{error, files, logs, trajectory};
+use calibration::{SavedFit, Table};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
@@ -77,4 +77,88 @@ pub(crate) fn parameters_of<'py>(
     };
     let all = problem.parameters.iter().map(arguments).collect::<PyResult<_>>()?;
     Ok((problem.model.path.clone(), all))
+}
+
+/// The numbers of a fit as JSON.
+#[pyfunction]
+pub(crate) fn fit_to_json(py: Python<'_>, fit: &PyFit) -> PyResult<String> {
+    fit.inner.to_json(&fit.calibration).map_err(|e| error::calibration(py, &e))
+}
+
+/// A table of a fit as text; written to `path`, where there is one.
+#[pyfunction]
+#[pyo3(signature = (fit, table, path=None))]
+pub(crate) fn fit_to_csv(
+    py: Python<'_>,
+    fit: &PyFit,
+    table: &str,
+    path: Option<PathBuf>,
+) -> PyResult<String> {
+    let table: Table = word("what", table)?;
+    let (inner, calibration) = (Arc::clone(&fit.inner), PyCalibration::of(Arc::clone(&fit.calibration)));
+    calibration.compute(py, move |calibration, cancelled| match path {
+        Some(path) => inner.write_csv(calibration, path, table, cancelled).map(|()| String::new()),
+        None => inner.csv(calibration, table, cancelled),
+    })
+}
+
+/// The variables that the parameters set, and their values at `x`.
+#[pyfunction]
+#[pyo3(signature = (calibration, x, experiment=None))]
+pub(crate) fn variable_values(
+    py: Python<'_>,
+    calibration: &PyCalibration,
+    x: Vec<f64>,
+    experiment: Option<&str>,
+) -> PyResult<Vec<(String, f64)>> {
+    calibration.inner.variable_values(&x, experiment).map_err(|e| error::calibration(py, &e))
+}
+
+/// Per experiment what `pydfo.SimulationResult` is made of: these variables of the model at `x`.
+#[pyfunction]
+#[pyo3(signature = (calibration, x, times, variables))]
+pub(crate) fn simulate_variables<'py>(
+    py: Python<'py>,
+    calibration: &PyCalibration,
+    x: Vec<f64>,
+    times: Option<Vec<f64>>,
+    variables: Vec<String>,
+) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    let trajectories = calibration.compute(py, move |calibration, cancelled| {
+        let simulate =
+            |k| calibration.simulate_variables_until(k, &x, times.as_deref(), &variables, cancelled);
+        (0..calibration.problem().experiments.len()).map(simulate).collect::<Result<Vec<_>, _>>()
+    })?;
+    let description = calibration.inner.fmu().description();
+    trajectories.into_iter().map(|trajectory| trajectory::record(py, description, trajectory)).collect()
+}
+
+/// Writes an SSP parameter file.
+#[pyfunction]
+#[pyo3(signature = (fit, path, experiment=None))]
+pub(crate) fn export_ssv(
+    py: Python<'_>,
+    fit: &PyFit,
+    path: PathBuf,
+    experiment: Option<&str>,
+) -> PyResult<()> {
+    let written = py.detach(|| fit.inner.export_ssv(&fit.calibration, path, experiment));
+    written.map_err(|e| error::calibration(py, &e))
+}
+
+/// Writes a copy of the FMU: the copy, the parameter file and the warning, as far as there are any.
+#[pyfunction]
+#[pyo3(signature = (fit, path, experiment=None, keep=false))]
+pub(crate) fn export_fmu(
+    py: Python<'_>,
+    fit: &PyFit,
+    path: PathBuf,
+    experiment: Option<String>,
+    keep: bool,
+) -> PyResult<(Option<PathBuf>, Option<PathBuf>, Option<String>)> {
+    let (inner, calibration) = (Arc::clone(&fit.inner), PyCalibration::of(Arc::clone(&fit.calibration)));
+    let written = calibration.compute(py, move |calibration, cancelled| {
+        inner.export_fmu(calibration, path, experiment.as_deref(), keep, cancelled)
+    })?;
+    Ok((written.fmu, written.ssv, written.warning))
 }

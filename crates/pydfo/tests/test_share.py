@@ -1,8 +1,12 @@
 """Handing a fit on: files, pickles, tables, other programs."""
 
 import copy
+import csv
+import json
 import pickle
 import shutil
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -135,3 +139,168 @@ def test_files_that_are_no_fits(fit, tmp_path):
         fit.save(fit._calibration._model)
     with pytest.raises(TypeError):
         fit.save(3)
+
+
+@pytest.fixture(scope="module")
+def furuta():
+    """Of the pendulum's angle over 2 s, without noise."""
+    model = FMUModel(example_fmu("furuta"))
+    model.set({"armFriction": 0.010, "pendulumFriction": 0.001})
+    result = model.simulate(final_time=2, output_interval=0.02)
+    data = {"time": result["time"], "phi": result["armJoint.phi"], "theta": result["pendulumJoint.phi"]}
+    parameters = [Parameter("armFriction", 0.012, 0, 0.022), Parameter("pendulumFriction", 0.002, 0, 0.012)]
+    outputs = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
+    return Calibration(example_fmu("furuta"), data, outputs, parameters).fit()
+
+
+def test_all_variables_at_the_optimum(furuta, fit):
+    compared, every = furuta.simulate(), furuta.simulate(outputs="all")
+    assert "pendulumJoint.w" in every and every.units["pendulumJoint.w"] == "rad/s"
+    np.testing.assert_array_equal(every["armJoint.phi"], compared["armJoint.phi"])
+    one = furuta.simulate(times=[0, 0.5, 1], outputs=["pendulumJoint.w"])
+    assert set(one) == {"time", "pendulumJoint.w"} and one["time"].tolist() == [0, 0.5, 1]
+    with pytest.raises(KeyError, match="pendulumJoint.w"):
+        furuta.simulate(outputs=["pendulumJoint.ww"])
+    assert set(fit.simulate(outputs="all")) == {"cold", "hot"}
+
+
+def test_a_model_takes_the_fitted_values(furuta, fit):
+    model = FMUModel(example_fmu("furuta"))
+    model.set(furuta.parameters)
+    result = model.simulate(final_time=2, output_interval=0.02, solver=furuta.solver)
+    np.testing.assert_allclose(result["pendulumJoint.phi"], furuta.simulate()["pendulumJoint.phi"], rtol=1e-6)
+    assert furuta.parameters_of() == furuta.parameters
+    assert fit.parameters_of("hot") == {"k": fit.parameters["k"], "x": fit.parameters["x[hot]"]}
+    with pytest.raises(ValueError, match="its own value of x.*'cold', 'hot'"):
+        fit.parameters_of()
+    with pytest.raises(ValueError, match="no experiment 'warm'; there are: cold, hot"):
+        fit.parameters_of("warm")
+    for arguments in [({"armFriction": 1.0}, 2.0), ("armFriction",)]:
+        with pytest.raises(TypeError, match="dict of names and values"):
+            model.set(*arguments)
+
+
+def test_numbers_for_other_programs(furuta, fit, tmp_path):
+    text = furuta.to_json()
+    found = json.loads(text, parse_constant=lambda name: pytest.fail(name))
+    assert found == furuta.to_dict()
+    assert [(p["name"], p["value"]) for p in found["parameters"]] == list(furuta.parameters.items())
+    assert (found["cost"], found["rms"], found["n_evaluations"]) == (furuta.cost, furuta.rms, furuta.nfev)
+    assert found["parameters"][0]["unit"] == "N.m"
+    assert fit.to_dict()["parameters"][0]["upper"] is None  # infinite
+
+    path = tmp_path / "fit.csv"
+    fit.to_csv(path)
+    rows = list(csv.DictReader(path.open(newline="")))
+    assert {row["name"]: float(row["value"]) for row in rows} == fit.parameters
+    fit.to_csv(path, what="trajectories")
+    rows = list(csv.DictReader(path.open(newline="")))
+    residuals = fit.residuals()
+    assert [float(row["residual"]) for row in rows] == residuals.tolist()
+    np.testing.assert_allclose([float(row["simulated"]) - float(row["measured"]) for row in rows], residuals, atol=1e-15)
+    fit.to_csv(path, what="trace")
+    rows = list(csv.DictReader(path.open(newline="")))
+    assert len(rows) == len(fit.trace)
+    assert [float(row["x[hot]"]) for row in rows] == fit.trace.x[:, 2].tolist()
+    with pytest.raises(ValueError, match="'parameters', 'trajectories', 'trace'"):
+        fit.to_csv(path, what="table")
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    frame = fit.to_dataframe("trajectories")
+    assert isinstance(frame, pandas.DataFrame) and frame["residual"].tolist() == residuals.tolist()
+
+
+SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
+SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
+
+
+def values_of(path):
+    """The values of a parameter file."""
+    root = ElementTree.parse(path).getroot()
+    assert root.tag == f"{SSV}ParameterSet" and root.get("version") == "1.0"
+    units = {unit.get("name") for unit in root.iter(f"{SSC}Unit")}
+    found = {}
+    for parameter in root.find(f"{SSV}Parameters"):
+        (value,) = parameter
+        assert value.tag == f"{SSV}Real" and value.get("unit") in units | {None}
+        found[parameter.get("name")] = float(value.get("value"))
+    return found
+
+
+def test_parameter_files(furuta, fit, tmp_path):
+    path = tmp_path / "fitted.ssv"
+    assert furuta.export_ssv(path) == path
+    assert values_of(path) == furuta.parameters
+    base = ElementTree.parse(path).getroot().find(f"{SSV}Units/{SSC}Unit[@name='N.m']/{SSC}BaseUnit")
+    assert base.attrib == {"kg": "1", "m": "2", "s": "-2"}
+    fit.export_ssv(path, experiment="cold")
+    assert values_of(path) == fit.parameters_of("cold")
+    with pytest.raises(ValueError, match="its own value of x"):
+        fit.export_ssv(path)
+    with pytest.raises(ValueError, match=r"ends in \.ssv, for example .*fitted\.ssv"):
+        furuta.export_ssv(tmp_path / "fitted.xml")
+    with pytest.raises(ValueError, match="is a folder"):
+        furuta.export_ssv(tmp_path)
+    with pytest.raises(FileNotFoundError):
+        furuta.export_ssv(tmp_path / "none" / "fitted.ssv")
+
+
+def test_a_parameter_file_is_valid(furuta, tmp_path):
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    etree = pytest.importorskip("lxml.etree", reason="lxml is not installed")
+    path = tmp_path / "fitted.ssv"
+    furuta.export_ssv(path)
+    (schema,) = Path(fmpy.__file__).parent.glob("ssp/schema/**/SystemStructureParameterValues.xsd")
+    etree.XMLSchema(etree.parse(str(schema))).assertValid(etree.parse(str(path)))
+
+
+def test_a_library_that_ignores_the_description_gets_a_parameter_file(furuta, tmp_path):
+    path = tmp_path / "fitted.fmu"
+    with pytest.warns(pydfo.CalibrationWarning, match=r"not as fitted \('.*' by .* at t = .*fitted\.fmu is not written"):
+        written = furuta.export_fmu(path)
+    assert written == path.with_suffix(".ssv") and not path.exists()
+    assert values_of(written) == furuta.parameters
+    for wrong, message in [(tmp_path / "fitted.zip", r"ends in \.fmu"), (furuta._calibration._model, "is the model itself")]:
+        with pytest.raises(ValueError, match=message):
+            furuta.export_fmu(wrong)
+
+
+def test_a_copy_has_the_fitted_start_values(furuta, fit, tmp_path):
+    path = tmp_path / "fitted.fmu"
+    with pytest.warns(pydfo.CalibrationWarning, match="right only in tools that set the start values"):
+        assert furuta.export_fmu(path, keep=True) == path
+    description = FMUModel(path).description
+    assert {name: description.variables[name].start for name in furuta.parameters} == furuta.parameters
+    with pytest.warns(pydfo.CalibrationWarning):
+        fit.export_fmu(path, experiment="hot", keep=True)
+    assert FMUModel(path).description.variables["x"].start == fit.parameters["x[hot]"]
+    with pytest.raises(ValueError, match="its own value of x"):
+        fit.export_fmu(path)
+
+
+def test_a_copy_whose_values_are_those_of_the_library_is_as_fitted(tmp_path, recwarn):
+    held = [Parameter("k", 1, 0.1, fixed=True)]
+    fit = Calibration(example_fmu("dahlquist"), recording(1), "x", held).fit()
+    path = tmp_path / "fitted.fmu"
+    assert fit.export_fmu(path) == path and path.is_file() and not path.with_suffix(".ssv").exists()
+    assert not [w for w in recwarn if issubclass(w.category, pydfo.CalibrationWarning)]
+
+
+@pytest.mark.parametrize("version, kind", [("1.0", "ME"), ("2.0", "ME"), ("2.0", "CS"), ("3.0", "ME")])
+def test_fmpy_simulates_what_was_exported(version, kind, tmp_path):
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    model, path = example_fmu("dahlquist", version, kind), tmp_path / "fitted.fmu"
+    fit = Calibration(model, recording(1), "x", Parameter("k", 1, 0.1), kind=kind).fit()
+    with pytest.warns(pydfo.CalibrationWarning):
+        fit.export_fmu(path, keep=True)
+    options = {"stop_time": 1.1, "output_interval": 0.1, "relative_tolerance": 1e-9, "record_events": False, "output": ["x"]}
+    ours = fit.simulate(times=T)["x"]
+    assert abs(ours[-1] - np.exp(-2 * 1.1)) < 1e-2
+    interface = "ModelExchange" if kind == "ME" else "CoSimulation"
+    # As a tool that sets the start values of the description.
+    variables = fmpy.read_model_description(str(path)).modelVariables
+    starts = {v.name: float(v.start) for v in variables if v.causality == "parameter" or v.name == "k"}
+    copy = fmpy.simulate_fmu(str(path), fmi_type=interface, start_values=starts, **options)
+    values = values_of(path.with_suffix(".ssv"))
+    original = fmpy.simulate_fmu(str(model), fmi_type=interface, start_values=values, **options)
+    for theirs in (copy, original):
+        np.testing.assert_allclose(theirs["x"], ours, atol=1e-5)

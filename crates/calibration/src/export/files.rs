@@ -41,3 +41,22 @@ pub(super) fn check_path(path: &Path, calibration: &Calibration) -> Result<(), C
         _ => Ok(()),
     }
 }
+
+/// Refuses a path with another suffix: other tools tell files by it.
+pub(super) fn check_suffix(path: &Path, suffix: &str) -> Result<(), CalibrationError> {
+    let is_it = path.extension().is_some_and(|found| found.eq_ignore_ascii_case(suffix));
+    if is_it && !path.is_dir() {
+        return Ok(());
+    }
+    let what = if path.is_dir() { "is a folder" } else { "has another suffix" };
+    let meant = path.with_extension(suffix);
+    Err(CalibrationError::Setup(format!(
+        "{} {what}: give the path of a file that ends in .{suffix}, for example {}",
+        path.display(),
+        if path.is_dir() {
+            path.join(format!("fitted.{suffix}")).display().to_string()
+        } else {
+            meant.display().to_string()
+        }
+    )))
+}

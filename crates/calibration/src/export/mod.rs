@@ -2,6 +2,13 @@
 
 mod document;
 mod files;
+mod fmu;
+mod json;
 mod saved_fit;
+mod ssv;
+mod tables;
+mod variables;
 
+pub use fmu::FmuExport;
 pub use saved_fit::SavedFit;
+pub use tables::Table;

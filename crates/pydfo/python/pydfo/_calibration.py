@@ -7,7 +7,7 @@ import logging
 import os
 import warnings
 from contextlib import closing, nullcontext
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
@@ -24,6 +24,7 @@ from ._live import DELAY, LiveLine, is_watched
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
+from ._trajectory import SimulationResult
 from ._stages import Stage
 from ._validation import CrossValidation
 from ._worth import Preflight, Worth
@@ -371,8 +372,11 @@ class Calibration:
         return self._native.residuals(self._values(x))
 
     def simulate(
-        self, x: npt.ArrayLike | Mapping[str, float] | None = None, times: npt.ArrayLike | None = None
-    ) -> dict[str, Any]:
+        self,
+        x: npt.ArrayLike | Mapping[str, float] | None = None,
+        times: npt.ArrayLike | None = None,
+        outputs: str | Iterable[str] | None = None,
+    ) -> Any:
         """Simulates once.
 
         Parameters
@@ -382,11 +386,15 @@ class Calibration:
         times : array_like, optional
             Times of the rows in s, ascending; default: the measured times that count.
 
+        outputs : str or iterable of str, optional
+            Variables of the model to be recorded as they are, without delays or offsets of outputs: names, elements of arrays,
+            patterns with ``*`` and ``?``, or "all".
+
         Returns
         -------
         dict of str to ndarray
-            ``"time"`` and the compared outputs by their names in the model. With several experiments: a dict of such
-            by their names.
+            ``"time"`` and the compared outputs by their names in the model. With `outputs`: a `SimulationResult`, with
+            units. With several experiments: a dict of such by their names.
 
         Raises
         ------
@@ -394,16 +402,21 @@ class Calibration:
             As `cost`.
         """
         rows = None if times is None else _options.vector("times", times).tolist()
+        if outputs is not None:
+            names = [outputs] if isinstance(outputs, str) else _options.names("outputs", outputs)
+            found = _core.simulate_variables(self._native, self._values(x), rows, names)
+            return self._by_experiment([SimulationResult(**fields) for fields in found])
         return self._by_experiment(self._native.simulate(self._values(x), rows))
 
     def measurements(self) -> dict[str, Any]:
         """What was measured, as it was read: by output, its times in s and its values, missing ones left out. With several
         experiments: a dict of such by their names."""
-        return self._by_experiment(
+        found: dict[str, Any] = self._by_experiment(
             [{v: (time[~np.isnan(y)], y[~np.isnan(y)]) for v, y in columns} for time, columns in self._native.measurements()]
         )
+        return found
 
-    def _by_experiment(self, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    def _by_experiment(self, found: Sequence[Any]) -> Any:
         return found[0] if len(found) == 1 else dict(zip(self.experiments, found))
 
     @explained

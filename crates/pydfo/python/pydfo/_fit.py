@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
@@ -187,7 +189,12 @@ class Fit(OptimizeResult):
         """RMS over that at the start, on the same measurements; None if the simulation failed at the start."""
         return None if self.start_rms is None else self.rms / self.start_rms
 
-    def simulate(self, x: npt.ArrayLike | None = None, times: npt.ArrayLike | None = None) -> dict[str, Any]:
+    def simulate(
+        self,
+        x: npt.ArrayLike | None = None,
+        times: npt.ArrayLike | None = None,
+        outputs: str | Iterable[str] | None = None,
+    ) -> Any:
         """Simulates at the fitted values; see `Calibration.simulate`.
 
         Parameters
@@ -196,14 +203,17 @@ class Fit(OptimizeResult):
             Other values of the parameters.
         times : array_like, optional
             Times of the rows in s; default: the measured times.
+        outputs : str or iterable of str, optional
+            Variables of the model to be recorded as they are, without delays or offsets of outputs: names, elements of arrays,
+            patterns with ``*`` and ``?``, or "all".
 
         Returns
         -------
-        dict of str to ndarray
-            ``"time"`` and the compared outputs by their names in the model. With several experiments: a dict of such
-            by their names.
+        dict of str to ndarray, or SimulationResult
+            ``"time"`` and the compared outputs by their names in the model. With `outputs`: a `SimulationResult`, with
+            units. With several experiments: a dict of such by their names.
         """
-        return self._calibration.simulate(self.x if x is None else x, times)
+        return self._calibration.simulate(self.x if x is None else x, times, outputs)
 
     @also_called(window="windows")
     def validate(
@@ -333,6 +343,121 @@ class Fit(OptimizeResult):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _share.pickled(self)
+
+    def parameters_of(self, experiment: str | None = None) -> dict[str, float]:
+        """The variables of the model that the parameters set, with their values in the units of the model: what ``model.set`` takes.
+
+        Parameters
+        ----------
+        experiment : str, optional
+            Whose values, by the name of the experiment; needed where there are local parameters.
+
+        Returns
+        -------
+        dict of str to float
+
+        Raises
+        ------
+        ValueError
+            There is no such experiment, or none is named and each has values of its own.
+
+        Examples
+        --------
+        >>> model.set(fit.parameters_of("run1"))  # doctest: +SKIP
+        """
+        return dict(_core.variable_values(self._calibration._native, np.asarray(self.x).tolist(), experiment))
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the fit found, as dictionaries, lists, numbers and texts: parameters with errors, start, bounds and units; cost and
+        RMS; how well each output is reproduced; what the fit is worth; how it was made. Numbers that are not finite are None."""
+        found: dict[str, Any] = json.loads(self.to_json())
+        return found
+
+    def to_json(self) -> str:
+        """The same as a text in JSON."""
+        return _core.fit_to_json(_share.native_of(self))
+
+    def to_csv(
+        self, path: PathLike, what: Literal["parameters", "trajectories", "trace"] = "parameters"
+    ) -> None:
+        """Writes a table of the fit as comma-separated values, numbers with all their digits.
+
+        Parameters
+        ----------
+        path : path
+            The file to write; one that exists is replaced.
+        what : {"parameters", "trajectories", "trace"}
+            A row for each parameter (with standard errors, start, bounds, unit), each measurement that counts (measured and
+            simulated), or each evaluation.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        _core.fit_to_csv(_share.native_of(self), what, os.fspath(path))
+
+    def to_dataframe(self, what: Literal["parameters", "trajectories", "trace"] = "parameters") -> Any:
+        """The same table as a pandas.DataFrame. Needs pandas."""
+        return _share.dataframe(self, what)
+
+    def export_ssv(self, path: PathLike, experiment: str | None = None) -> Path:
+        """Writes the fitted values as an SSP parameter file (System Structure Parameter Values 1.0), which tools for system structures
+        read: those of `parameters_of`, with their units.
+
+        Parameters
+        ----------
+        path : path
+            The file to write, ``.ssv``.
+        experiment : str, optional
+            Whose values; see `parameters_of`.
+
+        Returns
+        -------
+        Path
+            `path`.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        ValueError
+            As `parameters_of`; `path` has another suffix.
+        """
+        _core.export_ssv(_share.native_of(self), os.fspath(path), experiment)
+        return Path(path)
+
+    def export_fmu(self, path: PathLike, experiment: str | None = None, *, keep: bool = False) -> Path:
+        """Writes a copy of the FMU that starts with the fitted values.
+
+        In ``modelDescription.xml`` the start values of `parameters_of` change, and nothing else; all other files are copied as
+        they are. The copy is simulated as it is and compared with the fit. The libraries of many FMUs ignore the start values of the
+        description, as the FMI standard allows: then a `CalibrationWarning` says so, and the values are written as an SSP parameter
+        file instead (see `export_ssv`), beside `path` with the suffix ``.ssv``.
+
+        Parameters
+        ----------
+        path : path
+            The file to write, ``.fmu``.
+        experiment : str, optional
+            Whose values; see `parameters_of`. Values that were given as `start_values` are not written.
+        keep : bool
+            Write the copy also where its library ignores the description, for tools that set the start values of the description
+            when they import it.
+
+        Returns
+        -------
+        Path
+            `path`, or that of the parameter file where the copy is not written.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        ValueError
+            As `parameters_of`; `path` has another suffix, or is that of the model.
+        """
+        return _share.export_fmu(self, path, experiment, keep)
 
     def __getitem__(self, key: Any) -> Any:
         if key in ("parameters", "cost", "rms", "stderr", "covariance", "correlation", "start_rms", "scaled_rms"):

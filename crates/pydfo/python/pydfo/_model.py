@@ -23,6 +23,9 @@ _log = _logging.getLogger("pydfo")
 
 FloatArray = npt.NDArray[np.float64]
 
+#: Stands where no value is given: None is one that can be.
+_NOT_GIVEN: object = object()
+
 
 class Request(NamedTuple):
     """The options of a simulation, as the native code reads them, in this order; None: the default of the model."""
@@ -236,13 +239,14 @@ class FMUModel:
             return self._model.get([name])[0]
         return self._model.get(_options.names("name", name))
 
-    def set(self, name: str | Iterable[str], value: object) -> None:
+    def set(self, name: str | Iterable[str] | Mapping[str, object], value: object = _NOT_GIVEN) -> None:
         """Sets parameters, start values, or constant values of inputs, for all simulations from now on.
 
         Parameters
         ----------
-        name : str or iterable of str
-            Names of variables, or of elements of arrays (``name[2,1]``, counted from 1).
+        name : str, iterable of str, or dict
+            Names of variables, or of elements of arrays (``name[2,1]``, counted from 1); or a dict of names and values
+            (``model.set(fit.parameters)``), then without `value`.
         value : float, int, bool, str, bytes or array_like, or a sequence of them
             One value for a name, as many as names for a list: all are set, or none. NumPy scalars and arrays of one element
             are single values, too. Arrays are given in their shape or flat, the last index varying fastest. Items of
@@ -258,6 +262,13 @@ class FMUModel:
             The variable cannot be set (the message says why), the value is not finite, or there are not as many values as
             names.
         """
+        if isinstance(name, Mapping):
+            if value is not _NOT_GIVEN:
+                raise TypeError("set() takes a dict of names and values, or names and values, not both")
+            self._model.set(_options.names("name", list(name)), list(name.values()))
+            return
+        if value is _NOT_GIVEN:
+            raise TypeError(f"set() needs a value for {_options.show(name)}, or a dict of names and values")
         if isinstance(name, str):
             self._model.set([name], [value])
             return

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import io
 import os
+import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import _core
+from ._errors import CalibrationWarning
 from ._experiment import path_of
 from ._parameter import Parameter
 
@@ -94,3 +99,24 @@ def native_of(fit: Fit) -> _core.Fit:
         raise ValueError("the fit was interrupted twice and has no more than its last point: it cannot be handed on")
     assert isinstance(native, _core.Fit)
     return native
+
+
+def dataframe(fit: Fit, what: str) -> Any:
+    """A table of a fit as a pandas.DataFrame."""
+    try:
+        pd: Any = importlib.import_module("pandas")
+    except ImportError as e:
+        raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
+    text = _core.fit_to_csv(native_of(fit), what)
+    return pd.read_csv(io.StringIO(text), float_precision="round_trip")
+
+
+def export_fmu(fit: Fit, path: PathLike, experiment: str | None, keep: bool) -> Path:
+    """Writes a copy of the FMU, or what takes its place."""
+    native = native_of(fit)
+    fmu, ssv, warning = _core.export_fmu(native, os.fspath(path), experiment, keep)
+    if warning is not None:
+        warnings.warn(warning, CalibrationWarning, stacklevel=3)
+    written = fmu or ssv
+    assert written is not None
+    return written

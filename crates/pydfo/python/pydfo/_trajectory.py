@@ -145,7 +145,8 @@ class SimulationResult(Mapping[str, Column]):
         return {"time": "Real", **dict(zip(self._names, self._type_names))}
 
     @cached_property
-    def _units(self) -> dict[str, str | None]:
+    def units(self) -> dict[str, str | None]:
+        """Units of the variables by their names; None where the model does not state one."""
         return {"time": "s", **dict(zip(self._names, self._unit_names))}
 
     @cached_property
@@ -275,7 +276,7 @@ class SimulationResult(Mapping[str, Column]):
         for name, variable, column in self._flat(chosen):
             if column.dtype == np.object_:
                 raise ValueError(f"{name} is of type {self._types[variable]} and cannot be drawn")
-            groups.setdefault(self._units[variable], []).append((name, variable, column))
+            groups.setdefault(self.units[variable], []).append((name, variable, column))
         figure: Figure
         figure, plots = plt.subplots(max(len(groups), 1), 1, sharex=True, squeeze=False, layout="constrained")
         for axes, (unit, members) in zip(plots[:, 0], groups.items()):

@@ -1,0 +1,74 @@
+//! The numbers of a fit as JSON for other programs: valid JSON, in which null stands for what is no finite number.
+
+use super::files::check_belongs;
+use super::tables::unit_of;
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::fit::Fit;
+use serde_json::{Value as Json, json};
+
+impl Fit {
+    /// What the fit found, as JSON: parameters with errors, start, bounds and units; cost and RMS; how well each output is reproduced; what the
+    /// fit is worth; how it was made. Neither the trace nor the recordings: [`Fit::save`] keeps all. Numbers that are not finite
+    /// are null.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Setup`] if it is no fit of this calibration.
+    pub fn to_json(&self, calibration: &Calibration) -> Result<String, CalibrationError> {
+        check_belongs(self, calibration)?;
+        let failed = |e: serde_json::Error| CalibrationError::Setup(format!("no JSON can be made: {e}"));
+        serde_json::to_string_pretty(&self.json(calibration).map_err(failed)?).map_err(failed)
+    }
+
+    fn json(&self, calibration: &Calibration) -> Result<Json, serde_json::Error> {
+        let mut worth = serde_json::to_value(&self.worth)?;
+        if let Some(fields) = worth.as_object_mut() {
+            // As long as the recordings.
+            fields.remove("jacobian");
+            fields.remove("residuals");
+        }
+        let parameters = calibration.parameters().iter().enumerate().map(|(k, p)| {
+            let side = self.at_bound.iter().find(|(index, _)| *index == k).map(|(_, side)| side.name());
+            json!({
+                "name": p.name(),
+                "value": self.x[k],
+                "standard_error": self.worth.as_ref().map(|worth| worth.standard_errors[k]),
+                "start": self.start[k],
+                "lower": p.lower(),
+                "upper": p.upper(),
+                "unit": unit_of(p, calibration),
+                "fixed": p.is_fixed(),
+                "at_bound": side,
+                "without_effect": self.without_effect.contains(&k),
+            })
+        });
+        let report = &self.report;
+        let model = &calibration.problem().model;
+        Ok(json!({
+            "written_by": format!("fmufit {}", env!("CARGO_PKG_VERSION")),
+            "model": {
+                "name": calibration.fmu().description().model_name,
+                "path": model.path.display().to_string(),
+                "sha256": model.content_hash,
+            },
+            "parameters": parameters.collect::<Vec<_>>(),
+            "cost": self.cost,
+            "rms": self.rms,
+            "start_cost": self.start_cost,
+            "start_rms": self.start_rms,
+            "outputs": serde_json::to_value(&self.outputs)?,
+            "worth": worth,
+            "success": report.is_success(),
+            "termination": report.termination.name(),
+            "message": report.message,
+            "method": report.method,
+            "solver": self.solver.method.name(),
+            "n_evaluations": report.n_evaluations,
+            "n_iterations": report.n_iterations,
+            "n_failed": report.n_failed,
+            "seconds": report.seconds,
+            "seed": report.seed,
+            "stats": serde_json::to_value(self.stats)?,
+        }))
+    }
+}

@@ -1,0 +1,117 @@
+//! Parameter values for other tools: System Structure Parameter Values 1.0 (SSP standard 1.0, section 6).
+
+use super::files::{check_belongs, check_suffix, write};
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::fit::Fit;
+use fmi::description::VariableKind;
+use fmi::description::{BaseUnit, Unit};
+use quick_xml::escape::escape;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// The namespaces of the format.
+const VALUES: &str = "http://ssp-standard.org/SSP1/SystemStructureParameterValues";
+const COMMON: &str = "http://ssp-standard.org/SSP1/SystemStructureCommon";
+
+impl Fit {
+    /// Writes the values of the variables that the parameters set as an SSP parameter file, `.ssv`; with [local](crate::Parameter::local)
+    /// parameters those of the experiment named.
+    ///
+    /// # Errors
+    /// As [`ssv`](Self::ssv); [`CalibrationError::Setup`] for a name that does not end in `.ssv`; [`fmi::FmiError::Io`].
+    pub fn export_ssv(
+        &self,
+        calibration: &Calibration,
+        path: impl AsRef<Path>,
+        experiment: Option<&str>,
+    ) -> Result<(), CalibrationError> {
+        check_suffix(path.as_ref(), "ssv")?;
+        write(path.as_ref(), calibration, self.ssv(calibration, experiment)?.as_bytes())
+    }
+
+    /// The text of that file: the values in the units of the model, the units that have a definition in the model, and what the fit
+    /// was as a description.
+    ///
+    /// # Errors
+    /// As [`Calibration::variable_values`]; [`CalibrationError::Setup`] if it is no fit of this calibration.
+    pub fn ssv(
+        &self,
+        calibration: &Calibration,
+        experiment: Option<&str>,
+    ) -> Result<String, CalibrationError> {
+        check_belongs(self, calibration)?;
+        let model = calibration.fmu().description();
+        let values = calibration.variable_values(&self.x, experiment)?;
+        let mut units: BTreeMap<&str, &BaseUnit> = BTreeMap::new();
+        let mut parameters = String::new();
+        for (name, value) in &values {
+            let array = || name.rsplit_once('[').and_then(|(array, _)| model.variable(array));
+            let variable = model.variable(name).or_else(array);
+            let unit = variable.and_then(|v| v.unit.as_deref());
+            let is_named = |known: &&Unit| Some(known.name.as_str()) == unit;
+            let base = model.units.iter().find(is_named).and_then(|known| known.base.as_ref());
+            let unit = unit.zip(base);
+            units.extend(unit);
+            let kind = variable.map_or(VariableKind::Real, |v| v.kind);
+            let (element, value) = match kind {
+                VariableKind::Enumeration => {
+                    let types = variable.and_then(|v| v.declared_type.as_deref());
+                    let of = model.type_definitions.iter().find(|t| Some(t.name.as_str()) == types);
+                    let item = of.and_then(|of| of.items.iter().find(|item| item.value as f64 == *value));
+                    match item {
+                        Some(item) => ("Enumeration", escape(&item.name).into_owned()),
+                        None => ("Integer", format!("{value}")),
+                    }
+                }
+                kind if kind.is_integer() => ("Integer", format!("{value}")),
+                _ => ("Real", format!("{value:?}")),
+            };
+            let unit = unit.map_or_else(String::new, |(unit, _)| format!(" unit=\"{}\"", escape(unit)));
+            parameters += &format!(
+                "    <ssv:Parameter name=\"{}\">\n      <ssv:{element} value=\"{value}\"{unit}/>\n    </ssv:Parameter>\n",
+                escape(name)
+            );
+        }
+        let unit = |(name, base): (&str, &BaseUnit)| {
+            let base = attributes(base);
+            let name = escape(name);
+            format!("    <ssc:Unit name=\"{name}\">\n      <ssc:BaseUnit{base}/>\n    </ssc:Unit>\n")
+        };
+        let units = match units.is_empty() {
+            true => String::new(),
+            false => {
+                format!("  <ssv:Units>\n{}  </ssv:Units>\n", units.into_iter().map(unit).collect::<String>())
+            }
+        };
+        let of = experiment.map_or_else(String::new, |name| format!(", experiment {name}"));
+        let description = format!(
+            "Fit of {} to measurements{of}: cost {:?}, RMS {:?}; {}. SHA-256 of the FMU: {}",
+            model.model_name,
+            self.cost,
+            self.rms,
+            self.report.message,
+            calibration.problem().model.content_hash
+        );
+        Ok(format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<ssv:ParameterSet xmlns:ssv=\"{VALUES}\" xmlns:ssc=\"{COMMON}\" \
+             version=\"1.0\" name=\"{}\" description=\"{}\" generationTool=\"fmufit {}\">\n  <ssv:Parameters>\n{parameters}  \
+             </ssv:Parameters>\n{units}</ssv:ParameterSet>\n",
+            escape(&model.model_name),
+            escape(&description),
+            env!("CARGO_PKG_VERSION"),
+        ))
+    }
+}
+
+/// What a unit is made of, as attributes; those by default left out.
+fn attributes(base: &BaseUnit) -> String {
+    let BaseUnit { kg, m, s, a, k, mol, cd, rad, factor, offset } = *base;
+    let exponents =
+        [("kg", kg), ("m", m), ("s", s), ("A", a), ("K", k), ("mol", mol), ("cd", cd), ("rad", rad)];
+    let exponents =
+        exponents.into_iter().filter(|(_, n)| *n != 0).map(|(name, n)| format!(" {name}=\"{n}\""));
+    let numbers = [("factor", factor, 1.0), ("offset", offset, 0.0)];
+    let numbers = numbers.into_iter().filter(|(_, value, default)| value != default);
+    exponents.chain(numbers.map(|(name, value, _)| format!(" {name}=\"{value:?}\""))).collect()
+}

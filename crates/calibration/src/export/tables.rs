@@ -1,0 +1,181 @@
+//! A fit as tables: comma-separated values (RFC 4180) for spreadsheets and other programs.
+
+use super::files::{check_belongs, write};
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::fit::Fit;
+use crate::parameter::Parameter;
+use dfo::Outcome;
+use std::path::Path;
+
+/// Which table of a fit. All numbers have the digits that stand for the same number when they are read again; missing ones
+/// are empty.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Table {
+    /// A row for each entry of `x`: name, value, standard errors where the fit has them, start, bounds, unit, the bound that it ended at.
+    #[default]
+    Parameters,
+    /// A row for each measurement that counts: experiment, variable, column, unit, time in s, measured, simulated, weight, residual.
+    Trajectories,
+    /// A row for each evaluation: number, batch, whether the method went through it, cost, the value that it is known to exceed where it was given
+    /// up, seconds, why it failed, and the values of the parameters.
+    Trace,
+}
+
+impl Fit {
+    /// A table of the fit as text. Simulations, for the trajectories, end when `cancelled` says so.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Setup`] if it is no fit of this calibration; those of simulating.
+    pub fn csv(
+        &self,
+        calibration: &Calibration,
+        table: Table,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<String, CalibrationError> {
+        check_belongs(self, calibration)?;
+        let rows = match table {
+            Table::Parameters => self.parameter_rows(calibration),
+            Table::Trajectories => self.trajectory_rows(calibration, cancelled)?,
+            Table::Trace => self.trace_rows(),
+        };
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let failed =
+            |e: &dyn std::fmt::Display| CalibrationError::Setup(format!("no table can be made: {e}"));
+        rows.into_iter().try_for_each(|row| writer.write_record(row)).map_err(|e| failed(&e))?;
+        let bytes = writer.into_inner().map_err(|e| failed(&e))?;
+        String::from_utf8(bytes).map_err(|e| failed(&e))
+    }
+
+    /// Writes a table to a file, in one step.
+    ///
+    /// # Errors
+    /// As [`csv`](Self::csv); [`fmi::FmiError::Io`].
+    pub fn write_csv(
+        &self,
+        calibration: &Calibration,
+        path: impl AsRef<Path>,
+        table: Table,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<(), CalibrationError> {
+        write(path.as_ref(), calibration, self.csv(calibration, table, cancelled)?.as_bytes())
+    }
+
+    fn parameter_rows(&self, calibration: &Calibration) -> Vec<Vec<String>> {
+        let header = [
+            "name",
+            "value",
+            "standard_error",
+            "corrected_error",
+            "start",
+            "lower",
+            "upper",
+            "unit",
+            "at_bound",
+        ];
+        let row = |(k, p): (usize, &Parameter)| {
+            let worth = self.worth.as_ref();
+            let error = worth.map(|worth| worth.standard_errors[k]);
+            let corrected = worth.and_then(|worth| worth.corrected_errors.as_ref()).map(|errors| errors[k]);
+            let side = self.at_bound.iter().find(|(index, _)| *index == k).map(|(_, side)| side.name());
+            vec![
+                p.name().to_owned(),
+                number(self.x[k]),
+                error.map_or_else(String::new, number),
+                corrected.map_or_else(String::new, number),
+                number(self.start[k]),
+                number(p.lower()),
+                number(p.upper()),
+                unit_of(p, calibration).unwrap_or_default(),
+                side.unwrap_or_default().to_owned(),
+            ]
+        };
+        let rows = calibration.parameters().iter().enumerate().map(row);
+        std::iter::once(header.map(str::to_owned).to_vec()).chain(rows).collect()
+    }
+
+    fn trajectory_rows(
+        &self,
+        calibration: &Calibration,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Vec<Vec<String>>, CalibrationError> {
+        let header = [
+            "experiment",
+            "variable",
+            "column",
+            "unit",
+            "time",
+            "measured",
+            "simulated",
+            "weight",
+            "residual",
+        ];
+        let trajectories = calibration.simulate_until(&self.x, None, cancelled)?;
+        let residuals = calibration.residuals_until(&self.x, cancelled)?;
+        let names = calibration.problem().experiment_names();
+        let mut rows = vec![header.map(str::to_owned).to_vec()];
+        for output in &calibration.residual_layout().outputs {
+            let trajectory = &trajectories[output.experiment];
+            let column = trajectory.columns.get(output.output);
+            let variable = calibration.fmu().description().variable(&output.variable);
+            let unit = variable.and_then(|variable| variable.unit.clone()).unwrap_or_default();
+            for (k, index) in output.range.clone().enumerate() {
+                let at = trajectory.time.partition_point(|time| *time < output.times[k]);
+                let simulated = column.and_then(|column| column.get(at)).copied();
+                rows.push(vec![
+                    names[output.experiment].clone(),
+                    output.variable.clone(),
+                    output.column.clone(),
+                    unit.clone(),
+                    number(output.times[k]),
+                    number(output.measured[k]),
+                    simulated.map_or_else(String::new, number),
+                    number(output.weights[k]),
+                    number(residuals[index]),
+                ]);
+            }
+        }
+        Ok(rows)
+    }
+
+    fn trace_rows(&self) -> Vec<Vec<String>> {
+        let header = ["evaluation", "batch", "used", "cost", "above", "seconds", "message"];
+        let trace = &self.report.trace;
+        let row = |entry: dfo::TraceEntry<'_>| {
+            let (cost, above, message) = match entry.outcome {
+                Outcome::Value(cost) => (number(*cost), String::new(), String::new()),
+                Outcome::Above(cutoff) => (String::new(), number(*cutoff), String::new()),
+                Outcome::Failed(failure) => (String::new(), String::new(), failure.message.clone()),
+                Outcome::Abort(message) => (String::new(), String::new(), message.clone()),
+                _ => Default::default(),
+            };
+            let used = if entry.used { "true" } else { "false" };
+            let [id, batch] = [entry.id, entry.batch].map(|number| number.to_string());
+            let first = [id, batch, used.to_owned(), cost, above, number(entry.seconds), message];
+            first.into_iter().chain(entry.x.iter().map(|value| number(*value))).collect()
+        };
+        let header = header.iter().copied().chain(self.names.iter().map(String::as_str)).map(str::to_owned);
+        let rows = trace.iter().chain(trace.speculative()).map(row);
+        std::iter::once(header.collect()).chain(rows).collect()
+    }
+}
+
+/// The unit of the values of a parameter, where it is known.
+pub(super) fn unit_of(parameter: &Parameter, calibration: &Calibration) -> Option<String> {
+    let of_variable = || {
+        let variable = calibration.fmu().description().variable(parameter.variable()?)?;
+        variable.unit.clone()
+    };
+    parameter.given_unit().map(str::to_owned).or_else(of_variable)
+}
+
+/// The shortest text that stands for the same number.
+fn number(value: f64) -> String {
+    match value {
+        value if value.is_nan() => String::new(),
+        f64::INFINITY => "inf".to_owned(),
+        f64::NEG_INFINITY => "-inf".to_owned(),
+        value => format!("{value:?}"),
+    }
+}
