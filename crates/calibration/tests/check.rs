@@ -113,7 +113,7 @@ fn mistakes_are_named() {
             "times look as if they were in ms; state the unit in the name of the column: 'time [ms]'",
         ),
         (
-            times(1.0, 100.0, |e| with_u2(e).start_time(0.0)),
+            times(1.0, 100.0, |e| with_u2(e).start_time(0.0).hold_inputs(true)),
             "its first row is at 100 s, the simulation starts at 0 s; give start_time=100",
         ),
         (swapped, "outputs 'qt.x1' and 'qt.x3': column 'x3' is closer to the simulated 'qt.x3'"),
@@ -135,10 +135,13 @@ fn mistakes_are_named() {
             "parameter 'qt.A1': lower bound -1, but the model states a range",
         ),
     ] {
-        let check = match builder.build() {
-            Ok(calibration) => calibration.check(),
+        // What cannot be evaluated is refused with the same words.
+        let calibration = match builder.build() {
+            Ok(calibration) => calibration,
+            Err(error) if error.to_string().contains(expected) => continue,
             Err(error) => panic!("{expected}: {error}"),
         };
+        let check = calibration.check();
         assert!(said(&check).iter().any(|text| text.contains(expected)), "{expected}:\n{check}");
         assert!(!check.is_ok());
     }

@@ -127,7 +127,10 @@ fn clipped(values: &[f64], limit: f64, range: f64) -> Option<usize> {
     let mut k = 0;
     while k < values.len() {
         let run = values[k..].iter().take_while(|v| **v == limit).count();
-        let entered = k > 0 && (values[k - 1] - limit).abs() > slope * range;
+        // The last value before the limit may lie next to it.
+        let before = values[k.saturating_sub(2)..k].iter().chain([&limit]);
+        let steps = before.clone().zip(before.skip(1)).map(|(a, b)| (b - a).abs());
+        let entered = steps.fold(0.0, f64::max) > slope * range;
         if run >= shortest && entered {
             n += run;
         }
