@@ -114,6 +114,10 @@ impl Calibration {
         }
         self.solver_until(cancelled)?;
         self.prepare(cancelled)?;
+        // Short simulations may end before anybody asks again.
+        if cancelled() {
+            return Err(CalibrationError::Cancelled);
+        }
         let steps = self.principal_steps(fit, worth);
         let point = |step: &Step, by: f64| -> Vec<f64> {
             let moved = fit.x.iter().zip(step.direction.iter()).zip(self.parameters());

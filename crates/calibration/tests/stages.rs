@@ -150,10 +150,9 @@ fn a_checkpoint_has_a_file_for_each_stage() {
     }
     let again = calibration.fit_stages(&two(), with(1000, Resume::Require)).unwrap();
     assert_eq!(bits(&again), bits(&whole));
-    assert_eq!(
-        again.stats.right_hand_sides,
-        again.stages.iter().map(|s| s.stats.right_hand_sides).sum::<u64>()
-    );
+    // What the whole is worth takes some, too.
+    let of_stages: u64 = again.stages.iter().map(|s| s.stats.right_hand_sides).sum();
+    assert!(again.stats.right_hand_sides > of_stages);
     // Other stages are another fit.
     let other = [Stage::new(["qt.a1", "qt.a3"]), Stage::new(["qt.a2"])];
     let error = calibration.fit_stages(&other, with(1000, Resume::Auto)).unwrap_err().to_string();
