@@ -122,7 +122,7 @@ def test_a_fit_finds_the_parameter(dahlquist, scale):
     assert fit.parameters == {"k": fit.x[0]} and fit.x[0] == pytest.approx(2.0, abs=1e-4)
     assert fit.cost == fit.fun == fit["cost"] and fit.rms == np.sqrt(fit.cost / 5) == fit["rms"]
     assert fit.nfail == 0 and fit.nfev + fit.n_speculative == len(fit.trace) and fit.nit >= 3
-    assert "converged" in fit.message and f"-> {fit.x[0]:.8g}" in repr(fit)
+    assert "converged" in fit.message and "  k  1  -> " in repr(fit)
     assert fit.start_cost == pytest.approx(np.sum((np.exp(-TIME) - TRUE) ** 2), rel=1e-6)
     assert fit.start_rms == np.sqrt(fit.start_cost / 5)
     x_opt, f_opt, nbr_iters, nbr_fevals, _ = fit

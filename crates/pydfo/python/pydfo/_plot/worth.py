@@ -45,7 +45,7 @@ def correlation(matrix: FloatArray | None, names: list[str]) -> Figure:
         if n <= MOST_NUMBERS:
             value = matrix[i, k]
             text = "-" if np.isnan(value) else f"{value:.2f}"
-            axes.text(k, i, text, ha="center", va="center", fontsize="small", color="w" if abs(value) > 0.7 else "k")
+            axes.text(k, i, text, ha="center", va="center", fontsize="small", color="w" if abs(value) > 0.55 else "k")
     return figure
 
 
