@@ -250,14 +250,15 @@ def sources(given: Inputs | None) -> list[tuple[str, Source]]:
     if not isinstance(given, Mapping):
         return list(pairs_of_columns("inputs", given))
     driven: list[tuple[str, Source]] = []
-    for variable, source in _options.pairs("inputs", given):
+    for variable, value in _options.pairs("inputs", given):
+        source: Any = value
         if not isinstance(source, str) and not callable(source):
-            if np.ndim(source) > 0:  # type: ignore[arg-type]
+            if np.ndim(source) > 0:
                 raise TypeError(
                     f"inputs: '{variable}' must be driven by a column, a number or a function of time, not by an array: put it among the "
                     "columns of the data"
                 )
-            source = _options.number("inputs", source)  # type: ignore[arg-type]
+            source = _options.number("inputs", source)
         driven.append((variable, source))
     return driven
 
