@@ -52,7 +52,7 @@ pub struct Preflight {
     pub cost: f64,
     /// The same with a hundredth of the relative tolerance; `None` where that simulation failed.
     pub accurate_cost: Option<f64>,
-    /// The difference of both relative to the cost: `f_tol` below it asks for what the simulations do not tell.
+    /// The difference of both relative to the cost (0 where the residuals are all error of the simulations): `f_tol` below it asks for what the simulations do not tell.
     pub noise: f64,
     /// Wall-clock seconds of an evaluation at the start.
     pub seconds_per_evaluation: f64,
@@ -171,7 +171,10 @@ impl Calibration {
             confounded: confounded(&columns),
             cost,
             accurate_cost,
-            noise: accurate_cost.map_or(0.0, |a| if cost > 0.0 { (a - cost).abs() / cost } else { 0.0 }),
+            noise: match accurate_cost {
+                Some(accurate) if !self.is_within_tolerance(cost) => (accurate - cost).abs() / cost,
+                _ => 0.0,
+            },
             seconds_per_evaluation,
             expected_evaluations,
             expected_seconds: seconds_per_evaluation * expected_evaluations as f64,

@@ -97,6 +97,15 @@ impl<'a> Simulations<'a> {
 }
 
 impl Calibration {
+    /// Whether a cost is that of residuals within ten relative tolerances of the measurements: all error of the simulations, or nearly
+    /// so.
+    pub(crate) fn is_within_tolerance(&self, cost: f64) -> bool {
+        let weighted = self.residual_layout().outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
+        let measured: f64 = weighted.map(|(y, w)| (y * w) * (y * w)).sum();
+        let tolerance = self.evaluator().simulations[0].pool.plan().relative_tolerance();
+        cost <= (10.0 * tolerance).powi(2) * measured
+    }
+
     /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance.
     fn evaluate_accurately(
         &self,

@@ -239,6 +239,23 @@ fn autocorrelated_residuals_are_said_and_corrected() {
     assert!(worth.verdict.iter().any(|said| said.contains("autocorrelated (0.9")), "{:?}", worth.verdict);
 }
 
+#[test]
+fn data_without_noise_raise_no_doubt_of_the_accuracy() {
+    let time: Vec<f64> = (0..6).map(|k| 0.2 * f64::from(k)).collect();
+    let x = time.iter().map(|t| (-2.0 * t).exp()).collect();
+    let calibration = Calibration::builder(open("dahlquist"))
+        .experiment(Experiment::new(data(&time, &[("x", x)])).output("x", "x"))
+        .parameter(Parameter::new("k", 1.0).bounds(0.1, 5.0))
+        .build()
+        .unwrap();
+    let fit = calibration.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
+    let worth = fit.worth.unwrap();
+    assert!(worth.is_exact && !fit.report.message.contains("relative_tolerance"), "{}", fit.report.message);
+    assert_eq!(worth.undetermined, [] as [usize; 0]);
+    let at_truth = PreflightOptions { start: Some(vec![2.0]), ..PreflightOptions::default() };
+    assert_eq!(calibration.preflight(&at_truth, &|| false).unwrap().noise, 0.0);
+}
+
 fn exhaust() -> Option<Calibration> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/exhaust_measurements.csv");
     let Ok(data) = Data::from_csv(&path) else {

@@ -176,7 +176,7 @@ impl Calibration {
             identifiable: Vec::new(),
             verdict: Vec::new(),
             cost: sum_of_squares(&residuals),
-            // Without differences among accurate simulations nothing is known of a cost that is all error of the simulations.
+            is_exact: self.is_within_tolerance(sum_of_squares(&residuals)),
             accurate_cost: accurate.as_deref().map(sum_of_squares),
             jacobian: by_parameters,
             residuals,

@@ -105,6 +105,9 @@ pub struct Worth {
     pub cost: f64,
     /// The cost with simulations a hundred times more accurate; `None` where they failed.
     pub accurate_cost: Option<f64>,
+    /// Whether the residuals are within ten relative tolerances of the measurements: the data hold no noise, and how accurate the cost
+    /// is does not matter.
+    pub is_exact: bool,
     /// Derivatives of the residuals by the parameters, m x n, row by row, in the user's units; zero for those that are held.
     pub jacobian: Vec<f64>,
     /// The residuals, m.

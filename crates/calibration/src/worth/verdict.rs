@@ -159,7 +159,7 @@ impl Worth {
     pub(super) fn accuracy_sentence(&self, f_tol: f64) -> Option<String> {
         let accurate = self.accurate_cost?;
         let difference = (accurate - self.cost).abs();
-        (difference > f_tol * self.cost.max(accurate) && !self.is_exact()).then(|| {
+        (difference > f_tol * self.cost.max(accurate) && !self.is_exact).then(|| {
             format!(
                 "the cost is {} with a hundredth of the relative tolerance, {} with that of the fit: give a smaller \
                  relative_tolerance",
@@ -167,12 +167,6 @@ impl Worth {
                 digits(self.cost)
             )
         })
-    }
-
-    /// Whether the residuals are little more than what the simulations leave uncertain: the data hold no noise.
-    fn is_exact(&self) -> bool {
-        self.accurate_cost
-            .is_some_and(|accurate| accurate.min(self.cost) <= 0.1 * (accurate - self.cost).abs())
     }
 
     /// All sentences.
