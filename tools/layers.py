@@ -23,15 +23,18 @@ LAYERS = {
         measurements names
         residual warning
         problem
-        assignment column_units identity
+        column_units identity
+        assignment
         simulation
         evaluate
         solver
         calibration
-        effect simulations spot_checks output_fit
+        check effect simulations spot_checks output_fit
         worth
         fit
-        stages
+        stages prediction
+        validation
+        cross_validation
         report export
     """,
     "dfo": """
@@ -80,11 +83,12 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
+        data
         description inputs trajectory
         settings
         experiment fit minimize model py_system stages
-        calibration optimizer solve
-        share worth
+        calibration fit_report optimizer solve
+        recordings share validation worth
     """,
 }
 

@@ -1,5 +1,7 @@
 //! Which entries of `x` set what in the simulation of an experiment: variables, delays, offsets.
 
+use crate::column_units::declared;
+use crate::data::UnitConversion;
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, InitialState};
 use crate::input::Shift;
@@ -16,53 +18,40 @@ pub(crate) struct Affine {
     /// In the unit of the parameter.
     pub(crate) factor: f64,
     pub(crate) offset: f64,
-    pub(crate) unit: Conversion,
+    pub(crate) unit: UnitConversion,
 }
 
-/// How a value in the unit of a parameter becomes one in that of the variable: `value * factor.0 / factor.1 + offset`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Conversion {
-    factor: (f64, f64),
-    offset: f64,
-}
-
-impl Conversion {
-    const IDENTITY: Self = Self { factor: (1.0, 1.0), offset: 0.0 };
-
-    /// From the unit of a parameter to that of a variable.
-    fn new(
-        parameter: &Parameter,
-        variable: Option<&str>,
-        description: &ModelDescription,
-    ) -> Result<Self, CalibrationError> {
-        let Some(unit) = parameter.given_unit() else { return Ok(Self::IDENTITY) };
-        let stated = variable.map_or(Some("s"), |v| description.variable(v).and_then(|v| v.unit.as_deref()));
-        if stated == Some(unit) {
-            return Ok(Self::IDENTITY);
-        }
-        let stated = stated.map_or_else(|| "none".to_owned(), |unit| format!("'{unit}'"));
-        let message = format!("its unit '{unit}' cannot be converted to that of the model, {stated}");
-        Err(CalibrationError::Parameter { name: parameter.name().to_owned(), message })
-    }
-
-    fn apply(&self, value: f64) -> f64 {
-        value * self.factor.0 / self.factor.1 + self.offset
-    }
-
-    /// The same for differences.
-    fn without_offset(self) -> Self {
-        Self { offset: 0.0, ..self }
-    }
+/// The conversion from the unit of a parameter to that of a variable, or to seconds.
+fn conversion(
+    parameter: &Parameter,
+    variable: Option<&str>,
+    description: &ModelDescription,
+) -> Result<UnitConversion, CalibrationError> {
+    let Some(unit) = parameter.given_unit() else { return Ok(UnitConversion::IDENTITY) };
+    let found = match variable {
+        None => UnitConversion::between(unit, "s"),
+        Some(name) => match declared(description, name) {
+            Some(variable) => UnitConversion::to_variable(unit, variable, description),
+            // An unknown name is refused with the nearest ones when the simulation is planned.
+            None => return Ok(UnitConversion::IDENTITY),
+        },
+    };
+    found.map_err(|reason| {
+        let message = format!("its unit '{unit}' cannot be used: {reason}; leave unit out to give values in the unit of the model");
+        CalibrationError::Parameter { name: parameter.name().to_owned(), message }
+    })
 }
 
 impl Affine {
     fn constant(value: f64) -> Self {
-        Self { entry: None, factor: 0.0, offset: value, unit: Conversion::IDENTITY }
+        Self { entry: None, factor: 0.0, offset: value, unit: UnitConversion::IDENTITY }
     }
 
     /// Whether it is the entry itself.
     fn is_plain(&self) -> bool {
-        self.entry.is_some() && (self.factor, self.offset) == (1.0, 0.0) && self.unit == Conversion::IDENTITY
+        self.entry.is_some()
+            && (self.factor, self.offset) == (1.0, 0.0)
+            && self.unit == UnitConversion::IDENTITY
     }
 
     pub(crate) fn is_constant(&self) -> bool {
@@ -81,10 +70,8 @@ impl Affine {
 
     /// The number in the unit of the model.
     pub(crate) fn in_model(&self, x: &[f64]) -> f64 {
-        match self.unit == Conversion::IDENTITY {
-            true => self.value(x),
-            false => self.unit.apply(self.value(x)),
-        }
+        let value = self.value(x);
+        if self.unit.is_identity() { value } else { self.unit.apply(value) }
     }
 }
 
@@ -124,16 +111,17 @@ impl Assignments {
             match parameter.target() {
                 Target::Variables(variables) => {
                     for variable in variables {
-                        let unit = Conversion::new(parameter, Some(variable), description)?;
+                        let unit = conversion(parameter, Some(variable), description)?;
                         all.variables.push((variable.clone(), Affine { unit, ..of }));
                     }
                 }
                 Target::Delay(variable) => {
-                    let unit = Conversion::new(parameter, None, description)?;
+                    let unit = conversion(parameter, None, description)?;
                     all.shifts(experiment, variable).for_each(|(delay, _)| *delay = Affine { unit, ..of });
                 }
                 Target::Offset(variable) => {
-                    let unit = Conversion::new(parameter, Some(variable), description)?.without_offset();
+                    let unit = conversion(parameter, Some(variable), description)?;
+                    let unit = UnitConversion { offset: 0.0, ..unit };
                     all.shifts(experiment, variable).for_each(|(_, offset)| *offset = Affine { unit, ..of });
                 }
             }
@@ -177,11 +165,11 @@ fn follow<'a>(
             Some(tie) => (problem.tied_to(parameter, tie)?, tie.factor, tie.offset),
             None => (i, 1.0, 0.0),
         };
-        all.push((parameter, Affine { entry: entry(of), factor, offset, unit: Conversion::IDENTITY }));
+        all.push((parameter, Affine { entry: entry(of), factor, offset, unit: UnitConversion::IDENTITY }));
     }
     for (i, element) in elements.iter().enumerate() {
         if element.source.is_none() && element.experiment == Some(k) {
-            let of = Affine { entry: Some(i), factor: 1.0, offset: 0.0, unit: Conversion::IDENTITY };
+            let of = Affine { entry: Some(i), factor: 1.0, offset: 0.0, unit: UnitConversion::IDENTITY };
             all.push((&element.parameter, of));
         }
     }
@@ -204,7 +192,7 @@ pub(crate) fn tied_values(
                 None => parameter.name().to_owned(),
             };
             let (factor, offset) = (tie.factor, tie.offset);
-            all.push((name, Affine { entry: Some(entry), factor, offset, unit: Conversion::IDENTITY }));
+            all.push((name, Affine { entry: Some(entry), factor, offset, unit: UnitConversion::IDENTITY }));
         }
     }
     Ok(all)

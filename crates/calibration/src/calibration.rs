@@ -127,15 +127,27 @@ impl Calibration {
         Ok(derived)
     }
 
-    /// The same with other windows in all experiments.
+    /// The same with other windows in all experiments. Simulations start as they do in this one, at the same time in the same
+    /// state, whatever that follows from.
     pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
+        if windows.is_empty() {
+            return Err(CalibrationError::Setup("windows: there are none".to_owned()));
+        }
         let mut problem = self.problem().clone();
-        problem.experiments.iter_mut().for_each(|experiment| experiment.windows = windows.to_vec());
+        for (experiment, simulation) in problem.experiments.iter_mut().zip(&self.evaluator.simulations) {
+            experiment.windows = windows.to_vec();
+            simulation.keep_start(experiment);
+        }
         self.derived(problem)
     }
 
     pub(crate) fn evaluator(&self) -> &Evaluator {
         &self.evaluator
+    }
+
+    /// What a fit is made from, by name and in words or as a hash.
+    pub(crate) fn identity(&self) -> &[(String, String)] {
+        &self.identity
     }
 
     /// What it is made from, as plain data.
@@ -175,10 +187,16 @@ impl Calibration {
         self.evaluator.layout.n_measurements()
     }
 
-    /// The root of the mean squared weighted residual of the measurements, from the part of a cost that is theirs: all but the
-    /// [part of the priors](Self::prior_cost).
-    pub fn rms(&self, cost: f64) -> f64 {
-        (cost / self.n_measurements() as f64).sqrt()
+    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with the loss of a fit, of what they
+    /// count): the priors have their part of the cost, and are no measurements.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn rms(&self, x: &[f64], cost: f64, loss: RobustLoss) -> f64 {
+        let priors = if self.residual_layout().priors.is_empty() { 0.0 } else { self.prior_cost(x, loss) };
+        let squares = cost - priors;
+        // The rounding of a difference.
+        (if squares < 0.0 { 0.0 } else { squares } / self.n_measurements() as f64).sqrt()
     }
 
     /// The part of the cost at `x` that is that of the priors, with the loss of a fit; NaN where one is not defined.

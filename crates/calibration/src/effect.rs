@@ -36,7 +36,7 @@ impl BoundSide {
 }
 
 /// What the parameters of a fit turned out to be.
-#[derive(Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Findings {
     /// Parameters that ended at a bound, by number.
     pub(crate) at_bound: Vec<(usize, BoundSide)>,

@@ -15,6 +15,14 @@ pub enum CalibrationError {
         /// The system's reason.
         source: io::Error,
     },
+    /// A report cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    ReportFile {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
     /// A table of measurements that cannot be used.
     #[error("{source_name}: {message}")]
     Data {

@@ -123,14 +123,25 @@ impl Experiment {
         self.outputs.iter().map(|o| (o.variable.as_str(), o.column.as_str()))
     }
 
+    /// Intervals in which measurements count; none: they count everywhere.
+    pub fn windows_of_measurements(&self) -> &[(f64, f64)] {
+        &self.windows
+    }
+
+    /// Inputs with the columns that drive them.
+    pub fn driving_columns(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.inputs.iter().filter_map(|(input, source)| match source {
+            InputSource::Column(column) => Some((input.as_str(), column.as_str())),
+            InputSource::Constant(_) | InputSource::Function(_) => None,
+        })
+    }
+
     /// Variables with the columns that measure or drive them.
     pub(crate) fn columns_in_use(&self) -> Vec<(String, String)> {
         let outputs = self.outputs.iter().map(|o| (o.variable.clone(), o.column.clone()));
-        let driven = |(input, source): &(String, InputSource)| match source {
-            InputSource::Column(column) => Some((input.clone(), column.clone())),
-            _ => None,
-        };
-        outputs.chain(self.inputs.iter().filter_map(driven)).collect()
+        outputs
+            .chain(self.driving_columns().map(|(input, column)| (input.to_owned(), column.to_owned())))
+            .collect()
     }
 
     /// Whether a start value is that of a local parameter.
@@ -186,11 +197,13 @@ impl Experiment {
     ) -> Self {
         let function = SignalFunction { function: Some(Arc::new(function)) };
         let variable = variable.into();
+        let source = InputSource::Function(function);
         // That of a stored problem has lost its function.
-        self.inputs.retain(|(known, source)| {
-            *known != variable || *source != InputSource::Function(SignalFunction::default())
-        });
-        self.inputs.push((variable, InputSource::Function(function)));
+        let lost = InputSource::Function(SignalFunction::default());
+        match self.inputs.iter_mut().find(|(known, source)| *known == variable && *source == lost) {
+            Some((_, known)) => *known = source,
+            None => self.inputs.push((variable, source)),
+        }
         self
     }
 

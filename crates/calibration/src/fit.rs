@@ -1,7 +1,7 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
-use crate::effect::{BoundSide, is_over};
+use crate::effect::{BoundSide, Findings, is_over};
 use crate::error::CalibrationError;
 use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
@@ -321,8 +321,7 @@ impl Calibration {
             options.workers = options.workers.or(described.workers);
             options.held.extend(&held);
             let asked = WorthOptions { loss, ..options };
-            let found = (&found.at_bound[..], &found.without_effect[..]);
-            self.worth_of_fit((&mut report, found), &tolerances, asked, (&cancelled, &mut stats))
+            self.worth_of_fit((&mut report, &found), &tolerances, asked, (&cancelled, &mut stats))
         });
         if n_beginnings > 1 {
             report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
@@ -332,8 +331,8 @@ impl Calibration {
         let outputs = self.output_fits((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
         let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let description = self.fmu().description();
-        let of_model = |p: &Parameter| description.variable(p.variable()?).and_then(|v| v.unit.clone());
-        let unit = |p: &Parameter| p.given_unit().map(str::to_owned).or_else(|| of_model(p));
+        let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
+        let start_rms = start_cost.map(|cost| self.rms(&start, cost, loss));
         Ok(Fit {
             units: self.parameters().iter().map(unit).collect(),
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
@@ -344,10 +343,10 @@ impl Calibration {
             outputs,
             worth,
             cost: report.fun,
-            rms: self.rms(report.fun - self.prior_cost(&report.x, loss)),
+            rms: self.rms(&report.x, report.fun, loss),
             tied: self.tied_values(&report.x),
             start_cost,
-            start_rms: start_cost.map(|cost| self.rms(cost - self.prior_cost(&start, loss))),
+            start_rms,
             start,
             stages: Vec::new(),
             at_bound: found.at_bound,
@@ -364,7 +363,7 @@ impl Calibration {
     /// shall not.
     pub(crate) fn worth_of_fit(
         &self,
-        (report, (at_bound, inert)): (&mut Report, (&[(usize, BoundSide)], &[usize])),
+        (report, found): (&mut Report, &Findings),
         tolerances: &Tolerances,
         mut options: WorthOptions,
         (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
@@ -374,7 +373,9 @@ impl Calibration {
         }
         let workers = options.workers.unwrap_or(1);
         let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
-        options.held.extend(at_bound.iter().map(|(index, _)| index).filter(|index| !inert.contains(index)));
+        let inert = &found.without_effect;
+        let at_bound = found.at_bound.iter().map(|(index, _)| index);
+        options.held.extend(at_bound.filter(|index| !inert.contains(index)));
         let known = KnownPoint {
             // Those of a stage with a window of its own are others.
             residuals: report.residuals.as_deref().filter(|r| r.len() == self.n_residuals()),

@@ -5,16 +5,19 @@
 //! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
 //! [`Calibration::residuals`] and [`Calibration::fit`].
 //!
-//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `measurements` (which of them count), `column_units`
-//! (recordings in the units of the model), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model);
+//! `measurements` (which of them count), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
 //! `simulation` (of an experiment), `evaluate` (residuals and cost at a point); `race` and `solver` (which method integrates);
-//! `calibration`; `effect` and `spot_checks` (checks after a fit), `fit`, `stages`; `report` (what it found, for people);
+//! `calibration`; `check` (what does not fit, before a fit); `effect` and `spot_checks` (checks after a fit), `fit`, `stages`,
+//! `prediction`, `validation`, `cross_validation`; `report` (what it found, for people);
 //! `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
 mod assignment;
 mod calibration;
+mod check;
 mod column_units;
+mod cross_validation;
 mod data;
 mod effect;
 mod error;
@@ -31,6 +34,7 @@ mod no_cost;
 mod output_fit;
 mod parallel;
 mod parameter;
+mod prediction;
 mod prior;
 mod problem;
 mod race;
@@ -41,10 +45,13 @@ mod simulations;
 mod solver;
 mod spot_checks;
 mod stages;
+mod validation;
 mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
+pub use check::{Check, Finding, Severity};
+pub use cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use data::{Data, TimeColumn, Unit, UnitConversion, UnitError, date_seconds, find_column};
 pub use dfo;
 pub use dfo::Kind;
@@ -57,11 +64,14 @@ pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use output_fit::OutputFit;
 pub use parameter::{Parameter, Scale, Target, Tie};
+pub use prediction::{BandOptions, PredictionBand};
 pub use prior::Prior;
 pub use problem::{ModelFile, Problem};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
+pub use report::{ExperimentCurves, OutputCurves, Signal};
 pub use residual::quad_err;
 pub use solver::Solver;
 pub use stages::Stage;
+pub use validation::{ValidatedOutput, Validation, ValidationSet};
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use worth::{Estimator, ResidualCheck, Worth, WorthOptions};

@@ -87,6 +87,11 @@ impl Calibration {
         };
         let Some(at_end) = at_end.or_else(|| simulated(x)) else { return Vec::new() };
         let at_start = at_start.or_else(|| simulated(start));
+        self.output_fits_of(&at_end, at_start.as_deref())
+    }
+
+    /// The same from the plain residuals at both points.
+    pub(crate) fn output_fits_of(&self, at_end: &[f64], at_start: Option<&[f64]>) -> Vec<OutputFit> {
         let of_output = |series: &OutputResiduals| {
             let rms = |residuals: &[f64]| {
                 let own = residuals[series.range.clone()].iter().zip(&series.weights);
@@ -94,7 +99,7 @@ impl Calibration {
                 (sum / series.measured.len() as f64).sqrt()
             };
             let declared = self.fmu().description().variable(&series.variable);
-            let rms_at_end = rms(&at_end);
+            let rms_at_end = rms(at_end);
             OutputFit {
                 experiment: self.evaluator().simulations[series.experiment].name.clone(),
                 variable: series.variable.clone(),
@@ -102,7 +107,7 @@ impl Calibration {
                 unit: declared.and_then(|variable| variable.unit.clone()),
                 n: series.measured.len(),
                 rms: rms_at_end,
-                start_rms: at_start.as_deref().map(rms),
+                start_rms: at_start.map(rms),
                 fit_percent: 100.0 * (1.0 - rms_at_end / deviation(&series.measured)),
             }
         };

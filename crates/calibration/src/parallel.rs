@@ -54,11 +54,11 @@ pub(crate) fn map<T: Send>(
             }
         });
     }
-    for item in next.into_inner()..n {
+    for (item, result) in results.iter_mut().enumerate().skip(next.into_inner()) {
         if is_over.load(Ordering::Relaxed) || cancelled() {
             break;
         }
-        results[item] = Some(task(item, cancelled));
+        *result = Some(task(item, cancelled));
     }
     results
 }

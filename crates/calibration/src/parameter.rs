@@ -4,6 +4,7 @@ use crate::error::CalibrationError;
 use crate::prior::Prior;
 use dfo::Kind;
 pub use dfo::Transform as Scale;
+use fmi::ModelDescription;
 use ode::Number;
 use serde::{Deserialize, Serialize};
 
@@ -114,7 +115,7 @@ impl Parameter {
     /// The unit of its values, bounds and results, where it is not that of the variable in the model: values are converted
     /// for the model.
     #[must_use]
-    pub fn unit(mut self, unit: impl Into<String>) -> Self {
+    pub fn in_unit(mut self, unit: impl Into<String>) -> Self {
         self.unit = Some(unit.into());
         self
     }
@@ -232,6 +233,15 @@ impl Parameter {
         self.unit.as_deref()
     }
 
+    /// The unit of its values: the one that was given, or else that of its variable, s for a delay; `None`: the model states none.
+    pub fn unit<'a>(&'a self, description: &'a ModelDescription) -> Option<&'a str> {
+        let of_model = || match self.variable() {
+            Some(name) => description.variable(name).and_then(|v| v.unit.as_deref()),
+            None => Some("s"),
+        };
+        self.unit.as_deref().or_else(of_model)
+    }
+
     /// What reports and figures call it: the display name, or else its name.
     pub fn shown_name(&self) -> &str {
         self.display_name.as_deref().unwrap_or(&self.name)
@@ -270,6 +280,11 @@ impl Parameter {
     /// Largest value; the start value of a fixed parameter.
     pub fn upper(&self) -> f64 {
         if self.fixed { self.start } else { self.upper }
+    }
+
+    /// Smallest and largest value as they were given, also of a fixed parameter.
+    pub fn given_bounds(&self) -> (f64, f64) {
+        (self.lower, self.upper)
     }
 
     /// The scale the optimiser works on.
@@ -430,7 +445,7 @@ mod tests {
             assert!(e.contains("'k'") && e.contains(expected), "{e}");
         }
         assert!(relative(0.0, 0.1).scale(Scale::Log).bounds(0.1, 1.0).check().is_ok());
-        assert!(Parameter::tied("k", "c", 2.0, 0.0).unit("mm").display_name("outlet").check().is_ok());
+        assert!(Parameter::tied("k", "c", 2.0, 0.0).in_unit("mm").display_name("outlet").check().is_ok());
         assert!(p(0.5, 0.0, f64::INFINITY).check().is_ok());
         let held = p(0.5, 0.0, 1.0).fixed(true);
         assert_eq!((held.lower(), held.upper()), (0.5, 0.5));

@@ -2,14 +2,14 @@
 
 use crate::assignment::{Affine, Assignments, initial_values};
 use crate::error::CalibrationError;
-use crate::experiment::Experiment;
+use crate::experiment::{Experiment, InitialState};
 use crate::input::{Shift, Signal};
 use crate::measurements::Measurements;
 use crate::parameter::Parameter;
 use crate::problem::{Element, Problem};
 use crate::residual::{Comparison, Schedule};
 use crate::warning::SetupWarning;
-use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Simulator, Trajectory};
+use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value};
 use ode::{Method, Number, Observer, Report};
 use std::borrow::Cow;
 use std::ops::ControlFlow;
@@ -126,6 +126,19 @@ impl Simulation {
     /// The variables that it sets and their values at `x`, in the units of the model.
     pub(crate) fn named_values(&self, x: &[f64]) -> impl Iterator<Item = (&str, f64)> {
         self.assigned.variables.iter().map(|(name, of)| (name.as_str(), of.in_model(x)))
+    }
+
+    /// Lets an experiment that gets other windows start when and where this one does.
+    pub(crate) fn keep_start(&self, experiment: &mut Experiment) {
+        experiment.start_time = experiment.start_time.or(experiment.warm_up.and(self.options.start_time));
+        for (state, initial) in &mut experiment.initial_states {
+            if *initial == InitialState::Measured
+                && let Some((_, Value::Real(value))) =
+                    self.options.start_values.iter().find(|(name, _)| name == state)
+            {
+                *initial = InitialState::Value(*value);
+            }
+        }
     }
 
     /// What is added to each output at `x`.

@@ -1,8 +1,10 @@
 //! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the last.
 
 use crate::calibration::Calibration;
+use crate::effect::Findings;
 use crate::error::CalibrationError;
 use crate::fit::{Fit, FitOptions};
+use crate::output_fit::KeptResiduals;
 use crate::residual::CostRule;
 use crate::worth::WorthOptions;
 use dfo::{AnyMethod, Checkpoint, Limits, Progress, Report, Resume, Termination, Tolerances};
@@ -224,13 +226,14 @@ impl Calibration {
             self.evaluate_into(x, CostRule::whole(loss, &is_asked), &mut residuals, &mut stats).ok()
         };
         let is_own = |k: usize| stages[k].windows.is_empty();
-        let cost = if is_own(fits.len() - 1) { None } else { Some(cost_at(&x).unwrap_or(f64::NAN)) };
-        let start_cost = if is_own(0) { fits[0].start_cost } else { cost_at(&start) };
+        let (is_first_own, is_last_own) = (is_own(0), is_own(fits.len() - 1));
+        let cost = if is_last_own { None } else { Some(cost_at(&x).unwrap_or(f64::NAN)) };
+        let start_cost = if is_first_own { fits[0].start_cost } else { cost_at(&start) };
         let mut fit = self.in_all(stages, fits, &freed, ended);
         fit.stats += stats;
         fit.n_checks += n_checks;
         if let Some(cost) = cost {
-            (fit.cost, fit.report.fun, fit.rms) = (cost, cost, self.rms(cost));
+            (fit.cost, fit.report.fun, fit.rms) = (cost, cost, self.rms(&x, cost, loss));
         }
         let is_late = || late.is_some_and(|late| Instant::now() >= late) || is_asked();
         fit.worth = worth.and_then(|mut options| {
@@ -240,10 +243,22 @@ impl Calibration {
                 fit.report.residuals = None;
             }
             let asked = WorthOptions { loss, ..options };
-            let found = (&fit.at_bound[..], &fit.without_effect[..]);
-            self.worth_of_fit((&mut fit.report, found), &run.tolerances, asked, (&is_late, &mut fit.stats))
+            let found = Findings {
+                at_bound: fit.at_bound.clone(),
+                without_effect: fit.without_effect.clone(),
+                n_checks: 0,
+            };
+            self.worth_of_fit((&mut fit.report, &found), &run.tolerances, asked, (&is_late, &mut fit.stats))
         });
-        (fit.start_cost, fit.start_rms) = (start_cost, start_cost.map(|cost| self.rms(cost)));
+        (fit.start_cost, fit.start_rms) = (start_cost, start_cost.map(|cost| self.rms(&start, cost, loss)));
+        fit.n_measurements = self.n_measurements();
+        if is_first_own && is_last_own {
+            let at_start = fit.stages[0].outputs.iter().map(|output| output.start_rms);
+            fit.outputs.iter_mut().zip(at_start).for_each(|(output, rms)| output.start_rms = rms);
+        } else {
+            let unknown = (KeptResiduals::default(), loss);
+            fit.outputs = self.output_fits((&start, &x), unknown, &is_asked, &mut fit.stats);
+        }
         Ok(fit)
     }
 

@@ -55,6 +55,10 @@ fn each_stage_starts_from_the_last_and_holds_the_others() {
     assert_eq!(fit.report.n_evaluations, first.report.n_evaluations + second.report.n_evaluations);
     assert_eq!(fit.report.trace.len(), fit.report.n_evaluations);
     assert_eq!(fit.scaled_rms(), Some((fit.cost / fit.start_cost.unwrap()).sqrt()));
+    let rms = |fit: &Fit| fit.outputs.iter().map(|o| (o.rms, o.start_rms)).collect::<Vec<_>>();
+    for ((whole, first), second) in rms(&fit).into_iter().zip(rms(first)).zip(rms(second)) {
+        assert_eq!(whole, (second.0, first.1));
+    }
     assert!(fit.report.jacobian.is_none() && second.report.jacobian.is_some());
     assert!(fit.report.message.contains("stage 1 of 2: converged"), "{}", fit.report.message);
     // The same by hand, with fixed parameters.
@@ -71,7 +75,7 @@ fn a_method_and_a_window_of_its_own() {
         Stage::new(["qt.a3", "qt.a4"]),
     ];
     let fit = calibration.fit_stages(&stages, FitOptions::default()).unwrap();
-    let methods: Vec<_> = fit.stages.iter().map(|stage| stage.report.method).collect();
+    let methods: Vec<_> = fit.stages.iter().map(|stage| stage.report.method.clone()).collect();
     assert_eq!(methods, ["nelder-mead", "least-squares"]);
     let half = tanks(&[("qt.a3", 3e-6), ("qt.a4", 3e-6)], Some((0.0, 30.0)));
     assert_eq!(fit.stages[0].cost, half.cost(&fit.stages[0].x).unwrap());
@@ -82,6 +86,8 @@ fn a_method_and_a_window_of_its_own() {
     let fit = calibration.fit_stages(&last, FitOptions::default()).unwrap();
     assert_eq!(fit.cost, calibration.cost(&fit.x).unwrap());
     assert!(fit.cost > fit.stages[1].cost);
+    let sum: f64 = fit.outputs.iter().map(|o| o.n as f64 * o.rms * o.rms).sum();
+    assert!((sum / fit.cost - 1.0).abs() < 1e-9 && fit.n_measurements == 4 * 61);
 }
 
 #[test]

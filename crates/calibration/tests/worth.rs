@@ -1,6 +1,6 @@
 //! What a fit is worth, against closed forms and the published numbers.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::print_stderr, clippy::unwrap_used)]
 
 use calibration::{
     Calibration, Data, Estimator, Experiment, Fit, FitOptions, Parameter, Scale, Worth, WorthOptions,

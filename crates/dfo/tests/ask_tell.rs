@@ -216,5 +216,5 @@ fn own_methods_can_be_driven() {
         }
     }
     let report = minimize(|x: &[f64]| (x[0] - 7.0).abs()).start(&[0.0]).method(CountOptions).run().unwrap();
-    assert_eq!((report.x, report.fun, report.n_evaluations, report.method), (vec![7.0], 0.0, 20, "count"));
+    assert_eq!((report.x, report.fun, report.n_evaluations, &*report.method), (vec![7.0], 0.0, 20, "count"));
 }

@@ -102,7 +102,7 @@ fn the_paper_s_form_solves_small_problems() {
             .max_evaluations(4000)
             .run()
             .unwrap();
-        assert_eq!((report.method, report.seed), ("de-classic", Some(seed)));
+        assert_eq!((&*report.method, report.seed), ("de-classic", Some(seed)));
         solved += usize::from(report.fun < 1e-6);
     }
     assert!(solved >= 9, "{solved} of 10");

@@ -92,7 +92,7 @@ fn short_evaluations_stay_on_the_calling_thread() {
     };
     for workers in [1, 2, 4, 9] {
         let report = minimize(here).start(&[-1.2, 1.0]).workers(workers).run().unwrap();
-        assert_eq!((report.batch, report.workers, report.n_speculative), ("auto", workers, 0));
+        assert_eq!((&*report.batch, report.workers, report.n_speculative), ("auto", workers, 0));
         assert_eq!(report.n_failed, 0);
     }
 }

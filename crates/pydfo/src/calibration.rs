@@ -1,8 +1,9 @@
 //! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter lock.
 
 use crate::description::Fmu;
-use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields};
+use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields, SignalFunctions};
 use crate::fit::PyFit;
+use crate::inputs::Callbacks;
 use crate::interrupt::{Watch, fits_here};
 use crate::report::{self, LastProgress, Listener, ResultKind};
 use crate::settings::{self, LossFields, Options, Settings};
@@ -10,7 +11,7 @@ use crate::stages::StageFields;
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
 use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
-use dfo::{Progress, Termination};
+use dfo::{Progress, RobustLoss, Termination};
 use fmi::OpenOptions;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
@@ -27,11 +28,13 @@ pub(crate) struct PyCalibration {
     pub(crate) inner: Arc<calibration::Calibration>,
     /// How long the last evaluation took, in ns; 0: there was none.
     last: Arc<AtomicU64>,
+    /// The functions of time that drive inputs.
+    callbacks: Callbacks,
 }
 
 impl PyCalibration {
     pub(crate) fn of(inner: Arc<calibration::Calibration>) -> Self {
-        Self { inner, last: Arc::default() }
+        Self { inner, last: Arc::default(), callbacks: Callbacks::default() }
     }
 
     /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C ends it at
@@ -65,7 +68,7 @@ impl PyCalibration {
             watch.run_briefly(move || timed(&|| flag.load(Ordering::Relaxed)))?
         };
         logs::pass_on(py)?;
-        if let Some(e) = watch.stop().take_raised() {
+        if let Some(e) = watch.stop().take_raised().or_else(|| self.callbacks.take_raised()) {
             return Err(e);
         }
         match result {
@@ -73,6 +76,20 @@ impl PyCalibration {
             Some(result) => result.map_err(|e| error::calibration(py, &e)),
             None => Err(error::interrupted(py, None, None)),
         }
+    }
+
+    /// One that was built, unless a function of time has raised an exception.
+    pub(crate) fn finish(
+        py: Python<'_>,
+        built: Result<calibration::Calibration, CalibrationError>,
+        callbacks: Callbacks,
+    ) -> PyResult<Self> {
+        logs::pass_on(py)?;
+        if let Some(e) = callbacks.take_raised() {
+            return Err(e);
+        }
+        let inner = built.map_err(|e| error::calibration(py, &e))?;
+        Ok(Self { inner: Arc::new(inner), last: Arc::default(), callbacks })
     }
 
     /// A fit as `pydfo.OptimizeResult`, with what only a fit has.
@@ -92,6 +109,18 @@ impl PyCalibration {
         result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) })?;
         Ok(result)
     }
+}
+
+/// Gives the experiments of a stored problem the functions of time that drive their inputs.
+pub(crate) fn give_functions(problem: &mut Problem, functions: SignalFunctions) -> Callbacks {
+    let mut callbacks = Callbacks::default();
+    for (k, input, function) in functions {
+        let callback = callbacks.add(function);
+        if let Some(experiment) = problem.experiments.get_mut(k) {
+            *experiment = experiment.clone().function_input(input, move |t| callback.value(t, 0));
+        }
+    }
+    callbacks
 }
 
 /// The model: as it was opened, or where it is.
@@ -121,23 +150,26 @@ impl PyCalibration {
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
         // The name of an experiment, where there are several.
         let is_one = experiments.len() == 1;
-        let named = |(k, experiment): (usize, ExperimentFields)| {
+        let mut callbacks = Callbacks::default();
+        let mut named = |(k, mut experiment): (usize, ExperimentFields)| {
             let name = || experiment.name.clone().unwrap_or_else(|| Experiment::default_name(k));
             let name = (!is_one).then(name);
-            let start_values = experiment.start_values(py, &fmu).map_err(|e| match &name {
-                Some(name) => {
-                    let message = format!("{name}: {}", e.value(py));
-                    error::reworded(py, e, message)
-                }
-                None => e,
-            })?;
-            Ok((name, start_values, experiment))
+            let resolved =
+                experiment.resolve(py, (&fmu, &parameters), &mut callbacks).map_err(|e| match &name {
+                    Some(name) => {
+                        let message = format!("{name}: {}", e.value(py));
+                        error::reworded(py, e, message)
+                    }
+                    None => e,
+                })?;
+            Ok((name, resolved, experiment))
         };
-        let experiments = experiments.into_iter().enumerate().map(named).collect::<PyResult<Vec<_>>>()?;
+        let experiments =
+            experiments.into_iter().enumerate().map(&mut named).collect::<PyResult<Vec<_>>>()?;
         let built = py.detach(move || {
             let mut builder = calibration::Calibration::builder(fmu).settings(settings);
-            for (name, start_values, experiment) in experiments {
-                let made = experiment.experiment(start_values).map_err(|e| match name {
+            for (name, resolved, experiment) in experiments {
+                let made = experiment.experiment(resolved).map_err(|e| match name {
                     Some(name) => CalibrationError::Experiment { name, source: Box::new(e) },
                     None => e,
                 });
@@ -145,9 +177,7 @@ impl PyCalibration {
             }
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
         });
-        logs::pass_on(py)?;
-        let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self::of(Arc::new(inner)))
+        Self::finish(py, built, callbacks)
     }
 
     /// The problem and the solver, if it is known: what a pickle holds.
@@ -165,24 +195,43 @@ impl PyCalibration {
         Ok((problem.model.path, problem.model.content_hash))
     }
 
-    /// A calibration from a state and its model.
+    /// A calibration from a state, its model, and the functions that a state does not hold.
     #[staticmethod]
-    fn restore(py: Python<'_>, state: &[u8], fmu: &Bound<'_, Fmu>) -> PyResult<Self> {
-        let (problem, solver) = stored(state)?;
+    fn restore(
+        py: Python<'_>,
+        state: &[u8],
+        fmu: &Bound<'_, Fmu>,
+        functions: SignalFunctions,
+    ) -> PyResult<Self> {
+        let (mut problem, solver) = stored(state)?;
         let fmu = fmu.get().fmu.clone();
+        let callbacks = give_functions(&mut problem, functions);
         let built = py.detach(move || {
             let calibration = calibration::Calibration::from_problem(fmu, problem)?;
             solver.map_or(Ok(()), |solver| calibration.set_solver(solver))?;
             Ok(calibration)
         });
-        logs::pass_on(py)?;
-        let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self::of(Arc::new(inner)))
+        Self::finish(py, built, callbacks)
     }
 
     /// Names of the entries of `x`.
     fn names(&self) -> Vec<&str> {
         self.inner.parameters().iter().map(|p| p.name()).collect()
+    }
+
+    /// Their bounds, both the same where one is fixed, and what values they take.
+    fn bounds(&self) -> Vec<(f64, f64, String)> {
+        self.inner.parameters().iter().map(|p| (p.lower(), p.upper(), p.value_kind().to_string())).collect()
+    }
+
+    /// Names of the parameters that are tied, and their values.
+    fn tied(&self, x: Vec<f64>) -> Vec<(String, f64)> {
+        self.inner.tied_values(&x)
+    }
+
+    /// What is set in the model, by variable, in the simulation of an experiment.
+    fn model_values(&self, experiment: usize, x: Vec<f64>) -> Vec<(String, f64)> {
+        self.inner.model_values(experiment, &x)
     }
 
     /// Their start values.
@@ -205,8 +254,14 @@ impl PyCalibration {
         self.inner.n_residuals()
     }
 
-    fn rms(&self, cost: f64) -> f64 {
-        self.inner.rms(cost)
+    #[getter]
+    fn n_measurements(&self) -> usize {
+        self.inner.n_measurements()
+    }
+
+    /// The rms at `x`, from the cost without a loss.
+    fn rms(&self, x: Vec<f64>, cost: f64) -> f64 {
+        self.inner.rms(&x, cost, RobustLoss::default())
     }
 
     /// Name of the integration method that is in use; None: not chosen yet.
@@ -304,33 +359,41 @@ impl PyCalibration {
         let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
+        let tick = observer.as_ref().and_then(|observer| observer.getattr(py, "tick").ok());
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
         let last_progress = Arc::new(LastProgress::default());
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
-        let outcome = watch.run(move |caller| {
-            let options = FitOptions {
-                run,
-                start,
-                loss,
-                worth,
-                observer: Some(Box::new(|progress: &Progress<'_>| {
-                    seen.pass_on(progress, caller, notified.as_ref())
-                })),
-                cancel: Some(asked.flag()),
-                poll: asked.has_parent().then(|| Box::new(|| asked.is_asked()) as Box<dyn FnMut() -> bool>),
-                ..FitOptions::default()
-            };
-            match stages {
-                Some(stages) => inner.fit_stages(&stages, options),
-                None => inner.fit(options),
-            }
-        })?;
+        let callbacks = self.callbacks.clone();
+        let outcome = watch.run_with_ticks(
+            move |caller| {
+                let options = FitOptions {
+                    run,
+                    start,
+                    loss,
+                    worth,
+                    observer: Some(Box::new(|progress: &Progress<'_>| {
+                        seen.pass_on(progress, caller, notified.as_ref())
+                    })),
+                    cancel: Some(asked.flag()),
+                    poll: (asked.has_parent() || !callbacks.is_empty()).then(|| {
+                        Box::new(|| asked.is_asked() || callbacks.has_raised()) as Box<dyn FnMut() -> bool>
+                    }),
+                    ..FitOptions::default()
+                };
+                match stages {
+                    Some(stages) => inner.fit_stages(&stages, options),
+                    None => inner.fit(options),
+                }
+            },
+            tick.as_ref(),
+        )?;
         logs::pass_on(py)?;
         let Some(outcome) = outcome else {
             return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None));
         };
         let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
+        raised = raised.or_else(|| self.callbacks.take_raised());
         let result = match outcome {
             Ok(mut fit) => {
                 // No simulation can be made any more.

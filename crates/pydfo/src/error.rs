@@ -58,6 +58,7 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
     let message = error.to_string();
     match error {
         E::DataFile { path, source } => file("cannot read", path, source),
+        E::ReportFile { path, source } => file("cannot write", path, source),
         E::Data { .. }
         | E::SavedFit { .. }
         | E::OtherModel { .. }

@@ -1,18 +1,23 @@
 //! Parameters, experiments and settings of a calibration, from the fields of their Python classes.
 
+use crate::inputs::{Callback, Callbacks};
 use crate::settings::time_limit;
 use crate::words::word;
 use crate::{error, fmu_error, values};
-use calibration::{CalibrationError, Data, Experiment, Parameter, SimulationSettings};
+use calibration::{
+    CalibrationError, Data, Experiment, InitialState, Parameter, Prior, SimulationSettings, Weight,
+};
 use fmi::FmiError;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// `pydfo.Parameter`, field by field.
 #[derive(FromPyObject)]
 pub(crate) struct ParameterFields {
     name: String,
-    start: f64,
+    start: Option<f64>,
     lower: f64,
     upper: f64,
     scale: String,
@@ -20,20 +25,77 @@ pub(crate) struct ParameterFields {
     kind: String,
     fixed: bool,
     local: bool,
+    variables: Option<Vec<String>>,
+    delay_of: Option<String>,
+    offset_of: Option<String>,
+    tied_to: Option<String>,
+    factor: f64,
+    offset: f64,
+    unit: Option<String>,
+    display_name: Option<String>,
+    prior: Option<PriorFields>,
+}
+
+/// `pydfo.Normal` or `pydfo.LogNormal`, field by field.
+#[derive(FromPyObject)]
+enum PriorFields {
+    Normal { mean: f64, sd: f64 },
+    LogNormal { median: f64, sigma: f64 },
+}
+
+impl From<PriorFields> for Prior {
+    fn from(fields: PriorFields) -> Self {
+        match fields {
+            PriorFields::Normal { mean, sd } => Prior::Normal { mean, sd },
+            PriorFields::LogNormal { median, sigma } => Prior::LogNormal { median, sigma },
+        }
+    }
 }
 
 impl ParameterFields {
     pub(crate) fn check(self, py: Python<'_>) -> PyResult<Parameter> {
         let scale = word("scale", &self.scale)?;
         let kind = word("kind", &self.kind)?;
-        let mut parameter = Parameter::new(self.name, self.start)
+        let name = self.name;
+        let bad = |message: &str| {
+            let message = message.to_owned();
+            Err(error::calibration(py, &CalibrationError::Parameter { name: name.clone(), message }))
+        };
+        let mut parameter = match (&self.tied_to, self.start) {
+            (Some(to), None) => Parameter::tied(&name, to, self.factor, self.offset),
+            (Some(_), Some(_)) => {
+                return bad("it is tied to another one, whose start counts: leave start out");
+            }
+            (None, None) => return bad("start is missing: give a number to start from"),
+            (None, Some(_)) if (self.factor, self.offset) != (1.0, 0.0) => {
+                return bad("factor and offset are those of tied_to: name the parameter that it follows");
+            }
+            (None, Some(start)) => Parameter::new(&name, start),
+        };
+        parameter = parameter
             .bounds(self.lower, self.upper)
             .scale(scale)
             .kind(kind)
             .fixed(self.fixed)
             .local(self.local);
+        parameter = match (self.variables, self.delay_of, self.offset_of) {
+            (None, None, None) => parameter,
+            (Some(variables), None, None) => parameter.variables(variables),
+            (None, Some(variable), None) => parameter.delay_of(variable),
+            (None, None, Some(variable)) => parameter.offset_of(variable),
+            _ => return bad("at most one of variables, delay_of and offset_of can be given"),
+        };
         if let Some(nominal) = self.nominal {
             parameter = parameter.nominal(nominal);
+        }
+        if let Some(unit) = self.unit {
+            parameter = parameter.in_unit(unit);
+        }
+        if let Some(shown) = self.display_name {
+            parameter = parameter.display_name(shown);
+        }
+        if let Some(prior) = self.prior {
+            parameter = parameter.prior(prior.into());
         }
         parameter.check().map_err(|e| error::calibration(py, &e))?;
         Ok(parameter)
@@ -58,13 +120,58 @@ pub(crate) struct ExperimentFields {
     /// Name of the column of times; None: "time".
     time: Option<String>,
     /// Variable, column, weight.
-    outputs: Vec<(String, String, f64)>,
-    /// Variable, column.
-    inputs: Vec<(String, String)>,
+    outputs: Vec<(String, String, WeightFields)>,
+    /// Variable, and what drives it.
+    inputs: Vec<(String, InputFields)>,
     start_values: Vec<(String, Py<PyAny>)>,
-    window: Option<(f64, f64)>,
+    initial_states: Vec<(String, StateFields)>,
+    windows: Vec<(f64, f64)>,
+    warm_up: Option<f64>,
     start_time: Option<f64>,
+    /// Rows whose measurements count, or the column that says so.
+    mask: Option<Vec<bool>>,
+    mask_column: Option<String>,
+    /// Interval in s over which means are taken.
+    resample: Option<f64>,
+    delays: Vec<(String, f64)>,
+    hold_inputs: bool,
 }
+
+/// What the residuals of an output are multiplied with.
+#[derive(FromPyObject)]
+enum WeightFields {
+    #[pyo3(transparent)]
+    Constant(f64),
+    #[pyo3(transparent)]
+    Column(String),
+    #[pyo3(transparent)]
+    Rows(Vec<f64>),
+}
+
+/// What drives an input.
+#[derive(FromPyObject)]
+enum InputFields {
+    #[pyo3(transparent)]
+    Column(String),
+    #[pyo3(transparent)]
+    Constant(f64),
+    #[pyo3(transparent)]
+    Function(Py<PyAny>),
+}
+
+/// What a state is at the start.
+#[derive(FromPyObject)]
+enum StateFields {
+    #[pyo3(transparent)]
+    Value(f64),
+    #[pyo3(transparent)]
+    Word(String),
+    #[pyo3(transparent)]
+    Fitted(ParameterFields),
+}
+
+/// The functions of time among the inputs of an experiment: its number, the variable, the function.
+pub(crate) type SignalFunctions = Vec<(usize, String, Py<PyAny>)>;
 
 /// `pydfo._experiment.Settings`, field by field.
 #[derive(FromPyObject)]
@@ -96,36 +203,104 @@ impl SettingsFields {
     }
 }
 
+/// What an experiment has of Python objects, looked at with the interpreter lock.
+pub(crate) struct Resolved {
+    start_values: Vec<(String, fmi::Value)>,
+    initial_states: Vec<(String, InitialState)>,
+    functions: Vec<(String, Arc<Callback>)>,
+}
+
 impl ExperimentFields {
-    pub(crate) fn start_values(&self, py: Python<'_>, fmu: &fmi::Fmu) -> PyResult<Vec<(String, fmi::Value)>> {
-        let given = self.start_values.iter().map(|(name, value)| (name.clone(), value.bind(py).clone()));
-        values::all_from_python(py, fmu.description(), given)
+    /// Start values of the model, and of local parameters.
+    pub(crate) fn resolve(
+        &mut self,
+        py: Python<'_>,
+        (fmu, parameters): (&fmi::Fmu, &[Parameter]),
+        callbacks: &mut Callbacks,
+    ) -> PyResult<Resolved> {
+        let of_parameter = |name: &str| parameters.iter().any(|p| p.is_local() && p.name() == name);
+        let (own, others): (Vec<_>, Vec<_>) =
+            self.start_values.drain(..).partition(|(name, _)| of_parameter(name));
+        let given = others.into_iter().map(|(name, value)| (name, value.into_bound(py)));
+        let mut start_values = values::all_from_python(py, fmu.description(), given)?;
+        for (name, value) in own {
+            let number: f64 = value.extract(py).map_err(|_| {
+                let message = "its start value in an experiment must be a number".to_owned();
+                error::calibration(py, &CalibrationError::Parameter { name: name.clone(), message })
+            })?;
+            start_values.push((name, fmi::Value::Real(number)));
+        }
+        let state = |(name, state): (String, StateFields)| {
+            let state = match state {
+                StateFields::Value(value) => InitialState::Value(value),
+                StateFields::Word(word) if word == "measured" => InitialState::Measured,
+                StateFields::Word(word) => {
+                    return Err(PyValueError::new_err(format!(
+                        "initial_states: '{name}' = '{word}': it must be a number, 'measured' or a Parameter"
+                    )));
+                }
+                StateFields::Fitted(fields) => InitialState::from(fields.check(py)?),
+            };
+            Ok((name, state))
+        };
+        let initial_states = self.initial_states.drain(..).map(state).collect::<PyResult<_>>()?;
+        let functions = self.inputs.iter().filter_map(|(input, source)| match source {
+            InputFields::Function(function) => Some((input.clone(), callbacks.add(function.clone_ref(py)))),
+            _ => None,
+        });
+        Ok(Resolved { start_values, initial_states, functions: functions.collect() })
     }
 
-    pub(crate) fn experiment(
-        self,
-        start_values: Vec<(String, fmi::Value)>,
-    ) -> Result<Experiment, CalibrationError> {
+    pub(crate) fn experiment(self, resolved: Resolved) -> Result<Experiment, CalibrationError> {
         let data = match (self.path, &self.time) {
             (Some(path), None) => Data::from_csv(path)?,
             (Some(path), Some(time)) => Data::from_csv_with_time(path, time)?,
             (None, time) => Data::from_table(self.columns, time.as_deref())?.left_out(self.left_out),
         };
-        let mut experiment = Experiment::new(data);
+        let measured: Vec<&str> = self.outputs.iter().map(|(_, column, _)| column.as_str()).collect();
+        let data = match (&self.mask, &self.mask_column) {
+            (Some(keep), _) => data.masked(&measured, keep)?,
+            (None, Some(by)) => data.masked_by(&measured, by)?,
+            (None, None) => data,
+        };
+        let data = match self.resample {
+            Some(interval) => data.resampled(interval)?,
+            None => data,
+        };
+        let mut experiment = Experiment::new(data).windows(self.windows).hold_inputs(self.hold_inputs);
         if let Some(name) = self.name {
             experiment = experiment.named(name);
         }
         for (variable, column, weight) in self.outputs {
+            let weight = match weight {
+                WeightFields::Constant(weight) => Weight::Constant(weight),
+                WeightFields::Column(column) => Weight::Column(column),
+                WeightFields::Rows(weights) => Weight::Rows(weights),
+            };
             experiment = experiment.weighted_output(variable, column, weight);
         }
-        for (variable, column) in self.inputs {
-            experiment = experiment.input(variable, column);
+        let mut functions = resolved.functions.into_iter();
+        for (variable, source) in self.inputs {
+            experiment = match source {
+                InputFields::Column(column) => experiment.input(variable, column),
+                InputFields::Constant(value) => experiment.constant_input(variable, value),
+                InputFields::Function(_) => match functions.next() {
+                    Some((_, callback)) => experiment.function_input(variable, move |t| callback.value(t, 0)),
+                    None => experiment,
+                },
+            };
         }
-        for (variable, value) in start_values {
+        for (variable, value) in resolved.start_values {
             experiment = experiment.start_value(variable, value);
         }
-        if let Some((from, to)) = self.window {
-            experiment = experiment.window(from, to);
+        for (state, initial) in resolved.initial_states {
+            experiment = experiment.initial_state(state, initial);
+        }
+        for (variable, delay) in self.delays {
+            experiment = experiment.delay(variable, delay);
+        }
+        if let Some(seconds) = self.warm_up {
+            experiment = experiment.warm_up(seconds);
         }
         if let Some(time) = self.start_time {
             experiment = experiment.start_time(time);

@@ -51,6 +51,23 @@ pub(crate) struct Callbacks {
 }
 
 impl Callbacks {
+    /// Adds a function that returns one number.
+    pub(crate) fn add(&mut self, function: Py<PyAny>) -> Arc<Callback> {
+        let callback = Arc::new(Callback::new(function, 1, Arc::default()));
+        self.all.push(Arc::clone(&callback));
+        callback
+    }
+
+    /// Whether there is none.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    /// Whether one of them has raised an exception.
+    pub(crate) fn has_raised(&self) -> bool {
+        self.all.iter().any(|callback| lock(&callback.raised).is_some())
+    }
+
     /// The exception that one of them raised.
     pub(crate) fn take_raised(&self) -> Option<PyErr> {
         self.all.iter().find_map(|callback| lock(&callback.raised).take())
@@ -82,13 +99,7 @@ pub(crate) fn inputs(
     }
     let mut callbacks = Callbacks::default();
     for Function { names, function } in functions {
-        let callback = Arc::new(Callback {
-            function: Mutex::new(Some(function)),
-            last: Mutex::new(None),
-            raised: Mutex::new(None),
-            stop: Arc::clone(stop),
-            count: names.len(),
-        });
+        let callback = Arc::new(Callback::new(function, names.len(), Arc::clone(stop)));
         for (position, name) in names.into_iter().enumerate() {
             let callback = Arc::clone(&callback);
             inputs = inputs.function(name, move |time| callback.value(time, position));
@@ -98,7 +109,8 @@ pub(crate) fn inputs(
     Ok((inputs, callbacks))
 }
 
-struct Callback {
+/// A function of time in Python, from any thread.
+pub(crate) struct Callback {
     function: Mutex<Option<Py<PyAny>>>,
     /// The latest time and the values there: the inputs of one function are asked for one after the other.
     last: Mutex<Option<(f64, Vec<f64>)>>,
@@ -108,11 +120,17 @@ struct Callback {
 }
 
 impl Callback {
+    fn new(function: Py<PyAny>, count: usize, stop: Arc<AtomicBool>) -> Self {
+        let (last, raised) = (Mutex::new(None), Mutex::new(None));
+        Self { function: Mutex::new(Some(function)), last, raised, stop, count }
+    }
+
     /// One of the values at `time`; NaN, which no simulation survives, after an exception.
-    fn value(&self, time: f64, position: usize) -> f64 {
+    pub(crate) fn value(&self, time: f64, position: usize) -> f64 {
         let mut last = lock(&self.last);
         if last.as_ref().is_none_or(|(known, _)| known.to_bits() != time.to_bits()) {
-            *last = Some((time, self.call(time)));
+            // After an exception there is nothing to remember.
+            *last = Some((time, self.call(time))).filter(|(_, values)| !values.is_empty());
         }
         last.as_ref().and_then(|(_, values)| values.get(position)).copied().unwrap_or(f64::NAN)
     }

@@ -22,6 +22,9 @@ use std::time::{Duration, Instant};
 /// How long the calling thread waits at most before it looks for signals.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
+/// How often the calling thread may show how far the work is.
+const TICK: Duration = Duration::from_millis(250);
+
 /// Work that took less than this the last time is done on the calling thread: handing it to another one takes up to 0.5 ms.
 const SHORT: Duration = Duration::from_millis(50);
 
@@ -286,7 +289,25 @@ impl<'py> Watch<'py> {
         &self,
         work: impl FnOnce(&CallingThread) -> T + Send + 'static,
     ) -> PyResult<Option<T>> {
-        self.serve(work, EndRequest::look)
+        self.serve(work, EndRequest::look, &mut |_| ())
+    }
+
+    /// The same; `tick` is called on this thread every quarter of a second.
+    pub(crate) fn run_with_ticks<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&CallingThread) -> T + Send + 'static,
+        tick: Option<&Py<PyAny>>,
+    ) -> PyResult<Option<T>> {
+        let Some(tick) = tick else { return self.run(work) };
+        let mut last = Instant::now();
+        self.serve(work, EndRequest::look, &mut |py| {
+            if last.elapsed() >= TICK {
+                last = Instant::now();
+                if let Err(e) = tick.call0(py) {
+                    self.stop.end_with(e);
+                }
+            }
+        })
     }
 
     /// Runs `work` on the calling thread without the interpreter lock. What `work` is given is to be asked before every
@@ -309,13 +330,14 @@ impl<'py> Watch<'py> {
         &self,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> PyResult<Option<T>> {
-        self.serve(move |_| work(), EndRequest::poll)
+        self.serve(move |_| work(), EndRequest::poll, &mut |_| ())
     }
 
     fn serve<T: Send + 'static>(
         &self,
         work: impl FnOnce(&CallingThread) -> T + Send + 'static,
         leave: fn(&EndRequest, Python<'_>) -> bool,
+        tick: &mut dyn FnMut(Python<'_>),
     ) -> PyResult<Option<T>> {
         let (sender, mut jobs) = channel();
         let (give, result) = channel();
@@ -352,6 +374,7 @@ impl<'py> Watch<'py> {
                     };
                 }
             }
+            tick(self.py);
             if leave(&self.stop, self.py) {
                 return Ok(None);
             }

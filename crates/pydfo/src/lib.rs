@@ -10,6 +10,7 @@ mod error;
 mod experiment;
 mod files;
 mod fit;
+mod fit_report;
 mod fmu_error;
 mod inputs;
 mod interrupt;
@@ -21,6 +22,7 @@ mod objective;
 mod optimizer;
 mod py_system;
 mod quad_err;
+mod recordings;
 mod report;
 mod settings;
 mod share;
@@ -28,6 +30,7 @@ mod solve;
 mod stages;
 mod threads;
 mod trajectory;
+mod validation;
 mod values;
 mod words;
 mod worth;
@@ -53,6 +56,8 @@ mod core_module {
     #[pymodule_export]
     use super::fit::PyFit;
     #[pymodule_export]
+    use super::fit_report::{fit_curves, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text};
+    #[pymodule_export]
     use super::methods::{auto_method, method_names, option_names};
     #[pymodule_export]
     use super::minimize::minimize;
@@ -63,12 +68,16 @@ mod core_module {
     #[pymodule_export]
     use super::quad_err::quad_err;
     #[pymodule_export]
+    use super::recordings::{check, recorded};
+    #[pymodule_export]
     use super::share::{
         export_fmu, export_ssv, fit_to_bytes, fit_to_csv, fit_to_json, load_fit, parameters_of, save_fit,
         simulate_variables, variable_values,
     };
     #[pymodule_export]
     use super::solve::solve;
+    #[pymodule_export]
+    use super::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]
     use super::values::dtypes;
     #[pymodule_export]

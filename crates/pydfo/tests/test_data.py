@@ -226,3 +226,77 @@ def test_the_published_recordings_are_read_as_they_are():
         recordings.PUBLISHED / "qt_par_est_data.mat", {"qt.x1": "y1_f"}, {"u1": "u1_d", "u2": "u2_d"}, time="t", window=(60, 120)
     )
     assert tank.columns[0][0] == "t" and len(tank.columns[0][1]) == 12001
+
+
+def test_masks_choose_rows():
+    keep = TIME < 1
+    expected = cost({"time": TIME, "x": np.where(keep, X, np.nan)})
+    assert cost({"time": TIME, "x": X}, mask=keep) == expected
+    assert cost({"time": TIME, "x": X, "valid": keep}, mask="valid") == expected
+    assert cost({"time": TIME, "x": X}, mask=keep.tolist()) == expected
+    with pytest.raises(BadCalibrationError, match="the mask has 3 entries, the table 41 rows"):
+        cost({"time": TIME, "x": X}, mask=[True] * 3)
+    with pytest.raises(BadCalibrationError, match="the mask keeps no row"):
+        cost({"time": TIME, "x": X}, mask=np.zeros(41, dtype=bool))
+    with pytest.raises(TypeError, match="mask must be one True or False per row"):
+        cost({"time": TIME, "x": X}, mask=[0, 1])
+    with pytest.raises(BadCalibrationError, match="no column 'good'"):
+        cost({"time": TIME, "x": X}, mask="good")
+
+
+def test_resampling_takes_means():
+    by_hand = {"time": TIME[:40].reshape(-1, 4).mean(axis=1), "x": X[:40].reshape(-1, 4).mean(axis=1)}
+    assert cost({"time": TIME[:40], "x": X[:40]}, resample=0.2) == pytest.approx(cost(by_hand), rel=1e-9)
+    with pytest.raises(BadCalibrationError, match="rows every 0.01 s cannot be made of rows every 0.05"):
+        cost({"time": TIME, "x": X}, resample=0.01)
+
+
+def tank(data, **own):
+    parameters = [Parameter("qt.a1", 3e-6, 2e-6, 4e-6), Parameter("qt.a2", 3e-6, 2e-6, 4e-6)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CalibrationWarning)
+        return Calibration(example_fmu("quad_tank"), data, ["qt.x1", "qt.x2"], parameters, **{"inputs": ["u1", "u2"], **own})
+
+
+@pytest.mark.parametrize(
+    ("change", "own", "said"),
+    [
+        (lambda d: d | {"qt.x1": 1e3 * d["qt.x1"]}, {}, r"'qt.x1'.* the ratio is about .*mm against m"),
+        (lambda d: d | {"time": 1e3 * d["time"]}, {}, "the times look as if they were in ms"),
+        (lambda d: d | {"time": 100 + d["time"]}, {"start_time": 0.0}, "first row is at 100 s, the simulation starts at 0 s"),
+        (lambda d: {k: v for k, v in d.items() if k != "u2"}, {"inputs": ["u1"]}, "input 'u2': nothing drives it"),
+    ],
+)
+def test_a_check_names_mistakes(change, own, said):
+    check = tank(change(recordings.quad_tank("own")), **own).check()
+    assert check and not check.ok
+    assert any(__import__("re").search(said, f"{f.subject}: {f.sentence}") for f in check), str(check)
+    assert all(f.severity in ("warning", "note") for f in check) and "warning" in str(check) and check.n_evaluations >= 1
+
+
+@pytest.mark.parametrize("which", recordings.at_hand("qt_par_est_data.mat"))
+def test_a_check_is_silent_on_sound_recordings(which):
+    check = tank(recordings.quad_tank(which)).check()
+    assert check.ok and not check, str(check)
+    assert [f.severity for f in check] == ["note"] and list(check) == check[:]
+    outputs = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
+    frictions = [Parameter("armFriction", 0.012, 0, 0.022), Parameter("pendulumFriction", 0.002, 0, 0.012)]
+    assert not Calibration(example_fmu("furuta"), recordings.furuta(which), outputs, frictions).check()
+    exhaust = Calibration(
+        example_fmu("exhaust"),
+        recordings.exhaust(which),
+        ["T_out"],
+        [Parameter("C2", 9000, 1, 50e3), Parameter("G2", 80, 1, 500)],
+        recordings.EXHAUST_INPUTS,
+    )
+    assert not (check := exhaust.check()), str(check)
+
+
+def test_recordings_are_drawn():
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    figure = tank(recordings.quad_tank("own"), window=(10, 50)).plot_data()
+    axes = figure.axes
+    assert [axis.get_ylabel() for axis in axes] == ["qt.x1 [m]", "qt.x2 [m]", "u1 [V]", "u2 [V]"]
+    assert axes[-1].get_xlabel() == "time [s]" and len(axes[0].patches) == 2 and not axes[2].patches
+    matplotlib.pyplot.close(figure)

@@ -79,7 +79,7 @@ def test_each_experiment_has_a_column_per_output_in_the_plot():
     pytest.importorskip("matplotlib").use("Agg")
     figure = two().fit(max_evaluations=30).plot()
     assert len(figure.axes) == 4
-    assert [axes.get_title() for axes in figure.axes[:2]] == ["cold", "run2"]
+    assert [axes.get_title(loc="left") for axes in figure.axes[::2]] == ["cold: x", "run2: x"]
 
 
 def test_inputs_belong_to_their_experiment():

@@ -185,13 +185,15 @@ def test_an_unused_column_with_the_name_of_an_input_is_a_warning(tank, on_disk, 
         tank_calibration(data, ["u1"], start_values={"u2": 5.0})
 
 
-def test_inputs_that_do_not_cover_the_run_are_a_warning(tank):
+def test_inputs_are_held_beyond_their_recording_only_when_asked(tank):
     for rows in (slice(0, 20), slice(5, 31)):
         ended = dict(tank, u1=np.full(31, np.nan))
         ended["u1"][rows] = tank["u1"][rows]
-        with pytest.warns(CalibrationWarning, match="input 'u1' is recorded from .* the simulation runs from 0 s to 30 s") as w:
+        with pytest.raises(ValueError, match="input 'u1' is recorded from .* needs it from 0 s to 30 s: give hold_inputs"):
             tank_calibration(ended, ["u1", "u2"])
-        assert len(w) == 1
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert tank_calibration(ended, ["u1", "u2"], hold_inputs=True).cost() > 0.0
     # a gap of one sampling interval is none
     first = dict(tank, u1=np.where(np.arange(31) == 0, np.nan, tank["u1"]))
     with warnings.catch_warnings():

@@ -71,8 +71,8 @@ def test_each_stage_may_have_a_method_windows_and_limits():
     assert [stage.method for stage in fit.stages] == ["nelder-mead", "least-squares"]
     assert (first.nfev, first.termination) == (15, "max-evaluations") and not fit.success
     half = tanks(window=(0, 30))
-    assert first.cost == half.cost(first.x) and first.rms == half._native.rms(first.cost)
-    assert fit.start_cost == calibration.cost() and fit.rms == calibration._native.rms(fit.cost)
+    assert first.cost == half.cost(first.x) and first.rms == half._native.rms(list(first.x), first.cost)
+    assert fit.start_cost == calibration.cost() and fit.rms == calibration._native.rms(list(fit.x), fit.cost)
     assert "x_tol 1e-2" in second.message and "stage 2 of 2: " in fit.message
     assert fit.cov is None
     assert np.all(second.cov[:2] == 0) and np.all(np.diag(second.cov)[2:] > 0)

@@ -207,6 +207,90 @@ impl Data {
         column.unit.as_deref().or_else(|| parts(&column.name).1)
     }
 
+    /// Takes the values of these columns as missing in the rows where `keep` is false. Inputs are not meant: they go on between the rows
+    /// that are left.
+    ///
+    /// # Errors
+    /// No such column; `keep` has another length than the table, or is false throughout.
+    pub fn masked(mut self, columns: &[&str], keep: &[bool]) -> Result<Self, CalibrationError> {
+        let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
+        if keep.len() != self.time.len() {
+            return Err(bad(format!(
+                "the mask has {} entries, the table {} rows",
+                keep.len(),
+                self.time.len()
+            )));
+        }
+        if !keep.contains(&true) {
+            return Err(bad("the mask keeps no row: it is true in the rows that count".to_owned()));
+        }
+        for name in columns {
+            let Some(index) = self.position(name)? else { continue };
+            let rows = self.columns[index].values.iter_mut().zip(keep);
+            rows.filter(|(_, keep)| !**keep).for_each(|(value, _)| *value = f64::NAN);
+        }
+        Ok(self)
+    }
+
+    /// As [`masked`](Self::masked); rows count where the column `by` is neither 0 nor missing.
+    ///
+    /// # Errors
+    /// As [`masked`](Self::masked), and as [`column`](Self::column).
+    pub fn masked_by(self, columns: &[&str], by: &str) -> Result<Self, CalibrationError> {
+        let keep: Vec<bool> = self.column(by)?.iter().map(|v| !v.is_nan() && *v != 0.0).collect();
+        self.masked(columns, &keep)
+    }
+
+    /// A table with a row for each interval of this length in s that has rows, beginning with the first time: the mean of its times, and
+    /// of each column the mean of its values there, NaN where there are none. Means keep a slope, and the noise falls with the root of their
+    /// number; what is faster than the interval is lost.
+    ///
+    /// # Errors
+    /// The interval is not positive, or shorter than the distance of the times: nothing is made up between them.
+    pub fn resampled(mut self, interval: f64) -> Result<Self, CalibrationError> {
+        let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
+        if !(interval.is_finite() && interval > 0.0) {
+            return Err(bad(format!(
+                "the interval of resampling must be positive and finite, not {}",
+                Number(interval)
+            )));
+        }
+        if let Some(own) = self.sampling_interval().filter(|own| interval < *own * (1.0 - 1e-9)) {
+            return Err(bad(format!(
+                "rows every {} s cannot be made of rows every {} s: values between them are not made up",
+                Number(interval),
+                Number(own)
+            )));
+        }
+        // Times that fall on a limit up to rounding belong to the interval that begins there.
+        let start = self.time[0];
+        let number = |time: f64| ((time - start) / interval + 1e-9).floor();
+        let rows: Vec<Range<usize>> = (self.time.chunk_by(|a, b| number(*a) == number(*b)))
+            .scan(0, |end, chunk| {
+                let begin = std::mem::replace(end, *end + chunk.len());
+                Some(begin..*end)
+            })
+            .collect();
+        let means = |values: &[f64]| -> Vec<f64> {
+            let mean = |rows: &Range<usize>| {
+                let known = values[rows.clone()].iter().filter(|v| !v.is_nan());
+                known.clone().sum::<f64>() / known.count() as f64
+            };
+            rows.iter().map(mean).collect()
+        };
+        let time = means(&self.time);
+        for column in &mut self.columns {
+            column.values = means(&column.values);
+        }
+        self.time = time;
+        Ok(self)
+    }
+
+    /// Multiplies the times with a positive factor.
+    pub(crate) fn scale_times(&mut self, factor: f64) {
+        self.time.iter_mut().for_each(|time| *time *= factor);
+    }
+
     /// The name of a column in full, with its unit if it has one there.
     pub(crate) fn full_name(&self, column: &str) -> Option<&str> {
         Some(&self.columns[self.position(column).ok()??].name)
@@ -283,4 +367,49 @@ pub(super) fn mixed_decimal_signs(all: &[Column], column: &Column) -> Option<Str
              point: write all numbers with one decimal sign and without separators of thousands"
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table() -> Data {
+        let time: Vec<f64> = (0..7).map(|k| 0.1 * f64::from(k)).collect();
+        let y = vec![0.0, 1.0, 2.0, f64::NAN, 4.0, f64::NAN, 6.0];
+        let valid = vec![1.0, 1.0, 0.0, 1.0, f64::NAN, 1.0, 1.0];
+        Data::from_columns(time, [("y [mm]".to_owned(), y), ("valid".to_owned(), valid)]).unwrap()
+    }
+
+    #[test]
+    fn masks_take_values_away() {
+        let bits = |v: &[f64]| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        let keep = [true, true, false, true, false, true, true];
+        let one = table().masked(&["y"], &keep).unwrap();
+        let other = table().masked_by(&["y"], "valid").unwrap();
+        let expected = [0.0, 1.0, f64::NAN, f64::NAN, f64::NAN, f64::NAN, 6.0];
+        assert_eq!(bits(one.column("y").unwrap()), bits(&expected));
+        assert_eq!(bits(other.column("y").unwrap()), bits(&expected));
+        for (result, expected) in [
+            (table().masked(&["y"], &keep[1..]), "the mask has 6 entries, the table 7 rows"),
+            (table().masked(&["y"], &[false; 7]), "keeps no row"),
+            (table().masked_by(&["y"], "z"), "no column 'z'"),
+        ] {
+            assert!(result.unwrap_err().to_string().contains(expected), "{expected}");
+        }
+    }
+
+    #[test]
+    fn resampling_takes_means() {
+        let data = table().resampled(0.3).unwrap();
+        let near =
+            |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12) && a.len() == b.len();
+        assert!(near(data.time(), &[0.1, 0.4, 0.6]), "{:?}", data.time());
+        assert!(near(data.column("y").unwrap(), &[1.0, 4.0, 6.0]));
+        for (interval, expected) in [
+            (0.05, "rows every 0.05 s cannot be made of rows every 0.1"),
+            (f64::NAN, "positive and finite, not NaN"),
+        ] {
+            assert!(table().resampled(interval).unwrap_err().to_string().contains(expected));
+        }
+    }
 }

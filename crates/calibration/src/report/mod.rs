@@ -1,8 +1,80 @@
 //! What a fit found, for people: as text, as a part of a notebook, and as a page with figures.
 
+mod curves;
+mod figure;
 mod number;
+mod page;
 mod summary;
+mod template;
 mod text;
+
+pub use curves::{ExperimentCurves, OutputCurves, Signal};
+
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::fit::Fit;
+use std::io::{self, Write};
+use std::path::Path;
+
+impl Fit {
+    /// What [`Display`](std::fmt::Display) shows, as an HTML element for a notebook: it takes the colours of the page around it,
+    /// light or dark.
+    pub fn to_html(&self) -> String {
+        template::notebook(&summary::Summary::new(self))
+    }
+}
+
+impl Calibration {
+    /// Writes a report of a fit: one HTML page that needs nothing but itself, with parameters and their intervals, outputs, figures of
+    /// measurements, responses and residuals, correlation, search, warnings, settings, versions, and hashes of model and data. Each
+    /// experiment is simulated at the start and at the fitted values. An existing file is replaced once the new one is whole.
+    ///
+    /// # Errors
+    /// [`CalibrationError::ReportFile`]: the file cannot be written. The fit has another number of parameters, or its simulation
+    /// fails now.
+    pub fn report(&self, fit: &Fit, path: impl AsRef<Path>) -> Result<(), CalibrationError> {
+        self.report_until(fit, path, &|| false)
+    }
+
+    /// As [`report`](Self::report); `cancelled` is asked before every step of the simulations.
+    ///
+    /// # Errors
+    /// As [`report`](Self::report), and [`CalibrationError::Cancelled`].
+    pub fn report_until(
+        &self,
+        fit: &Fit,
+        path: impl AsRef<Path>,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<(), CalibrationError> {
+        let path = path.as_ref();
+        let failed = |source| CalibrationError::ReportFile { path: path.to_owned(), source };
+        // Before the simulations, which may take long.
+        let file = beside(path).map_err(failed)?;
+        let page = page::page(self, fit, cancelled)?;
+        replace(file, path, page.as_bytes()).map_err(failed)
+    }
+}
+
+/// A file beside another one, whose place it will take, with the permissions that new files have.
+fn beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
+    if path.is_dir() {
+        // The system says why not.
+        std::fs::OpenOptions::new().write(true).open(path)?;
+    }
+    let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    // Of the permissions asked for the system takes away what the user's umask says.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    std::fs::read_dir(folder)?;
+    // Without the name of the temporary file, which says nothing to anybody.
+    builder.prefix(".report-").tempfile_in(folder).map_err(|error| error.kind().into())
+}
+
+fn replace(mut file: tempfile::NamedTempFile, path: &Path, content: &[u8]) -> io::Result<()> {
+    file.write_all(content)?;
+    file.persist(path).map(drop).map_err(|e| e.error)
+}
 
 #[cfg(test)]
 mod tests {
@@ -43,15 +115,15 @@ mod tests {
     #[test]
     fn text_says_start_value_error_and_what_to_mistrust() {
         let (_, mut fit) = decay();
-        let worth = fit.worth.take();
+        let worth = fit.worth.as_mut().unwrap();
+        (worth.standard_errors, worth.corrected_errors, worth.verdict) = (vec![1e-3], None, Vec::new());
         let text = fit.to_string();
-        assert!(text.contains("The fit converged: RMS 0.001 (at"), "{text}");
-        assert!(text.contains("k  1  -> 2.0") && text.contains("none were estimated"), "{text}");
+        assert!(text.contains("The fit converged: RMS 0.001 (at the start 0.1629) over 31"), "{text}");
+        assert!(text.contains("k  1  -> 2.0001  +- 0.001  1/s") && text.contains("sandwich"), "{text}");
         assert!(!text.contains("Mistrust") && !text.contains('!'), "{text}");
-        let mut worth = worth.unwrap();
-        (worth.standard_errors, worth.corrected_errors) = (vec![1e-3], Some(vec![2e-3]));
+        let worth = fit.worth.as_mut().unwrap();
+        worth.corrected_errors = Some(vec![2e-3]);
         worth.verdict = vec!["the residuals are not white".to_owned()];
-        fit.worth = Some(worth);
         fit.at_bound = vec![(0, BoundSide::Upper)];
         let text = fit.to_string();
         assert!(
@@ -60,6 +132,52 @@ mod tests {
         );
         assert!(text.contains("! the residuals are not white") && text.contains("Mistrust k"), "{text}");
         fit.worth.as_mut().unwrap().standard_errors = vec![f64::INFINITY];
-        assert!(fit.to_string().contains("(not determined)"), "{fit}");
+        assert!(fit.to_string().contains("(not determined"), "{fit}");
+        fit.worth = None;
+        assert!(fit.to_string().contains("none were estimated"), "{fit}");
+    }
+
+    #[test]
+    fn the_page_needs_nothing_but_itself_and_escapes_names() {
+        let (calibration, mut fit) = decay();
+        let worth = fit.worth.as_mut().unwrap();
+        (worth.standard_errors, worth.verdict) = (vec![1e-3], vec!["the residuals are not white".to_owned()]);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("report.html");
+        std::fs::write(&path, "an older one").unwrap();
+        calibration.report(&fit, &path).unwrap();
+        let page = std::fs::read_to_string(&path).unwrap();
+        for expected in [
+            "<!DOCTYPE html>",
+            "The fit converged: RMS 0.001",
+            "&#177; 0.001",
+            "the residuals are not white",
+            "<svg",
+            "relative tolerance",
+            &calibration.problem().model.content_hash,
+            "SHA-256 of the data",
+            "prefers-color-scheme",
+        ] {
+            assert!(page.contains(expected), "{expected}: {page}");
+        }
+        let column = "measured &lt;x&gt; &amp; &quot;more&quot;";
+        assert!(page.contains(column) && !page.contains("<x>"), "{page}");
+        let elsewhere = page.replace("http://www.w3.org/2000/svg", "");
+        assert!(!["http", "<script", "@import", "url("].iter().any(|text| elsewhere.contains(text)));
+        assert!(fit.to_html().contains(column) && fit.to_html().contains("Parameters"));
+        // Nothing but the report is left.
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_report_that_cannot_be_written_says_where_and_why() {
+        let (calibration, mut fit) = decay();
+        let error = calibration.report(&fit, "/no/such/folder/x.html").unwrap_err().to_string();
+        assert!(error.contains("cannot write /no/such/folder/x.html: No such file"), "{error}");
+        let folder = tempfile::tempdir().unwrap();
+        assert!(calibration.report(&fit, folder.path()).is_err());
+        fit.x.push(1.0);
+        assert!(calibration.report(&fit, folder.path().join("x.html")).is_err());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

@@ -3,7 +3,7 @@
 use super::number::{rounded, with_error};
 use crate::effect::BoundSide;
 use crate::fit::Fit;
-use crate::worth::{Estimator, Worth};
+use crate::worth::Worth;
 use dfo::Termination;
 use ode::Number;
 use serde::Serialize;
@@ -14,8 +14,8 @@ const DIGITS: usize = 8;
 /// Digits of an RMS, a share or an error.
 const FEW_DIGITS: usize = 4;
 
-/// Half the width of a 95 % interval of the normal distribution, in standard errors.
-const HALF_WIDTH: f64 = 1.959_964;
+/// Level of the intervals: 95 %.
+const LEVEL: f64 = 0.95;
 
 /// A fit as tables and sentences.
 #[derive(Debug, Serialize)]
@@ -110,7 +110,7 @@ fn sentence(fit: &Fit) -> String {
     };
     let before = match fit.start_rms {
         Some(rms) => format!("at the start {}", rounded(rms, FEW_DIGITS)),
-        None => "no simulation at the start".to_owned(),
+        None => "none at the start".to_owned(),
     };
     let mut suspects: Vec<usize> = fit.at_bound.iter().map(|(i, _)| *i).collect();
     suspects.extend(&fit.without_effect);
@@ -129,8 +129,12 @@ fn sentence(fit: &Fit) -> String {
             format!(" Mistrust all values, and {} above all: see the remarks.", names.join(", "))
         }
     };
+    let correlated = match fit.worth.as_ref().and_then(|worth| worth.corrected_errors.as_ref()) {
+        Some(_) => " The residuals are not independent: of the standard errors take the corrected ones.",
+        None => "",
+    };
     let rms = rounded(fit.rms, FEW_DIGITS);
-    format!("{ended}: RMS {rms} ({before}) over {} measurements.{mistrust}", fit.n_measurements)
+    format!("{ended}: RMS {rms} ({before}) over {} measurements.{mistrust}{correlated}", fit.n_measurements)
 }
 
 /// What is not to be trusted.
@@ -138,20 +142,13 @@ fn doubts(fit: &Fit) -> Vec<String> {
     let name = |i: &usize| fit.names[*i].as_str();
     let at_bound = |(i, side): &(usize, BoundSide)| {
         let bound = Number(bound(fit, *i, *side));
-        format!("{} is at its {} bound {bound}: the best value may lie beyond.", name(i), side.name())
+        format!("{} is at its {} bound {bound}: the best value may lie beyond", name(i), side.name())
     };
-    let without_effect = |i: &usize| format!("{} did not change the cost: its value says nothing.", name(i));
-    let undetermined = |i: &usize| format!("The measurements do not determine {}.", name(i));
-    let verdict: &[String] = fit.worth.as_ref().map_or(&[], |worth| &worth.verdict);
-    // The verdict has its own words for what it says of a parameter.
-    let is_said = |i: &usize| verdict.iter().any(|sentence| sentence.contains(name(i)));
-    let mut all: Vec<String> = fit.at_bound.iter().filter(|(i, _)| !is_said(i)).map(at_bound).collect();
+    let without_effect = |i: &usize| format!("{} did not change the cost: its value says nothing", name(i));
+    let is_said = |i: &usize| fit.worth.as_ref().is_some_and(|worth| worth.undetermined.contains(i));
+    let mut all: Vec<String> = fit.at_bound.iter().map(at_bound).collect();
     all.extend(fit.without_effect.iter().filter(|i| !is_said(i)).map(without_effect));
-    if let Some(worth) = &fit.worth {
-        let unsaid = worth.undetermined.iter().filter(|i| !is_said(i) && !fit.without_effect.contains(i));
-        all.extend(unsaid.map(undetermined));
-    }
-    all.extend(verdict.iter().cloned());
+    all.extend(fit.worth.iter().flat_map(|worth| worth.verdict.iter().cloned()));
     all
 }
 
@@ -188,14 +185,18 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
         remarks.push("without effect".to_owned());
     }
     let widest = corrected.filter(|corrected| is_known(*corrected)).unwrap_or(error);
-    let end = |sign: f64| with_error(value + sign * HALF_WIDTH * widest, widest);
+    let interval = worth.filter(|_| is_known(widest)).and_then(|worth| {
+        let errors = worth.corrected_errors.as_deref().unwrap_or(&worth.standard_errors);
+        let (lower, upper) = *worth.intervals(LEVEL, errors).ok()?.get(i)?;
+        Some([lower, upper].map(|end| with_error(end, widest)))
+    });
     ParameterRow {
         name: fit.names[i].clone(),
         start: rounded(fit.start[i], DIGITS),
         value: with_error(value, error),
         error: worth.map_or_else(String::new, |_| shown(error)),
         corrected_error: corrected.map_or_else(String::new, shown),
-        interval: is_known(widest).then(|| [end(-1.0), end(1.0)]),
+        interval,
         unit: fit.units[i].clone().unwrap_or_default(),
         bounds: [lower, upper].map(|bound| Number(bound).to_string()),
         remark: remarks.join(", "),
@@ -211,7 +212,7 @@ fn outputs(fit: &Fit) -> Vec<OutputRow> {
         rms: rounded(output.rms, FEW_DIGITS),
         start_rms: output.start_rms.map_or_else(|| "failed".to_owned(), |rms| rounded(rms, FEW_DIGITS)),
         fit_percent: match output.fit_percent.is_nan() {
-            true => "constant data".to_owned(),
+            true => "none: constant data".to_owned(),
             false => format!("{} %", rounded(output.fit_percent, 3)),
         },
         unit: output.unit.clone().unwrap_or_default(),
@@ -227,11 +228,16 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     };
     let mut facts = vec![("ended", format!("{}: {}", report.method, report.message))];
     facts.extend(report.method_reason.iter().map(|reason| ("chosen", reason.clone())));
+    facts.extend(fit.stages.iter().map(|stage| ("stage", stage.report.message.clone())));
     facts.push(("cost", format!("{}{before}, RMS {}", rounded(fit.cost, DIGITS), rounded(fit.rms, DIGITS))));
+    if !fit.tied.is_empty() {
+        let value = |(name, value): &(String, f64)| format!("{name} = {}", rounded(*value, DIGITS));
+        facts.push(("tied", fit.tied.iter().map(value).collect::<Vec<_>>().join(", ")));
+    }
     if !report.loss.is_linear() {
         facts.push(("loss", report.loss.to_string()));
     }
-    facts.push(("errors", errors(fit)));
+    facts.push(("standard errors", errors(fit)));
     let counts = [(report.n_failed, "failed"), (report.n_speculative, "speculative")];
     let counts: String =
         counts.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!(", {n} {what}")).collect();
@@ -264,11 +270,7 @@ fn facts(fit: &Fit) -> Vec<Fact> {
 /// How the standard errors were estimated.
 fn errors(fit: &Fit) -> String {
     let Some(worth) = &fit.worth else { return "none were estimated".to_owned() };
-    let estimator = match worth.estimator {
-        Estimator::Sandwich => "sandwich estimator, one residual variance per output",
-        Estimator::Pooled => "pooled estimator, one variance for all residuals",
-    };
     let corrected =
         worth.corrected_errors.as_ref().map_or("", |_| "; corrected for autocorrelated residuals beside");
-    format!("{estimator}{corrected}; {} simulations", worth.n_simulations)
+    format!("{}{corrected}; {} simulations", worth.estimator, worth.n_simulations)
 }

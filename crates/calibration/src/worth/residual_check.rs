@@ -1,6 +1,7 @@
 //! What the residuals of each output look like: mean, autocorrelation, outliers, runs.
 
-use crate::layout::ResidualLayout;
+use super::digits::digits;
+use crate::layout::{OutputResiduals, ResidualLayout};
 use serde::{Deserialize, Serialize};
 
 /// Residuals farther than this many robust standard deviations from their median are outliers.
@@ -43,7 +44,7 @@ pub struct ResidualCheck {
 
 impl ResidualCheck {
     pub(crate) fn all(layout: &ResidualLayout, names: &[String], residuals: &[f64]) -> Vec<Self> {
-        let check = |output: &crate::layout::OutputResiduals| {
+        let check = |output: &OutputResiduals| {
             let r = &residuals[output.range.clone()];
             let (mean, deviation) = mean_and_deviation(r);
             Self {
@@ -75,7 +76,7 @@ impl ResidualCheck {
         }
         let of_mean = self.deviation / n.sqrt();
         if self.mean.abs() > BY_CHANCE * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2 {
-            let mean = super::digits(self.mean);
+            let mean = digits(self.mean);
             said.push(format!(
                 "the residuals of {name} have the mean {mean}: simulated minus measured, an offset"
             ));
@@ -147,7 +148,7 @@ mod tests {
 
     #[test]
     fn textbook_numbers() {
-        assert_eq!(autocorrelation(&[1.0, 2.0]).is_nan(), true);
+        assert!(autocorrelation(&[1.0, 2.0]).is_nan());
         assert!((autocorrelation(&[1.0, -1.0, 1.0, -1.0]) + 0.75).abs() < 1e-15);
         assert!((autocorrelation(&[-2.0, -1.0, 0.0, 1.0, 2.0]) - 0.4).abs() < 1e-15);
         let mut r: Vec<f64> = (0..99).map(|k| f64::from(k % 7) - 3.0).collect();

@@ -2,7 +2,8 @@
 
 use super::covariance::{Factors, Noise};
 use super::differences::Differences;
-use super::{Worth, digits};
+use super::digits::digits;
+use super::result::Worth;
 use nalgebra::DMatrix;
 
 /// Parameters with a correlation of this size or more move the outputs the same way: less than a fifth of the variance of either is

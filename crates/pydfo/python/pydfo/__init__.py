@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from . import dfo, ode
 from ._calibration import Calibration, Raced
+from ._check import Check, Finding
 from ._core import __version__
 from ._description import Description, Variable, read_description
 from ._errors import (
@@ -31,19 +32,20 @@ from ._errors import (
 )
 from ._experiment import Experiment
 from ._files import build_fmu, clear_caches, example_fmu
-from ._fit import Fit
+from ._fit import Fit, OutputFit
 from ._fmin import fmin
 from ._least_squares import least_squares
 from ._minimize import minimize
 from ._model import FMUModel, load_fmu
 from ._optimizer import Above, Asked, Optimizer
-from ._parameter import Parameter
+from ._parameter import LogNormal, Normal, Parameter
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
 from ._share import load_fit
 from ._stages import Stage
 from ._trajectory import SimulationResult
+from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
 from ._worth import ResidualCheck, Worth
 
 __all__ = [
@@ -56,19 +58,27 @@ __all__ = [
     "Calibration",
     "CalibrationError",
     "CalibrationWarning",
+    "Check",
     "CheckpointError",
+    "CrossValidation",
     "Description",
     "Experiment",
     "FMUModel",
+    "Finding",
     "Fit",
     "FmuError",
+    "Fold",
     "Interrupted",
     "LeastSquaresResult",
     "ModelTypeError",
     "NoResult",
     "OptimizeResult",
     "Optimizer",
+    "LogNormal",
+    "Normal",
+    "OutputFit",
     "Parameter",
+    "PredictionBand",
     "Progress",
     "PydfoError",
     "Raced",
@@ -78,6 +88,8 @@ __all__ = [
     "Stage",
     "Trace",
     "UnknownVariableError",
+    "ValidatedOutput",
+    "Validation",
     "Variable",
     "Worth",
     "__version__",

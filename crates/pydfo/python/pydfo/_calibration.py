@@ -6,25 +6,31 @@ import errno
 import logging
 import os
 import warnings
+from contextlib import closing, nullcontext
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options, _stages, _worth
+from . import _check, _core, _options, _stages, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
-from ._experiment import Names, Settings, collected, path_of
+from ._experiment import Inputs, Names, Settings, Weights, collected, path_of
 from ._files import OpenOptions
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
 from ._keywords import also_called, argument_names, explained, given_once
+from ._live import DELAY, LiveLine, is_watched
 from ._parameter import Parameter
 from ._progress import Printer
 from ._result import OptimizeResult
 from ._trajectory import SimulationResult
 from ._stages import Stage
+from ._validation import CrossValidation
 from ._worth import Worth
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -82,16 +88,16 @@ class Calibration:
     parameters : sequence of Parameter
         What is fitted. The entries of every ``x`` are in this order; a local parameter has one entry per experiment in its
         place.
-    inputs : dict of str to str, or list of str, optional
+    inputs : dict, or list of str, optional
         Which input of the model is driven by which column: linearly between the rows if the input is continuous, else
-        held. A time that stands there twice is a jump.
+        held. A time that stands there twice is a jump. In a dict also by a number or a function of time, see `Experiment`.
     window : (float, float), optional
         Only measurements at times in this interval count, in s; the simulation still starts at its start time.
     max_time : float, optional
         Wall-clock limit of one simulation in s (also called `timeout`). One that reaches it counts as failed.
-    weights : dict of str to float, or sequence of float, optional
+    weights : dict, or sequence, optional
         Per output, what its residuals are multiplied with (default 1): the inverse of the standard deviation of its noise,
-        if that is known.
+        if that is known; or a weight per measurement, see `Experiment`.
     start_values : dict, optional
         Values of other parameters and start values of variables, by name; not of those that are fitted.
     relative_tolerance : float, optional
@@ -120,12 +126,18 @@ class Calibration:
         thread-safe then; where it is not, results are wrong or the process ends.
     time : str, optional
         Name of the column of times, where it is not ``time``; its unit may be left out.
+    mask : array of bool or str, optional
+        Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
+    resample : float, optional
+        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves); at least that of the
+        recording.
+    initial_states, windows, warm_up, delays, hold_inputs : optional
+        Of the one recording, as in `Experiment`.
 
     Warns
     -----
     CalibrationWarning
-        A column that is not used has the name of an input that nothing drives, but for its case perhaps; the
-        recording of an input does not cover the simulation, outside of it the first and the last value are held;
+        A column that is not used has the name of an input that nothing drives, but for its case perhaps;
         values set in an FMUModel do not count; a setting has no effect (`step_size` with a solver that chooses its
         steps itself, `max_step` with one that does not, ...).
 
@@ -148,10 +160,10 @@ class Calibration:
         data: Any,
         outputs: Names | Sequence[Parameter] | Parameter | None = None,
         parameters: Sequence[Parameter] | Parameter | None = None,
-        inputs: Names | None = None,
+        inputs: Inputs | None = None,
         window: tuple[float, float] | None = None,
         max_time: SupportsFloat | None = None,
-        weights: Mapping[str, float] | Sequence[float] | None = None,
+        weights: Weights | None = None,
         start_values: Mapping[str, Any] | None = None,
         relative_tolerance: SupportsFloat | None = None,
         solver: str = "auto",
@@ -163,8 +175,29 @@ class Calibration:
         input_derivatives: bool = True,
         sharing: Literal["copies", "serial", "together"] = "copies",
         time: str | None = None,
+        *,
+        initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
+        windows: Sequence[tuple[float, float]] | None = None,
+        warm_up: SupportsFloat | None = None,
+        delays: Mapping[str, SupportsFloat] | None = None,
+        hold_inputs: bool | None = None,
+        mask: Any = None,
+        resample: SupportsFloat | None = None,
     ) -> None:
-        own = {"window": window, "weights": weights, "start_values": start_values, "start_time": start_time, "time": time}
+        own: dict[str, Any] = {
+            "window": window,
+            "weights": weights,
+            "start_values": start_values,
+            "start_time": start_time,
+            "time": time,
+            "initial_states": initial_states,
+            "windows": windows,
+            "warm_up": warm_up,
+            "delays": delays,
+            "hold_inputs": hold_inputs,
+            "mask": mask,
+            "resample": resample,
+        }
         experiments, parameters = collected(data, outputs, parameters, inputs, **own)
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
@@ -187,11 +220,17 @@ class Calibration:
         self._opened: OpenOptions | None = getattr(model, "_opened", None)
         opened = getattr(model, "_fmu", None)
         source = opened if isinstance(opened, _core.Fmu) else self._model
+        self._functions = [
+            (k, variable, source)
+            for k, experiment in enumerate(experiments)
+            for variable, source in experiment.inputs
+            if callable(source)
+        ]
         self._native = _core.Calibration(source, experiments, settings, list(self._parameters))
         for warning in self._native.warnings():
             warnings.warn(warning, CalibrationWarning, stacklevel=3)
-        given = {parameter.name for parameter in self._parameters}
-        given.update(name for experiment in experiments for name, _ in experiment.start_values)
+        given = {name for parameter in self._parameters for name in (parameter.name, *(parameter.variables or ()))}
+        given.update(name for experiment in experiments for name, _ in experiment.start_values + experiment.initial_states)
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
             warnings.warn(
                 f"values set in an FMUModel do not count in a calibration: {_options.listed(forgotten)}; give them as "
@@ -222,8 +261,39 @@ class Calibration:
 
     @property
     def n_residuals(self) -> int:
-        """Length of the residual vector: how many measurements count."""
+        """Length of the residual vector: how many measurements count, and one for each prior."""
         return self._native.n_residuals
+
+    @property
+    def n_measurements(self) -> int:
+        """How many measurements count."""
+        return self._native.n_measurements
+
+    def model_values(self, x: npt.ArrayLike | Mapping[str, float] | None = None, experiment: str | None = None) -> dict[str, float]:
+        """What is set in the model.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+        experiment : str, optional
+            Name of the experiment whose values are meant; default: the first.
+
+        Returns
+        -------
+        dict of str to float
+            The values of variables by their names, in the units of the model; of parameters that are tied or set several variables, too.
+        """
+        names = self.experiments
+        if experiment is not None and experiment not in names:
+            raise BadCalibrationError(f"there is no experiment '{experiment}'; there are: {', '.join(names)}")
+        return dict(self._native.model_values(0 if experiment is None else names.index(experiment), self._checked(x)))
+
+    def _checked(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
+        values = self._values(x)
+        if len(values) != len(self.names):
+            raise BadCalibrationError(f"{len(values)} values given for {len(self.names)} parameters ({', '.join(self.names)})")
+        return values
 
     @property
     def solver(self) -> str:
@@ -247,10 +317,15 @@ class Calibration:
     def _values(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
         if x is None or isinstance(x, Mapping):
             values = dict(zip(self.names, self._native.start()))
-            for name, value in (x or {}).items():
+            given = dict(x or {})
+            tied = {name: given.pop(name) for name, _ in self._native.tied(self._native.start()) if name in given}
+            for name, value in given.items():
                 if name not in values:
                     raise BadCalibrationError(f"there is no parameter '{name}'; there are: {', '.join(values)}")
                 values[name] = _options.number(name, value)
+            for name, expected in self._native.tied(list(values.values())):
+                if name in tied and not np.isclose(_options.number(name, tied[name]), expected, rtol=1e-9, atol=0.0):
+                    raise BadCalibrationError(f"{name} = {tied[name]!r}: it is tied to another parameter, by which it is {expected!r}")
             return list(values.values())
         return [float(value) for value in _options.vector("x", x)]
 
@@ -357,7 +432,7 @@ class Calibration:
         target: SupportsFloat | None = None,
         stop: Literal["any", "all"] | None = None,
         batch: str | SupportsIndex = "auto",
-        disp: bool = False,
+        disp: bool | None = None,
         callback: Callback | None = None,
         *,
         loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear",
@@ -401,8 +476,10 @@ class Calibration:
         batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}, "workers" or int
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares: a
             number of points, or "workers"; see `least_squares`.
-        disp : bool
-            Print a line per iteration.
+        disp : bool, optional
+            True: show a line that follows the fit where standard error is a terminal or a notebook (by rich or tqdm, where one is
+            installed), else print a line per iteration, as `fmin` does; and how the fit ended. False: show nothing. None: show the
+            line in a terminal or a notebook where the fit lasts more than 2 s.
         callback : callable, optional
             Called after each iteration with a `Progress`, on the calling thread; StopIteration or True end the fit.
         loss, f_scale : optional
@@ -481,7 +558,11 @@ class Calibration:
                 bounds=self._bounds(),
                 search=search,
                 residuals=True,
-                parameter_kinds=[p.kind for p in self._parameters if not p.fixed and free(p.name)],
+                parameter_kinds=[
+                    kind
+                    for name, (lower, upper, kind) in zip(self.names, self._native.bounds())
+                    if lower < upper and (free(name) or free(name.partition("[")[0]))
+                ],
             )
 
         built = build(method, own, limits, lambda _: True)
@@ -496,11 +577,23 @@ class Calibration:
         counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
         begin = self._values(start)
         printer = Printer(self.names)
-        listeners: list[Callback] = [printer] if _options.flag("disp", disp) else []
+        shown = disp if disp is None else _options.flag("disp", disp)
+        live: LiveLine | None = None
+        listeners: list[Callback] = []
+        if shown is not False and is_watched():
+            live = LiveLine(self.names, DELAY if shown is None else 0.0, max_evaluations, max_iterations, max_time)
+            listeners.append(live)
+        elif shown:
+            listeners.append(printer)
         if callback is not None:
             listeners.append(listen(callback))
+        observer = combine(listeners)
+        if live:
+            # Called between iterations, too.
+            setattr(observer, "tick", live.tick)
         try:
-            result = self._native.fit(built, start=begin, observer=combine(listeners), loss=counted, stages=of_stages, covariance=covariance)
+            with closing(live) if live else nullcontext():
+                result = self._native.fit(built, start=begin, observer=observer, loss=counted, stages=of_stages, covariance=covariance)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):
@@ -515,6 +608,54 @@ class Calibration:
         return fit
 
     @explained
+    def check(self, simulate: bool = True) -> _check.Check:
+        """Looks for what does not fit between model, recordings and parameters, and says what to do about it.
+
+        Looked at are the times (gaps, unit, start), the recorded values (constant, clipped, missing, in other units than the model, far
+        from the simulation at the start, columns that are swapped), inputs that nothing drives or that end early, and the ranges that the
+        model states for its parameters.
+
+        Parameters
+        ----------
+        simulate : bool
+            Whether to simulate all experiments once at the start values (and once with times a thousandth as long, where they could be
+            in ms).
+
+        Returns
+        -------
+        Check
+            A sequence of findings, the gravest first, which prints as a table; true in a condition if there are errors or warnings.
+
+        Examples
+        --------
+        >>> from pydfo import Calibration, Parameter, example_fmu
+        >>> data = {"time": [0.0, 1.0, 2.0], "x": [1000.0, 150.0, 20.0]}
+        >>> calibration = Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
+        >>> print(calibration.check(simulate=False))
+        nothing found
+        >>> calibration.check()[0].severity
+        'warning'
+        """
+        return _check.of(self._native, _options.flag("simulate", simulate))
+
+    def plot_data(self) -> Figure:
+        """Draws the recordings before anything is simulated: measurements and inputs in the units of the model, the rows outside of the
+        windows in grey; a column per experiment. Needs matplotlib.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Nothing is shown or saved: ``calibration.plot_data().savefig("data.png")``.
+
+        Raises
+        ------
+        ImportError
+            matplotlib is not installed.
+        """
+        from . import _plot_data
+
+        return _plot_data.recordings(self._native)
+
     def worth(
         self,
         x: npt.ArrayLike | Mapping[str, float] | None = None,
@@ -548,11 +689,72 @@ class Calibration:
         """
         return _worth.at(self, self._values(x), _options.choice("covariance", covariance), parameters, workers)
 
+    @explained
+    def cross_validate(
+        self,
+        folds: SupportsFloat | None = None,
+        method: str = "auto",
+        workers: SupportsIndex | None = None,
+        x_tol: float | None = None,
+        f_tol: float | None = None,
+        max_evaluations: SupportsFloat | None = None,
+        max_iterations: SupportsFloat | None = None,
+        max_time: SupportsFloat | None = None,
+        *,
+        loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear",
+        f_scale: SupportsFloat = 1.0,
+        rng: int | np.random.Generator | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> CrossValidation:
+        """Fits without some of the recordings, and validates on those that were left out.
+
+        A fit that describes the machine predicts a recording as well as it reproduces those that it was fitted to, with much the same
+        parameters whichever is left out. Local parameters of a recording that is held out are fitted to it, all others held.
+
+        Parameters
+        ----------
+        folds : int, optional
+            Into how many groups the recordings are divided (each k-th recording in one), of which one is held out at a time; default:
+            each recording alone.
+        method, x_tol, f_tol, max_evaluations, max_iterations, loss, f_scale, rng, options : optional
+            Of each fit, as in `fit`.
+        workers : int, optional
+            Simulations that may run at once; the fits run side by side. None and -1: all cores.
+        max_time : float, optional
+            Limit of wall-clock time of all fits together, in s.
+
+        Returns
+        -------
+        CrossValidation
+            RMS of each recording when it was held out, and the parameters of each fit.
+
+        Raises
+        ------
+        ValueError
+            There is only one recording, or there are more folds than recordings.
+        """
+        own = given_once(_options.dictionary(options), Calibration.cross_validate, x_tol=x_tol, f_tol=f_tol)
+        built = _options.build(
+            Calibration.fit,
+            method,
+            own,
+            len(self.names),
+            _options.Limits.check(("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, None),
+            workers=_options.worker_count("workers", workers, None),
+            rng=rng,
+            checkpoint=None,
+            resume="auto",
+            bounds=self._bounds(),
+            residuals=True,
+            parameter_kinds=[p.kind for p in self._parameters if not p.fixed],
+        )
+        counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
+        return CrossValidation(**_core.cross_validate(self._native, _options.limit("folds", folds, 0), built, counted))
+
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the parameters; equal where one is fixed."""
-        pairs = [(p.start, p.start) if p.fixed else (p.lower, p.upper) for p in self._parameters]
-        lower = [-np.inf if low is None else low for low, _ in pairs]
-        return np.array(lower, dtype=float), np.array([np.inf if high is None else high for _, high in pairs], dtype=float)
+        bounds = self._native.bounds()
+        return np.array([lower for lower, _, _ in bounds]), np.array([upper for _, upper, _ in bounds])
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
         return Fit(self, result, np.array(start), self._native.known_solver())
@@ -564,14 +766,18 @@ class Calibration:
         super().__setattr__(name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (type(self), self._native.state(), self._parameters, self._opened)
+        return _restore, (type(self), self._native.state(), self._parameters, self._opened, self._functions)
 
     def __repr__(self) -> str:
-        return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_residuals} measurements>"
+        return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_measurements} measurements>"
 
 
 def _restore(
-    of: type[Calibration], state: bytes, parameters: tuple[Parameter, ...], opened: OpenOptions | None
+    of: type[Calibration],
+    state: bytes,
+    parameters: tuple[Parameter, ...],
+    opened: OpenOptions | None,
+    functions: list[tuple[int, str, Any]],
 ) -> Calibration:
     """A pickled calibration."""
     path, content = _core.Calibration.model_of(state)
@@ -584,5 +790,6 @@ def _restore(
     calibration._parameters = parameters
     calibration._model = os.fspath(path)
     calibration._opened = opened
-    calibration._native = _core.Calibration.restore(state, fmu)
+    calibration._functions = functions
+    calibration._native = _core.Calibration.restore(state, fmu, functions)
     return calibration

@@ -184,6 +184,16 @@ def seconds(values: Any) -> FloatArray | None:
     return np.asarray(array / np.timedelta64(1, "s"), dtype=np.float64)
 
 
+def mask(given: Any) -> tuple[list[bool] | None, str | None]:
+    """A mask as one truth value per row, or as the name of a column."""
+    if given is None or isinstance(given, str):
+        return None, given
+    array = np.asarray(given)
+    if array.ndim != 1 or array.dtype.kind != "b":
+        raise TypeError(f"mask must be one True or False per row, or the name of a column, not {_options.show(given)}")
+    return array.tolist(), None
+
+
 def _numbers(name: str, values: Any) -> list[float]:
     """A column as floats; what is masked, None or NA is missing (NaN)."""
     if isinstance(values, np.ma.MaskedArray):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, SupportsFloat
@@ -13,8 +13,15 @@ import numpy as np
 from . import _data, _options
 from ._errors import BadCalibrationError
 from ._keywords import explained
+from ._parameter import Parameter
 
 Names = Mapping[str, str] | Sequence[str] | str
+#: What drives an input: a column, a number, a function of time.
+Source = str | float | Callable[[float], float]
+Inputs = Mapping[str, Source] | Sequence[str] | str
+#: What residuals are multiplied with: a number, a column, a number per row.
+Weight = float | str | list[float]
+Weights = Mapping[str, Any] | Sequence[Any]
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -27,12 +34,14 @@ class Experiment:
         The recording, as `Calibration` takes it.
     outputs : dict of str to str, or list of str
         Which output of the model was measured by which column.
-    inputs : dict of str to str, or list of str, optional
-        Which input of the model is driven by which column.
+    inputs : dict, or list of str, optional
+        What drives each input of the model: a column, a number (constant), or a function of time. A function is smooth, always
+        gives the same, and can be imported where the calibration is to be pickled.
     window : (float, float), optional
-        Only measurements at times in this interval count, in s.
-    weights : dict of str to float, or sequence of float, optional
-        Per output, what its residuals are multiplied with.
+        Only measurements at times in this interval count, in s: one of `windows`.
+    weights : dict, or sequence, optional
+        Per output, what its residuals are multiplied with: a number, or one number per measurement: a column, or an array as long as
+        the recording (of Booleans: a mask). Measurements with the weight 0 do not count.
     start_values : dict, optional
         Values of other parameters and start values of variables in this experiment, by name; of a local parameter, where
         its search starts here.
@@ -40,6 +49,27 @@ class Experiment:
         Where the simulation starts, in s.
     time : str, optional
         Name of the column of times, where it is not ``time``.
+    mask : array of bool or str, optional
+        Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
+    resample : float, optional
+        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves).
+    initial_states : dict, optional
+        What states of the model are at the start: a number, "measured" (the first measurement that counts, of the column that is
+        compared with the state), or a `Parameter` of this experiment alone with start and bounds, whose name plays no part: it
+        is called ``x[run1]``.
+    windows : sequence of (float, float), optional
+        Only measurements at times in one of these intervals count, in s.
+    warm_up : float, optional
+        For so many seconds from its start the simulation is not compared, so that it forgets its initial states. With windows and
+        without `start_time` it starts so much before the first measurement in them; else where it does without warm-up, and measurements
+        before the end of the warm-up do not count.
+    delays : dict of str to float, optional
+        By how many seconds an output that is compared, or an input, is late: ``y(t - delay)`` is compared with what was measured at t (before
+        the start: the value at the start), and the model is driven by ``u(t - delay)``. A delay that is fitted is a
+        ``Parameter("tau", 0.05, 0, 1, delay_of="y")``.
+    hold_inputs : bool
+        Hold the first and last values of inputs where the simulation goes beyond their recording by more than one of its
+        sampling intervals; else that is an error.
     name : str, optional
         Its name, in those of local parameters as well (``T0[cold]``); default: "run1", "run2" and so on. Not empty, without
         brackets and line breaks.
@@ -67,47 +97,69 @@ class Experiment:
     columns: _data.Columns
     left_out: list[str]
     time: str | None
-    outputs: list[tuple[str, str, float]]
-    inputs: list[tuple[str, str]]
+    outputs: list[tuple[str, str, Weight]]
+    inputs: list[tuple[str, Source]]
     start_values: list[tuple[str, Any]]
-    window: tuple[float, float] | None
+    initial_states: list[tuple[str, float | str | Parameter]]
+    windows: list[tuple[float, float]]
+    warm_up: float | None
     start_time: float | None
+    mask: list[bool] | None
+    mask_column: str | None
+    resample: float | None
+    delays: list[tuple[str, float]]
+    hold_inputs: bool
 
     @explained
     def __init__(
         self,
         data: Any,
         outputs: Names,
-        inputs: Names | None = None,
+        inputs: Inputs | None = None,
         *,
         window: tuple[float, float] | None = None,
-        weights: Mapping[str, float] | Sequence[float] | None = None,
+        weights: Weights | None = None,
         start_values: Mapping[str, Any] | None = None,
         start_time: SupportsFloat | None = None,
         time: str | None = None,
         name: str | None = None,
+        initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
+        windows: Sequence[tuple[float, float]] | None = None,
+        warm_up: SupportsFloat | None = None,
+        delays: Mapping[str, SupportsFloat] | None = None,
+        hold_inputs: bool = False,
+        mask: Any = None,
+        resample: SupportsFloat | None = None,
     ) -> None:
         put = object.__setattr__
         put(self, "name", None if name is None else _options.choice("name", name))
         with _errors_name(self.name):
             pairs = pairs_of_columns("outputs", outputs)
-            driven = pairs_of_columns("inputs", inputs)
+            driven = sources(inputs)
             named = None if time is None else _options.choice("time", time)
-            table = _data.read(data, [column for _, column in pairs + driven], named)
-            span = None
-            if window is not None:
-                if np.shape(window) != (2,):
-                    raise ValueError(f"window must be two times, not {_options.show(window)}")
-                span = (_options.number("window", window[0]), _options.number("window", window[1]))
+            weighed = weighted(pairs, weights)
+            columns = [column for _, column in pairs]
+            columns += [source for _, source in driven if isinstance(source, str)]
+            columns += [weight for _, _, weight in weighed if isinstance(weight, str)]
+            rows, by = _data.mask(mask)
+            table = _data.read(data, columns + ([] if by is None else [by]), named)
+            put(self, "mask", rows)
+            put(self, "mask_column", by)
+            put(self, "resample", _options.optional_number("resample", resample))
             put(self, "path", table.path)
             put(self, "columns", table.columns)
             put(self, "left_out", table.left_out)
             put(self, "time", table.time)
-            put(self, "outputs", weighted(pairs, weights))
+            put(self, "outputs", weighed)
             put(self, "inputs", driven)
             put(self, "start_values", _options.pairs("start_values", start_values))
-            put(self, "window", span)
+            put(self, "initial_states", states(initial_states))
+            put(self, "windows", intervals(window, windows))
+            put(self, "warm_up", _options.optional_number("warm_up", warm_up))
             put(self, "start_time", _options.optional_number("start_time", start_time))
+            given = _options.pairs("delays", delays)
+            put(self, "delays", [(variable, _options.number("delays", delay)) for variable, delay in given])  # type: ignore[arg-type]
+            put(self, "hold_inputs", _options.flag("hold_inputs", hold_inputs))
 
     def __repr__(self) -> str:
         source = self.path if self.path is not None else f"{len(self.columns[0][1])} rows"
@@ -144,7 +196,7 @@ class Settings:
 def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:
     """The experiments and the parameters of a calibration, from its arguments: one recording with what belongs to it, or
     experiments, which the parameters follow."""
-    experiments = _listed(data)
+    experiments = listed(data)
     if experiments is not None:
         if parameters is None:
             outputs, parameters = None, outputs
@@ -154,13 +206,13 @@ def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any)
     elif outputs is None:
         raise TypeError("Calibration() needs the argument 'outputs'")
     else:
-        experiments = [Experiment(data, outputs, inputs, **own)]
+        experiments = [Experiment(data, outputs, inputs, **{name: value for name, value in own.items() if value is not None})]
     if parameters is None:
         raise TypeError("Calibration() needs the argument 'parameters'")
     return experiments, parameters
 
 
-def _listed(data: Any) -> list[Experiment] | None:
+def listed(data: Any) -> list[Experiment] | None:
     """The experiments, where `data` is one or several; None: it is a recording."""
     if isinstance(data, Experiment):
         return [data]
@@ -192,9 +244,51 @@ def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str |
     raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {_options.show(value)}")
 
 
-def weighted(
-    outputs: list[tuple[str, str]], weights: Mapping[str, float] | Sequence[float] | None
-) -> list[tuple[str, str, float]]:
+def sources(given: Inputs | None) -> list[tuple[str, Source]]:
+    """Inputs with what drives them: a column, a number, a function of time."""
+    if not isinstance(given, Mapping):
+        return list(pairs_of_columns("inputs", given))
+    driven: list[tuple[str, Source]] = []
+    for variable, source in _options.pairs("inputs", given):
+        if not isinstance(source, str) and not callable(source):
+            if np.ndim(source) > 0:  # type: ignore[arg-type]
+                raise TypeError(
+                    f"inputs: '{variable}' must be driven by a column, a number or a function of time, not by an array: put it among the "
+                    "columns of the data"
+                )
+            source = _options.number("inputs", source)  # type: ignore[arg-type]
+        driven.append((variable, source))
+    return driven
+
+
+def states(given: Mapping[str, SupportsFloat | str | Parameter] | None) -> list[tuple[str, float | str | Parameter]]:
+    """Initial states with their numbers, words or parameters."""
+
+    def of(state: object) -> float | str | Parameter:
+        return state if isinstance(state, (str, Parameter)) else _options.number("initial_states", state)  # type: ignore[arg-type]
+
+    return [(name, of(state)) for name, state in _options.pairs("initial_states", given)]
+
+
+def intervals(
+    window: tuple[float, float] | None, windows: Sequence[tuple[float, float]] | None
+) -> list[tuple[float, float]]:
+    """The windows, one or several."""
+    if window is not None and windows is not None:
+        raise ValueError("window and windows are given: put the one among the others")
+    if windows is not None and (isinstance(windows, (str, Mapping)) or not isinstance(windows, Iterable)):
+        raise TypeError(f"windows must be a list of pairs of times, not {_options.show(windows)}")
+    listed = [window] if window is not None else list(windows or [])
+    if windows is not None and not listed:
+        raise ValueError("windows is empty: leave it out, if all measurements count")
+    for pair in listed:
+        if isinstance(pair, str) or np.shape(pair) != (2,):
+            name = "window" if windows is None else "each of windows"
+            raise ValueError(f"{name} must be two times, not {_options.show(pair)}")
+    return [(_options.number("window", start), _options.number("window", end)) for start, end in listed]
+
+
+def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tuple[str, str, Weight]]:
     """Pairs of output and column with their weights: 1 where there is none."""
     if weights is None:
         return [(variable, column, 1.0) for variable, column in outputs]
@@ -203,13 +297,25 @@ def weighted(
         for name in weights:
             if name not in known:
                 raise BadCalibrationError(f"weights: there is no output '{name}'; there are: {', '.join(known)}")
-        return [(v, c, _options.number("weights", weights.get(v, 1.0))) for v, c in outputs]
+        return [(v, c, _weight(v, weights.get(v, 1.0))) for v, c in outputs]
     if isinstance(weights, str) or not isinstance(weights, Iterable):
         raise TypeError(f"weights must be a dict of outputs and numbers, or a number per output, not {_options.show(weights)}")
-    numbers = [_options.number("weights", w) for w in weights]
-    if len(numbers) != len(outputs):
-        raise BadCalibrationError(f"{len(numbers)} weights for {len(outputs)} outputs")
-    return [(variable, column, weight) for (variable, column), weight in zip(outputs, numbers)]
+    listed = list(weights)
+    if len(listed) != len(outputs):
+        per_row = "; for one weight per measurement give a dict: weights={output: array}"
+        raise BadCalibrationError(f"{len(listed)} weights for {len(outputs)} outputs{per_row}")
+    return [(variable, column, _weight(variable, weight)) for (variable, column), weight in zip(outputs, listed)]
+
+
+def _weight(variable: str, weight: Any) -> Weight:
+    """A number, the name of a column, or numbers for all rows."""
+    if isinstance(weight, str):
+        return weight
+    if np.ndim(weight) == 0:
+        return _options.number("weights", weight)
+    if np.ndim(weight) != 1:
+        raise BadCalibrationError(f"weights of '{variable}' must be one-dimensional, not of shape {np.shape(weight)}")
+    return [_options.number("weights", one) for one in np.asarray(weight, dtype=float).tolist()]
 
 
 def path_of(model: Any) -> str:

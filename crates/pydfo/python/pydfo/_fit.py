@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, SupportsFloat
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _share, _worth
+from . import _core, _share, _validation, _worth
+from ._errors import CalibrationError
+from ._experiment import Experiment
+from ._keywords import also_called
 from ._result import OptimizeResult
 from ._share import PathLike
+from ._stages import Windows
 from ._trajectory import SimulationStats
+from ._validation import Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,8 +29,31 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 
 
+class OutputFit(NamedTuple):
+    """How well a fit reproduces one output of one experiment."""
+
+    experiment: str
+    """The experiment."""
+    variable: str
+    """The variable of the model."""
+    column: str
+    """The column that measured it."""
+    unit: str | None
+    """The unit of the variable, where the model states it."""
+    n: int
+    """How many measurements count."""
+    rms: float
+    """Root of the mean squared difference between simulation and measurement, without weights, in the unit of the variable."""
+    start_rms: float | None
+    """The same at the start; None if the simulation failed there."""
+    fit_percent: float
+    """Fit percentage: ``100 (1 - norm(simulated - measured) / norm(measured - mean))``; NaN where the measurements do not vary."""
+
+
 class Fit(OptimizeResult):
     """The result of a fit: all that an `OptimizeResult` has, with names and in terms of the measurements.
+
+    ``print(fit)`` shows it as a table, a notebook as a better one, and `report` writes a page.
 
     Attributes
     ----------
@@ -58,6 +86,8 @@ class Fit(OptimizeResult):
     n_beginnings : int
         How often the fit was begun: more than once where its simulations were found to depend on earlier ones, by a state that
         the model keeps and no variable shows; ``model.description.quirks`` says so, too. ``nfev`` counts from the last beginning.
+    outputs : list of OutputFit
+        How well each output is reproduced: RMS at the end and at the start, fit percentage. (Empty: interrupted twice.)
     scaled_rms : float or None
         The RMS over that at the start, on the same measurements.
     stages : list of Fit
@@ -75,7 +105,7 @@ class Fit(OptimizeResult):
 
     def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
         vars(self).update(vars(result))
-        rms = calibration._native.rms(self.fun)
+        rms = calibration._native.rms(list(map(float, self.x)), self.fun)
         self._rms_and_start: tuple[float, float | None] = vars(self).pop("_rms", (rms, None))
         counts = vars(self).pop("stats", None)
         self.stats = None if counts is None else SimulationStats(**counts)
@@ -86,6 +116,7 @@ class Fit(OptimizeResult):
             self.without_effect: list[str] = []
             self.n_checks = 0
             self.n_beginnings = 1
+        self._native: _core.Fit | None = vars(self).get("_native")
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
         self.worth = _worth.of_fit(vars(self).get("_native"))
@@ -94,6 +125,7 @@ class Fit(OptimizeResult):
         self.start = start
         self.solver = solver
         self.race = calibration.race
+        self.outputs = [] if self._native is None else [OutputFit(*output) for output in _core.fit_outputs(self._native)]
 
     @property
     def stderr(self) -> FloatArray | None:
@@ -125,8 +157,9 @@ class Fit(OptimizeResult):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The fitted values by name."""
-        return dict(zip(self._calibration.names, np.asarray(self.x).tolist()))
+        """The fitted values by name, those of parameters that are tied to others last."""
+        x = np.asarray(self.x).tolist()
+        return {**dict(zip(self._calibration.names, x)), **dict(self._calibration._native.tied(x))}
 
     @property
     def cost(self) -> float:
@@ -175,17 +208,78 @@ class Fit(OptimizeResult):
         """
         return self._calibration.simulate(self.x if x is None else x, times, outputs)
 
+    @also_called(window="windows")
+    def validate(
+        self, experiment: Experiment | Sequence[Experiment] | None = None, windows: Windows | None = None
+    ) -> Validation:
+        """Compares with measurements that the fit has not seen: of other recordings, or of other parts of the same ones.
+
+        Hold part of a recording back by fitting to a window of it: ``fit = Calibration(..., window=(0, 600)).fit()``, then
+        ``fit.validate(windows=(601, 1800))``.
+
+        Parameters
+        ----------
+        experiment : Experiment or list of Experiment, optional
+            Other recordings. Local parameters, which the fit does not know for them, are fitted to these recordings first, from
+            their start values there, with all others held.
+        windows : (float, float) or list of such, optional
+            Other windows of the recordings of the calibration, in s. Simulations start where they always do, so that the model
+            comes to a window with its history.
+
+        Returns
+        -------
+        Validation
+            RMS, scaled RMS and fit percentage of each output, what was measured and simulated; ``print`` and ``plot``.
+
+        Raises
+        ------
+        SimulationError
+            The simulation failed.
+        ValueError, KeyError, TypeError
+            Recordings or windows that cannot be used.
+        """
+        return _validation.validate(self, experiment, windows)
+
+    def prediction_band(
+        self, times: npt.ArrayLike | None = None, level: float = 0.95, outputs: Sequence[str] | str | None = None
+    ) -> dict[str, Any]:
+        """What the model predicts at the fitted values, with the uncertainty that the covariance of the parameters leaves (delta
+        method) and, for a new measurement, with its noise.
+
+        Parameters
+        ----------
+        times : array_like, optional
+            Times of the predictions in s, ascending; default: the measured times.
+        level : float
+            The probability that each interval shall hold.
+        outputs : list of str, optional
+            Only these of the compared outputs.
+
+        Returns
+        -------
+        dict of str to PredictionBand
+            By output: ``lower``, ``upper`` of the model's output, ``measured_lower``, ``measured_upper`` of a new measurement. With
+            several experiments: a dict of such by their names.
+
+        Raises
+        ------
+        ValueError
+            The fit has no covariance, or parameters that the data do not determine; a level that does not lie between 0 and 1.
+        """
+        return _validation.prediction_band(self, times, level, outputs)
+
     def residuals(self) -> FloatArray:
         """The residuals at the fitted values, simulated minus measured times weight; see `Calibration.residuals`."""
         return self._calibration.residuals(self.x)
 
     def plot(self) -> Figure:
-        """Draws measurements, the response at the start and the fitted one, and below the residuals.
+        """Draws measurements, the response at the start and the fitted one, below them the residuals of the fitted one, at the
+        bottom the inputs.
 
         Returns
         -------
         matplotlib.figure.Figure
-            One column per output of each experiment. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
+            Two panels per output of each experiment. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
 
         Raises
         ------
@@ -194,7 +288,33 @@ class Fit(OptimizeResult):
         """
         from . import _plot
 
-        return _plot.fit(self, self._calibration)
+        return _plot.fit(self, self._of_run("plot"))
+
+    def plot_convergence(self) -> Figure:
+        """Draws the cost of each evaluation and the best so far, and below them how the best point moved; as `plot`."""
+        from . import _plot
+
+        return _plot.convergence(self, self._calibration.names)
+
+    def plot_waterfall(self) -> Figure:
+        """Draws the costs at which local searches from several starts ended, sorted: what lies on one level is one minimum; as
+        `plot`. ValueError: the method was another one than "multistart"."""
+        from . import _plot
+
+        return _plot.waterfall(self)
+
+    def plot_correlation(self) -> Figure:
+        """Draws the correlation of the parameters as a coloured table; as `plot`. ValueError: the fit has no standard errors."""
+        from . import _plot
+
+        return _plot.correlation(self.correlation, self._calibration.names)
+
+    def plot_sensitivity(self) -> Figure:
+        """Draws what a relative change of each parameter makes of each output, over time, or for more than six parameters its root
+        mean square; as `plot`. ValueError: the fit has no standard errors, and no derivatives."""
+        from . import _plot
+
+        return _plot.sensitivity(self._of_run("plot_sensitivity"), self._calibration.names)
 
     def save(self, path: PathLike) -> None:
         """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
@@ -337,21 +457,36 @@ class Fit(OptimizeResult):
             return getattr(self, key)
         return super().__getitem__(key)
 
-    def __repr__(self) -> str:
-        width = max(10, *(len(name) for name in self._calibration.names))
-        lines = [f"{name:>{width}}: {value:.8g}" for name, value in self.parameters.items()]
-        lines.append(f"{'cost':>{width}}: {self.cost:.8g}" + self._was(self.start_cost))
-        lines.append(f"{'rms':>{width}}: {self.rms:.8g}" + self._was(self.start_rms))
-        for line in super().__repr__().splitlines():
-            name, _, text = line.partition(": ")
-            if name.strip() not in ("fun", "x"):
-                lines.append(f"{name.strip():>{width}}: {text}")
-        if self.stats is not None:
-            seconds, in_model = self.stats.seconds, self.stats.seconds_in_model
-            work = f"{self.stats.right_hand_sides} right-hand sides, {seconds:.3g} s, {in_model:.3g} s of them inside the model"
-            lines.append(f"{'simulated':>{width}}: {work}")
-        return "\n".join(lines)
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Writes a report: one HTML page that needs no network, with parameters and their intervals, outputs, figures, settings,
+        versions, and hashes of model and data.
 
-    @staticmethod
-    def _was(value: float | None) -> str:
-        return "" if value is None else f" ({value:.8g} at the start)"
+        Each experiment is simulated at the start and at the fitted values. An existing file is replaced once the new one is
+        whole.
+
+        Parameters
+        ----------
+        path : path
+            The file, ``"fit.html"``.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+        SimulationError
+            A simulation fails that did not in the fit.
+        """
+        _core.fit_report(self._of_run("report"), path)
+
+    def _of_run(self, what: str) -> _core.Fit:
+        """The native fit."""
+        if self._native is None:
+            raise CalibrationError(f"{what}: the fit was interrupted twice, and has nothing but its last iteration")
+        return self._native
+
+    def __repr__(self) -> str:
+        return super().__repr__() if self._native is None else _core.fit_text(self._native)
+
+    def _repr_html_(self) -> str | None:
+        """The same for notebooks."""
+        return None if self._native is None else _core.fit_html(self._native)

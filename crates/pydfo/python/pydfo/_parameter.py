@@ -2,14 +2,61 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
 
 from . import _core
 from ._keywords import explained
-from ._options import choice, flag, number, optional_number
+from ._options import choice, flag, names, number, optional_number, show
+
+
+@dataclass(frozen=True)
+class Normal:
+    """What is known of a parameter before the fit: normally distributed.
+
+    It adds one residual, ``(p - mean) / sd``, behind those of the measurements, whose weights should be 1/sigma of their
+    noise then. `Fit.rms` does not count it.
+
+    Parameters
+    ----------
+    mean, sd : float
+        Mean and standard deviation, in the unit of the parameter.
+    """
+
+    mean: float
+    sd: float
+
+    def __post_init__(self) -> None:
+        _numbers(self, mean=self.mean, sd=self.sd)
+
+
+@dataclass(frozen=True)
+class LogNormal:
+    """What is known of a positive parameter before the fit: its logarithm is normally distributed.
+
+    It adds one residual, ``(ln p - ln median) / sigma``; see `Normal`.
+
+    Parameters
+    ----------
+    median : float
+        In the unit of the parameter.
+    sigma : float
+        Standard deviation of the natural logarithm: 0.1 is about 10 %.
+    """
+
+    median: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        _numbers(self, median=self.median, sigma=self.sigma)
+
+
+def _numbers(prior: Normal | LogNormal, **given: object) -> None:
+    for name, value in given.items():
+        object.__setattr__(prior, name, number(name, value))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, init=False)
@@ -19,9 +66,10 @@ class Parameter:
     Parameters
     ----------
     name : str
-        Its name in the model.
+        Its name in the model: that of a parameter, or of a variable whose start value is fitted, a state for example. With `variables`,
+        `delay_of` or `offset_of` the name is free.
     start : float
-        Where the fit starts, in the model's unit.
+        Where the fit starts, in the model's unit (or in `unit`). A parameter that is tied has none.
     lower, upper : float, optional
         Bounds; None where there is none.
     scale : {"linear", "log"}
@@ -39,6 +87,25 @@ class Parameter:
     local : bool
         Each experiment has a value of its own, ``T0[run1]``, ``T0[run2]``, instead of one for all. Where the `start_values` of an
         `Experiment` name the parameter, its search starts there.
+    variables : list of str, optional
+        The variables of the model that it sets, all to the same value.
+    delay_of : str, optional
+        It is the delay in s of this output that is compared (``y(t - tau)`` with what was measured at t; before the start the value at the
+        start), or of this input (``u(t - tau)``). It needs a finite lower bound.
+    offset_of : str, optional
+        It is added to this output that is compared, or to this input.
+    tied_to : str, optional
+        Name of another parameter that it follows: its value is ``factor * other + offset``. It is no entry of ``x`` then; bounds,
+        prior and the like are those of the other, and ``fit.parameters`` has its value.
+    factor, offset : float
+        Those of `tied_to`.
+    unit : str, optional
+        The unit of start, bounds and results, where the model states another one for the variable ("kJ/K", "degC"): values are converted
+        for the model.
+    display_name : str, optional
+        What reports and figures call it.
+    prior : Normal or LogNormal, optional
+        What is known of it before the fit. (Uniform: the bounds.)
 
     Raises
     ------
@@ -50,10 +117,16 @@ class Parameter:
     --------
     >>> Parameter("armFriction", 0.012, 0, 0.022)
     Parameter('armFriction', 0.012, 0.0, 0.022)
+    >>> Parameter("outlets", 3e-6, 2e-6, 4e-6, variables=["qt.a1", "qt.a2"], prior=LogNormal(3e-6, 0.1))
+    Parameter('outlets', 3e-06, 2e-06, 4e-06, variables=('qt.a1', 'qt.a2'), prior=LogNormal(median=3e-06, sigma=0.1))
+    >>> Parameter("tau", 0.05, 0, 1, delay_of="armJoint.phi")
+    Parameter('tau', 0.05, 0.0, 1.0, delay_of='armJoint.phi')
+    >>> Parameter("qt.a3", tied_to="outlets", factor=0.5)
+    Parameter('qt.a3', tied_to='outlets', factor=0.5)
     """
 
     name: str
-    start: float
+    start: float | None
     lower: float
     upper: float
     scale: str
@@ -61,12 +134,21 @@ class Parameter:
     kind: str
     fixed: bool
     local: bool
+    variables: tuple[str, ...] | None
+    delay_of: str | None
+    offset_of: str | None
+    tied_to: str | None
+    factor: float
+    offset: float
+    unit: str | None
+    display_name: str | None
+    prior: Normal | LogNormal | None
 
     @explained
     def __init__(
         self,
         name: str,
-        start: float,
+        start: float | None = None,
         lower: float | None = None,
         upper: float | None = None,
         *,
@@ -75,10 +157,19 @@ class Parameter:
         kind: Literal["continuous", "integer", "categorical"] = "continuous",
         fixed: bool = False,
         local: bool = False,
+        variables: Sequence[str] | str | None = None,
+        delay_of: str | None = None,
+        offset_of: str | None = None,
+        tied_to: str | None = None,
+        factor: float = 1.0,
+        offset: float = 0.0,
+        unit: str | None = None,
+        display_name: str | None = None,
+        prior: Normal | LogNormal | None = None,
     ) -> None:
         put = object.__setattr__
         put(self, "name", choice("name", name))
-        put(self, "start", number("start", start))
+        put(self, "start", optional_number("start", start))
         put(self, "lower", -np.inf if lower is None else number("lower", lower))
         put(self, "upper", np.inf if upper is None else number("upper", upper))
         put(self, "scale", choice("scale", scale))
@@ -86,20 +177,35 @@ class Parameter:
         put(self, "kind", choice("kind", kind))
         put(self, "fixed", flag("fixed", fixed))
         put(self, "local", flag("local", local))
+        listed = [variables] if isinstance(variables, str) else variables
+        put(self, "variables", None if listed is None else tuple(names("variables", listed)))
+        for optional, text in (
+            ("delay_of", delay_of),
+            ("offset_of", offset_of),
+            ("tied_to", tied_to),
+            ("unit", unit),
+            ("display_name", display_name),
+        ):
+            put(self, optional, None if text is None else choice(optional, text))
+        put(self, "factor", number("factor", factor))
+        put(self, "offset", number("offset", offset))
+        if prior is not None and not isinstance(prior, (Normal, LogNormal)):
+            raise TypeError(f"prior must be pydfo.Normal(mean, sd) or pydfo.LogNormal(median, sigma), not {show(prior)}")
+        put(self, "prior", prior)
         _core.check_parameter(self)
 
     def __repr__(self) -> str:
-        said = [repr(self.name), repr(self.start)]
-        said.append("None" if self.lower == -np.inf else repr(self.lower))
-        said.append("None" if self.upper == np.inf else repr(self.upper))
-        if self.scale != "linear":
-            said.append(f"scale={self.scale!r}")
-        if self.nominal is not None:
-            said.append(f"nominal={self.nominal!r}")
-        if self.kind != "continuous":
-            said.append(f"kind={self.kind!r}")
-        if self.fixed:
-            said.append("fixed=True")
-        if self.local:
-            said.append("local=True")
+        said = [repr(self.name)]
+        if self.start is not None:
+            said.append(repr(self.start))
+            said.append("None" if self.lower == -np.inf else repr(self.lower))
+            said.append("None" if self.upper == np.inf else repr(self.upper))
+        for field in fields(self)[4:]:
+            value = getattr(self, field.name)
+            if value != _DEFAULTS.get(field.name):
+                said.append(f"{field.name}={value!r}")
         return f"Parameter({', '.join(said)})"
+
+
+#: What stands in no representation; None where it is not here.
+_DEFAULTS = {"scale": "linear", "kind": "continuous", "fixed": False, "local": False, "factor": 1.0, "offset": 0.0}

@@ -1,0 +1,61 @@
+//! What does not fit between model, recordings and parameters, said before anything is fitted.
+
+mod finding;
+mod model;
+mod recording;
+mod simulated;
+mod subject;
+
+pub use finding::{Check, Finding, Severity};
+
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use subject::Subject;
+
+impl Calibration {
+    /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters' start values, and another with
+    /// times a thousandth as long where the times could be in ms.
+    ///
+    /// Looked at are the times (order, gaps, unit, start), the recorded values (constant, clipped, missing, units, initial values,
+    /// columns that are swapped), inputs that nothing drives or that end early, and ranges that the model states for its parameters. What
+    /// cannot be evaluated at all is refused when the calibration is built.
+    pub fn check(&self) -> Check {
+        self.check_until(true, &|| false).unwrap_or_default()
+    }
+
+    /// As [`check`](Self::check); simulates only if `simulate` says so, and ends when `cancelled` does.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`] alone: a simulation that fails is a finding.
+    pub fn check_until(
+        &self,
+        simulate: bool,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Check, CalibrationError> {
+        let (problem, description) = (self.problem(), self.fmu().description());
+        let mut findings = model::construction_warnings(self.warnings());
+        findings.extend(model::parameters(self.parameters(), description));
+        let names = problem.experiment_names();
+        let is_one = names.len() == 1;
+        let subjects: Vec<Subject<'_>> = (problem.experiments.iter().zip(&names).enumerate())
+            .map(|(k, (experiment, name))| Subject {
+                prefix: if is_one { String::new() } else { format!("{name}: ") },
+                experiment,
+                description,
+                start_time: self.evaluator().simulations[k].options.start_time.unwrap_or_default(),
+            })
+            .collect();
+        for subject in &subjects {
+            findings.extend(model::inputs(subject));
+            findings.extend(model::units(subject));
+            findings.extend(recording::times(subject));
+            findings.extend(recording::columns(subject));
+        }
+        let mut n_evaluations = 0;
+        if simulate {
+            findings.extend(simulated::findings(self, &subjects, cancelled, &mut n_evaluations)?);
+        }
+        findings.sort_by_key(|finding| finding.severity);
+        Ok(Check { findings, n_evaluations })
+    }
+}

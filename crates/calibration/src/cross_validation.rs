@@ -1,0 +1,199 @@
+//! Cross-validation by recording: fits without some of the recordings, each validated on those that it was not given.
+
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::fit::{Fit, FitOptions};
+use crate::parallel;
+use crate::validation::{Validation, ValidationSet};
+use crate::worth::digits;
+use dfo::{AnyMethod, RobustLoss, RunOptions};
+use ode::Stats;
+use std::fmt;
+use std::thread::available_parallelism;
+use std::time::{Duration, Instant};
+
+/// How a cross-validation is made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CrossValidationOptions {
+    /// Number of folds: at each turn one of them is held out, which has every k-th recording; default: as many as there are
+    /// recordings, so that one is held out at a time.
+    pub folds: Option<usize>,
+    /// How each fit is made. `workers` (default: all cores) are shared by the fits, which run at once; `max_time` holds for all of them
+    /// together; there are no checkpoints.
+    pub run: RunOptions<AnyMethod>,
+    /// What a residual counts.
+    pub loss: RobustLoss,
+}
+
+impl Default for CrossValidationOptions {
+    fn default() -> Self {
+        Self { folds: None, run: FitOptions::default_run(), loss: RobustLoss::default() }
+    }
+}
+
+/// Recordings that were held out, the fit to the others, and how well it reproduces those.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Fold {
+    /// Names of the recordings that were held out.
+    pub held_out: Vec<String>,
+    /// The fit to the others.
+    pub fit: Fit,
+    /// How well it reproduces those that were held out.
+    pub validation: Validation,
+}
+
+/// A cross-validation. `Display` prints a table.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct CrossValidation {
+    /// The folds.
+    pub folds: Vec<Fold>,
+    /// Root of the mean squared weighted residual of all recordings, each when it was held out.
+    pub rms: f64,
+    /// The shared parameters: name, mean over the folds, standard deviation between them.
+    pub parameters: Vec<(String, f64, f64)>,
+    /// What all simulations took.
+    pub stats: Stats,
+}
+
+impl Calibration {
+    /// Fits without some of the recordings, and validates on those that were left out: by default each recording once. A fit that
+    /// describes the machine predicts a recording as well as it reproduces those that it was fitted to, with much the same
+    /// parameters whichever is left out. [Local](crate::Parameter::local) parameters of a recording that is held out are
+    /// fitted to it, all others held, as in [`validate`](Self::validate).
+    ///
+    /// # Errors
+    /// Fewer than two recordings, folds that are none or too many, an error of one of the fits.
+    pub fn cross_validate(
+        &self,
+        options: &CrossValidationOptions,
+    ) -> Result<CrossValidation, CalibrationError> {
+        self.cross_validate_until(options, &|| false)
+    }
+
+    /// As [`cross_validate`](Self::cross_validate); `cancelled` is asked on the calling thread.
+    ///
+    /// # Errors
+    /// As [`cross_validate`](Self::cross_validate), and [`CalibrationError::Cancelled`].
+    pub fn cross_validate_until(
+        &self,
+        options: &CrossValidationOptions,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<CrossValidation, CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        let n = self.problem().experiments.len();
+        if n < 2 {
+            return setup(
+                "a cross-validation leaves recordings out, so it needs two or more experiments; there is one: hold a part of it back \
+                 with a window, and validate on the rest"
+                    .to_owned(),
+            );
+        }
+        let k = options.folds.unwrap_or(n);
+        if !(2..=n).contains(&k) {
+            return setup(format!("{k} folds of {n} recordings: there must be from 2 to {n}"));
+        }
+        self.solver_until(cancelled)?;
+        self.prepare(cancelled)?;
+        let workers = options.run.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let late = options.run.limits.max_time.and_then(|limit| Instant::now().checked_add(limit));
+        let task = |fold: usize, cancelled: &dyn Fn() -> bool| {
+            let mut run = options.run.clone();
+            (run.workers, run.checkpoint) = (Some((workers / k).max(1)), None);
+            if let Some(late) = late {
+                let left = late.saturating_duration_since(Instant::now());
+                run.limits.max_time = Some(left.max(Duration::from_millis(1)));
+            }
+            self.fold((fold, k), run, options.loss, cancelled)
+        };
+        let folds = parallel::map((k, workers), cancelled, &task).into_iter();
+        let folds: Vec<Fold> =
+            folds.map(|fold| fold.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
+        let counted: usize = folds.iter().map(|fold| fold.validation.n).sum();
+        let sum: f64 =
+            folds.iter().map(|f| f.validation.n as f64 * f.validation.rms * f.validation.rms).sum();
+        let mut stats = Stats::default();
+        for fold in &folds {
+            stats += fold.fit.stats;
+            stats += fold.validation.stats;
+        }
+        let shared = self.problem().parameters.iter().filter(|p| !p.is_local());
+        let spread = |name: &str| {
+            let of = |fit: &Fit| fit.names.iter().position(|n| n == name).map(|i| fit.x[i]);
+            let values: Vec<f64> = folds.iter().filter_map(|fold| of(&fold.fit)).collect();
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+            (name.to_owned(), mean, (squares / (values.len() as f64 - 1.0)).sqrt())
+        };
+        let parameters = shared.map(|p| spread(p.name())).collect();
+        Ok(CrossValidation { rms: (sum / counted as f64).sqrt(), parameters, stats, folds })
+    }
+
+    /// The fit without the recordings of a fold, validated on them.
+    fn fold(
+        &self,
+        (fold, k): (usize, usize),
+        run: RunOptions<AnyMethod>,
+        loss: RobustLoss,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Fold, CalibrationError> {
+        let mut problem = self.problem().clone();
+        let (mut held_out, mut kept) = (Vec::new(), Vec::new());
+        for ((i, mut experiment), name) in
+            problem.experiments.drain(..).enumerate().zip(self.problem().experiment_names())
+        {
+            // A name by position would be another one among the others.
+            experiment.name = Some(name);
+            if i % k == fold { held_out.push(experiment) } else { kept.push(experiment) }
+        }
+        problem.experiments = kept;
+        let names = held_out.iter().filter_map(|experiment| experiment.name.clone()).collect::<Vec<_>>();
+        let without = |source| CalibrationError::Experiment {
+            name: format!("without {}", names.join(", ")),
+            source: Box::new(source),
+        };
+        let fitted = self.derived(problem).map_err(without)?;
+        let poll: Option<Box<dyn FnMut() -> bool>> = Some(Box::new(cancelled));
+        let fit = fitted
+            .fit(FitOptions { run, loss, poll, worth: None, ..FitOptions::default() })
+            .map_err(without)?;
+        if cancelled() {
+            return Err(CalibrationError::Cancelled);
+        }
+        let validation = fitted.validate_until(&fit, &ValidationSet::Experiments(held_out), cancelled);
+        let validation = validation.map_err(without)?;
+        Ok(Fold { held_out: names, fit, validation })
+    }
+}
+
+impl fmt::Display for CrossValidation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let held_out: Vec<String> = self.folds.iter().map(|fold| fold.held_out.join(", ")).collect();
+        let width = held_out.iter().map(|name| name.chars().count()).max().unwrap_or(0).max(8);
+        let columns: Vec<usize> =
+            self.parameters.iter().map(|(name, ..)| name.chars().count().max(10)).collect();
+        write!(f, "{:<width$}  {:>10}  {:>10}", "held out", "RMS", "RMS of fit")?;
+        for ((name, ..), column) in self.parameters.iter().zip(&columns) {
+            write!(f, "  {name:>column$}")?;
+        }
+        for (fold, name) in self.folds.iter().zip(&held_out) {
+            let [rms, of_fit] = [fold.validation.rms, fold.fit.rms].map(|rms| digits(rms).to_string());
+            write!(f, "\n{name:<width$}  {rms:>10}  {of_fit:>10}")?;
+            for ((name, ..), column) in self.parameters.iter().zip(&columns) {
+                let value = fold.fit.names.iter().position(|n| n == name).map(|i| fold.fit.x[i]);
+                let value = value.map_or_else(String::new, |value| digits(value).to_string());
+                write!(f, "  {value:>column$}")?;
+            }
+        }
+        write!(f, "\n{:<width$}  {:>10}  {:>10}", "mean", digits(self.rms).to_string(), "")?;
+        for ((_, mean, _), column) in self.parameters.iter().zip(&columns) {
+            write!(f, "  {:>column$}", digits(*mean).to_string())?;
+        }
+        write!(f, "\n{:<width$}  {:>10}  {:>10}", "spread", "", "")?;
+        for ((.., spread), column) in self.parameters.iter().zip(&columns) {
+            write!(f, "  {:>column$}", digits(*spread).to_string())?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,174 @@
+//! What figures of a fit show: measurements, responses at the start and at the fitted values, residuals, inputs, sensitivities.
+
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::fit::Fit;
+use crate::input::InputSource;
+use crate::layout::OutputResiduals;
+use crate::parallel;
+use dfo::RobustLoss;
+use fmi::Trajectory;
+use std::thread::available_parallelism;
+
+/// Points of a response.
+const CURVE_POINTS: usize = 2001;
+
+/// What is to be drawn of one experiment of a fit.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ExperimentCurves {
+    /// The experiment.
+    pub name: String,
+    /// Where measurements count, in s; none: everywhere.
+    pub windows: Vec<(f64, f64)>,
+    /// Its outputs, in the order of the residual vector.
+    pub outputs: Vec<OutputCurves>,
+    /// Its recorded inputs.
+    pub inputs: Vec<Signal>,
+}
+
+/// What is to be drawn of one output of an experiment.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct OutputCurves {
+    /// The measurements that count.
+    pub measured: Signal,
+    /// Simulated at the fitted values minus measured, without weights, at the same times.
+    pub residuals: Vec<f64>,
+    /// The response at the start of the fit; `None` if the simulation fails there.
+    pub start: Option<Signal>,
+    /// The response at the fitted values.
+    pub fitted: Option<Signal>,
+}
+
+/// A variable over time.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Signal {
+    /// The variable of the model.
+    pub variable: String,
+    /// Its unit, where the model states it.
+    pub unit: Option<String>,
+    /// Times, in s.
+    pub times: Vec<f64>,
+    /// Its values.
+    pub values: Vec<f64>,
+}
+
+impl Calibration {
+    /// What is to be drawn of a fit, experiment by experiment: each is simulated at the start of the fit and at the fitted values.
+    /// `cancelled` is asked before every step of the simulations.
+    ///
+    /// # Errors
+    /// The fit has another number of parameters, or its simulation fails now; [`CalibrationError::Cancelled`].
+    pub fn curves(
+        &self,
+        fit: &Fit,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Vec<ExperimentCurves>, CalibrationError> {
+        self.check_length(&fit.x)?;
+        let layout = self.residual_layout();
+        let residuals = match &fit.worth {
+            // With a robust loss those are not the plain ones.
+            Some(worth)
+                if worth.residuals.len() == layout.n_residuals()
+                    && fit.report.loss == RobustLoss::default() =>
+            {
+                worth.residuals.clone()
+            }
+            _ => self.residuals_until(&fit.x, cancelled)?,
+        };
+        let names = self.problem().experiment_names();
+        // Chosen before several threads ask for it.
+        self.solver_until(cancelled)?;
+        let workers = available_parallelism().map_or(1, usize::from);
+        let simulate = |k: usize, cancelled: &dyn Fn() -> bool| {
+            self.response(k / 2, if k % 2 == 0 { &fit.start } else { &fit.x }, cancelled)
+        };
+        let mut responses = parallel::map((2 * names.len(), workers), cancelled, &simulate).into_iter();
+        let mut response = || responses.next().flatten().unwrap_or(Err(CalibrationError::Cancelled));
+        let curves = |(k, name): (usize, String)| {
+            let (at_start, at_end) = (response()?, response()?);
+            let output = |series: &OutputResiduals| {
+                let signal = |times: &[f64], values: &[f64]| self.signal(&series.variable, times, values);
+                let curve = |trajectory: &Option<Trajectory>| {
+                    let trajectory = trajectory.as_ref()?;
+                    Some(signal(&trajectory.time, trajectory.columns.get(series.output)?))
+                };
+                let own = residuals[series.range.clone()].iter().zip(&series.weights);
+                OutputCurves {
+                    measured: signal(&series.times, &series.measured),
+                    residuals: own.map(|(r, w)| r / w).collect(),
+                    start: curve(&at_start),
+                    fitted: curve(&at_end),
+                }
+            };
+            let experiment = &self.problem().experiments[k];
+            let own = layout.outputs.iter().filter(|series| series.experiment == k);
+            let input = |(variable, source): &(String, InputSource)| {
+                let InputSource::Column(column) = source else { return None };
+                let values = experiment.data.column(column).ok()?;
+                Some(self.signal(variable, experiment.data.time(), values))
+            };
+            let inputs = experiment.inputs.iter().filter_map(input).collect();
+            Ok(ExperimentCurves {
+                name,
+                windows: experiment.windows.clone(),
+                outputs: own.map(output).collect(),
+                inputs,
+            })
+        };
+        names.into_iter().enumerate().map(curves).collect()
+    }
+
+    fn signal(&self, variable: &str, times: &[f64], values: &[f64]) -> Signal {
+        let declared = self.fmu().description().variable(variable);
+        Signal {
+            variable: variable.to_owned(),
+            unit: declared.and_then(|v| v.unit.clone()),
+            times: times.to_vec(),
+            values: values.to_vec(),
+        }
+    }
+
+    /// An experiment simulated from its start to its last measurement; `None` if that fails.
+    fn response(
+        &self,
+        k: usize,
+        x: &[f64],
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Option<Trajectory>, CalibrationError> {
+        let options = &self.evaluator().simulations[k].options;
+        let (Some(start), Some(end)) = (options.start_time, options.final_time) else { return Ok(None) };
+        let step = (end - start) / (CURVE_POINTS - 1) as f64;
+        let mut times: Vec<f64> = (0..CURVE_POINTS).map(|i| (start + i as f64 * step).min(end)).collect();
+        times.dedup();
+        match self.simulate_experiment_until(k, x, Some(&times), cancelled) {
+            Err(CalibrationError::Cancelled) => Err(CalibrationError::Cancelled),
+            simulated => Ok(simulated.ok()),
+        }
+    }
+
+    /// How much each parameter moves each output, without weights, in the order of the residual vector: the derivative times the size
+    /// of the parameter's value (of one that is zero: its nominal size), so what a relative change of one makes. Per output one column
+    /// per parameter. Empty where the fit has no [`Worth`](crate::Worth).
+    pub fn sensitivities(&self, fit: &Fit) -> Vec<Vec<Vec<f64>>> {
+        let (layout, n) = (self.residual_layout(), fit.x.len());
+        let jacobian = fit.worth.as_ref().map(|worth| worth.jacobian.as_slice());
+        let Some(jacobian) =
+            jacobian.filter(|j| n > 0 && n == self.parameters().len() && j.len() == n * layout.n_residuals())
+        else {
+            return Vec::new();
+        };
+        let size = |i: usize| match fit.x[i].abs() {
+            0.0 => self.size_of(&self.parameters()[i], 0.0),
+            size => size,
+        };
+        let column = |series: &OutputResiduals, i: usize| {
+            let rows = series.range.clone().zip(&series.weights);
+            rows.map(|(row, weight)| jacobian[row * n + i] * size(i) / weight).collect()
+        };
+        let columns = |series: &OutputResiduals| (0..n).map(|i| column(series, i)).collect();
+        layout.outputs.iter().map(columns).collect()
+    }
+}

@@ -1,0 +1,301 @@
+//! Figures of the report as SVG: panels over a common axis, with a few points where there are many.
+//!
+//! Colours stand in the drawings as attributes, by which the page's style sheet finds what it redraws in a dark page.
+
+use super::number::rounded;
+use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+use std::ops::Range;
+
+/// What is drawn from a recording, at the start of a fit, and at its end; text; lines of the grid. Blue, vermillion and greys
+/// are told apart by colour-blind readers (Okabe and Ito, Color universal design, 2008), and lines also by their dashes.
+const MEASURED: RGBColor = RGBColor(0x76, 0x76, 0x76);
+const START: RGBColor = RGBColor(0xD5, 0x5E, 0x00);
+const FITTED: RGBColor = RGBColor(0x00, 0x72, 0xB2);
+const TEXT: RGBColor = RGBColor(0x1A, 0x1A, 0x1A);
+const GRID: RGBColor = RGBColor(0xDD, 0xDD, 0xDD);
+
+/// Units of a drawing per pixel of a figure: coordinates are whole numbers.
+const FINE: u32 = 3;
+
+/// Width of a figure in pixels.
+const WIDTH: u32 = 560;
+
+/// Space of the labels at the left and below, and at the other sides, in pixels.
+const LEFT: u32 = 86;
+const BELOW: u32 = 44;
+const MARGIN: u32 = 8;
+
+/// Size of the text in pixels; the drawing library takes 1.24 times the size that it writes.
+const TEXT_SIZE: f64 = 13.0 * 1.24 * FINE as f64;
+
+/// Longer labels are cut.
+const LONGEST_LABEL: usize = 34;
+
+/// At most so many points of a line are drawn, or marks of a series.
+const MOST: usize = 1000;
+
+/// A point of a drawing.
+pub(super) type Point = (f64, f64);
+
+/// A series and how it is drawn.
+pub(super) enum Series {
+    /// Single marks of what was measured, or evaluated.
+    Measured(Vec<Point>),
+    /// Single marks of what belongs to the fitted values.
+    Marks(Vec<Point>),
+    /// A line at the start, and one at the fitted values.
+    Start(Vec<Point>),
+    Fitted(Vec<Point>),
+}
+
+/// Series over a common axis.
+pub(super) struct Panel {
+    /// Its height, in pixels.
+    pub(super) height: u32,
+    pub(super) y_label: String,
+    pub(super) series: Vec<Series>,
+    /// Whether the values are logarithms, to base 10, of what the labels say.
+    pub(super) is_logarithm: bool,
+    /// Whether a line at zero is drawn.
+    pub(super) has_zero: bool,
+}
+
+impl Series {
+    fn points(&self) -> &[Point] {
+        match self {
+            Self::Measured(points) | Self::Marks(points) | Self::Start(points) | Self::Fitted(points) => {
+                points
+            }
+        }
+    }
+}
+
+/// The panels below each other as an SVG element; `None` where there is nothing finite to draw.
+pub(super) fn draw(panels: &[Panel], x_label: &str) -> Option<String> {
+    let all = panels.iter().flat_map(|panel| panel.series.iter().flat_map(Series::points));
+    let x = range(all.filter(|(_, y)| y.is_finite()).map(|(x, _)| *x), 0.0)?;
+    let heights: Vec<u32> = panels.iter().map(|panel| panel.height).collect();
+    let size = (WIDTH * FINE, (heights.iter().sum::<u32>() + BELOW) * FINE);
+    let mut svg = String::new();
+    {
+        let area = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        let mut rest = area.clone();
+        for (k, panel) in panels.iter().enumerate() {
+            let is_last = k + 1 == panels.len();
+            let height = (panel.height + if is_last { BELOW } else { 0 }) * FINE;
+            let (own, others) = rest.split_vertically(height as i32);
+            rest = others;
+            panel.draw(&own, x.clone(), is_last.then_some(x_label)).ok()?;
+        }
+        area.present().ok()?;
+    }
+    // What attributes are without being named, and so often that it counts.
+    Some(svg.replace(" opacity=\"1\"", "").replace(" stroke=\"none\" stroke-width=\"1\"", ""))
+}
+
+/// What is to be said of so many marks.
+pub(super) fn note(n: usize) -> String {
+    match n.div_ceil(MOST) {
+        0 | 1 => String::new(),
+        every => format!("One of {every} of the {n} measurements is drawn."),
+    }
+}
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
+
+impl Panel {
+    /// The values from the smallest to the largest. What the start has beyond twice the width of the others is cut off.
+    fn y_range(&self) -> Option<Range<f64>> {
+        let of = |is_start: bool| {
+            let series = self.series.iter().filter(move |s| matches!(s, Series::Start(_)) == is_start);
+            series.flat_map(Series::points).map(|(_, y)| *y)
+        };
+        let zero = self.has_zero.then_some(0.0);
+        let Some(others) = range(of(false).chain(zero), 0.05) else { return range(of(true), 0.05) };
+        let by = 2.0 * (others.end - others.start);
+        let start = of(true).map(|y| y.clamp(others.start - by, others.end + by));
+        range(of(false).chain(zero).chain(start.filter(|y| y.is_finite())), 0.05)
+    }
+
+    fn draw(&self, area: &Area<'_>, x: Range<f64>, x_label: Option<&str>) -> Drawn {
+        let Some(y) = self.y_range() else { return Ok(()) };
+        let mut chart = ChartBuilder::on(area)
+            .margin(MARGIN * FINE)
+            .set_label_area_size(LabelAreaPosition::Left, LEFT * FINE)
+            .set_label_area_size(LabelAreaPosition::Bottom, x_label.map_or(0, |_| BELOW * FINE))
+            .build_cartesian_2d(x.clone(), y.clone())?;
+        let x_text = labels(&x);
+        let plain = labels(&y);
+        let y_text = |y: &f64| if self.is_logarithm { rounded(10_f64.powf(*y), 2) } else { plain(y) };
+        let text = ("sans-serif", TEXT_SIZE).into_font().color(&TEXT);
+        chart
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(GRID.stroke_width(FINE))
+            .axis_style(MEASURED.stroke_width(FINE))
+            .label_style(text.clone())
+            .axis_desc_style(text)
+            .x_labels(if x_label.is_some() { 6 } else { 0 })
+            .y_labels((self.height / 36) as usize)
+            .x_label_formatter(&x_text)
+            .y_label_formatter(&y_text)
+            .x_desc(x_label.unwrap_or_default())
+            .y_desc(cut(&self.y_label))
+            .draw()?;
+        if self.has_zero {
+            chart
+                .draw_series(LineSeries::new([(x.start, 0.0), (x.end, 0.0)], MEASURED.stroke_width(FINE)))?;
+        }
+        self.series.iter().try_for_each(|series| draw_series(&mut chart, series, &y))
+    }
+}
+
+fn draw_series(chart: &mut Chart<'_, '_>, series: &Series, y: &Range<f64>) -> Drawn {
+    let line = |colour: RGBColor| colour.stroke_width(2 * FINE - 1);
+    match series {
+        Series::Measured(points) | Series::Marks(points) => {
+            let colour = if matches!(series, Series::Marks(_)) { FITTED } else { MEASURED };
+            let marks = sampled(points).into_iter();
+            chart.draw_series(marks.map(|point| Circle::new(point, 2 * FINE, colour.filled())))?;
+        }
+        Series::Start(points) => {
+            let inside = points.iter().map(|(t, value)| (*t, value.clamp(y.start, y.end)));
+            chart.draw_series(LineSeries::new(thinned(&inside.collect::<Vec<_>>()), line(START)))?;
+        }
+        Series::Fitted(points) => {
+            chart.draw_series(LineSeries::new(thinned(points), line(FITTED)))?;
+        }
+    }
+    Ok(())
+}
+
+fn finite(points: &[Point]) -> Vec<Point> {
+    points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
+}
+
+/// The finite points as marks: all of them, or every second, third or so on, by which they look as scattered as they are; and the
+/// lowest and the highest of all.
+fn sampled(points: &[Point]) -> Vec<Point> {
+    let finite = finite(points);
+    let by_value = |a: &&Point, b: &&Point| a.1.total_cmp(&b.1);
+    let every = finite.len().div_ceil(MOST).max(1);
+    let mut marks: Vec<Point> = finite.iter().step_by(every).copied().collect();
+    if every > 1 {
+        marks.extend(finite.iter().min_by(by_value).into_iter().chain(finite.iter().max_by(by_value)));
+    }
+    marks
+}
+
+/// The finite points of a line: all of them, or of each stretch of them the lowest and the highest, so that no extreme is lost.
+fn thinned(points: &[Point]) -> Vec<Point> {
+    let finite = finite(points);
+    if finite.len() <= MOST {
+        return finite;
+    }
+    let extremes = |stretch: &[Point]| {
+        let by_value = |a: &&Point, b: &&Point| a.1.total_cmp(&b.1);
+        let mut pair: Vec<Point> = stretch
+            .iter()
+            .min_by(by_value)
+            .into_iter()
+            .chain(stretch.iter().max_by(by_value))
+            .copied()
+            .collect();
+        pair.sort_by(|a, b| a.0.total_cmp(&b.0));
+        pair
+    };
+    finite.chunks(finite.len().div_ceil(MOST / 2)).flat_map(extremes).collect()
+}
+
+/// The finite values from the smallest to the largest, with a margin on both sides as a part of the width; some width where they
+/// are all the same to the digits that labels have.
+fn range(values: impl Iterator<Item = f64>, margin: f64) -> Option<Range<f64>> {
+    let drawable = values.filter(|v| v.abs() < 1e200);
+    let (low, high) =
+        drawable.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+    if low > high {
+        return None;
+    }
+    let size = low.abs().max(high.abs());
+    let by = match high - low {
+        width if width > 1e-8 * size && size > 1e-200 => margin * width,
+        _ if size > 1e-200 => 0.05 * size,
+        _ => 1.0,
+    };
+    Some(low - by..high + by)
+}
+
+/// The labels of an axis, with the digits that tell them apart.
+fn labels(range: &Range<f64>) -> impl Fn(&f64) -> String {
+    let width = range.end - range.start;
+    let digits = ((range.start.abs().max(range.end.abs()) / width).log10() + 3.0).clamp(3.0, 12.0);
+    // What is nothing but the rounding of zero.
+    move |value| if value.abs() < 1e-9 * width { "0".to_owned() } else { rounded(*value, digits as usize) }
+}
+
+fn cut(label: &str) -> String {
+    match label.chars().count() {
+        n if n <= LONGEST_LABEL => label.to_owned(),
+        n => {
+            let tail = label.chars().skip(n - LONGEST_LABEL + 3);
+            "...".chars().chain(tail).collect()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_that_a_fit_holds_keeps_a_figure_from_being_drawn() {
+        let panel = |values: &[f64]| Panel {
+            height: 200,
+            y_label: "<script>alert(\"x\") & a very long name of a variable".to_owned(),
+            series: vec![
+                Series::Measured(values.iter().enumerate().map(|(i, v)| (i as f64, *v)).collect()),
+                Series::Fitted(values.iter().enumerate().map(|(i, v)| (i as f64, *v)).collect()),
+            ],
+            is_logarithm: false,
+            has_zero: false,
+        };
+        for values in [
+            &[1.0, 2.0][..],
+            &[3.0, 3.0],
+            &[0.0],
+            &[f64::NAN, 1.0, f64::INFINITY],
+            &[1e-300, 2e-300],
+            &[5e-324, 0.0],
+            &[-1e199, 1e199],
+            &[1e9, 1e9 + 1e-6],
+            &[1.0, 1.0 + 1e-15],
+        ] {
+            let svg = draw(&[panel(values)], "time in s").unwrap();
+            assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"), "{values:?}");
+            assert!(!svg.contains("<script>") && !svg.contains("NaN"), "{values:?}: {svg}");
+        }
+        assert_eq!(draw(&[panel(&[f64::NAN])], ""), None);
+        let mut wild = panel(&[1.0, 2.0]);
+        wild.series.push(Series::Start(vec![(0.0, 1.5), (1.0, 1e150), (2.0, f64::INFINITY)]));
+        let y = wild.y_range().unwrap();
+        assert!(y.end < 5.0 && y.start > 0.5, "{y:?}");
+        assert!(draw(&[wild], "").is_some());
+        assert_eq!(draw(&[], ""), None);
+    }
+
+    #[test]
+    fn many_points_are_thinned_and_no_extreme_is_lost() {
+        let mut points: Vec<Point> = (0..100_000).map(|i| (f64::from(i), 0.0)).collect();
+        points[77_777].1 = 5.0;
+        points[3].1 = -5.0;
+        let few = thinned(&points);
+        assert!(few.len() <= MOST && few.contains(&(77_777.0, 5.0)) && few.contains(&(3.0, -5.0)));
+        assert!(few.windows(2).all(|pair| pair[0].0 <= pair[1].0));
+        let few = sampled(&points);
+        assert!(few.len() <= MOST + 2 && few.contains(&(77_777.0, 5.0)) && few.contains(&(3.0, -5.0)));
+    }
+}

@@ -1,0 +1,248 @@
+//! The report: one page with tables, figures, settings and hashes, that needs nothing but itself.
+
+use super::curves::{ExperimentCurves, OutputCurves, Signal};
+use super::figure::{self, Panel, Point, Series};
+use super::number::rounded;
+use super::summary::{Fact, Summary};
+use super::template;
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::fit::Fit;
+use ode::Number;
+use serde::Serialize;
+
+/// Heights of the panels of a figure, in pixels.
+const TALL: u32 = 230;
+const LOW: u32 = 120;
+
+#[derive(Serialize)]
+struct Page {
+    outputs: Vec<Figure>,
+    search: Vec<Figure>,
+    correlation: Option<Correlation>,
+    residual_checks: Vec<[String; 8]>,
+    warnings: Vec<String>,
+    settings: Vec<Fact>,
+    experiments: Vec<Setup>,
+    origin: Vec<Fact>,
+    date: String,
+}
+
+#[derive(Serialize)]
+struct Figure {
+    title: String,
+    caption: String,
+    svg: Option<String>,
+}
+
+#[derive(Serialize)]
+struct Correlation {
+    names: Vec<String>,
+    rows: Vec<Vec<Cell>>,
+}
+
+/// A coefficient, and the strength and sign of its colour.
+#[derive(Serialize)]
+struct Cell {
+    text: String,
+    is_negative: bool,
+    strength: f64,
+}
+
+/// What an experiment is made of.
+#[derive(Serialize)]
+struct Setup {
+    name: String,
+    facts: Vec<(String, String)>,
+}
+
+/// The page of a fit.
+pub(super) fn page(
+    calibration: &Calibration,
+    fit: &Fit,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<String, CalibrationError> {
+    let page = Page {
+        outputs: output_figures(&calibration.curves(fit, cancelled)?),
+        search: [convergence(fit), waterfall(fit)].into_iter().flatten().collect(),
+        correlation: correlation(fit),
+        residual_checks: residual_checks(fit),
+        warnings: calibration.warnings().iter().map(ToString::to_string).collect(),
+        settings: settings(calibration, fit),
+        experiments: experiments(calibration),
+        origin: origin(calibration),
+        date: jiff::Timestamp::now().strftime("%Y-%m-%d %H:%M UTC").to_string(),
+    };
+    Ok(template::page(&Summary::new(fit), &page))
+}
+
+/// Per output: measured, at the start, fitted; below, the residuals.
+fn output_figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
+    let figure = |experiment: &ExperimentCurves, output: &OutputCurves| {
+        let OutputCurves { measured, residuals, start, fitted } = output;
+        let unit = measured.unit.as_ref().map_or_else(String::new, |unit| format!(" in {unit}"));
+        let points = |times: &[f64], values: &[f64]| -> Vec<Point> {
+            times.iter().copied().zip(values.iter().copied()).collect()
+        };
+        let curve = |signal: &Signal| points(&signal.times, &signal.values);
+        let mut upper = vec![Series::Measured(curve(measured))];
+        upper.extend(start.as_ref().map(|signal| Series::Start(curve(signal))));
+        upper.extend(fitted.as_ref().map(|signal| Series::Fitted(curve(signal))));
+        let lower = vec![Series::Marks(points(&measured.times, residuals))];
+        let panel = |height, y_label, series, has_zero| Panel {
+            height,
+            y_label,
+            series,
+            is_logarithm: false,
+            has_zero,
+        };
+        let panels = [
+            panel(TALL, format!("{}{unit}", measured.variable), upper, false),
+            panel(LOW, format!("residual{unit}"), lower, true),
+        ];
+        let title = match experiments.len() {
+            1 => measured.variable.clone(),
+            _ => format!("{}: {}", experiment.name, measured.variable),
+        };
+        let failed = if start.is_none() { "The simulation at the start failed. " } else { "" };
+        let caption = format!("{failed}{}", figure::note(measured.times.len()));
+        Figure { title, caption, svg: figure::draw(&panels, "time in s") }
+    };
+    experiments.iter().flat_map(|e| e.outputs.iter().map(move |output| figure(e, output))).collect()
+}
+
+/// A cost as it is drawn.
+fn logarithm(cost: f64) -> f64 {
+    // A cost of zero has none: the point is left out.
+    cost.log10()
+}
+
+fn cost_panel(series: Vec<Series>) -> Panel {
+    Panel { height: TALL, y_label: "cost".to_owned(), series, is_logarithm: true, has_zero: false }
+}
+
+/// The costs of all evaluations, and the best so far.
+fn convergence(fit: &Fit) -> Option<Figure> {
+    let trace = &fit.report.trace;
+    let first = trace.n_dropped() + 1;
+    let costs =
+        || trace.iter().enumerate().filter_map(|(k, e)| Some(((first + k) as f64, e.outcome.value()?)));
+    let mut best = f64::INFINITY;
+    let mut steps: Vec<Point> = Vec::new();
+    for (k, cost) in costs() {
+        if cost < best {
+            steps.extend(steps.last().map(|(_, before)| (k, *before)));
+            best = cost;
+            steps.push((k, logarithm(cost)));
+        }
+    }
+    steps.extend(steps.last().map(|(_, last)| ((first + trace.len() - 1) as f64, *last)));
+    let evaluated = costs().map(|(k, cost)| (k, logarithm(cost))).collect();
+    let svg =
+        figure::draw(&[cost_panel(vec![Series::Measured(evaluated), Series::Fitted(steps)])], "evaluation");
+    let failed = match fit.report.n_failed {
+        0 => String::new(),
+        n => format!(" {n} evaluations failed."),
+    };
+    let caption = format!("Cost of each evaluation (dots) and of the best point so far (line).{failed}");
+    (!trace.is_empty()).then(|| Figure { title: "Convergence".to_owned(), caption, svg })
+}
+
+/// The costs that the searches from several starts ended at, sorted.
+fn waterfall(fit: &Fit) -> Option<Figure> {
+    let optima = &fit.report.optima;
+    let ends = optima.iter().flat_map(|optimum| std::iter::repeat_n(optimum.cost, optimum.n_starts.max(1)));
+    let ends: Vec<Point> = ends.enumerate().map(|(k, cost)| ((k + 1) as f64, logarithm(cost))).collect();
+    let caption =
+        format!("Costs of {} local searches, sorted: {} distinct minima.", ends.len(), optima.len());
+    let svg =
+        figure::draw(&[cost_panel(vec![Series::Marks(ends)])], "local search, from the best to the worst");
+    (!optima.is_empty()).then(|| Figure { title: "Minima found".to_owned(), caption, svg })
+}
+
+fn correlation(fit: &Fit) -> Option<Correlation> {
+    let worth = fit.worth.as_ref()?;
+    let n = fit.x.len();
+    let cell = |value: &f64| Cell {
+        text: if value.is_nan() {
+            "\u{2013}".to_owned()
+        } else {
+            format!("{value:.2}").replace('-', "\u{2212}")
+        },
+        is_negative: *value < 0.0,
+        strength: if value.is_nan() { 0.0 } else { (0.6 * value.abs().min(1.0) * 100.0).round() / 100.0 },
+    };
+    (n > 1 && worth.correlation.len() == n * n).then(|| Correlation {
+        names: fit.names.clone(),
+        rows: worth.correlation.chunks(n).map(|row| row.iter().map(cell).collect()).collect(),
+    })
+}
+
+fn residual_checks(fit: &Fit) -> Vec<[String; 8]> {
+    let checks = fit.worth.iter().flat_map(|worth| &worth.residual_checks);
+    let number = |value: f64| if value.is_nan() { "\u{2013}".to_owned() } else { rounded(value, 3) };
+    let row = |check: &crate::worth::ResidualCheck| {
+        let numbers = [check.mean, check.deviation, check.autocorrelation, check.runs];
+        let [mean, deviation, lag, runs] = numbers.map(number);
+        let [n, outliers] = [check.n, check.n_outliers].map(|n| n.to_string());
+        [check.experiment.clone(), check.variable.clone(), n, mean, deviation, lag, runs, outliers]
+    };
+    checks.map(row).collect()
+}
+
+/// How it was simulated and searched.
+fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
+    let report = &fit.report;
+    let settings = &calibration.problem().settings;
+    let plan = calibration.evaluator().simulations.first().map(|simulation| simulation.pool.plan());
+    let mut facts = vec![("method", report.method.clone().into_owned())];
+    facts.extend(report.method_reason.iter().map(|reason| ("reason for the method", reason.clone())));
+    facts.push(("end", report.message.clone()));
+    facts.push(("loss", report.loss.to_string()));
+    facts.extend(report.seed.map(|seed| ("seed", seed.to_string())));
+    facts.push(("workers, batch plan", format!("{}, {}", report.workers, report.batch)));
+    let chosen = if fit.solver.race.is_some() { " (chosen by a race)" } else { "" };
+    facts.push(("solver", format!("{}{chosen}", fit.solver.method.name())));
+    let tolerance = plan.map(|plan| Number(plan.relative_tolerance()).to_string());
+    facts.extend(tolerance.map(|tolerance| ("relative tolerance", tolerance)));
+    let steps = [("step size in s", settings.step_size), ("largest step in s", settings.max_step)];
+    facts.extend(steps.into_iter().filter_map(|(name, value)| Some((name, Number(value?).to_string()))));
+    let limit = settings.timeout.map(|limit| Number(limit.as_secs_f64()).to_string());
+    facts.extend(limit.map(|limit| ("time limit of a simulation in s", limit)));
+    facts.into_iter().map(|(name, value)| Fact { name, value }).collect()
+}
+
+/// What each experiment is made of, with the hash of its data.
+fn experiments(calibration: &Calibration) -> Vec<Setup> {
+    let problem = calibration.problem();
+    let setup = |(k, name): (usize, String)| {
+        let suffix = format!(" of experiment {k}");
+        let own = |(name, value): &(String, String)| {
+            let name = name.strip_suffix(&suffix)?;
+            let name = if name == "data" { "SHA-256 of the data" } else { name };
+            (!value.is_empty()).then(|| (name.to_owned(), value.clone()))
+        };
+        let source = ("recording".to_owned(), problem.experiments[k].data.source().to_owned());
+        let facts = std::iter::once(source).chain(calibration.identity().iter().filter_map(own)).collect();
+        Setup { name, facts }
+    };
+    problem.experiment_names().into_iter().enumerate().map(setup).collect()
+}
+
+/// What the model is, and with what the fit was made.
+fn origin(calibration: &Calibration) -> Vec<Fact> {
+    let (problem, description) = (calibration.problem(), calibration.fmu().description());
+    let facts = [
+        ("model", Some(description.model_name.clone())),
+        ("version of the model", description.version.clone()),
+        ("file", Some(problem.model.path.display().to_string())),
+        ("SHA-256 of the FMU", Some(problem.model.content_hash.clone())),
+        ("FMI version", Some(description.fmi_version.to_string())),
+        ("generated by", description.generation_tool.clone()),
+        ("generated at", description.generation_date_and_time.clone()),
+        ("GUID", Some(description.guid.clone())),
+        ("fmufit", Some(env!("CARGO_PKG_VERSION").to_owned())),
+    ];
+    let known = facts.into_iter().filter_map(|(name, value)| Some((name, value?)));
+    known.filter(|(_, value)| !value.is_empty()).map(|(name, value)| Fact { name, value }).collect()
+}

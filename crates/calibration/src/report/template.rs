@@ -1,0 +1,32 @@
+//! The templates of the report and of the part for notebooks. What they are given is escaped: names in an FMU are anybody's.
+
+use super::summary::Summary;
+use minijinja::value::Serde;
+use minijinja::{Environment, Value, context};
+use serde::Serialize;
+
+/// The summary as an HTML element for a notebook.
+pub(super) fn notebook(summary: &Summary) -> String {
+    render("notebook.html", context! { summary => Serde(summary) })
+}
+
+/// The page.
+pub(super) fn page(summary: &Summary, page: impl Serialize) -> String {
+    render("page.html", context! { summary => Serde(summary), page => Serde(&page) })
+}
+
+/// The templates are part of the program: an error is one of theirs, which the tests would see.
+fn render(name: &str, values: Value) -> String {
+    let mut environment = Environment::new();
+    let templates = [
+        ("figure.html", include_str!("templates/figure.html")),
+        ("tables.html", include_str!("templates/tables.html")),
+        ("notebook.html", include_str!("templates/notebook.html")),
+        ("page.html", include_str!("templates/page.html")),
+    ];
+    let rendered = templates
+        .into_iter()
+        .try_for_each(|(name, source)| environment.add_template(name, source))
+        .and_then(|()| environment.get_template(name)?.render(values));
+    rendered.unwrap_or_else(|error| error.to_string())
+}

@@ -1,0 +1,205 @@
+//! What a check says of setups with one mistake each, and that it says nothing of sound ones.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::{Calibration, CalibrationBuilder, Check, Data, Experiment, Parameter, Severity};
+use example_models::example_fmu;
+use fmi::{Fmu, SimulateOptions};
+use std::path::Path;
+
+type Columns = Vec<(String, Vec<f64>)>;
+
+fn open(model: &str) -> Fmu {
+    Fmu::open(example_fmu(model).unwrap()).unwrap()
+}
+
+/// A pseudo-random number from -1 to 1.
+fn noise(k: usize) -> f64 {
+    2.0 * ((12.9898 * (k as f64 + 1.0)).sin() * 43_758.547).fract().abs() - 1.0
+}
+
+/// The tank at other outlets than its nominal ones, with noise: times, voltages, levels in m.
+fn tank_recording() -> (Vec<f64>, Columns) {
+    let time: Vec<f64> = (0..61).map(f64::from).collect();
+    let u1: Vec<f64> = time.iter().map(|t| if *t < 20.0 { 5.0 } else { 6.0 }).collect();
+    let u2 = vec![5.0; time.len()];
+    let inputs =
+        fmi::Inputs::new().series("u1", time.clone(), u1.clone()).series("u2", time.clone(), u2.clone());
+    let options = SimulateOptions {
+        times: Some(time.clone()),
+        inputs: Some(inputs),
+        start_values: vec![("qt.a1".to_owned(), 2.7e-6.into()), ("qt.a2".to_owned(), 2.6e-6.into())],
+        outputs: Some(["qt.x1", "qt.x2", "qt.x3"].map(str::to_owned).to_vec()),
+        ..SimulateOptions::default()
+    };
+    let levels = open("quad_tank").simulate(&options).unwrap();
+    let noisy = |column: &[f64], from: usize| {
+        column.iter().enumerate().map(|(k, v)| v + 5e-4 * noise(from + k)).collect()
+    };
+    let columns = vec![
+        ("u1".to_owned(), u1),
+        ("u2".to_owned(), u2),
+        ("x1".to_owned(), noisy(&levels.columns[0], 0)),
+        ("x2".to_owned(), noisy(&levels.columns[1], 100)),
+        ("x3".to_owned(), noisy(&levels.columns[2], 200)),
+    ];
+    (time, columns)
+}
+
+fn tank(
+    time: Vec<f64>,
+    columns: Columns,
+    change: impl FnOnce(Experiment) -> Experiment,
+) -> CalibrationBuilder {
+    let experiment = Experiment::new(Data::from_columns(time, columns).unwrap())
+        .output("qt.x1", "x1")
+        .output("qt.x2", "x2")
+        .input("u1", "u1");
+    Calibration::builder(open("quad_tank"))
+        .experiment(change(experiment))
+        .parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6))
+        .parameter(Parameter::new("qt.a2", 3e-6).bounds(2e-6, 4e-6))
+}
+
+fn with_u2(experiment: Experiment) -> Experiment {
+    experiment.input("u2", "u2")
+}
+
+fn said(check: &Check) -> Vec<String> {
+    check.findings.iter().filter(|f| f.severity != Severity::Note).map(ToString::to_string).collect()
+}
+
+#[test]
+fn mistakes_are_named() {
+    let scaled = |name: &str, by: f64, plus: f64| {
+        let (time, mut columns) = tank_recording();
+        let column = columns.iter_mut().find(|(column, _)| column == name).unwrap();
+        column.1.iter_mut().for_each(|v| *v = *v * by + plus);
+        tank(time, columns, with_u2)
+    };
+    let times = |by: f64, plus: f64, change: fn(Experiment) -> Experiment| {
+        let (time, columns) = tank_recording();
+        tank(time.iter().map(|t| t * by + plus).collect(), columns, change)
+    };
+    let swapped = {
+        let (time, columns) = tank_recording();
+        let experiment = Experiment::new(Data::from_columns(time, columns).unwrap());
+        let experiment = experiment.output("qt.x1", "x3").output("qt.x3", "x1").input("u1", "u1");
+        Calibration::builder(open("quad_tank"))
+            .experiment(with_u2(experiment))
+            .parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6))
+    };
+    let open_input = {
+        let (time, columns) = tank_recording();
+        tank(time, columns.into_iter().filter(|(name, _)| name != "u2").collect(), |e| e)
+    };
+    let unused = {
+        let (time, columns) = tank_recording();
+        tank(time, columns, |e| e)
+    };
+    let changed = |name: &str, change: &dyn Fn(usize, f64) -> f64| {
+        let (time, mut columns) = tank_recording();
+        let column = columns.iter_mut().find(|(column, _)| column == name).unwrap();
+        column.1.iter_mut().enumerate().for_each(|(k, v)| *v = change(k, *v));
+        tank(time, columns, with_u2)
+    };
+    for (builder, expected) in [
+        (scaled("x1", 1e3, 0.0), "output 'qt.x1' (column 'x1'): the measurements range over"),
+        (scaled("x1", 1e3, 0.0), "the ratio is about"),
+        (scaled("x2", 1e2, 0.0), "(cm against m"),
+        (scaled("x2", 1e-3, 0.0), "state the unit in the name of the column, as in 'x2 [mm]'"),
+        (
+            times(1e3, 0.0, with_u2),
+            "times look as if they were in ms; state the unit in the name of the column: 'time [ms]'",
+        ),
+        (
+            times(1.0, 100.0, |e| with_u2(e).start_time(0.0)),
+            "its first row is at 100 s, the simulation starts at 0 s; give start_time=100",
+        ),
+        (swapped, "outputs 'qt.x1' and 'qt.x3': column 'x3' is closer to the simulated 'qt.x3'"),
+        (open_input, "input 'u2': nothing drives it"),
+        (unused, "column 'u2' is not used, but the model has an input 'u2'"),
+        (changed("x1", &|_, _| 0.06), "all 61 measurements are 0.06"),
+        (changed("x1", &|_, v| v + 0.04), "the first measurement is 0.1"),
+        (
+            changed("x1", &|k, v| if k % 30 > 15 { 0.08 } else { v }),
+            "exactly 0.08, its largest value: clipped?",
+        ),
+        (changed("u1", &|k, v| if k > 40 { f64::NAN } else { v }), "input 'u1' is recorded from 0 s to 40 s"),
+        (
+            scaled("x1", 1.0, 0.0).parameter(Parameter::new("qt.A1", -1.0)),
+            "parameter 'qt.A1': start -1 is outside of the model's range",
+        ),
+        (
+            scaled("x1", 1.0, 0.0).parameter(Parameter::new("qt.A1", 5e-4).bounds(-1.0, 1.0)),
+            "parameter 'qt.A1': lower bound -1, but the model states a range",
+        ),
+    ] {
+        let check = match builder.build() {
+            Ok(calibration) => calibration.check(),
+            Err(error) => panic!("{expected}: {error}"),
+        };
+        assert!(said(&check).iter().any(|text| text.contains(expected)), "{expected}:\n{check}");
+        assert!(!check.is_ok());
+    }
+}
+
+#[test]
+fn sound_setups_have_notes_only() {
+    let (time, columns) = tank_recording();
+    let check = tank(time, columns, with_u2).build().unwrap().check();
+    assert!(check.is_ok() && said(&check).is_empty(), "{check}");
+    assert_eq!(check.findings.len(), 1, "{check}");
+    assert!(
+        check
+            .to_string()
+            .contains("columns without a unit are taken in those of the model: 'x1' in m, 'x2' in m"),
+        "{check}"
+    );
+
+    let own = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/data/furuta.csv");
+    let check = Calibration::builder(open("furuta"))
+        .experiment(
+            Experiment::new(Data::from_csv(own).unwrap())
+                .output("armJoint.phi", "phi")
+                .output("pendulumJoint.phi", "theta"),
+        )
+        .parameter(Parameter::new("armFriction", 0.02).bounds(0.0, 0.022))
+        .parameter(Parameter::new("pendulumFriction", 0.01).bounds(0.0, 0.022))
+        .build()
+        .unwrap()
+        .check();
+    assert!(said(&check).is_empty(), "{check}");
+
+    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/exhaust_measurements.csv");
+    if !shared.is_file() {
+        eprintln!("skipped: {} is not at hand", shared.display());
+        return;
+    }
+    let inputs = ["T_in", "p_in", "w_turb1", "w_turb2", "p_out"];
+    let experiment = Experiment::new(Data::from_csv(shared).unwrap()).output("T_out", "T_out");
+    let check = Calibration::builder(open("exhaust"))
+        .experiment(inputs.iter().fold(experiment, |experiment, input| experiment.input(*input, *input)))
+        .parameter(Parameter::new("C1", 2500.0).bounds(1.0, 50e3))
+        .build()
+        .unwrap()
+        .check();
+    assert!(said(&check).is_empty(), "{check}");
+}
+
+#[test]
+fn a_simulation_that_fails_is_a_finding() {
+    let t: Vec<f64> = (0..20).map(|k| 0.1 * f64::from(k)).collect();
+    let x = t.iter().map(|t| (-2.0 * t).exp()).collect();
+    let experiment = Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x");
+    let calibration = Calibration::builder(open("dahlquist"))
+        .experiment(experiment)
+        .parameter(Parameter::new("k", -1e6))
+        .build()
+        .unwrap();
+    let check = calibration.check();
+    assert_eq!(check.findings[0].severity, Severity::Error);
+    assert!(check.findings[0].sentence.contains("k = -1000000"), "{check}");
+    assert!(calibration.check_until(false, &|| false).unwrap().is_ok());
+    assert!(calibration.check_until(true, &|| true).is_err());
+}

@@ -1,0 +1,124 @@
+//! Prediction bands against their closed form, and cross-validation by recording.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::{
+    BandOptions, Calibration, CrossValidationOptions, Data, Experiment, FitOptions, Parameter,
+};
+use example_models::example_fmu;
+
+/// Alternating, so that it is independent of the parameters for all that a fit can see.
+fn noise(i: usize) -> f64 {
+    [3e-3, -4e-3, -2e-3, 3e-3][i % 4]
+}
+
+/// x' = -k x from x0, every 0.1 s, with noise.
+fn recording(k: f64, x0: f64) -> Experiment {
+    let t: Vec<f64> = (0..40).map(|i| i as f64 / 10.0).collect();
+    let x = t.iter().enumerate().map(|(i, t)| x0 * (-k * t).exp() + noise(i)).collect();
+    Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x")
+}
+
+fn calibration(experiments: Vec<Experiment>, is_local: bool) -> Calibration {
+    let fmu = fmi::Fmu::open(example_fmu("dahlquist").unwrap()).unwrap();
+    let builder = Calibration::builder(fmu)
+        .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+        .parameter(Parameter::new("x", 1.5).bounds(0.1, 10.0).local(is_local));
+    experiments.into_iter().fold(builder, |builder, e| builder.experiment(e)).build().unwrap()
+}
+
+#[test]
+fn the_band_is_that_of_the_delta_method() {
+    let calibration = calibration(vec![recording(2.0, 1.0)], false);
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    let worth = fit.worth.as_ref().unwrap();
+    let times = vec![0.0, 0.3, 1.0, 2.5];
+    let options = BandOptions { times: Some(times.clone()), ..BandOptions::default() };
+    let [band] = &calibration.prediction_bands(&fit, &options, &|| false).unwrap()[..] else { panic!() };
+    let (k, x0) = (fit.x[0], fit.x[1]);
+    for (i, t) in times.iter().enumerate() {
+        let decay = (-k * t).exp();
+        let gradient = [-t * x0 * decay, decay];
+        let variance: f64 = (0..4).map(|e| gradient[e / 2] * worth.covariance[e] * gradient[e % 2]).sum();
+        assert!((band.values[i] - x0 * decay).abs() < 1e-5);
+        assert!((band.standard_errors[i] / variance.sqrt() - 1.0).abs() < 2e-2, "{band:?} {variance}");
+        // Student's t with 38 degrees of freedom.
+        let (half, of_measured) = (band.upper[i] - band.values[i], band.measured_upper[i] - band.values[i]);
+        assert!((half / (2.02439 * band.standard_errors[i]) - 1.0).abs() < 1e-4, "{half}");
+        let whole = 2.02439 * (band.standard_errors[i].powi(2) + band.noise.powi(2)).sqrt();
+        assert!((of_measured / whole - 1.0).abs() < 1e-4);
+        assert!((band.lower[i] + band.upper[i] - 2.0 * band.values[i]).abs() < 1e-12);
+    }
+    assert!((band.noise - fit.rms * (40.0_f64 / 38.0).sqrt()).abs() < 1e-9);
+    // The same for any number of workers; narrower for a lower level.
+    let one = BandOptions { workers: Some(1), ..options.clone() };
+    assert_eq!(&calibration.prediction_bands(&fit, &one, &|| false).unwrap()[0], band);
+    let half = BandOptions { level: 0.5, ..options };
+    assert!(calibration.prediction_bands(&fit, &half, &|| false).unwrap()[0].upper[2] < band.upper[2]);
+}
+
+#[test]
+fn a_band_that_cannot_be_made_says_why() {
+    let calibration = calibration(vec![recording(2.0, 1.0)], false);
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    let without = calibration.fit(FitOptions { worth: None, ..FitOptions::default() }).unwrap();
+    let options = BandOptions::default();
+    for (fit, options, expected) in [
+        (&fit, BandOptions { level: 95.0, ..options.clone() }, "between 0 and 1"),
+        (
+            &fit,
+            BandOptions { outputs: Some(vec!["y".to_owned()]), ..options.clone() },
+            "no output 'y'; there are: x",
+        ),
+        (&without, options.clone(), "needs the covariance"),
+    ] {
+        let error = calibration.prediction_bands(fit, &options, &|| false).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    assert!(calibration.prediction_bands(&fit, &options, &|| true).is_err());
+}
+
+#[test]
+fn each_recording_is_left_out_once() {
+    let recordings = vec![recording(2.0, 1.0), recording(2.05, 2.0), recording(2.0, 3.0).named("third")];
+    let calibration = calibration(recordings, true);
+    let found = calibration.cross_validate(&CrossValidationOptions::default()).unwrap();
+    let names: Vec<_> = found.folds.iter().map(|fold| fold.held_out.join(" ")).collect();
+    assert_eq!(names, ["run1", "run2", "third"]);
+    assert_eq!(found.folds[0].fit.names, ["k", "x[run2]", "x[third]"]);
+    // The initial state of the recording that was left out is fitted to it.
+    assert_eq!(found.folds[2].validation.names, ["k", "x[third]"]);
+    assert!((found.folds[2].validation.x[1] - 3.0).abs() < 0.05, "{found}");
+    assert!(found.folds[1].validation.rms > found.folds[0].validation.rms, "{found}");
+    let [(name, mean, spread)] = &found.parameters[..] else { panic!("{found}") };
+    assert!(name == "k" && (mean - 2.02).abs() < 0.02 && *spread > 1e-3 && *spread < 0.05, "{found}");
+    let sum: f64 = found.folds.iter().map(|f| f.validation.rms.powi(2) / 3.0).sum();
+    assert!((found.rms / sum.sqrt() - 1.0).abs() < 1e-9);
+    assert_eq!(found.to_string().lines().count(), 6, "{found}");
+    // By hand: the same calibration without the first.
+    let mut options = CrossValidationOptions { folds: Some(2), ..CrossValidationOptions::default() };
+    options.run.workers = Some(1);
+    let two = calibration.cross_validate(&options).unwrap();
+    assert_eq!(two.folds[0].held_out, ["run1", "third"]);
+    options.run.workers = Some(4);
+    let again = calibration.cross_validate(&options).unwrap();
+    assert_eq!(again.rms.to_bits(), two.rms.to_bits());
+}
+
+#[test]
+fn recordings_that_cannot_be_left_out_are_named() {
+    let one = calibration(vec![recording(2.0, 1.0)], false);
+    let error = one.cross_validate(&CrossValidationOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("two or more experiments; there is one"), "{error}");
+    let two = calibration(vec![recording(2.0, 1.0), recording(2.0, 2.0)], true);
+    for folds in [0, 1, 3] {
+        let options = CrossValidationOptions { folds: Some(folds), ..CrossValidationOptions::default() };
+        let error = two.cross_validate(&options).unwrap_err().to_string();
+        assert!(
+            error.contains(&format!("{folds} folds of 2 recordings: there must be from 2 to 2")),
+            "{error}"
+        );
+    }
+    let error = two.cross_validate_until(&CrossValidationOptions::default(), &|| true).unwrap_err();
+    assert!(matches!(error, calibration::CalibrationError::Cancelled));
+}

@@ -1,0 +1,92 @@
+//! Validation on other parts of a recording and on other recordings.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, ValidationSet};
+use example_models::example_fmu;
+
+/// x' = -k x from x0, every 0.1 s.
+fn decay(k: f64, x0: f64) -> Data {
+    let t: Vec<f64> = (0..31).map(|i| f64::from(i) / 10.0).collect();
+    let x = t.iter().map(|t| x0 * (-k * t).exp()).collect();
+    Data::from_columns(t, [("x".to_owned(), x)]).unwrap()
+}
+
+fn experiment(k: f64, x0: f64) -> Experiment {
+    Experiment::new(decay(k, x0)).output("x", "x")
+}
+
+fn fitted(experiments: Vec<Experiment>, local: bool) -> (Calibration, Fit) {
+    let fmu = fmi::Fmu::open(example_fmu("dahlquist").unwrap()).unwrap();
+    let mut builder =
+        Calibration::builder(fmu).parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0).fixed(!local));
+    builder = builder.parameter(Parameter::new("x", 1.0).bounds(0.1, 10.0).local(local));
+    builder = experiments.into_iter().fold(builder, |builder, e| builder.experiment(e));
+    let calibration = builder.build().unwrap();
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    (calibration, fit)
+}
+
+/// Root of the mean squared difference of two decays at these steps of 0.1 s.
+fn rms(steps: std::ops::RangeInclusive<u32>, (k, x0): (f64, f64), (other, y0): (f64, f64)) -> f64 {
+    let n = f64::from(steps.end() - steps.start() + 1);
+    let at = |t: f64| x0 * (-k * t).exp() - y0 * (-other * t).exp();
+    (steps.map(|i| at(f64::from(i) / 10.0).powi(2)).sum::<f64>() / n).sqrt()
+}
+
+#[test]
+fn a_window_is_reached_with_its_history() {
+    let (calibration, fit) = fitted(vec![experiment(2.0, 1.0).window(0.0, 1.0)], false);
+    let x0 = fit.x[1];
+    let validation = calibration.validate(&fit, &ValidationSet::Windows(vec![(2.0, 3.0)])).unwrap();
+    assert_eq!((validation.n, validation.x == fit.x), (11, true));
+    assert!((validation.rms / rms(20..=30, (1.0, x0), (2.0, 1.0)) - 1.0).abs() < 1e-4, "{validation:?}");
+    let at_start = rms(20..=30, (1.0, 1.0), (2.0, 1.0));
+    assert!((validation.start_rms.unwrap() / at_start - 1.0).abs() < 1e-4);
+    let [output] = &validation.outputs[..] else { panic!("{validation}") };
+    assert_eq!((output.fit.rms, output.fit.start_rms), (validation.rms, validation.start_rms));
+    assert_eq!((output.times[0], output.times[10], output.residuals.len()), (2.0, 3.0, 11));
+    assert!((output.simulated()[0] - x0 * f64::exp(-2.0)).abs() < 1e-6);
+    assert_eq!((validation.n_simulations, validation.stats.accepted_steps > 0), (2, true));
+    // The window that was fitted: the numbers of the fit.
+    let again = calibration.validate(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)])).unwrap();
+    assert_eq!((again.rms, again.scaled_rms()), (fit.rms, fit.scaled_rms()));
+    assert_eq!(again.outputs[0].fit, fit.outputs[0]);
+    let text = validation.to_string();
+    assert!(text.contains("run1: x") && text.contains("scaled RMS") && text.lines().count() == 3, "{text}");
+}
+
+#[test]
+fn what_belongs_to_another_recording_is_fitted_to_it() {
+    let (calibration, fit) = fitted(vec![experiment(2.0, 1.0), experiment(2.0, 3.0)], true);
+    assert_eq!(fit.names, ["k", "x[run1]", "x[run2]"]);
+    // The first other recording has the name that one of the fit has: its start is its own all the same.
+    let others = vec![experiment(2.0, 5.0).start_value("x", 4.0), experiment(2.2, 2.0).named("colder")];
+    let validation = calibration.validate(&fit, &ValidationSet::Experiments(others)).unwrap();
+    assert_eq!(validation.names, ["k", "x[run1]", "x[colder]"]);
+    assert_eq!(validation.x[0], fit.x[0]);
+    assert!((validation.x[1] - 5.0).abs() < 1e-3, "{validation}");
+    let [first, second] = &validation.outputs[..] else { panic!("{validation}") };
+    assert!(first.fit.rms < 1e-3 && second.fit.rms > 0.01, "{validation}");
+    assert!((first.fit.start_rms.unwrap() / rms(0..=30, (1.0, 4.0), (2.0, 5.0)) - 1.0).abs() < 1e-4);
+    assert!(validation.n_simulations > 2);
+}
+
+#[test]
+fn sets_that_cannot_be_used_are_named() {
+    let (calibration, fit) = fitted(vec![experiment(2.0, 1.0)], false);
+    let experiments = |one: Experiment| ValidationSet::Experiments(vec![one]);
+    for (set, expected) in [
+        (ValidationSet::Windows(vec![(5.0, 6.0)]), "5"),
+        (ValidationSet::Windows(vec![(1.0, 0.0)]), "window from 1 to 0"),
+        (ValidationSet::Windows(vec![]), "windows: there are none"),
+        (ValidationSet::Experiments(vec![]), "there is no experiment"),
+        (experiments(experiment(1.0, 1.0).output("y", "x")), "\"y\""),
+        (experiments(Experiment::new(decay(1.0, 1.0)).output("x", "z")), "z"),
+    ] {
+        let error = calibration.validate(&fit, &set).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    let error = calibration.validate_until(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)]), &|| true);
+    assert!(matches!(error, Err(calibration::CalibrationError::Cancelled)));
+}

@@ -1,0 +1,11 @@
+"""Pictures; matplotlib is imported only when one is asked for."""
+
+from __future__ import annotations
+
+from .fit import fit
+from .search import convergence, waterfall
+from .simplex import SimplexWalk
+from .style import pyplot
+from .worth import correlation, sensitivity
+
+__all__ = ["SimplexWalk", "convergence", "correlation", "fit", "pyplot", "sensitivity", "waterfall"]
