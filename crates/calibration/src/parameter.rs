@@ -282,6 +282,11 @@ impl Parameter {
         if self.fixed { self.start } else { self.upper }
     }
 
+    /// Smallest and largest value as they were given, also of a fixed parameter.
+    pub fn given_bounds(&self) -> (f64, f64) {
+        (self.lower, self.upper)
+    }
+
     /// The scale the optimiser works on.
     pub fn scale_kind(&self) -> Scale {
         self.scale

@@ -81,7 +81,7 @@ impl PyCalibration {
     }
 
     /// One that was built, unless a function of time has raised an exception.
-    fn finish(
+    pub(crate) fn finish(
         py: Python<'_>,
         built: Result<calibration::Calibration, CalibrationError>,
         callbacks: Callbacks,
@@ -112,6 +112,18 @@ impl PyCalibration {
         result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) })?;
         Ok(result)
     }
+}
+
+/// Gives the experiments of a stored problem the functions of time that drive their inputs.
+pub(crate) fn give_functions(problem: &mut Problem, functions: SignalFunctions) -> Callbacks {
+    let mut callbacks = Callbacks::default();
+    for (k, input, function) in functions {
+        let callback = callbacks.add(function);
+        if let Some(experiment) = problem.experiments.get_mut(k) {
+            *experiment = experiment.clone().function_input(input, move |t| callback.value(t, 0));
+        }
+    }
+    callbacks
 }
 
 /// The model: as it was opened, or where it is.
@@ -196,13 +208,7 @@ impl PyCalibration {
     ) -> PyResult<Self> {
         let (mut problem, solver) = stored(state)?;
         let fmu = fmu.get().fmu.clone();
-        let mut callbacks = Callbacks::default();
-        for (k, input, function) in functions {
-            let callback = callbacks.add(function);
-            if let Some(experiment) = problem.experiments.get_mut(k) {
-                *experiment = experiment.clone().function_input(input, move |t| callback.value(t, 0));
-            }
-        }
+        let callbacks = give_functions(&mut problem, functions);
         let built = py.detach(move || {
             let calibration = calibration::Calibration::from_problem(fmu, problem)?;
             solver.map_or(Ok(()), |solver| calibration.set_solver(solver))?;

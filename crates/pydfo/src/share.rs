@@ -1,11 +1,12 @@
 //! Handing a fit on: to a file that is read back, to tables, to other programs.
 
-use crate::calibration::PyCalibration;
+use crate::calibration::{PyCalibration, give_functions};
 use crate::description::Fmu;
+use crate::experiment::SignalFunctions;
 use crate::fit::PyFit;
 use crate::words::{word, word_of};
-use crate::{error, files, logs, trajectory};
-use calibration::{SavedFit, Table};
+use crate::{error, files, trajectory};
+use calibration::{Prior, SavedFit, Table, Target, Tie};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
@@ -27,18 +28,20 @@ pub(crate) fn fit_to_bytes<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<Bound<
 /// A fit from a file, or from its bytes, with its model: the one given, else the one at its place if that has the content. Its
 /// calibration, and what a `pydfo.Fit` is made of.
 #[pyfunction]
-#[pyo3(signature = (path, content=None, model=None))]
+#[pyo3(signature = (path, content=None, model=None, functions=Vec::new()))]
 pub(crate) fn load_fit<'py>(
     py: Python<'py>,
     path: PathBuf,
     content: Option<&[u8]>,
     model: Option<&Bound<'py, Fmu>>,
+    functions: SignalFunctions,
 ) -> PyResult<(PyCalibration, Bound<'py, PyAny>)> {
     let saved = py.detach(|| match content {
         Some(bytes) => SavedFit::from_bytes(bytes, &path.display().to_string()),
         None => SavedFit::load(&path),
     });
-    let saved = saved.map_err(|e| error::calibration(py, &e))?;
+    let mut saved = saved.map_err(|e| error::calibration(py, &e))?;
+    let callbacks = give_functions(&mut saved.problem, functions);
     let opened = match model {
         Some(_) => None,
         None => Some(files::try_open(py, saved.problem.model.path.clone(), &saved.open_options)?),
@@ -49,8 +52,7 @@ pub(crate) fn load_fit<'py>(
         (None, Some(opened)) => saved.calibration_from(opened),
         (None, None) => saved.calibration(),
     });
-    logs::pass_on(py)?;
-    let calibration = PyCalibration::of(Arc::new(made.map_err(|e| error::calibration(py, &e))?));
+    let calibration = PyCalibration::finish(py, made, callbacks)?;
     let result = calibration.result(py, saved.fit)?;
     Ok((calibration, result))
 }
@@ -65,9 +67,36 @@ pub(crate) fn parameters_of<'py>(
     let arguments = |p: &calibration::Parameter| {
         let arguments = PyDict::new(py);
         arguments.set_item("name", p.name())?;
-        arguments.set_item("start", p.start())?;
-        arguments.set_item("lower", p.lower())?;
-        arguments.set_item("upper", p.upper())?;
+        match p.tie() {
+            Some(Tie { to, factor, offset }) => {
+                arguments.set_item("tied_to", to)?;
+                arguments.set_item("factor", factor)?;
+                arguments.set_item("offset", offset)?;
+            }
+            None => {
+                arguments.set_item("start", p.start())?;
+                arguments.set_item("lower", p.given_bounds().0)?;
+                arguments.set_item("upper", p.given_bounds().1)?;
+            }
+        }
+        match p.target() {
+            Target::Variables(variables) if variables.as_slice() == [p.name()] => {}
+            Target::Variables(variables) => arguments.set_item("variables", variables)?,
+            Target::Delay(variable) => arguments.set_item("delay_of", variable)?,
+            Target::Offset(variable) => arguments.set_item("offset_of", variable)?,
+        }
+        let classes = py.import("pydfo._parameter")?;
+        let prior = match p.known_prior() {
+            None => None,
+            Some(Prior::Normal { mean, sd }) => Some(classes.getattr("Normal")?.call1((*mean, *sd))?),
+            Some(Prior::LogNormal { median, sigma }) => {
+                Some(classes.getattr("LogNormal")?.call1((*median, *sigma))?)
+            }
+        };
+        arguments.set_item("prior", prior)?;
+        arguments.set_item("unit", p.given_unit())?;
+        let shown = Some(p.shown_name()).filter(|shown| *shown != p.name());
+        arguments.set_item("display_name", shown)?;
         arguments.set_item("scale", word_of(&p.scale_kind()))?;
         arguments.set_item("nominal", p.nominal_size())?;
         arguments.set_item("kind", word_of(&p.value_kind()))?;

@@ -304,3 +304,20 @@ def test_fmpy_simulates_what_was_exported(version, kind, tmp_path):
     original = fmpy.simulate_fmu(str(model), fmi_type=interface, start_values=values, **options)
     for theirs in (copy, original):
         np.testing.assert_allclose(theirs["x"], ours, atol=1e-5)
+
+
+def test_parameters_of_every_sort_come_back(tmp_path):
+    parameters = [
+        Parameter("rate", 1, 0.1, 10, variables=["k"], scale="log", prior=pydfo.LogNormal(2, 1), display_name="rate of decay"),
+        Parameter("x", 1, fixed=True),
+        Parameter("drift", 0, -0.1, 0.1, offset_of="x", prior=pydfo.Normal(0, 0.01)),
+    ]
+    calibration = Calibration(example_fmu("dahlquist"), recording(1), "x", parameters)
+    fit = calibration.fit(max_evaluations=20)
+    path = tmp_path / "sorts.fit"
+    fit.save(path)
+    loaded = load_fit(path)
+    assert loaded._calibration.parameters == calibration.parameters
+    assert_same(loaded, fit)
+    assert loaded._calibration.cost(fit.x) == calibration.cost(fit.x)
+    assert fit.parameters_of() == {"k": fit.parameters["rate"], "x": 1.0}

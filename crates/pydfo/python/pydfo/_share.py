@@ -31,7 +31,7 @@ def load_fit(path: PathLike, model: Any = None) -> Fit:
     Parameters
     ----------
     path : path
-        The file.
+        The file. Of a fit with inputs that are functions of time it cannot be read: functions are not stored (a pickle has them).
     model : path or FMUModel, optional
         The FMU, where it is at another place than it was when the fit was made. It must have the same content.
 
@@ -53,22 +53,25 @@ def load_fit(path: PathLike, model: Any = None) -> Fit:
     >>> pydfo.load_fit("furuta.fit").parameters  # doctest: +SKIP
     {'armFriction': 0.010001, 'pendulumFriction': 0.001}
     """
-    return _loaded(os.fspath(path), None, model, getattr(model, "_opened", None))
+    return _loaded(os.fspath(path), None, model, getattr(model, "_opened", None), [])
 
 
-def _loaded(path: str, content: bytes | None, model: Any, opened: OpenOptions | None) -> Fit:
+def _loaded(
+    path: str, content: bytes | None, model: Any, opened: OpenOptions | None, functions: list[tuple[int, str, Any]]
+) -> Fit:
     from ._calibration import Calibration
 
     fmu = None
     if model is not None:
         known = getattr(model, "_fmu", None)
         fmu = known if isinstance(known, _core.Fmu) else _core.Fmu(path_of(model), opened)
-    native, result = _core.load_fit(path, content, fmu)
+    native, result = _core.load_fit(path, content, fmu, functions)
     calibration = Calibration.__new__(Calibration)
     place, parameters = _core.parameters_of(native)
     calibration._parameters = tuple(Parameter(**arguments) for arguments in parameters)
     calibration._model = os.fspath(place)
     calibration._opened = opened
+    calibration._functions = functions
     calibration._native = native
     return calibration._fit(result, vars(result)["_native"].start)
 
@@ -79,11 +82,12 @@ def pickled(fit: Fit) -> tuple[Any, ...]:
     if native is None:
         # Interrupted twice: there is no more than its fields.
         return _restored_fields, (type(fit), vars(fit))
-    return _restored, (_core.fit_to_bytes(native), fit._calibration._opened)
+    calibration = fit._calibration
+    return _restored, (_core.fit_to_bytes(native), calibration._opened, calibration._functions)
 
 
-def _restored(content: bytes, opened: OpenOptions | None) -> Fit:
-    return _loaded("the pickle of a Fit", content, None, opened)
+def _restored(content: bytes, opened: OpenOptions | None, functions: list[tuple[int, str, Any]]) -> Fit:
+    return _loaded("the pickle of a Fit", content, None, opened, functions)
 
 
 def _restored_fields(of: type[Fit], fields: dict[str, Any]) -> Fit:
