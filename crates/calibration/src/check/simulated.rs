@@ -132,7 +132,7 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
     };
     // Neither ratio is that of the parameters alone, if both are so large: a gain that is wrong by so much is worth the same words.
     let ratio = (m / s, range_m / range_s);
-    let is_large = |r: f64| r > LARGE || r < 1.0 / LARGE;
+    let is_large = |r: f64| !(1.0 / LARGE..=LARGE).contains(&r);
     if range_s > 0.0
         && is_large(ratio.0)
         && is_large(ratio.1)
