@@ -344,7 +344,7 @@ def bowl(x):
         (lambda: FMUModel(example_fmu("dahlquist")).simulate(record_events="no"), "record_events must be True or False"),
         (lambda: decay({"time": TIME, "x": DECAY}).fit(options="x_tol"), "options must be a dict, not 'x_tol'"),
         (lambda: decay({"time": TIME, "x": DECAY}, weights=2.0), "weights must be a dict of outputs and numbers, or a number per"),
-        (lambda: decay({"time": TIME, "x": DECAY}, weights="x"), "weights must be a dict of outputs and numbers"),
+        (lambda: decay({"time": TIME, "x": DECAY}, weights="x"), "'range', 'mean', 'sd'; give one of them, or numbers"),
         (lambda: decay({"time": TIME, "x": DECAY}, inputs={"u"}), "inputs must be a dict of variable and column, or a list"),
         (lambda: decay({"time": TIME, "x": DECAY}).cost("2"), "x must be numbers, not '2'"),
         (lambda: decay({"time": TIME, "x": DECAY}).fit(start=["1"]), r"x must be numbers, not \['1'\]"),
